@@ -1,0 +1,43 @@
+"""Wrapping and differences of headings [rad], counter-clockwise positive."""
+
+import math
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TURN_RAD = 2.0 * math.pi
+
+
+@overload
+def wrap_angle(angle_rad: float) -> float: ...
+@overload
+def wrap_angle(angle_rad: NDArray[np.float64]) -> NDArray[np.float64]: ...
+def wrap_angle(angle_rad: float | NDArray[np.float64]) -> float | NDArray[np.float64]:
+    """Return the same direction in [-pi, pi) [rad]; arrays keep their shape.
+
+    An angle that is already inside comes back bit for bit.
+    """
+    if isinstance(angle_rad, np.ndarray):
+        wrapped = angle_rad - _TURN_RAD * np.floor((angle_rad + np.pi) / _TURN_RAD)
+        # Just below -pi the sum rounds up to pi itself, which is the same direction as -pi.
+        wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
+        inside = (angle_rad >= -np.pi) & (angle_rad < np.pi)
+        return np.asarray(np.where(inside, angle_rad, wrapped))
+    if -math.pi <= angle_rad < math.pi:
+        return angle_rad
+    turned = angle_rad - _TURN_RAD * math.floor((angle_rad + math.pi) / _TURN_RAD)
+    return -math.pi if turned >= math.pi else turned
+
+
+@overload
+def subtract_headings(to_rad: float, from_rad: float) -> float: ...
+@overload
+def subtract_headings(
+    to_rad: float | NDArray[np.float64], from_rad: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
+def subtract_headings(
+    to_rad: float | NDArray[np.float64], from_rad: float | NDArray[np.float64]
+) -> float | NDArray[np.float64]:
+    """Return the shortest turn that leads from one heading to another [rad], in [-pi, pi)."""
+    return wrap_angle(to_rad - from_rad)

@@ -1,0 +1,1 @@
+"""Runs -> differences and tables across gains."""

@@ -1,0 +1,44 @@
+"""One error root, one child per stage.
+
+A message is one line: the place, what was expected, what was found.
+"""
+
+
+class TurtlelogError(Exception):
+    """Root of every error that turtlelog raises on purpose."""
+
+
+class RunError(TurtlelogError):
+    """Columns that do not make a run."""
+
+
+class LawError(TurtlelogError):
+    """A control law that cannot be found, loaded or trusted."""
+
+
+class ScenarioError(TurtlelogError):
+    """A scenario with a wrong key or value."""
+
+
+class SimulationError(TurtlelogError):
+    """A simulation that cannot go on."""
+
+
+class LogError(TurtlelogError):
+    """A file that cannot be read, written or imported."""
+
+
+class MeasureError(TurtlelogError):
+    """A metric or signal that is not known."""
+
+
+class CompareError(TurtlelogError):
+    """Runs that cannot be compared."""
+
+
+class ShowError(TurtlelogError):
+    """A picture, table or viewer that cannot be made."""
+
+
+class UsageError(TurtlelogError):
+    """Options of a command that do not go together."""

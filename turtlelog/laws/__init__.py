@@ -1,0 +1,16 @@
+"""Control laws, one per file: the thing under test."""
+
+from turtlelog.laws.base import Decision, Goal, Law, Pose
+from turtlelog.laws.loading import LAWS, find_law
+from turtlelog.laws.sequential_p import SequentialP, SequentialPParameters
+
+__all__ = [
+    "LAWS",
+    "Decision",
+    "Goal",
+    "Law",
+    "Pose",
+    "SequentialP",
+    "SequentialPParameters",
+    "find_law",
+]

@@ -1,0 +1,146 @@
+"""The paper's law: rotate on the spot, then translate, each with u = Kp e."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Final, Literal
+
+from msgspec import Meta
+
+from turtlelog.angles import wrap_angle
+from turtlelog.laws.base import Decision, Goal, Pose
+from turtlelog.run import Phase
+
+_STANDSTILL_SAMPLES: Final = 100
+_STANDSTILL_COMMAND: Final = 0.001  # [m/s] and [rad/s]
+_SETTLED_ERROR_M: Final = 0.01
+_SETTLED_NS: Final = 5_000_000_000
+_TIMEOUT_NS: Final = 30_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SequentialPParameters:
+    """Parameters of the sequential proportional law.
+
+    Attributes:
+        kp_angular: Gain of the heading loop [1/s].
+        kp_linear: Gain of the position loop [1/s].
+        heading_tolerance_rad: Rotation ends when the heading error is no larger [rad].
+        position_tolerance_m: Translation ends when neither error coordinate is larger [m].
+        projection: What the world velocity is projected on: the goal `bearing`, as the paper's
+            program does, or the current `heading`, as its equation 16 says.
+        wrap_error: Whether the heading error is wrapped to [-pi, pi).
+        pause_ticks: Ticks that the controller sleeps for after rotating [16 ms each].
+    """
+
+    kp_angular: Annotated[float, Meta(gt=0)] = 1.0
+    kp_linear: Annotated[float, Meta(gt=0)] = 1.0
+    heading_tolerance_rad: Annotated[float, Meta(gt=0)] = 0.001
+    position_tolerance_m: Annotated[float, Meta(gt=0)] = 0.001
+    projection: Literal["bearing", "heading"] = "heading"
+    wrap_error: bool = True
+    pause_ticks: Annotated[int, Meta(ge=0)] = 0
+
+
+class SequentialP:
+    """Rotate to the goal bearing, then drive; the first callback only computes the bearing."""
+
+    Parameters: ClassVar = SequentialPParameters
+
+    def __init__(self, parameters: SequentialPParameters) -> None:
+        """Take the parameters."""
+        self._parameters = parameters
+        self._goal = Goal(0.0, 0.0)
+        self._phase: Phase | None = None
+        self._bearing_rad = self._heading_error_rad = 0.0
+        self._world_v_m_s = (0.0, 0.0)
+        self._first_ns = 0
+        self._still_samples = 0
+        self._close_since_ns: int | None = None
+
+    def reset(self, start: Pose, goal: Goal) -> None:
+        """Compute the goal bearing, once."""
+        self._goal = goal
+        self._phase = None
+        self._bearing_rad = math.atan2(goal.y_m - start.y_m, goal.x_m - start.x_m)
+        self._heading_error_rad = 0.0
+        self._world_v_m_s = (0.0, 0.0)
+        self._still_samples = 0
+        self._close_since_ns = None
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        """Answer one pose."""
+        if self._phase is Phase.TRANSLATE:
+            return self._translate(time_ns, pose)
+        if self._phase is Phase.ROTATE:
+            return self._rotate(pose)
+        self._phase = Phase.ROTATE
+        self._first_ns = time_ns
+        return self._decide_rotation(pose, turn_rate_rad_s=0.0)
+
+    def _rotate(self, pose: Pose) -> Decision:
+        parameters = self._parameters
+        error_rad = self._bearing_rad - pose.heading_rad
+        if parameters.wrap_error:
+            error_rad = wrap_angle(error_rad)
+        self._heading_error_rad = error_rad
+        if abs(error_rad) > parameters.heading_tolerance_rad:
+            return self._decide_rotation(pose, turn_rate_rad_s=parameters.kp_angular * error_rad)
+        self._phase = Phase.TRANSLATE
+        return self._decide_rotation(pose, turn_rate_rad_s=0.0, blocks_ticks=parameters.pause_ticks)
+
+    def _decide_rotation(
+        self, pose: Pose, *, turn_rate_rad_s: float, blocks_ticks: int = 0
+    ) -> Decision:
+        return Decision(
+            speed_m_s=0.0,
+            turn_rate_rad_s=turn_rate_rad_s,
+            phase=Phase.ROTATE,
+            bearing_rad=self._bearing_rad,
+            heading_error_rad=self._heading_error_rad,
+            error_x_m=self._goal.x_m - pose.x_m,
+            error_y_m=self._goal.y_m - pose.y_m,
+            blocks_ticks=blocks_ticks,
+        )
+
+    def _translate(self, time_ns: int, pose: Pose) -> Decision:
+        parameters = self._parameters
+        error_x_m, error_y_m = self._goal.x_m - pose.x_m, self._goal.y_m - pose.y_m
+        tolerance_m = parameters.position_tolerance_m
+        stop_reason: str | None
+        if abs(error_x_m) > tolerance_m or abs(error_y_m) > tolerance_m:
+            self._world_v_m_s = parameters.kp_linear * error_x_m, parameters.kp_linear * error_y_m
+            world_v_x_m_s, world_v_y_m_s = self._world_v_m_s
+            along_rad = self._bearing_rad
+            if parameters.projection == "heading":
+                along_rad = pose.heading_rad
+            speed_m_s = world_v_x_m_s * math.cos(along_rad) + world_v_y_m_s * math.sin(along_rad)
+            stop_reason = self._find_stop_reason(time_ns, speed_m_s, error_x_m, error_y_m)
+        else:
+            speed_m_s, stop_reason = 0.0, "within_tolerance"
+        return Decision(
+            speed_m_s=speed_m_s,
+            turn_rate_rad_s=0.0,
+            phase=Phase.TRANSLATE,
+            bearing_rad=self._bearing_rad,
+            heading_error_rad=self._heading_error_rad,
+            error_x_m=error_x_m,
+            error_y_m=error_y_m,
+            world_v_x_m_s=self._world_v_m_s[0],
+            world_v_y_m_s=self._world_v_m_s[1],
+            stop_reason=stop_reason,
+        )
+
+    def _find_stop_reason(
+        self, time_ns: int, speed_m_s: float, error_x_m: float, error_y_m: float
+    ) -> str | None:
+        still = abs(speed_m_s) < _STANDSTILL_COMMAND
+        self._still_samples = self._still_samples + 1 if still else 0
+        if self._still_samples > _STANDSTILL_SAMPLES:
+            return "standstill"
+        if abs(error_x_m) >= _SETTLED_ERROR_M or abs(error_y_m) >= _SETTLED_ERROR_M:
+            self._close_since_ns = None
+        elif self._close_since_ns is None:
+            self._close_since_ns = time_ns
+        elif time_ns - self._close_since_ns > _SETTLED_NS:
+            return "settled"
+        return "timeout" if time_ns - self._first_ns > _TIMEOUT_NS else None

@@ -1,0 +1,1 @@
+"""Run <-> files: topics and schemas, writer, reader, importers."""

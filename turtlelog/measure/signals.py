@@ -1,0 +1,138 @@
+"""The signals of a run by name: the one table that metrics, comparison and pictures share."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import subtract_headings
+from turtlelog.errors import MeasureError
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalKind:
+    """What a signal is.
+
+    Attributes:
+        unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
+        source: `pose`: one value per pose row; `sample`: one per sample.
+        resampling: `line` between values, or `hold` of the last one.
+        meaning: One sentence.
+    """
+
+    unit: str
+    source: Literal["pose", "sample"]
+    resampling: Literal["line", "hold"]
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Signal:
+    """One signal of one run.
+
+    Attributes:
+        name: Its name in the table.
+        kind: What it is.
+        time_ns: Time [ns], shape (n,), not decreasing.
+        values: In the kind's unit, shape (n,).
+    """
+
+    name: str
+    kind: SignalKind
+    time_ns: NDArray[np.int64]
+    values: Values
+
+
+def _pose(unit: str, meaning: str) -> SignalKind:
+    return SignalKind(unit=unit, source="pose", resampling="line", meaning=meaning)
+
+
+def _sample(unit: str, meaning: str) -> SignalKind:
+    return SignalKind(unit=unit, source="sample", resampling="hold", meaning=meaning)
+
+
+SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
+    {
+        "x": _pose("m", "Position in the world frame."),
+        "y": _pose("m", "Position in the world frame."),
+        "heading": _pose("rad", "Counter-clockwise from +x, without jumps at a full turn."),
+        "speed": _sample("m/s", "Commanded speed along the heading, after clipping."),
+        "turn_rate": _sample("rad/s", "Commanded turn rate, after clipping."),
+        "wanted_speed": _sample("m/s", "Commanded speed before clipping."),
+        "wanted_turn_rate": _sample("rad/s", "Commanded turn rate before clipping."),
+        "error_x": _pose("m", "Goal minus position in the world frame."),
+        "error_y": _pose("m", "Goal minus position in the world frame."),
+        "distance": _pose("m", "Distance to the goal."),
+        "heading_error": _pose("rad", "Goal bearing minus heading, in [-pi, pi)."),
+        "along_track": _pose("m", "Along the line from start to goal, from the start."),
+        "cross_track": _pose("m", "To the left of the line from start to goal."),
+        "phase": _sample("1", "Phase of the sample: 0 rotate, 2 translate."),
+    }
+)
+"""Every signal by name."""
+
+
+def read_signal(run: Run, name: str) -> Signal | None:
+    """Return a signal of a run, None where the run does not hold it.
+
+    Raises:
+        MeasureError: Where no signal has that name.
+    """
+    if name not in SIGNALS:
+        raise MeasureError(f"signal {name!r}: expected one of {', '.join(SIGNALS)}")
+    kind = SIGNALS[name]
+    values = _READERS[name](run)
+    if values is None:
+        return None
+    time_ns = run.poses.time_ns if kind.source == "pose" else run.samples.time_ns
+    return Signal(name=name, kind=kind, time_ns=time_ns, values=values)
+
+
+def _read_track(run: Run, *, along: bool) -> Values | None:
+    """Return a coordinate along, or left of, the line from the first pose read to the goal."""
+    if not len(run.samples):
+        return None
+    x_m, y_m = (run.poses.xy_m - run.poses.xy_m[run.samples.pose_sequence[0]]).T
+    bearing_rad = run.samples.bearing_rad[0]
+    cos, sin = np.cos(bearing_rad), np.sin(bearing_rad)
+    return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)
+
+
+def _read_error(run: Run, axis: int) -> Values | None:
+    return None if run.goal_xy_m is None else run.goal_xy_m[axis] - run.poses.xy_m[:, axis]
+
+
+def _read_distance(run: Run) -> Values | None:
+    return None if run.goal_xy_m is None else np.hypot(*(run.goal_xy_m - run.poses.xy_m).T)
+
+
+def _read_heading_error(run: Run) -> Values | None:
+    if not len(run.samples):
+        return None
+    return subtract_headings(float(run.samples.bearing_rad[0]), run.poses.heading_rad)
+
+
+_READERS: Final[Mapping[str, Callable[[Run], Values | None]]] = MappingProxyType(
+    {
+        "x": lambda run: run.poses.xy_m[:, 0],
+        "y": lambda run: run.poses.xy_m[:, 1],
+        "heading": lambda run: np.unwrap(run.poses.heading_rad),
+        "speed": lambda run: run.samples.speed_m_s,
+        "turn_rate": lambda run: run.samples.turn_rate_rad_s,
+        "wanted_speed": lambda run: run.samples.wanted_speed_m_s,
+        "wanted_turn_rate": lambda run: run.samples.wanted_turn_rate_rad_s,
+        "error_x": lambda run: _read_error(run, 0),
+        "error_y": lambda run: _read_error(run, 1),
+        "distance": _read_distance,
+        "heading_error": _read_heading_error,
+        "along_track": lambda run: _read_track(run, along=True),
+        "cross_track": lambda run: _read_track(run, along=False),
+        "phase": lambda run: run.samples.phase.astype(np.float64),
+    }
+)

@@ -1,0 +1,279 @@
+"""Run: the columns that every stage hands on."""
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import RunError
+
+Parameter = bool | int | float | str
+
+
+class Phase(enum.IntEnum):
+    """What the controller was doing when it computed a command; the value stands in recordings.
+
+    No sample is computed in PAUSE: it names the time during which a blocked controller is silent.
+    """
+
+    ROTATE = 0
+    PAUSE = 1
+    TRANSLATE = 2
+    DONE = 3
+
+    @property
+    def label(self) -> str:
+        """Its name in metrics, files and pictures."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseColumns:
+    """The turtle's pose, one row per tick (imported logs: one row per sample).
+
+    Takes its arrays over and makes them read-only.
+
+    Attributes:
+        time_ns: Time [ns], shape (n,), strictly increasing.
+        xy_m: Position in the world frame [m], shape (n, 2).
+        heading_rad: Counter-clockwise from +x [rad], within a float32 step of [-pi, pi),
+            shape (n,).
+        speed_m_s: Magnitude of the applied velocity [m/s], shape (n,); None where not recorded.
+        turn_rate_rad_s: Applied turn rate [rad/s], shape (n,); None where not recorded.
+    """
+
+    time_ns: NDArray[np.int64]
+    xy_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    speed_m_s: NDArray[np.float64] | None = None
+    turn_rate_rad_s: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, "pose")
+        _require_finite(self, "pose")
+        _require_rising(self.time_ns, "pose.time_ns", strictly=True)
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommandColumns:
+    """The commands as published, one row per command. Makes its arrays read-only.
+
+    Attributes:
+        time_ns: Time of publication [ns], shape (n,), not decreasing.
+        speed_m_s: Forward along the heading [m/s], shape (n,).
+        lateral_speed_m_s: To the left of the heading [m/s], shape (n,).
+        turn_rate_rad_s: Counter-clockwise [rad/s], shape (n,).
+    """
+
+    time_ns: NDArray[np.int64]
+    speed_m_s: NDArray[np.float64]
+    lateral_speed_m_s: NDArray[np.float64]
+    turn_rate_rad_s: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        _freeze(self, "command")
+        _require_finite(self, "command")
+        _require_rising(self.time_ns, "command.time_ns", strictly=False)
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampleColumns:
+    """What the controller computed, one row per sample. Makes its arrays read-only.
+
+    The errors are the controller's own: a law may hold the last one it computed.
+
+    Attributes:
+        time_ns: Time at which the pose was answered [ns], shape (n,), not decreasing; the samples
+            of a burst share one time.
+        sequence: Number of the sample, shape (n,), strictly increasing.
+        pose_sequence: Row of `Run.poses` that the sample read, shape (n,).
+        phase: `Phase` in which the command was computed, shape (n,).
+        bearing_rad: Goal bearing [rad], shape (n,).
+        heading_error_rad: Bearing minus heading [rad], shape (n,).
+        error_xy_m: Goal minus position, world frame [m], shape (n, 2).
+        distance_m: Length of that error [m], shape (n,).
+        wanted_speed_m_s: Forward speed before clipping [m/s], shape (n,); None where not recorded.
+        wanted_turn_rate_rad_s: Before clipping [rad/s], shape (n,); None where not recorded.
+        speed_m_s: Forward speed as commanded [m/s], shape (n,).
+        turn_rate_rad_s: As commanded [rad/s], shape (n,).
+        world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2).
+    """
+
+    time_ns: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    pose_sequence: NDArray[np.int64]
+    phase: NDArray[np.int64]
+    bearing_rad: NDArray[np.float64]
+    heading_error_rad: NDArray[np.float64]
+    error_xy_m: NDArray[np.float64]
+    distance_m: NDArray[np.float64]
+    speed_m_s: NDArray[np.float64]
+    turn_rate_rad_s: NDArray[np.float64]
+    world_velocity_m_s: NDArray[np.float64]
+    wanted_speed_m_s: NDArray[np.float64] | None = None
+    wanted_turn_rate_rad_s: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, "sample")
+        _require_finite(self, "sample")
+        _require_rising(self.time_ns, "sample.time_ns", strictly=False)
+        _require_rising(self.sequence, "sample.sequence", strictly=True)
+        unknown = ~np.isin(self.phase, [phase.value for phase in Phase])
+        if unknown.any():
+            row = int(unknown.argmax())
+            raise RunError(f"sample.phase[{row}]: expected 0 to 3, found {self.phase[row]}")
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something worth a line in the log.
+
+    Attributes:
+        time_ns: When [ns].
+        kind: `wall_hit`, `commands_dropped`, `poses_dropped` or `stop`.
+        text: One sentence for people.
+    """
+
+    time_ns: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseSpan:
+    """A stretch of time in one phase, [start_ns, end_ns]."""
+
+    phase: Phase
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Run:
+    """Everything that is known of one run.
+
+    Attributes:
+        name: Short name for tables and legends.
+        source: Where it comes from: `simulation`, or the layout and name of an imported file.
+        poses: At least one row.
+        commands: As published; imported logs hold one per sample.
+        samples: What the controller computed; no rows where the source does not hold it.
+        goal_xy_m: Goal position, world frame [m], None where not recorded.
+        goal_heading_rad: Goal heading [rad], None where none was asked for.
+        parameters: What is known of the scenario, by dotted key (`law.kp_linear`).
+        scenario_is_complete: Whether the parameters determine the run.
+        stop_reason: Why it ended, in the law's word, or `max_duration`; None where not recorded.
+        events: In order of time.
+        absent: Names of the fields that the source does not hold.
+        notes: What an importer did or found, by name (`original_timestamp`, `sorted_rows`, ...).
+    """
+
+    name: str
+    source: str
+    poses: PoseColumns
+    commands: CommandColumns
+    samples: SampleColumns
+    goal_xy_m: tuple[float, float] | None = None
+    goal_heading_rad: float | None = None
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    scenario_is_complete: bool = False
+    stop_reason: str | None = None
+    events: tuple[Event, ...] = ()
+    absent: tuple[str, ...] = ()
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not len(self.poses):
+            raise RunError("poses: expected at least one row, found none")
+        read = self.samples.pose_sequence
+        outside = (read < 0) | (read >= len(self.poses))
+        if outside.any():
+            row = int(outside.argmax())
+            raise RunError(
+                f"sample.pose_sequence[{row}]: expected a row of the {len(self.poses)} poses,"
+                f" found {read[row]}"
+            )
+        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+        object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
+
+    @property
+    def start_ns(self) -> int:
+        """Time zero of metrics, windows and alignment: the first sample, or else pose [ns]."""
+        return int([*self.samples.time_ns[:1], self.poses.time_ns[0]][0])
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the last row of any column [ns]."""
+        ends = [self.poses.time_ns[-1], self.samples.time_ns[-1], *self.commands.time_ns[-1:]]
+        return int(max(ends))
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the controller came to its own end."""
+        return self.stop_reason not in {None, "max_duration"}
+
+    def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
+        """Return the phases in order; the silence after a rotation's last sample is PAUSE."""
+        phase, time_ns = self.samples.phase, self.samples.time_ns
+        if not len(phase):
+            return ()
+        firsts = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist()]
+        spans = []
+        for first, after in zip(firsts, [*firsts[1:], None], strict=True):
+            kind, start_ns = Phase(int(phase[first])), int(time_ns[first])
+            if after is None:
+                spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=self.end_ns))
+                continue
+            end_ns, last_ns = int(time_ns[after]), int(time_ns[after - 1])
+            if kind is Phase.ROTATE:
+                spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=last_ns))
+                kind, start_ns = Phase.PAUSE, last_ns
+            spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=end_ns))
+        return tuple(spans)
+
+
+def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
+    rows = len(columns.time_ns)
+    for column in fields(columns):
+        values = getattr(columns, column.name)
+        if values is None:
+            continue
+        shape = (rows, 2) if "xy" in column.name or "world" in column.name else (rows,)
+        if values.shape != shape:
+            raise RunError(f"{table}.{column.name}: expected shape {shape}, found {values.shape}")
+        values.flags.writeable = False
+
+
+def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
+    for column in fields(columns):
+        values = getattr(columns, column.name)
+        if values is None or values.dtype.kind != "f":
+            continue
+        bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        if bad.any():
+            row = int(bad.argmax())
+            raise RunError(f"{table}.{column.name}[{row}]: expected a number, found {values[row]}")
+
+
+def _require_rising(values: NDArray[np.int64], name: str, *, strictly: bool) -> None:
+    steps = np.diff(values)
+    wrong = steps <= 0 if strictly else steps < 0
+    if wrong.any():
+        row = int(wrong.argmax()) + 1
+        order = "strictly increasing" if strictly else "not decreasing"
+        raise RunError(
+            f"{name}: expected {order} values, found {values[row]} after {values[row - 1]}"
+            f" at row {row}"
+        )

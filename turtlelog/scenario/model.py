@@ -1,0 +1,120 @@
+"""Scenario: everything that determines a run, frozen and typed."""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta
+
+from turtlelog.laws import SequentialPParameters
+from turtlelog.turtlesim import SPAWN_XY_M, WORLD_SIZE_M
+
+Coordinate = Annotated[float, Meta(ge=0.0, le=WORLD_SIZE_M)]
+Positive = Annotated[float, Meta(gt=0.0)]
+DEFAULT_LAW: Final = "sequential-p"
+
+AtLeastOne = Annotated[int, Meta(ge=1)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Start:
+    """Where the turtle spawns.
+
+    Attributes:
+        x_m: World frame [m].
+        y_m: World frame [m].
+        heading_rad: Counter-clockwise from +x [rad].
+    """
+
+    x_m: Coordinate = SPAWN_XY_M
+    y_m: Coordinate = SPAWN_XY_M
+    heading_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Where it should go.
+
+    Attributes:
+        x_m: World frame [m].
+        y_m: World frame [m].
+        heading_rad: Final heading [rad], None where any will do.
+    """
+
+    x_m: Coordinate = 2.0
+    y_m: Coordinate = 10.0
+    heading_rad: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LawChoice:
+    """The law under test and its parameters.
+
+    Attributes:
+        kind: A built-in kind, `path.py:Class` or `package.module:Class`.
+        parameters: The law's own frozen dataclass.
+    """
+
+    kind: str = DEFAULT_LAW
+    parameters: Any = field(default_factory=SequentialPParameters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Where the controller clips its commands; inf: nowhere.
+
+    Attributes:
+        speed_m_s: Largest magnitude of the forward speed [m/s].
+        turn_rate_rad_s: Largest magnitude of the turn rate [rad/s].
+    """
+
+    speed_m_s: Positive = 1.0
+    turn_rate_rad_s: Positive = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopSettings:
+    """What lies between plant and controller.
+
+    Attributes:
+        period_ticks: The controller answers every n-th pose.
+        start_backlog: Poses that wait when the controller starts; 1: none but the newest.
+        pose_queue: Depth of the controller's pose queue.
+        command_queue: Depth of the plant's command queue.
+        queue_policy: `one-per-tick`: the plant takes one command per tick; `newest`: it takes the
+            newest and drops the rest.
+        transport_delay_ticks: Ticks between publication and arrival of a command.
+        pose_precision: Precision of published poses.
+    """
+
+    period_ticks: AtLeastOne = 1
+    start_backlog: AtLeastOne = 1
+    pose_queue: AtLeastOne = 10
+    command_queue: AtLeastOne = 7
+    queue_policy: Literal["one-per-tick", "newest"] = "newest"
+    transport_delay_ticks: Annotated[int, Meta(ge=0)] = 0
+    pose_precision: Literal["float32", "float64"] = "float32"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """Everything that determines a run. The defaults are the textbook's: no implementation effects.
+
+    Attributes:
+        name: Short name for tables and legends.
+        max_duration_s: Simulated time after which a run is cut [s].
+        seed: For effects that draw random numbers.
+        start: Where the turtle spawns.
+        goal: Where it should go.
+        law: The law under test.
+        limits: Where commands are clipped.
+        loop: Queues, delays and precision.
+    """
+
+    name: str = "textbook"
+    max_duration_s: Annotated[float, Meta(gt=0.0, le=1e6)] = 60.0
+    seed: Annotated[int, Meta(ge=0)] = 0
+    start: Start = field(default_factory=Start)
+    goal: Target = field(default_factory=Target)
+    law: LawChoice = field(default_factory=LawChoice)
+    limits: Limits = field(default_factory=Limits)
+    loop: LoopSettings = field(default_factory=LoopSettings)

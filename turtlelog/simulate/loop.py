@@ -1,0 +1,119 @@
+"""The closed loop: plant, queues and controller, one tick at a time."""
+
+from collections.abc import Iterator
+from math import hypot
+
+import msgspec
+
+from turtlelog.laws import Pose, find_law
+from turtlelog.run import Event
+from turtlelog.scenario import Scenario
+from turtlelog.simulate.controller import Controller, Sample
+from turtlelog.simulate.queues import CommandQueue
+from turtlelog.simulate.turtle import Turtle, round_to_float32
+from turtlelog.turtlesim import TICK_NS
+
+
+class Tick(msgspec.Struct, frozen=True, gc=False):
+    """What one plant step brought.
+
+    Attributes:
+        time_ns: Simulated time [ns].
+        pose: The pose as published.
+        speed_m_s: Magnitude of the applied velocity [m/s].
+        turn_rate_rad_s: Applied turn rate [rad/s].
+        computed: Samples whose pose was answered in this tick, in order.
+        published: Samples whose command went out in this tick, in order.
+        events: What else happened.
+        stop_reason: Why this tick is the last one, None while it is not.
+    """
+
+    time_ns: int
+    pose: Pose
+    speed_m_s: float
+    turn_rate_rad_s: float
+    computed: list[Sample]
+    published: list[Sample]
+    events: list[Event]
+    stop_reason: str | None
+
+
+def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
+    """Yield the ticks of a closed loop until the law is done or `max_duration_s` has passed.
+
+    Raises:
+        SimulationError: Where the law fails or answers with something that is no number.
+    """
+    loop = scenario.loop
+    turtle = Turtle(
+        x_m=scenario.start.x_m, y_m=scenario.start.y_m, heading_rad=scenario.start.heading_rad
+    )
+    controller = Controller(scenario, find_law(scenario.law.kind)(scenario.law.parameters))
+    commands = CommandQueue(
+        depth=loop.command_queue,
+        newest_only=loop.queue_policy == "newest",
+        delay_ticks=loop.transport_delay_ticks,
+    )
+    watch = _EventWatch(turtle, controller, commands)
+    round_pose = round_to_float32 if loop.pose_precision == "float32" else float
+    last_tick = int(scenario.max_duration_s * 1e9) // TICK_NS
+    for tick in range(last_tick + 1):
+        time_ns = tick * TICK_NS
+        command = commands.take(tick)
+        if command is not None:
+            turtle.take_command(command.speed_m_s, command.turn_rate_rad_s)
+        turtle.step()
+        x_m, y_m, heading_rad = turtle.pose
+        pose = Pose(round_pose(x_m), round_pose(y_m), round_pose(heading_rad))
+        controller.receive(tick, pose)
+        computed, published = controller.answer(tick, time_ns)
+        for sample in published:
+            commands.put(tick, sample)
+        stop_reason = published[-1].decision.stop_reason if published else None
+        if stop_reason is None and tick == last_tick:
+            stop_reason = "max_duration"
+        yield Tick(
+            time_ns,
+            pose,
+            round_to_float32(hypot(turtle.speed_m_s, turtle.lateral_speed_m_s)),
+            round_to_float32(turtle.turn_rate_rad_s),
+            computed,
+            published,
+            watch.find_events(time_ns, stop_reason, answered=bool(computed)),
+            stop_reason,
+        )
+        if stop_reason is not None:
+            return
+
+
+class _EventWatch:
+    """Turns what changed since the last tick into events."""
+
+    def __init__(self, turtle: Turtle, controller: Controller, commands: CommandQueue) -> None:
+        self._turtle, self._controller, self._commands = turtle, controller, commands
+        self._was_at_wall = False
+        self._lost_poses = self._lost_commands = 0
+
+    def find_events(self, time_ns: int, stop_reason: str | None, *, answered: bool) -> list[Event]:
+        at_wall = self._turtle.hit_wall
+        # What a blocked controller misses becomes one event, told when it is back.
+        lost_poses = (self._controller.dropped - self._lost_poses) if answered else 0
+        lost_commands = self._commands.dropped - self._lost_commands
+        events = []
+        if at_wall and not self._was_at_wall:
+            x_m, y_m, _ = self._turtle.pose
+            text = f"The turtle hit the wall at x = {x_m:.3f} m, y = {y_m:.3f} m."
+            events.append(Event(time_ns=time_ns, kind="wall_hit", text=text))
+        if lost_poses:
+            text = f"The full pose queue of the controller dropped {lost_poses} poses."
+            events.append(Event(time_ns=time_ns, kind="poses_dropped", text=text))
+        if lost_commands:
+            text = f"The full command queue of the plant dropped {lost_commands} commands."
+            events.append(Event(time_ns=time_ns, kind="commands_dropped", text=text))
+        if stop_reason is not None:
+            text = f"The run ended: {stop_reason.replace('_', ' ')}."
+            events.append(Event(time_ns=time_ns, kind="stop", text=text))
+        self._was_at_wall = at_wall
+        self._lost_poses += lost_poses
+        self._lost_commands += lost_commands
+        return events

@@ -1,0 +1,110 @@
+"""The plant: one turtle of turtlesim, as its ROS 2 Humble source moves it.
+
+Source of every formula: turtlesim's `turtle.cpp`, `Turtle::update`.
+"""
+
+import math
+from array import array
+from typing import Final
+
+from turtlelog.turtlesim import TICK_NS, TICK_S, WATCHDOG_NS, WORLD_SIZE_M
+
+_PI: Final = 3.14159265  # eight decimals, as in turtlesim's source
+_TWO_PI: Final = 2.0 * _PI
+
+
+class Turtle:
+    """A turtle that integrates the command it holds. Positions inside are y-down, as in turtlesim.
+
+    Attributes:
+        speed_m_s: Velocity along the heading that the last tick applied [m/s].
+        lateral_speed_m_s: Velocity to the left of the heading [m/s].
+        turn_rate_rad_s: Counter-clockwise [rad/s].
+        hit_wall: Whether the last tick clamped the position to the world.
+    """
+
+    __slots__ = (
+        "_down_m",
+        "_heading_rad",
+        "_idle_ns",
+        "_teleports",
+        "_x_m",
+        "hit_wall",
+        "lateral_speed_m_s",
+        "speed_m_s",
+        "turn_rate_rad_s",
+    )
+
+    def __init__(self, *, x_m: float, y_m: float, heading_rad: float = 0.0) -> None:
+        """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does."""
+        self._x_m = round_to_float32(x_m)
+        self._down_m = round_to_float32(WORLD_SIZE_M - round_to_float32(y_m))
+        self._heading_rad = round_to_float32(heading_rad)
+        self._idle_ns = 0
+        self._teleports: list[tuple[bool, float, float, float]] = []
+        self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
+        self.hit_wall = False
+
+    def take_command(
+        self, speed_m_s: float, turn_rate_rad_s: float, lateral_speed_m_s: float = 0.0
+    ) -> None:
+        """Hold a command from the next step on; there is no limit in the plant."""
+        self.speed_m_s = speed_m_s
+        self.lateral_speed_m_s = lateral_speed_m_s
+        self.turn_rate_rad_s = turn_rate_rad_s
+        self._idle_ns = -TICK_NS
+
+    def teleport_to(self, x_m: float, y_m: float, heading_rad: float) -> None:
+        """Ask to be set to a pose in the world frame at the next step [m, m, rad]."""
+        to = (round_to_float32(x_m), round_to_float32(y_m), round_to_float32(heading_rad))
+        self._teleports.append((False, *to))
+
+    def teleport_by(self, forward_m: float, turn_rad: float) -> None:
+        """Ask to be turned, then moved along the new heading, at the next step [m, rad]."""
+        self._teleports.append((True, round_to_float32(forward_m), 0.0, round_to_float32(turn_rad)))
+
+    def step(self) -> None:
+        """Move for one tick: teleports, watchdog, turn, move along the new heading, clamp."""
+        if self._teleports:
+            self._apply_teleports()
+        self._idle_ns += TICK_NS
+        if self._idle_ns > WATCHDOG_NS:
+            self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
+        heading_rad = self._heading_rad + self.turn_rate_rad_s * TICK_S
+        heading_rad -= _TWO_PI * math.floor((heading_rad + _PI) / _TWO_PI)
+        self._heading_rad = heading_rad
+        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+        forward, left = self.speed_m_s, self.lateral_speed_m_s
+        x_m = self._x_m + (cos * forward * TICK_S - sin * left * TICK_S)
+        down_m = self._down_m - (cos * left * TICK_S + sin * forward * TICK_S)
+        self.hit_wall = not (0.0 <= x_m <= WORLD_SIZE_M and 0.0 <= down_m <= WORLD_SIZE_M)
+        if self.hit_wall:
+            x_m = min(max(x_m, 0.0), WORLD_SIZE_M)
+            down_m = min(max(down_m, 0.0), WORLD_SIZE_M)
+        self._x_m, self._down_m = x_m, down_m
+
+    def _apply_teleports(self) -> None:
+        for relative, first_m, y_m, angle_rad in self._teleports:
+            if relative:
+                self._heading_rad += angle_rad
+                self._x_m += math.cos(self._heading_rad) * first_m
+                self._down_m -= math.sin(self._heading_rad) * first_m
+            else:
+                self._x_m = first_m
+                self._down_m = max(0.0, round_to_float32(WORLD_SIZE_M - y_m))
+                self._heading_rad = angle_rad
+        self._teleports.clear()
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """Position x [m], y [m], heading [rad] in the world frame, in double precision."""
+        return self._x_m, WORLD_SIZE_M - self._down_m, self._heading_rad
+
+
+_CELL = array("f", [0.0])
+
+
+def round_to_float32(value: float) -> float:
+    """Return the nearest 32-bit float."""
+    _CELL[0] = value
+    return _CELL[0]
