@@ -8,6 +8,10 @@ class TurtlelogError(Exception):
     """Root of every error that turtlelog raises on purpose."""
 
 
+class FrameError(TurtlelogError):
+    """Arrays that are no vectors."""
+
+
 class RunError(TurtlelogError):
     """Columns that do not make a run."""
 
@@ -22,6 +26,10 @@ class ScenarioError(TurtlelogError):
 
 class SimulationError(TurtlelogError):
     """A simulation that cannot go on."""
+
+
+class TheoryError(TurtlelogError):
+    """A question that the ideal loop has no answer to."""
 
 
 class LogError(TurtlelogError):

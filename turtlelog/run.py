@@ -216,8 +216,8 @@ class Run:
     @property
     def end_ns(self) -> int:
         """Time of the last row of any column [ns]."""
-        ends = [self.poses.time_ns[-1], self.samples.time_ns[-1], *self.commands.time_ns[-1:]]
-        return int(max(ends))
+        columns = (self.poses, self.samples, self.commands)
+        return int(max(column.time_ns[-1] for column in columns if len(column)))
 
     @property
     def is_complete(self) -> bool:
@@ -261,7 +261,9 @@ def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table
         values = getattr(columns, column.name)
         if values is None or values.dtype.kind != "f":
             continue
-        bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+        bad = ~np.isfinite(values)
+        if values.ndim > 1:
+            bad = bad.any(axis=1)
         if bad.any():
             row = int(bad.argmax())
             raise RunError(f"{table}.{column.name}[{row}]: expected a number, found {values[row]}")

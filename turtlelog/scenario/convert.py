@@ -5,7 +5,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -101,16 +101,26 @@ def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str
         matched = _PLACE.fullmatch(str(err))
         text, key = (matched["text"], matched["key"] or "") if matched else (str(err), "")
         raise ScenarioError(
-            f"{source}: {prefix}{key}: {_describe(text)}, found {_find_value(table, key)}"
+            f"{source}: {prefix}{key}: {_describe(text, _find_choices(kind, key))},"
+            f" found {_find_value(table, key)}"
         ) from err
 
 
-def _describe(text: str) -> str:
-    """Put msgspec's words into ours: `Expected `float` > 0.0, got `str`` becomes a plain line."""
+def _describe(text: str, choices: tuple[str, ...]) -> str:
+    """Put msgspec's words into ours: ``Expected `float` > 0.0`` to `expected a number > 0.0`."""
+    if choices:
+        return f"expected {' or '.join(choices)}"
     text = text.split(", got")[0].replace("`", "")
     for theirs, ours in _WORDS.items():
         text = text.replace(theirs, ours)
     return text
+
+
+def _find_choices(kind: Any, key: str) -> tuple[str, ...]:
+    """Return the words that a key allows, none where it takes any value of its type."""
+    for part in key.split("."):
+        kind = get_type_hints(kind).get(part) if dataclasses.is_dataclass(kind) else None
+    return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 _WORDS = {

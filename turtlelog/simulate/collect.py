@@ -1,7 +1,8 @@
 """From the ticks of a loop to the columns of a run."""
 
-from array import array
 from collections.abc import Iterable
+from struct import Struct
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,11 @@ from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.simulate.controller import Sample
 from turtlelog.simulate.loop import Tick, iterate_ticks
+
+# Rows are packed as they come: 8 bytes a value, whole numbers first.
+_POSE_ROW: Final = Struct("<q5d")
+_COMMAND_ROW: Final = Struct("<q2d")
+_SAMPLE_ROW: Final = Struct("<4q11d")
 
 
 def simulate_run(scenario: Scenario) -> Run:
@@ -28,49 +34,32 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
     Raises:
         SimulationError: Where no pose was answered.
     """
-    poses, samples, commands = array("d"), array("d"), array("d")
-    pose_ns, sample_ns, command_ns = array("q"), array("q"), array("q")
-    numbers = array("q")
+    poses, samples, commands = bytearray(), bytearray(), bytearray()
     events: list[Event] = []
     stop_reason: str | None = None
     for tick in ticks:
         pose = tick.pose
-        pose_ns.append(tick.time_ns)
-        poses.extend((pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s))
+        poses += _POSE_ROW.pack(
+            tick.time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
+        )
         for sample in tick.computed:
-            sample_ns.append(sample.time_ns)
-            numbers.extend((sample.sequence, sample.pose_sequence, sample.decision.phase))
-            samples.extend(_list_values(sample))
+            samples += _pack_sample(sample)
         for sample in tick.published:
-            command_ns.append(tick.time_ns)
-            commands.extend((sample.speed_m_s, 0.0, sample.turn_rate_rad_s))
+            commands += _COMMAND_ROW.pack(tick.time_ns, sample.speed_m_s, sample.turn_rate_rad_s)
         events += tick.events
         stop_reason = tick.stop_reason
-    if not sample_ns:
+    if not samples:
         raise SimulationError(
             f"{scenario.name}: expected a pose answered within max_duration_s ="
             f" {scenario.max_duration_s}, found none: start_backlog = {scenario.loop.start_backlog}"
             f" poses come first"
         )
-    x, y, heading, speed, turn_rate = _split(poses, 5)
-    forward, lateral, turn = _split(commands, 3)
     return Run(
         name=scenario.name,
         source="simulation",
-        poses=PoseColumns(
-            time_ns=np.array(pose_ns, dtype=np.int64),
-            xy_m=np.column_stack([x, y]),
-            heading_rad=heading,
-            speed_m_s=speed,
-            turn_rate_rad_s=turn_rate,
-        ),
-        commands=CommandColumns(
-            time_ns=np.array(command_ns, dtype=np.int64),
-            speed_m_s=forward,
-            lateral_speed_m_s=lateral,
-            turn_rate_rad_s=turn,
-        ),
-        samples=_build_samples(sample_ns, numbers, samples),
+        poses=_build_poses(poses),
+        commands=_build_commands(commands),
+        samples=_build_samples(samples),
         goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m),
         goal_heading_rad=scenario.goal.heading_rad,
         parameters=flatten_scenario(scenario),
@@ -80,9 +69,13 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
     )
 
 
-def _list_values(sample: Sample) -> tuple[float, ...]:
+def _pack_sample(sample: Sample) -> bytes:
     decision = sample.decision
-    return (
+    return _SAMPLE_ROW.pack(
+        sample.time_ns,
+        sample.sequence,
+        sample.pose_sequence,
+        decision.phase,
         decision.bearing_rad,
         decision.heading_error_rad,
         decision.error_x_m,
@@ -97,15 +90,34 @@ def _list_values(sample: Sample) -> tuple[float, ...]:
     )
 
 
-def _build_samples(
-    time_ns: "array[int]", numbers: "array[int]", values: "array[float]"
-) -> SampleColumns:
-    sequence, pose_sequence, phase = np.array(numbers, dtype=np.int64).reshape(-1, 3).T.copy()
-    columns = _split(values, 11)
-    bearing, heading_error, error_x, error_y, distance, *commands, world_x, world_y = columns
+def _build_poses(packed: bytearray) -> PoseColumns:
+    (time_ns,), (x, y, heading, speed, turn_rate) = _split(packed, _POSE_ROW, integers=1)
+    return PoseColumns(
+        time_ns=time_ns,
+        xy_m=np.column_stack([x, y]),
+        heading_rad=heading,
+        speed_m_s=speed,
+        turn_rate_rad_s=turn_rate,
+    )
+
+
+def _build_commands(packed: bytearray) -> CommandColumns:
+    (time_ns,), (speed, turn_rate) = _split(packed, _COMMAND_ROW, integers=1)
+    return CommandColumns(
+        time_ns=time_ns,
+        speed_m_s=speed,
+        lateral_speed_m_s=np.zeros_like(speed),
+        turn_rate_rad_s=turn_rate,
+    )
+
+
+def _build_samples(packed: bytearray) -> SampleColumns:
+    integers, values = _split(packed, _SAMPLE_ROW, integers=4)
+    time_ns, sequence, pose_sequence, phase = integers
+    bearing, heading_error, error_x, error_y, distance, *commands, world_x, world_y = values
     wanted_speed, wanted_turn_rate, speed, turn_rate = commands
     return SampleColumns(
-        time_ns=np.array(time_ns, dtype=np.int64),
+        time_ns=time_ns,
         sequence=sequence,
         pose_sequence=pose_sequence,
         phase=phase,
@@ -121,6 +133,9 @@ def _build_samples(
     )
 
 
-def _split(values: "array[float]", width: int) -> tuple[NDArray[np.float64], ...]:
-    rows = np.frombuffer(values, dtype=np.float64) if values else np.zeros(0)
-    return tuple(np.ascontiguousarray(rows.reshape(-1, width).T))
+def _split(
+    packed: bytearray, row: Struct, *, integers: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the first columns as integers, the others as floats, each shape (columns, rows)."""
+    words = np.frombuffer(packed, dtype="<i8").reshape(-1, row.size // 8).T
+    return words[:integers].copy(), words[integers:].copy().view("<f8")

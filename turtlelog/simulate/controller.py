@@ -1,13 +1,17 @@
 """The controller's side of the loop: its pose queue, its law, its clipping, its blocking."""
 
 from collections import deque
-from math import hypot, isfinite
+from math import copysign, hypot
+from typing import Final
 
 import msgspec
 
 from turtlelog.errors import SimulationError
 from turtlelog.laws import Decision, Goal, Law, Pose
 from turtlelog.scenario import Scenario
+
+_LARGEST: Final = 3.4e38
+"""Applied velocities are published as 32-bit floats."""
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
@@ -39,6 +43,19 @@ class Controller:
         dropped: Poses that the full queue has pushed out so far.
     """
 
+    __slots__ = (
+        "_blocked",
+        "_goal",
+        "_law",
+        "_law_kind",
+        "_limits",
+        "_period_ticks",
+        "_poses",
+        "_sequence",
+        "_waits_for",
+        "dropped",
+    )
+
     def __init__(self, scenario: Scenario, law: Law) -> None:
         """Wait for `loop.start_backlog` poses before the first answer."""
         self._law = law
@@ -58,7 +75,8 @@ class Controller:
             return
         self.dropped += len(self._poses) == self._poses.maxlen
         self._poses.append((tick, pose))
-        self._waits_for -= self._waits_for > 0
+        if self._waits_for:
+            self._waits_for -= 1
 
     def answer(self, tick: int, time_ns: int) -> tuple[list[Sample], list[Sample]]:
         """Return the samples computed in a tick, and those whose command goes out in it."""
@@ -72,39 +90,49 @@ class Controller:
                 return computed, published
             self._blocked = None
             published.append(blocked)
-        while self._poses and not (published and published[-1].decision.stop_reason):
-            sample = self._step(time_ns, *self._poses.popleft())
+            if blocked.decision.stop_reason is not None:
+                return computed, published
+        while self._poses:
+            pose_sequence, pose = self._poses.popleft()
+            sample = self._step(time_ns, pose_sequence, pose)
             computed.append(sample)
             if sample.decision.blocks_ticks > 0:
                 self._blocked = tick + sample.decision.blocks_ticks, sample
                 break
             published.append(sample)
+            if sample.decision.stop_reason is not None:
+                break
         return computed, published
 
     def _step(self, time_ns: int, pose_sequence: int, pose: Pose) -> Sample:
         sequence = self._sequence
+        self._sequence += 1
         try:
             if sequence == 0:
                 self._law.reset(pose, self._goal)
             decision = self._law.step(time_ns, pose)
-            wanted = decision.speed_m_s, decision.turn_rate_rad_s
-            are_numbers = isfinite(wanted[0]) and isfinite(wanted[1])
+            speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
+            are_sound = -_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST
         except Exception as err:
             raise SimulationError(
                 f"law {self._law_kind}, sample {sequence}: {type(err).__name__}: {err}"
             ) from err
-        if not are_numbers:
+        if not are_sound:
             raise SimulationError(
-                f"law {self._law_kind}, sample {sequence}: expected finite commands, found {wanted}"
+                f"law {self._law_kind}, sample {sequence}: expected a finite command,"
+                f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
             )
-        self._sequence = sequence + 1
         speed_limit, turn_limit = self._limits
+        if not -speed_limit <= speed <= speed_limit:
+            speed = copysign(speed_limit, speed)
+        if not -turn_limit <= turn_rate <= turn_limit:
+            turn_rate = copysign(turn_limit, turn_rate)
         return Sample(
             time_ns,
             sequence,
             pose_sequence,
             decision,
-            min(max(wanted[0], -speed_limit), speed_limit),
-            min(max(wanted[1], -turn_limit), turn_limit),
+            speed,
+            turn_rate,
             hypot(decision.error_x_m, decision.error_y_m),
         )

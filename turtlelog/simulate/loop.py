@@ -1,7 +1,8 @@
 """The closed loop: plant, queues and controller, one tick at a time."""
 
 from collections.abc import Iterator
-from math import hypot
+from struct import Struct
+from typing import Final
 
 import msgspec
 
@@ -10,8 +11,11 @@ from turtlelog.run import Event
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.controller import Controller, Sample
 from turtlelog.simulate.queues import CommandQueue
-from turtlelog.simulate.turtle import Turtle, round_to_float32
+from turtlelog.simulate.turtle import Turtle
 from turtlelog.turtlesim import TICK_NS
+
+_POSE: Final = Struct("<5f")
+"""How turtlesim publishes x, y, heading, speed and turn rate: as 32-bit floats."""
 
 
 class Tick(msgspec.Struct, frozen=True, gc=False):
@@ -55,28 +59,33 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
         delay_ticks=loop.transport_delay_ticks,
     )
     watch = _EventWatch(turtle, controller, commands)
-    round_pose = round_to_float32 if loop.pose_precision == "float32" else float
+    exact = loop.pose_precision == "float64"
     last_tick = int(scenario.max_duration_s * 1e9) // TICK_NS
+    pack_floats, round_floats = _POSE.pack, _POSE.unpack
+    stop_reason: str | None = None
     for tick in range(last_tick + 1):
         time_ns = tick * TICK_NS
         command = commands.take(tick)
         if command is not None:
             turtle.take_command(command.speed_m_s, command.turn_rate_rad_s)
         turtle.step()
-        x_m, y_m, heading_rad = turtle.pose
-        pose = Pose(round_pose(x_m), round_pose(y_m), round_pose(heading_rad))
+        exact_pose = turtle.pose
+        x_m, y_m, heading_rad, speed, turn_rate = round_floats(
+            pack_floats(*exact_pose, *turtle.velocity)
+        )
+        pose = Pose(*exact_pose) if exact else Pose(x_m, y_m, heading_rad)
         controller.receive(tick, pose)
         computed, published = controller.answer(tick, time_ns)
         for sample in published:
             commands.put(tick, sample)
-        stop_reason = published[-1].decision.stop_reason if published else None
+            stop_reason = sample.decision.stop_reason
         if stop_reason is None and tick == last_tick:
             stop_reason = "max_duration"
         yield Tick(
             time_ns,
             pose,
-            round_to_float32(hypot(turtle.speed_m_s, turtle.lateral_speed_m_s)),
-            round_to_float32(turtle.turn_rate_rad_s),
+            speed,
+            turn_rate,
             computed,
             published,
             watch.find_events(time_ns, stop_reason, answered=bool(computed)),

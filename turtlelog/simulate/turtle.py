@@ -3,8 +3,8 @@
 Source of every formula: turtlesim's `turtle.cpp`, `Turtle::update`.
 """
 
-import math
 from array import array
+from math import cos, floor, hypot, sin
 from typing import Final
 
 from turtlelog.turtlesim import TICK_NS, TICK_S, WATCHDOG_NS, WORLD_SIZE_M
@@ -71,24 +71,23 @@ class Turtle:
         if self._idle_ns > WATCHDOG_NS:
             self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
         heading_rad = self._heading_rad + self.turn_rate_rad_s * TICK_S
-        heading_rad -= _TWO_PI * math.floor((heading_rad + _PI) / _TWO_PI)
-        self._heading_rad = heading_rad
-        cos, sin = math.cos(heading_rad), math.sin(heading_rad)
+        heading_rad -= _TWO_PI * floor((heading_rad + _PI) / _TWO_PI)
         forward, left = self.speed_m_s, self.lateral_speed_m_s
-        x_m = self._x_m + (cos * forward * TICK_S - sin * left * TICK_S)
-        down_m = self._down_m - (cos * left * TICK_S + sin * forward * TICK_S)
+        cosine, sine = cos(heading_rad), sin(heading_rad)
+        x_m = self._x_m + (cosine * forward * TICK_S - sine * left * TICK_S)
+        down_m = self._down_m - (cosine * left * TICK_S + sine * forward * TICK_S)
         self.hit_wall = not (0.0 <= x_m <= WORLD_SIZE_M and 0.0 <= down_m <= WORLD_SIZE_M)
         if self.hit_wall:
             x_m = min(max(x_m, 0.0), WORLD_SIZE_M)
             down_m = min(max(down_m, 0.0), WORLD_SIZE_M)
-        self._x_m, self._down_m = x_m, down_m
+        self._x_m, self._down_m, self._heading_rad = x_m, down_m, heading_rad
 
     def _apply_teleports(self) -> None:
         for relative, first_m, y_m, angle_rad in self._teleports:
             if relative:
                 self._heading_rad += angle_rad
-                self._x_m += math.cos(self._heading_rad) * first_m
-                self._down_m -= math.sin(self._heading_rad) * first_m
+                self._x_m += cos(self._heading_rad) * first_m
+                self._down_m -= sin(self._heading_rad) * first_m
             else:
                 self._x_m = first_m
                 self._down_m = max(0.0, round_to_float32(WORLD_SIZE_M - y_m))
@@ -99,6 +98,11 @@ class Turtle:
     def pose(self) -> tuple[float, float, float]:
         """Position x [m], y [m], heading [rad] in the world frame, in double precision."""
         return self._x_m, WORLD_SIZE_M - self._down_m, self._heading_rad
+
+    @property
+    def velocity(self) -> tuple[float, float]:
+        """Magnitude of the applied velocity [m/s] and turn rate [rad/s], in double precision."""
+        return hypot(self.speed_m_s, self.lateral_speed_m_s), self.turn_rate_rad_s
 
 
 _CELL = array("f", [0.0])
