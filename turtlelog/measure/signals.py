@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import MeasureError
+from turtlelog.frames import rotate_to_turtle
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -98,10 +99,8 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
     """Return a coordinate along, or left of, the line from the first pose read to the goal."""
     if not len(run.samples):
         return None
-    x_m, y_m = (run.poses.xy_m - run.poses.xy_m[run.samples.pose_sequence[0]]).T
-    bearing_rad = run.samples.bearing_rad[0]
-    cos, sin = np.cos(bearing_rad), np.sin(bearing_rad)
-    return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)
+    from_start_m = run.poses.xy_m - run.poses.xy_m[run.samples.pose_sequence[0]]
+    return rotate_to_turtle(from_start_m, run.samples.bearing_rad[0])[:, 0 if along else 1]
 
 
 def _read_error(run: Run, axis: int) -> Values | None:

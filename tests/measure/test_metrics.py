@@ -1,0 +1,144 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from turtlelog.measure import PAPER_WINDOW_S
+
+PAPER = Path(__file__).parents[2].parent / "shared" / "paper"
+
+# Kp: heading error [deg], position error [m], both at 15 s; length [s]; samples. From the paper's
+# logs; at Kp = 1, which still moves at 15 s, a clock of exact ticks reads 0.082518 m.
+TABLE1 = {
+    "kp1": ("0.0253", "0.082518", "20.53", 1265),
+    "kp2": ("0.0076", "0.001011", "12.67", 773),
+    "kp4": ("0.0857", "0.008520", "11.18", 681),
+    "kp10": ("1.0739", "0.106728", "12.61", 770),
+}
+
+
+def measure(name: str, **changes: float | str | bool) -> dict[str, tl.Metric]:
+    values = {key.replace("__", "."): value for key, value in changes.items()}
+    scenario = tl.override_scenario(tl.load_scenario(name), values)
+    return dict(tl.measure_run(tl.simulate_run(scenario)))
+
+
+def read_value(metric: tl.Metric) -> float:
+    assert metric.value is not None, metric.reason
+    return metric.value
+
+
+@pytest.mark.parametrize("name", TABLE1)
+def test_simulated_runs_have_the_errors_of_table_1(name: str) -> None:
+    run = tl.simulate_run(tl.load_scenario(f"paper-{name}"))
+    metrics = tl.measure_run(run)
+    assert (
+        f"{read_value(metrics['final.heading_error_at_15s']):.4f}",
+        f"{read_value(metrics['final.position_error_at_15s']):.6f}",
+        f"{read_value(metrics['run.duration']):.2f}",
+        len(run.samples),
+    ) == TABLE1[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("kp1", ("0.0253", "0.081545", "20.52")), ("kp4", ("0.0857", "0.008520", "11.17"))],
+)
+def test_imported_logs_have_the_errors_of_table_1(
+    name: str, expected: tuple[str, str, str]
+) -> None:
+    path = PAPER / f"{name}_210.json"
+    if not path.exists():
+        pytest.skip(f"the paper's logs are not at {PAPER}")
+    metrics = tl.measure_run(tl.import_log(path))
+    assert (
+        f"{read_value(metrics['final.heading_error_at_15s']):.4f}",
+        f"{read_value(metrics['final.position_error_at_15s']):.6f}",
+        f"{read_value(metrics['run.duration']):.2f}",
+    ) == expected
+
+
+def test_the_run_of_kp_1_ends_far_nearer_than_its_window_says() -> None:
+    metrics = measure("paper-kp1")
+    assert round(read_value(metrics["final.position_error"]), 4) == 0.0025
+    assert round(read_value(metrics["final.position_error_at_15s"]), 4) == 0.0825
+
+
+def test_the_signed_overshoot_of_kp_10_is_what_the_absolute_error_hides() -> None:
+    assert round(read_value(measure("paper-kp10")["rotate.overshoot"]), 2) == 1.01
+    assert read_value(measure("paper-kp1")["rotate.overshoot"]) < 0.0
+
+
+def test_settling_times_are_measured_not_four_time_constants() -> None:
+    settled = [measure(f"paper-{kp}")["rotate.settling_time"].value for kp in TABLE1]
+    assert [round(found or 0.0, 2) for found in settled] == [4.08, 2.78, 2.28, 2.21]
+
+
+def test_phases_cover_the_run() -> None:
+    metrics = measure("paper-kp4")
+    phases = sum(read_value(metrics[f"{phase}.duration"]) for phase in ("rotate", "translate"))
+    assert phases == pytest.approx(read_value(metrics["run.duration"]))
+
+
+def test_the_final_error_of_the_rotation_counts_the_pause() -> None:
+    metrics = measure("paper-kp10")
+    assert read_value(metrics["rotate.final_error"]) == pytest.approx(
+        read_value(metrics["final.heading_error"])
+    )
+
+
+@pytest.mark.parametrize("start_rad", [3.0, 2.5, -2.0])
+def test_a_rotation_across_the_seam_is_measured_along_the_way_it_took(start_rad: float) -> None:
+    metrics = measure("textbook", start__heading_rad=start_rad, goal__y_m=5.0)
+    assert abs(read_value(metrics["rotate.overshoot"])) < 1.0
+    assert read_value(metrics["rotate.final_error"]) < 0.06
+
+
+def test_a_cut_run_has_no_error_at_15_s() -> None:
+    metric = measure("paper-kp1", max_duration_s=10.0)["final.position_error_at_15s"]
+    assert (metric.value, metric.status) == (None, tl.Status.TOO_SHORT)
+    assert "cut at 9.9" in metric.reason
+
+
+def test_a_run_that_ended_holds_its_last_error() -> None:
+    metrics = measure("paper-kp4")
+    assert read_value(metrics["run.duration"]) < PAPER_WINDOW_S
+    at_15s = metrics["final.position_error_at_15s"]
+    assert at_15s.value == metrics["final.position_error"].value
+
+
+def test_a_phase_that_never_came_has_no_metrics() -> None:
+    metrics = measure("paper-kp1", max_duration_s=5.0)
+    statuses = {metrics[name].status for name in metrics if name.startswith("translate.")}
+    assert statuses == {tl.Status.NO_PHASE}
+
+
+def test_a_rotation_cut_outside_the_band_does_not_settle() -> None:
+    metric = measure("paper-kp1", max_duration_s=2.0)["rotate.settling_time"]
+    assert (metric.value, metric.status) == (None, tl.Status.NOT_REACHED)
+
+
+def test_a_start_at_the_bearing_has_no_step() -> None:
+    metric = measure("textbook", goal__x_m=9.0, goal__y_m=5.544444561004639)["rotate.overshoot"]
+    assert (metric.value, metric.status) == (None, tl.Status.NO_STEP)
+
+
+def test_without_limits_nothing_is_saturated() -> None:
+    metrics = measure("textbook", limits__speed_m_s=np.inf, limits__turn_rate_rad_s=np.inf)
+    assert metrics["rotate.saturated_share"].value == 0.0
+    assert metrics["translate.saturated_share"].value == 0.0
+
+
+def test_a_limit_that_is_not_recorded_leaves_the_share_absent() -> None:
+    path = PAPER / "kp1_210_main.csv"
+    if not path.exists():
+        pytest.skip(f"the paper's logs are not at {PAPER}")
+    metric = tl.measure_run(tl.import_log(path))["rotate.saturated_share"]
+    assert (metric.value, metric.status) == (None, tl.Status.ABSENT)
+
+
+def test_every_metric_has_a_value_or_a_reason() -> None:
+    for metric in measure("paper-kp1", max_duration_s=2.0).values():
+        assert (metric.value is None) == (metric.status is not tl.Status.OK)
+        assert bool(metric.reason) == (metric.value is None)

@@ -1,0 +1,47 @@
+"""What a metric is: a number with a unit, or the reason why there is none."""
+
+import enum
+from dataclasses import dataclass
+
+
+class Status(enum.StrEnum):
+    """Whether a metric has a value, and if not, why."""
+
+    OK = "ok"
+    NOT_REACHED = "not_reached"
+    """What it asks for never happened within the recording."""
+    NO_STEP = "no_step"
+    """The phase begins at its reference: there is nothing to respond to."""
+    NO_PHASE = "no_phase"
+    """The run has no such phase."""
+    TOO_SHORT = "too_short"
+    """Too few rows, or a run that was cut before the time asked for."""
+    ABSENT = "absent"
+    """The recording does not hold what it is computed from."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Metric:
+    """One figure of one run.
+
+    Attributes:
+        id: `<phase, final or run>.<metric>`.
+        value: In `unit`; None exactly where `status` is not `ok`.
+        unit: `s`, `m`, `deg`, `%` or `1`.
+        status: Whether there is a value.
+        reason: One clause where there is none, else empty.
+    """
+
+    id: str
+    value: float | None
+    unit: str
+    status: Status = Status.OK
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Missing:
+    """Why a metric has no value."""
+
+    status: Status
+    reason: str
