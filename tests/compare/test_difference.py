@@ -1,0 +1,83 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import turtlelog as tl
+from turtlelog.errors import CompareError
+
+KP4 = tl.simulate_run(tl.load_scenario("paper-kp4"))
+
+
+def shift_poses(run: tl.Run, row: int, by_m: float) -> tl.Run:
+    xy_m = run.poses.xy_m.copy()
+    xy_m[row, 0] += by_m
+    return dataclasses.replace(run, poses=dataclasses.replace(run.poses, xy_m=xy_m))
+
+
+def test_a_run_does_not_differ_from_itself() -> None:
+    comparison = tl.compare_runs(KP4, KP4)
+    assert {found.largest for found in comparison.signals} == {0.0}
+    assert {found.signal for found in comparison.signals} == set(tl.SIGNALS)
+
+
+@given(row=st.integers(10, 600), by_m=st.floats(1e-6, 1.0))
+def test_a_change_of_one_pose_is_found_where_it_was_made(row: int, by_m: float) -> None:
+    comparison = tl.compare_runs(KP4, shift_poses(KP4, row, by_m))
+    found = next(found for found in comparison.signals if found.signal == "x")
+    assert found.largest == pytest.approx(by_m, rel=1e-6)
+    assert found.at_s == pytest.approx((row - 5) * 0.016)
+
+
+def test_runs_with_other_backlogs_are_aligned_at_their_first_samples() -> None:
+    scenario = tl.load_scenario("textbook")
+    late = tl.override_scenario(scenario, {"loop.start_backlog": 3, "loop.pose_queue": 1})
+    found = tl.compare_runs(tl.simulate_run(scenario), tl.simulate_run(late)).signals
+    assert {difference.signal: difference.largest for difference in found}["heading"] == 0.0
+
+
+def test_the_overlap_ends_with_the_shorter_run() -> None:
+    comparison = tl.compare_runs(KP4, tl.simulate_run(tl.load_scenario("paper-kp1")))
+    assert comparison.overlap_s == pytest.approx(11.184)
+
+
+def test_metrics_stand_beside_the_references() -> None:
+    comparison = tl.compare_runs(KP4, tl.simulate_run(tl.load_scenario("paper-kp1")))
+    durations = {found.metric.id: found for found in comparison.metrics}["run.duration"]
+    assert (durations.metric.value, durations.reference.value) == (20.528, 11.184)
+
+
+def test_signals_that_one_run_lacks_are_left_out() -> None:
+    samples = dataclasses.replace(KP4.samples, wanted_speed_m_s=None)
+    comparison = tl.compare_runs(KP4, dataclasses.replace(KP4, samples=samples))
+    assert "wanted_speed" not in {found.signal for found in comparison.signals}
+
+
+def test_runs_without_overlap_are_refused() -> None:
+    poses = {
+        field.name: None if column is None else column[:1].copy()
+        for field in dataclasses.fields(KP4.poses)
+        for column in [getattr(KP4.poses, field.name)]
+    }
+    no_rows = {
+        field.name: None if column is None else column[:0].copy()
+        for field in dataclasses.fields(KP4.samples)
+        for column in [getattr(KP4.samples, field.name)]
+    }
+    commands = dataclasses.replace(
+        KP4.commands,
+        time_ns=np.zeros(0, np.int64),
+        speed_m_s=np.zeros(0),
+        lateral_speed_m_s=np.zeros(0),
+        turn_rate_rad_s=np.zeros(0),
+    )
+    single = dataclasses.replace(
+        KP4,
+        poses=type(KP4.poses)(**poses),
+        samples=type(KP4.samples)(**no_rows),
+        commands=commands,
+    )
+    with pytest.raises(CompareError, match="expected runs that overlap"):
+        tl.compare_runs(KP4, single)
