@@ -1,0 +1,165 @@
+from pathlib import Path
+from random import Random
+
+import pytest
+from mcap.writer import Writer
+
+from tests.log.runs import find_shared, simulate_short_run
+from turtlelog.errors import LogError
+from turtlelog.log import import_log, read_info, read_recording, write_recording
+
+HEAD = {
+    "format_version": "1",
+    "source": "test",
+    "name": "test",
+    "absent": "[]",
+    "nan_columns": "[]",
+    "notes": "{}",
+}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("recordings") / "run.mcap"
+    write_recording(simulate_short_run(), path)
+    return path.read_bytes()
+
+
+def write_mcap(path: Path, entries: dict[str, str], message: bytes | None = None) -> Path:
+    """Write an MCAP with a metadata record of these entries, and one message on the pose topic."""
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        if entries:
+            writer.add_metadata("turtlelog", entries)
+        if message is not None:
+            schema = writer.register_schema("turtlesim/msg/Pose", "ros2msg", b"")
+            channel = writer.register_channel("/turtle1/pose", "cdr", schema)
+            writer.add_message(channel, 0, message, 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def read_damaged(path: Path, data: bytes) -> str:
+    path.write_bytes(data)
+    with pytest.raises(LogError, match=r"\A[^\n]+\Z") as caught:
+        read_recording(path)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 8, 9, 40, 44, 45, 46, 500, -1, -8, -9, -37, -38])
+def test_a_file_cut_short_is_one_line(length: int, sound: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    assert read_damaged(path, sound[:length]).startswith(f"{path}: byte ")
+
+
+def test_a_file_cut_short_anywhere_is_one_line(sound: bytes, tmp_path: Path) -> None:
+    for length in Random(0).sample(range(len(sound)), 150):
+        message = read_damaged(tmp_path / "run.mcap", sound[:length])
+        assert "expected" in message
+
+
+def test_any_flipped_bit_is_found(sound: bytes, tmp_path: Path) -> None:
+    for place in Random(0).sample(range(len(sound)), 300):
+        data = bytearray(sound)
+        data[place] ^= 1 << place % 8
+        message = read_damaged(tmp_path / "run.mcap", bytes(data))
+        assert message.startswith(f"{tmp_path / 'run.mcap'}: ")
+
+
+def test_a_flipped_bit_never_makes_info_fail_otherwise(sound: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    messages = []
+    for place in Random(1).sample(range(len(sound)), 200):
+        data = bytearray(sound)
+        data[place] ^= 1 << place % 8
+        path.write_bytes(data)
+        try:
+            read_info(path)
+        except LogError as err:
+            messages.append(str(err))
+    assert messages
+    assert all(message.startswith(f"{path}: ") for message in messages)
+    assert not any("\n" in message for message in messages)
+
+
+def test_the_damaged_chunk_is_named(sound: bytes, tmp_path: Path) -> None:
+    data = bytearray(sound)
+    data[len(data) // 3] ^= 1
+    message = read_damaged(tmp_path / "run.mcap", bytes(data))
+    assert "chunk 1: expected sound data, found" in message
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 4000, b"time,x\n0,1\n" * 300, b"{}"])
+def test_other_files_are_no_recordings(data: bytes, tmp_path: Path) -> None:
+    message = read_damaged(tmp_path / "run.mcap", data)
+    assert "byte 0: expected an MCAP file (0x894d434150300d0a), found" in message
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    for read in (read_recording, read_info, import_log):
+        with pytest.raises(LogError, match=r"^\S+none\.mcap: expected .*No such file"):
+            read(tmp_path / "none.mcap")
+
+
+def test_a_folder_is_one_line(tmp_path: Path) -> None:
+    for read in (read_recording, read_info, import_log):
+        with pytest.raises(LogError, match="expected"):
+            read(tmp_path)
+
+
+def test_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "new.mcap", {"format_version": "7"}, b"unknown")
+    for read in (read_recording, read_info):
+        with pytest.raises(LogError, match="format version 7: this turtlelog reads up to 1"):
+            read(path)
+
+
+@pytest.mark.parametrize("version", ["0", "-1", "one", "1.5", "", "null"])
+def test_a_format_that_never_was_is_refused(version: str, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "odd.mcap", {"format_version": version})
+    with pytest.raises(LogError, match=r"format.version"):
+        read_recording(path)
+
+
+def test_an_mcap_without_our_record_is_no_recording(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "other.mcap", {})
+    with pytest.raises(LogError, match="expected a metadata record turtlelog, found none"):
+        read_recording(path)
+
+
+def test_a_recording_without_poses_is_refused(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "empty.mcap", HEAD)
+    with pytest.raises(LogError, match="topic /turtle1/pose: expected messages, found none"):
+        read_recording(path)
+
+
+def test_a_message_of_another_size_is_named(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "odd.mcap", HEAD, b"\0\1\0\0" + b"\0" * 4)
+    with pytest.raises(LogError, match=r"/turtle1/pose: message 0: expected 24 bytes, found 8"):
+        read_recording(path)
+
+
+def test_a_missing_or_wrong_entry_is_named(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "odd.mcap", {"format_version": "1", "source": "test"})
+    with pytest.raises(LogError, match="expected an entry name, found none"):
+        read_recording(path)
+    path = write_mcap(tmp_path / "odd.mcap", HEAD | {"notes": "[1]"})
+    with pytest.raises(LogError, match=r"notes: Expected `object`, got `array`, found '\[1\]'"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "eprosima_ros2_talker.mcap",
+        "lichtblick_example_logs.mcap",
+        "rosbag2_talker.mcap",
+        "rosbag2_wbag_0.mcap",
+        "service_events.mcap",
+        "turtlesim_jazzy/subset_0.mcap",
+    ],
+)
+def test_other_peoples_recordings_are_no_runs(name: str) -> None:
+    with pytest.raises(LogError, match="not a recording by turtlelog"):
+        read_recording(find_shared("ros2", *name.split("/")))

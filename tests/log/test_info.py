@@ -1,0 +1,88 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import IndexType, Writer
+
+from tests.log.runs import find_shared, make_bare_run, simulate_preset
+from turtlelog.log import TopicInfo, read_info, read_recording, write_recording
+
+
+def test_info_says_what_a_recording_holds(tmp_path: Path) -> None:
+    run = simulate_preset("paper-kp4")
+    write_recording(run, tmp_path / "run.mcap")
+    info = read_info(tmp_path / "run.mcap")
+    assert (info.file, info.format_version) == (str(tmp_path / "run.mcap"), 1)
+    assert (info.source, info.name, info.complete) == ("simulation", "paper-kp4", True)
+    assert info.duration_s == (run.end_ns - run.poses.time_ns[0]) / 1e9
+    assert info.scenario is not None
+    assert info.scenario["law"]["kp_linear"] == 4.0
+    assert info.parameters == run.parameters
+    assert TopicInfo(topic="/turtle1/pose", type="turtlesim/msg/Pose", count=len(run.poses)) in (
+        info.topics
+    )
+
+
+def test_info_has_no_scenario_where_only_parameters_are_known(tmp_path: Path) -> None:
+    run = make_bare_run()
+    write_recording(run, tmp_path / "run.mcap")
+    info = read_info(tmp_path / "run.mcap")
+    assert (info.scenario, info.complete, info.stop_reason) == (None, True, None)
+    assert (info.parameters, info.absent, info.notes) == (run.parameters, run.absent, run.notes)
+
+
+def test_a_run_cut_off_says_so(tmp_path: Path) -> None:
+    write_recording(simulate_preset("paper", max_duration_s=1.0), tmp_path / "run.mcap")
+    info = read_info(tmp_path / "run.mcap")
+    assert (info.complete, info.stop_reason) == (True, "max_duration")
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_info_counts_messages_where_there_is_no_summary(chunked: bool, tmp_path: Path) -> None:  # noqa: FBT001
+    with (tmp_path / "plain.mcap").open("wb") as stream:
+        writer = Writer(
+            stream,
+            index_types=IndexType.NONE,
+            repeat_channels=False,
+            repeat_schemas=False,
+            use_chunking=chunked,
+            use_statistics=False,
+            use_summary_offsets=False,
+        )
+        writer.start()
+        channel = writer.register_channel("/a", "json", 0)
+        for time_ns in (0, 3_000_000_000, 1_000_000_000):
+            writer.add_message(channel, time_ns, b"{}", time_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    info = read_info(tmp_path / "plain.mcap")
+    assert (info.source, info.name, info.complete) == ("mcap", "plain", True)
+    assert (info.duration_s, info.topics) == (3.0, (TopicInfo(topic="/a", type="", count=3),))
+
+
+@pytest.mark.parametrize(
+    ("name", "topic", "count"),
+    [
+        ("eprosima_ros2_talker.mcap", "/chatter", 10),
+        ("lichtblick_example_logs.mcap", "mouse", 111),
+        ("rosbag2_talker.mcap", "/topic", 10),
+        ("rosbag2_wbag_0.mcap", "AAA", 174),
+        ("service_events.mcap", "/add_two_ints/_service_event", 82),
+        ("turtlesim_jazzy/subset_0.mcap", "/turtle1/pose", 2501),
+    ],
+)
+def test_info_lists_other_peoples_recordings(name: str, topic: str, count: int) -> None:
+    info = read_info(find_shared("ros2", *name.split("/")))
+    assert (info.source, info.format_version, info.scenario) == ("mcap", None, None)
+    assert {found.topic: found.count for found in info.topics}[topic] == count
+    assert info.duration_s is not None
+
+
+def test_info_agrees_with_the_messages(tmp_path: Path) -> None:
+    write_recording(simulate_preset("textbook"), tmp_path / "run.mcap")
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        times = [message.log_time for _, _, message in make_reader(stream).iter_messages()]
+    info = read_info(tmp_path / "run.mcap")
+    assert sum(topic.count for topic in info.topics) == len(times)
+    assert info.duration_s == np.ptp(times) / 1e9
+    assert read_recording(tmp_path / "run.mcap").parameters == info.parameters

@@ -1,0 +1,29 @@
+"""Where foreign errors become ours: one line that names the file."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from turtlelog.errors import LogError, TurtlelogError
+
+
+@contextmanager
+def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
+    """Turn whatever goes wrong while a file is read into one LogError line that names it.
+
+    On damaged files the libraries raise nearly everything: struct.error, KeyError, MemoryError,
+    OverflowError, UnicodeDecodeError, RecursionError and their own.
+    """
+    try:
+        yield
+    except OSError as err:
+        raise LogError(f"{path}: expected {expected}, found: {err.strerror or err}") from err
+    except TurtlelogError as err:
+        raise LogError(f"{path}: {err}") from err
+    except Exception as err:
+        raise LogError(f"{path}: expected {expected}, found {describe_error(err)}") from err
+
+
+def describe_error(err: Exception) -> str:
+    """Return an error in one line, with its kind."""
+    return f"{type(err).__name__}: {' '.join(str(err).split())}".removesuffix(": ")

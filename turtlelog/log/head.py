@@ -1,0 +1,151 @@
+"""What a recording says of itself: the metadata record and the attached scenario."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgspec
+import tomli_w
+
+from turtlelog import __version__
+from turtlelog.errors import LogError
+from turtlelog.run import Run
+
+HEAD: Final = "turtlelog"
+"""Name of the metadata record."""
+
+FORMAT_VERSION: Final = 1
+SCENARIO_FILE: Final = "scenario.toml"
+"""Attachment that holds a whole scenario."""
+
+PARAMETER_FILE: Final = "parameters.toml"
+"""Attachment that holds what is known of a scenario."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Head:
+    """The metadata record.
+
+    Attributes:
+        format_version: Of the recording.
+        source: As in `Run`.
+        name: As in `Run`.
+        stop_reason: As in `Run`.
+        goal_heading_rad: As in `Run`; a quaternion would not give it back exactly.
+        absent: As in `Run`.
+        nan_columns: Columns of the run that are None, and NaN in the messages.
+        notes: As in `Run`.
+    """
+
+    format_version: int
+    source: str
+    name: str
+    stop_reason: str | None
+    goal_heading_rad: float | None
+    absent: tuple[str, ...]
+    nan_columns: frozenset[str]
+    notes: Mapping[str, str]
+
+
+def format_head(run: Run) -> dict[str, str]:
+    """Return the metadata record of a run; what is None is left out."""
+    record = {
+        "format_version": str(FORMAT_VERSION),
+        "turtlelog_version": __version__,
+        "source": run.source,
+        "name": run.name,
+        "absent": _encode(run.absent),
+        "nan_columns": _encode(_list_nan_columns(run)),
+        "notes": _encode(dict(run.notes)),
+    }
+    if run.stop_reason is not None:
+        record["stop_reason"] = run.stop_reason
+    if run.goal_heading_rad is not None:
+        record["goal_heading_rad"] = repr(float(run.goal_heading_rad))
+    return record
+
+
+def parse_head(record: Mapping[str, str]) -> Head:
+    """Return the metadata record of a recording.
+
+    Raises:
+        LogError: Where it was written by a newer turtlelog, or an entry is missing or wrong.
+    """
+    # Brings older versions up to date, once there is an older one.
+    version = _decode(record, "format_version", int)
+    if version > FORMAT_VERSION:
+        raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
+    if version < 1:
+        raise LogError(f"format version {version}: expected 1 to {FORMAT_VERSION}")
+    heading = _decode(record, "goal_heading_rad", float) if "goal_heading_rad" in record else None
+    return Head(
+        format_version=version,
+        source=_get(record, "source"),
+        name=_get(record, "name"),
+        stop_reason=record.get("stop_reason"),
+        goal_heading_rad=heading,
+        absent=_decode(record, "absent", tuple[str, ...]),
+        nan_columns=_decode(record, "nan_columns", frozenset[str]),
+        notes=_decode(record, "notes", dict[str, str]),
+    )
+
+
+def format_scenario_file(run: Run) -> tuple[str, str] | None:
+    """Return name and TOML text of the attachment; None where no parameter is known."""
+    if not run.parameters and not run.scenario_is_complete:
+        return None
+    tables: dict[str, Any] = {}
+    for key, value in run.parameters.items():
+        *parents, last = key.split(".")
+        table = tables
+        for parent in parents:
+            table = table.setdefault(parent, {})
+            if not isinstance(table, dict):
+                raise LogError(f"parameter {key}: expected a key, found one below a value")
+        if last in table:
+            raise LogError(f"parameter {key}: expected a value, found keys below it")
+        table[last] = value
+    return SCENARIO_FILE if run.scenario_is_complete else PARAMETER_FILE, tomli_w.dumps(tables)
+
+
+def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
+    """Return the attached tables, and whether they are a whole scenario. Loads no law.
+
+    Raises:
+        LogError: Where the attachment is no TOML.
+    """
+    name = SCENARIO_FILE if SCENARIO_FILE in attachments else PARAMETER_FILE
+    try:
+        tables = tomllib.loads(attachments.get(name, b"").decode())
+    except ValueError as err:
+        raise LogError(f"attachment {name}: expected TOML, found: {err}") from err
+    return tables, name in attachments and name == SCENARIO_FILE
+
+
+def _list_nan_columns(run: Run) -> list[str]:
+    columns = {
+        "poses.speed_m_s": run.poses.speed_m_s,
+        "poses.turn_rate_rad_s": run.poses.turn_rate_rad_s,
+        "samples.wanted_speed_m_s": run.samples.wanted_speed_m_s,
+        "samples.wanted_turn_rate_rad_s": run.samples.wanted_turn_rate_rad_s,
+    }
+    return [name for name, values in columns.items() if values is None]
+
+
+def _encode(value: object) -> str:
+    return msgspec.json.encode(value).decode()
+
+
+def _get(record: Mapping[str, str], key: str) -> str:
+    if key not in record:
+        raise LogError(f"metadata {HEAD}: expected an entry {key}, found none")
+    return record[key]
+
+
+def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
+    text = _get(record, key)
+    try:
+        return msgspec.json.decode(text, type=kind)
+    except msgspec.MsgspecError as err:
+        raise LogError(f"metadata {HEAD}: {key}: {err}, found {text[:60]!r}") from err

@@ -1,0 +1,106 @@
+"""The paper's JSON logs: `metadata`, and `data` with equally long lists."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from turtlelog.errors import LogError
+from turtlelog.log.importers.base import NUMBERS, PaperLog, build_columns, require_number
+from turtlelog.run import Parameter
+
+_PARAMETERS: Final = MappingProxyType(
+    {
+        "law.kp_angular": ("controller_gains", "Kp_angular"),
+        "law.kp_linear": ("controller_gains", "Kp_linear"),
+        "law.heading_tolerance_rad": ("tolerances", "angle"),
+        "law.position_tolerance_m": ("tolerances", "linear"),
+        "limits.speed_m_s": ("speed_limits", "max_linear_speed"),
+        "limits.turn_rate_rad_s": ("speed_limits", "max_angular_speed"),
+        "goal.x_m": ("target_position", "x"),
+        "goal.y_m": ("target_position", "y"),
+    }
+)
+"""Where the metadata holds a key of a scenario."""
+
+_PLACES: Final = MappingProxyType({name: f"data.{name}" for name in (*NUMBERS, "state")})
+
+
+def parse_paper_json(text: str, path: Path) -> PaperLog:
+    """Return the log in a JSON text.
+
+    Raises:
+        LogError: Where it is no JSON, or not of this layout.
+    """
+    tables = _require_table("the file", _parse_json(text))
+    data = _require_table("data", tables.get("data"))
+    lists = {name: _require_list(name, data) for name in _PLACES}
+    for name, values in lists.items():
+        if len(values) != len(lists["time"]):
+            expected = f"{len(lists['time'])} values as in data.time"
+            raise LogError(f"data.{name}: expected {expected}, found {len(values)}")
+    columns, states = build_columns(lists, _PLACES)
+    metadata = _require_table("metadata", tables.get("metadata"))
+    parameters = _read_parameters(metadata)
+    timestamp = _read_text(metadata, "timestamp")
+    return PaperLog(
+        name=_read_text(metadata, "experiment_name") or path.stem,
+        source=f"paper-json: {path.name}",
+        columns=columns,
+        states=states,
+        parameters=parameters,
+        absent=tuple(f"parameters.{key}" for key in _PARAMETERS if key not in parameters),
+        notes={} if timestamp is None else {"original_timestamp": timestamp},
+    )
+
+
+def _parse_json(text: str) -> object:
+    try:
+        return json.loads(text, object_pairs_hook=_refuse_duplicates)
+    except RecursionError as err:
+        raise LogError("expected a log, found JSON that is nested too deeply") from err
+    except ValueError as err:
+        raise LogError(f"expected JSON, found: {err}") from err
+
+
+def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) != len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise LogError(f"{twice}: expected one list of that name, found several")
+    return table
+
+
+def _require_table(place: str, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        found = "none" if value is None else type(value).__name__
+        raise LogError(
+            f"{place}: expected a JSON object, as the paper's logs have it, found {found}"
+        )
+    return value
+
+
+def _require_list(name: str, data: Mapping[str, Any]) -> list[object]:
+    values = data.get(name)
+    if not isinstance(values, list):
+        found = type(values).__name__ if name in data else "none"
+        raise LogError(f"data.{name}: expected a list, found {found}")
+    return values
+
+
+def _read_parameters(metadata: Mapping[str, Any]) -> dict[str, Parameter]:
+    parameters: dict[str, Parameter] = {}
+    for key, (table, name) in _PARAMETERS.items():
+        values = _require_table(f"metadata.{table}", metadata.get(table, {}))
+        if name in values:
+            parameters[key] = require_number(f"metadata.{table}.{name}", values[name])
+    return parameters
+
+
+def _read_text(metadata: Mapping[str, Any], key: str) -> str | None:
+    value = metadata.get(key)
+    if value is not None and not isinstance(value, str):
+        raise LogError(f"metadata.{key}: expected text, found {type(value).__name__}")
+    return value
