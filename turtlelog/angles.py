@@ -19,15 +19,17 @@ def wrap_angle(angle_rad: float | NDArray[np.float64]) -> float | NDArray[np.flo
     An angle that is already inside comes back bit for bit.
     """
     if isinstance(angle_rad, np.ndarray):
-        wrapped = angle_rad - _TURN_RAD * np.floor((angle_rad + np.pi) / _TURN_RAD)
+        turned = np.fmod(angle_rad, _TURN_RAD)
+        wrapped = turned - _TURN_RAD * np.floor((turned + np.pi) / _TURN_RAD)
         # Just below -pi the sum rounds up to pi itself, which is the same direction as -pi.
         wrapped = np.where(wrapped >= np.pi, -np.pi, wrapped)
         inside = (angle_rad >= -np.pi) & (angle_rad < np.pi)
         return np.asarray(np.where(inside, angle_rad, wrapped))
     if -math.pi <= angle_rad < math.pi:
         return angle_rad
-    turned = angle_rad - _TURN_RAD * math.floor((angle_rad + math.pi) / _TURN_RAD)
-    return -math.pi if turned >= math.pi else turned
+    rest = math.fmod(angle_rad, _TURN_RAD)
+    rest -= _TURN_RAD * math.floor((rest + math.pi) / _TURN_RAD)
+    return -math.pi if rest >= math.pi else rest
 
 
 @overload

@@ -8,6 +8,11 @@ class TurtlelogError(Exception):
     """Root of every error that turtlelog raises on purpose."""
 
 
+def describe_error(err: BaseException) -> str:
+    """Return an error of somebody else's in one line, with its kind."""
+    return f"{type(err).__name__}: {' '.join(str(err).split())}".removesuffix(": ")
+
+
 class FrameError(TurtlelogError):
     """Arrays that are no vectors."""
 

@@ -1,6 +1,5 @@
 import dataclasses
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -56,28 +55,6 @@ def test_signals_that_one_run_lacks_are_left_out() -> None:
 
 
 def test_runs_without_overlap_are_refused() -> None:
-    poses = {
-        field.name: None if column is None else column[:1].copy()
-        for field in dataclasses.fields(KP4.poses)
-        for column in [getattr(KP4.poses, field.name)]
-    }
-    no_rows = {
-        field.name: None if column is None else column[:0].copy()
-        for field in dataclasses.fields(KP4.samples)
-        for column in [getattr(KP4.samples, field.name)]
-    }
-    commands = dataclasses.replace(
-        KP4.commands,
-        time_ns=np.zeros(0, np.int64),
-        speed_m_s=np.zeros(0),
-        lateral_speed_m_s=np.zeros(0),
-        turn_rate_rad_s=np.zeros(0),
-    )
-    single = dataclasses.replace(
-        KP4,
-        poses=type(KP4.poses)(**poses),
-        samples=type(KP4.samples)(**no_rows),
-        commands=commands,
-    )
-    with pytest.raises(CompareError, match="expected runs that overlap"):
-        tl.compare_runs(KP4, single)
+    scenario = tl.override_scenario(tl.load_scenario("textbook"), {"max_duration_s": 0.001})
+    with pytest.raises(CompareError, match=r"paper-kp4 and textbook: expected runs that overlap"):
+        tl.compare_runs(KP4, tl.simulate_run(scenario))

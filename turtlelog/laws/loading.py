@@ -1,15 +1,14 @@
 """From the `kind` of a scenario's law to its class."""
 
 import dataclasses
+import hashlib
 import importlib
-import importlib.util
 import sys
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Final
 
-from turtlelog.errors import LawError
+from turtlelog.errors import LawError, describe_error
 from turtlelog.laws.base import Law
 from turtlelog.laws.sequential_p import SequentialP
 
@@ -20,7 +19,7 @@ LAWS: Final = MappingProxyType({"sequential-p": SequentialP})
 def find_law(kind: str) -> type[Law]:
     """Return the class of a law: a built-in kind, `path.py:Class` or `package.module:Class`.
 
-    The last two run the code that they name.
+    The last two run the code that they name. A file that has not changed gives the same class.
 
     Raises:
         LawError: Where there is no such law, or the class is not one.
@@ -43,24 +42,37 @@ def _load_module(place: str) -> ModuleType:
         raise LawError(f"expected a Python file at {place}, found none")
     try:
         return _run_file(Path(place)) if place.endswith(".py") else importlib.import_module(place)
-    except Exception as err:
-        raise LawError(f"{place} cannot be loaded: {type(err).__name__}: {err}") from err
+    except (Exception, SystemExit) as err:
+        raise LawError(f"{place} cannot be loaded: {describe_error(err)}") from err
 
 
 def _run_file(path: Path) -> ModuleType:
-    loader = SourceFileLoader(f"turtlelog_law_{path.stem}", str(path))
-    spec = importlib.util.spec_from_loader(loader.name, loader)
-    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
-    # Dataclasses look their module up by name.
-    sys.modules[loader.name] = module
-    loader.exec_module(module)
+    source = path.read_bytes()
+    # Compiled here: Python's own cache beside the file overlooks an edit within the same second.
+    key = hashlib.sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
+    name = f"turtlelog_law_{path.stem}_{key}"
+    if name in sys.modules:
+        return sys.modules[name]
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    # Dataclasses and pickle look their module up by name.
+    sys.modules[name] = module
+    try:
+        exec(compile(source, str(path), "exec"), module.__dict__)
+    except BaseException:
+        del sys.modules[name]
+        raise
     return module
 
 
 def _require_law(law: object, kind: str) -> None:
+    if not isinstance(law, type):
+        raise LawError(f"{kind}: expected a class, found an instance of {type(law).__name__}")
     missing = [name for name in ("Parameters", "reset", "step") if not hasattr(law, name)]
-    if not isinstance(law, type) or missing:
-        wanted = "a class with Parameters, reset and step"
-        raise LawError(f"{kind}: expected {wanted}, found {law!r} without {', '.join(missing)}")
-    if not dataclasses.is_dataclass(law.Parameters):  # type: ignore[attr-defined]
-        raise LawError(f"{kind}: expected Parameters to be a frozen dataclass")
+    if missing:
+        raise LawError(f"{kind}: expected Parameters, reset and step, found no {missing[0]}")
+    parameters = law.Parameters  # type: ignore[attr-defined]
+    is_dataclass = isinstance(parameters, type) and dataclasses.is_dataclass(parameters)
+    if not is_dataclass or not parameters.__dataclass_params__.frozen:
+        found = "one that is not frozen" if is_dataclass else repr(parameters)[:60]
+        raise LawError(f"{kind}: expected Parameters to be a frozen dataclass, found {found}")

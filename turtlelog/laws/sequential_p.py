@@ -38,7 +38,7 @@ class SequentialPParameters:
     position_tolerance_m: Annotated[float, Meta(gt=0)] = 0.001
     projection: Literal["bearing", "heading"] = "heading"
     wrap_error: bool = True
-    pause_ticks: Annotated[int, Meta(ge=0)] = 0
+    pause_ticks: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
 
 
 class SequentialP:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from turtlelog.errors import LogError, TurtlelogError
+from turtlelog.errors import LogError, TurtlelogError, describe_error
 
 
 @contextmanager
@@ -22,8 +22,3 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
         raise LogError(f"{path}: {err}") from err
     except Exception as err:
         raise LogError(f"{path}: expected {expected}, found {describe_error(err)}") from err
-
-
-def describe_error(err: Exception) -> str:
-    """Return an error in one line, with its kind."""
-    return f"{type(err).__name__}: {' '.join(str(err).split())}".removesuffix(": ")

@@ -13,8 +13,7 @@ import numpy as np
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from turtlelog.errors import LogError
-from turtlelog.log.border import describe_error
+from turtlelog.errors import LogError, describe_error
 from turtlelog.log.cdr import Column, decode_columns
 from turtlelog.log.integrity import check_ends
 from turtlelog.log.topics import TOPICS, Topic

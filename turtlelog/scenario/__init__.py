@@ -49,7 +49,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     name = str(name_or_path)
     if name in PRESETS:
         return get_preset(name)
-    if not name.endswith(".toml") and not Path(name).exists():
+    if not name.endswith(".toml") and not Path(name).is_file():
         presets = ", ".join(PRESETS)
         raise ScenarioError(f"{name}: expected a scenario file (.toml) or one of {presets}")
     return read_scenario(name_or_path)

@@ -5,17 +5,19 @@ import difflib
 import math
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
 
 import msgspec
 
 from turtlelog.errors import LawError, ScenarioError
 from turtlelog.laws import find_law
 from turtlelog.run import Parameter
+from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, Scenario
 
 _INFINITE_KEYS = frozenset({"limits.speed_m_s", "limits.turn_rate_rad_s"})
-_PLACE = re.compile(r"(?P<text>.*?)(?: - at `\$\.?(?P<key>.*)`)?", re.DOTALL)
+_MISSING = re.compile(r"Object missing required field `(\w+)`")
+_PLACE = re.compile(r" - at `\$\.(.*)`$")
 
 
 def build_scenario(tables: Mapping[str, Any], *, source: str = "scenario") -> Scenario:
@@ -26,14 +28,14 @@ def build_scenario(tables: Mapping[str, Any], *, source: str = "scenario") -> Sc
     """
     law_table = tables.get("law", {})
     if not isinstance(law_table, Mapping):
-        raise ScenarioError(f"{source}: law: expected a table, found {law_table!r}")
+        raise ScenarioError(f"{source}: law: expected a table, found {describe_value(law_table)}")
     kind = law_table.get("kind", DEFAULT_LAW)
+    if not isinstance(kind, str):
+        raise ScenarioError(f"{source}: law.kind: expected text, found {describe_value(kind)}")
     try:
-        law = find_law(kind) if isinstance(kind, str) else None
+        law = find_law(kind)
     except LawError as err:
         raise ScenarioError(f"{source}: law.kind: {err}") from err
-    if law is None:
-        raise ScenarioError(f"{source}: law.kind: expected text, found {kind!r}")
     rest = {key: value for key, value in tables.items() if key != "law"}
     own = {key: value for key, value in law_table.items() if key != "kind"}
     _require_sound(rest, Scenario, "", source)
@@ -60,6 +62,12 @@ def flatten_tables(tables: Mapping[str, Any]) -> dict[str, Parameter]:
     return dict(_walk(tables, ""))
 
 
+def describe_unknown_key(key: str, known: list[str]) -> str:
+    """Return the end of an error line for a key that is not known, with the nearest that are."""
+    near = difflib.get_close_matches(key, known, n=2) or known
+    return f"expected {' or '.join(near)}, found an unknown key"
+
+
 def _drop_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: inner for key, inner in value.items() if inner is not None}
@@ -78,7 +86,7 @@ def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: st
     """Refuse unknown keys and nan or inf, which msgspec lets pass."""
     hints = get_type_hints(kind)
     for key, value in table.items():
-        place = f"{prefix}{key}"
+        place = f"{prefix}{name_key(key)}"
         if key not in hints:
             raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(hints))}")
         if isinstance(value, Mapping) and dataclasses.is_dataclass(hints[key]):
@@ -88,53 +96,19 @@ def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: st
             raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
 
 
-def describe_unknown_key(key: str, known: list[str]) -> str:
-    """Return the end of an error line for a key that is not known, with the nearest that are."""
-    near = difflib.get_close_matches(key, known, n=2) or known
-    return f"expected {' or '.join(near)}, found an unknown key"
-
-
 def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str) -> Any:
+    """Let msgspec judge; it says where, and the type there says what was expected."""
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as err:
-        matched = _PLACE.fullmatch(str(err))
-        text, key = (matched["text"], matched["key"] or "") if matched else (str(err), "")
+        place, missing = _PLACE.search(str(err)), _MISSING.match(str(err))
+        keys = (place[1].split(".") if place else []) + ([missing[1]] if missing else [])
+        value: Any = table
+        hint: Any = kind
+        for key in keys:
+            value = value.get(key) if isinstance(value, Mapping) else None
+            hint = get_type_hints(hint, include_extras=True)[key]
         raise ScenarioError(
-            f"{source}: {prefix}{key}: {_describe(text, _find_choices(kind, key))},"
-            f" found {_find_value(table, key)}"
+            f"{source}: {prefix}{'.'.join(keys)}: expected {describe_type(hint)},"
+            f" found {describe_value(value)}"
         ) from err
-
-
-def _describe(text: str, choices: tuple[str, ...]) -> str:
-    """Put msgspec's words into ours: ``Expected `float` > 0.0`` to `expected a number > 0.0`."""
-    if choices:
-        return f"expected {' or '.join(choices)}"
-    text = text.split(", got")[0].replace("`", "")
-    for theirs, ours in _WORDS.items():
-        text = text.replace(theirs, ours)
-    return text
-
-
-def _find_choices(kind: Any, key: str) -> tuple[str, ...]:
-    """Return the words that a key allows, none where it takes any value of its type."""
-    for part in key.split("."):
-        kind = get_type_hints(kind).get(part) if dataclasses.is_dataclass(kind) else None
-    return get_args(kind) if get_origin(kind) is Literal else ()
-
-
-_WORDS = {
-    "Expected": "expected",
-    "float": "a number",
-    "int": "a whole number",
-    "str": "text",
-    "bool": "true or false",
-    "object": "a table",
-}
-
-
-def _find_value(table: Mapping[str, Any], key: str) -> str:
-    value: Any = table
-    for part in key.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
-    return repr(value)

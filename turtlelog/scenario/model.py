@@ -1,5 +1,6 @@
 """Scenario: everything that determines a run, frozen and typed."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
 
@@ -12,7 +13,10 @@ Coordinate = Annotated[float, Meta(ge=0.0, le=WORLD_SIZE_M)]
 Positive = Annotated[float, Meta(gt=0.0)]
 DEFAULT_LAW: Final = "sequential-p"
 
-AtLeastOne = Annotated[int, Meta(ge=1)]
+Count = Annotated[int, Meta(ge=1, le=1_000_000)]
+Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]
+# No more than a turn either way: more is most likely meant in degrees.
+Heading = Annotated[float, Meta(ge=-2.0 * math.pi, le=2.0 * math.pi)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +31,7 @@ class Start:
 
     x_m: Coordinate = SPAWN_XY_M
     y_m: Coordinate = SPAWN_XY_M
-    heading_rad: float = 0.0
+    heading_rad: Heading = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +46,7 @@ class Target:
 
     x_m: Coordinate = 2.0
     y_m: Coordinate = 10.0
-    heading_rad: float | None = None
+    heading_rad: Heading | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,12 +90,12 @@ class LoopSettings:
         pose_precision: Precision of published poses.
     """
 
-    period_ticks: AtLeastOne = 1
-    start_backlog: AtLeastOne = 1
-    pose_queue: AtLeastOne = 10
-    command_queue: AtLeastOne = 7
+    period_ticks: Count = 1
+    start_backlog: Count = 1
+    pose_queue: Count = 10
+    command_queue: Count = 7
     queue_policy: Literal["one-per-tick", "newest"] = "newest"
-    transport_delay_ticks: Annotated[int, Meta(ge=0)] = 0
+    transport_delay_ticks: Ticks = 0
     pose_precision: Literal["float32", "float64"] = "float32"
 
 

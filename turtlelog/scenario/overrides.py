@@ -24,10 +24,11 @@ def override_scenario(
         tables["law"] = {}
     for key, value in values.items():
         table, parts = tables, key.split(".")
-        for part in parts[:-1]:
+        for depth, part in enumerate(parts[:-1], start=1):
             table = table.setdefault(part, {})
             if not isinstance(table, dict):
-                raise ScenarioError(f"{source}: {key}: expected a key, found one below a value")
+                above = ".".join(parts[:depth])
+                raise ScenarioError(f"{source}: {above}: expected a value, found a key below it")
         table[parts[-1]] = value
     return build_scenario(tables, source=source)
 
@@ -41,7 +42,7 @@ def parse_assignments(assignments: Iterable[str], *, source: str = "--set") -> d
     values: dict[str, Any] = {}
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
-        if not equals or not key.strip() or not text.strip():
+        if not equals or not all(key.strip().split(".")) or not text.strip():
             raise ScenarioError(f"{source}: expected key=value, found {assignment!r}")
         values[key.strip()] = _parse_value(text.strip())
     return values
@@ -50,5 +51,5 @@ def parse_assignments(assignments: Iterable[str], *, source: str = "--set") -> d
 def _parse_value(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import tomli_w
 
-from turtlelog.errors import ScenarioError
+from turtlelog.errors import ScenarioError, describe_error
 from turtlelog.scenario.convert import build_scenario, nest_scenario
 from turtlelog.scenario.model import Scenario
 
@@ -18,8 +18,8 @@ def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as err:
-        raise ScenarioError(f"{source}: expected TOML, found: {err}") from err
+    except (ValueError, RecursionError) as err:
+        raise ScenarioError(f"{source}: expected TOML, found: {describe_error(err)}") from err
     return build_scenario(tables, source=source)
 
 
@@ -35,9 +35,10 @@ def read_scenario(path: str | Path) -> Scenario:
         ScenarioError: Where the file cannot be read, is no TOML, or a key or value is wrong.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as err:
-        raise ScenarioError(f"{path}: expected a scenario file: {err.strerror}") from err
+        text = Path(path).read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as err:
         raise ScenarioError(f"{path}: expected TOML, found bytes that are no text") from err
+    except (OSError, ValueError) as err:
+        found = getattr(err, "strerror", None) or err
+        raise ScenarioError(f"{path}: expected a scenario file, found: {found}") from err
     return parse_scenario(text, source=str(path))

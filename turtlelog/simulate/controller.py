@@ -1,14 +1,18 @@
 """The controller's side of the loop: its pose queue, its law, its clipping, its blocking."""
 
 from collections import deque
-from math import copysign, hypot
+from math import copysign, hypot, isfinite
+from operator import index
 from typing import Final
 
 import msgspec
 
-from turtlelog.errors import SimulationError
+from turtlelog.errors import SimulationError, describe_error
 from turtlelog.laws import Decision, Goal, Law, Pose
+from turtlelog.run import Phase
 from turtlelog.scenario import Scenario
+
+_PHASES: Final = frozenset({Phase.ROTATE, Phase.TRANSLATE, Phase.DONE})
 
 _LARGEST: Final = 3.4e38
 """Applied velocities are published as 32-bit floats."""
@@ -112,16 +116,10 @@ class Controller:
                 self._law.reset(pose, self._goal)
             decision = self._law.step(time_ns, pose)
             speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
-            are_sound = -_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST
+            _require_sound(decision)
         except Exception as err:
-            raise SimulationError(
-                f"law {self._law_kind}, sample {sequence}: {type(err).__name__}: {err}"
-            ) from err
-        if not are_sound:
-            raise SimulationError(
-                f"law {self._law_kind}, sample {sequence}: expected a finite command,"
-                f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
-            )
+            reason = str(err) if isinstance(err, SimulationError) else describe_error(err)
+            raise SimulationError(f"law {self._law_kind}, sample {sequence}: {reason}") from err
         speed_limit, turn_limit = self._limits
         if not -speed_limit <= speed <= speed_limit:
             speed = copysign(speed_limit, speed)
@@ -136,3 +134,29 @@ class Controller:
             turn_rate,
             hypot(decision.error_x_m, decision.error_y_m),
         )
+
+
+def _require_sound(decision: Decision) -> None:
+    """Refuse a decision that cannot be carried out or recorded; TypeError where it is no number."""
+    numbers = (
+        decision.bearing_rad
+        + decision.heading_error_rad
+        + decision.error_x_m
+        + decision.error_y_m
+        + decision.world_v_x_m_s
+        + decision.world_v_y_m_s
+    )
+    if not isfinite(numbers):
+        raise SimulationError(f"expected finite numbers, found {decision}")
+    speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
+    if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
+        raise SimulationError(
+            f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
+        )
+    if decision.phase not in _PHASES or index(decision.blocks_ticks) < 0:
+        raise SimulationError(
+            f"expected a Phase and a number of ticks, found phase {decision.phase!r},"
+            f" blocks_ticks {decision.blocks_ticks}"
+        )
+    if decision.stop_reason is not None and not isinstance(decision.stop_reason, str):
+        raise SimulationError(f"expected a stop_reason in one word, found {decision.stop_reason!r}")

@@ -6,9 +6,10 @@ from typing import Final
 
 import msgspec
 
-from turtlelog.laws import Pose, find_law
+from turtlelog.errors import SimulationError, TurtlelogError, describe_error
+from turtlelog.laws import Law, Pose, find_law
 from turtlelog.run import Event
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import LawChoice, Scenario
 from turtlelog.simulate.controller import Controller, Sample
 from turtlelog.simulate.queues import CommandQueue
 from turtlelog.simulate.turtle import Turtle
@@ -52,7 +53,7 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
     turtle = Turtle(
         x_m=scenario.start.x_m, y_m=scenario.start.y_m, heading_rad=scenario.start.heading_rad
     )
-    controller = Controller(scenario, find_law(scenario.law.kind)(scenario.law.parameters))
+    controller = Controller(scenario, _build_law(scenario.law))
     commands = CommandQueue(
         depth=loop.command_queue,
         newest_only=loop.queue_policy == "newest",
@@ -60,7 +61,7 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
     )
     watch = _EventWatch(turtle, controller, commands)
     exact = loop.pose_precision == "float64"
-    last_tick = int(scenario.max_duration_s * 1e9) // TICK_NS
+    last_tick = round(scenario.max_duration_s * 1e9) // TICK_NS
     pack_floats, round_floats = _POSE.pack, _POSE.unpack
     stop_reason: str | None = None
     for tick in range(last_tick + 1):
@@ -93,6 +94,15 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
         )
         if stop_reason is not None:
             return
+
+
+def _build_law(choice: LawChoice) -> Law:
+    try:
+        return find_law(choice.kind)(choice.parameters)
+    except TurtlelogError:
+        raise
+    except Exception as err:
+        raise SimulationError(f"law {choice.kind}: {describe_error(err)}") from err
 
 
 class _EventWatch:

@@ -1,0 +1,168 @@
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from turtlelog.errors import LawError
+from turtlelog.laws import LAWS, SequentialP, find_law
+
+LAW_TEXT = """
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Gains:
+    gain: float = 1.0
+
+
+class Steady:
+    Parameters = Gains
+
+    def __init__(self, parameters):
+        self.parameters = parameters
+
+    def reset(self, start, goal):
+        pass
+
+    def step(self, time_ns, pose):
+        pass
+"""
+
+
+def write_law(folder: Path, text: str = LAW_TEXT, name: str = "steady.py") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def match_whole(text: str) -> str:
+    return rf"\A{re.escape(text)}\Z"
+
+
+def test_built_in_law_is_found_by_its_kind() -> None:
+    assert find_law("sequential-p") is SequentialP
+    assert set(LAWS) == {"sequential-p"}
+
+
+def test_law_of_a_module_is_found() -> None:
+    assert find_law("turtlelog.laws.sequential_p:SequentialP") is SequentialP
+
+
+def test_law_of_a_package_on_the_path_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "course_laws").mkdir()
+    write_law(tmp_path / "course_laws")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert find_law("course_laws.steady:Steady").Parameters().gain == 1.0
+
+
+def test_law_of_a_file_is_found(tmp_path: Path) -> None:
+    law = find_law(f"{write_law(tmp_path)}:Steady")
+    assert law.__name__ == "Steady"
+    assert law.Parameters(gain=2.0).gain == 2.0
+
+
+def test_law_of_a_file_with_postponed_annotations_is_found(tmp_path: Path) -> None:
+    path = write_law(tmp_path, "from __future__ import annotations\n" + LAW_TEXT)
+    assert find_law(f"{path}:Steady").__name__ == "Steady"
+
+
+def test_files_of_one_name_in_two_folders_are_two_laws(tmp_path: Path) -> None:
+    paths = []
+    for gain in ("1.0", "9.0"):
+        (tmp_path / gain).mkdir()
+        paths.append(write_law(tmp_path / gain, LAW_TEXT.replace("1.0", gain)))
+    laws = [find_law(f"{path}:Steady") for path in paths]
+    assert [law.Parameters().gain for law in laws] == [1.0, 9.0]
+
+
+def test_edited_law_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A cached bytecode file of the same second and size would hide the edit.
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    kind = f"{write_law(tmp_path)}:Steady"
+    find_law(kind)
+    write_law(tmp_path, LAW_TEXT.replace("1.0", "9.0"))
+    assert find_law(kind).Parameters().gain == 9.0
+
+
+@pytest.mark.parametrize("kind", ["pid", "", ":", "steady.py", "steady.py:", ":Steady"])
+def test_kind_of_another_form_is_refused(kind: str) -> None:
+    line = f"expected sequential-p, path.py:Class or package.module:Class, found {kind!r}"
+    with pytest.raises(LawError, match=match_whole(line)):
+        find_law(kind)
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "nowhere.py"
+    with pytest.raises(
+        LawError, match=match_whole(f"expected a Python file at {path}, found none")
+    ):
+        find_law(f"{path}:Steady")
+
+
+def test_missing_module_is_named() -> None:
+    line = "no_such_package.laws cannot be loaded: ModuleNotFoundError: No module named"
+    with pytest.raises(LawError, match=rf"\A{line} 'no_such_package'\Z"):
+        find_law("no_such_package.laws:Steady")
+
+
+def test_missing_class_is_named(tmp_path: Path) -> None:
+    path = write_law(tmp_path)
+    line = f"expected a class Wobbly in {path}, found none"
+    with pytest.raises(LawError, match=match_whole(line)):
+        find_law(f"{path}:Wobbly")
+
+
+def test_syntax_error_is_told_with_its_line(tmp_path: Path) -> None:
+    path = write_law(tmp_path, "x = 1\nclass Steady(:\n")
+    line = re.escape(f"{path} cannot be loaded: SyntaxError: ")
+    with pytest.raises(LawError, match=rf"\A{line}.*\(steady\.py, line 2\)\Z"):
+        find_law(f"{path}:Steady")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1 / 0", "raise ValueError('two\\nlines')", "raise SystemExit(1)"],
+    ids=["error", "error-of-two-lines", "exit"],
+)
+def test_file_that_fails_is_told_in_one_line(tmp_path: Path, text: str) -> None:
+    path = write_law(tmp_path, text)
+    with pytest.raises(LawError, match=rf"\A{re.escape(f'{path} cannot be loaded: ')}[^\n]+\Z"):
+        find_law(f"{path}:Steady")
+
+
+@pytest.mark.parametrize("name", ["Parameters", "reset", "step"])
+def test_class_that_lacks_a_part_is_refused(tmp_path: Path, name: str) -> None:
+    text = LAW_TEXT.replace(f"    {name} =", "    other =").replace(f"def {name}(", "def other(")
+    path = write_law(tmp_path, text)
+    line = f"{path}:Steady: expected Parameters, reset and step, found no {name}"
+    with pytest.raises(LawError, match=rf"\A{re.escape(line)}\Z"):
+        find_law(f"{path}:Steady")
+
+
+def test_function_is_no_law() -> None:
+    line = "json:dumps: expected a class, found an instance of function"
+    with pytest.raises(LawError, match=rf"\A{line}\Z"):
+        find_law("json:dumps")
+
+
+def test_instance_is_no_law(tmp_path: Path) -> None:
+    path = write_law(tmp_path, LAW_TEXT + "\nsteady = Steady(Gains())\n")
+    line = f"{path}:steady: expected a class, found an instance of Steady"
+    with pytest.raises(LawError, match=rf"\A{re.escape(line)}\Z"):
+        find_law(f"{path}:steady")
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    ["int", "Gains()", "dataclass(type('Loose', (), {}))"],
+    ids=["no-dataclass", "instance", "not-frozen"],
+)
+def test_parameters_are_a_frozen_dataclass(tmp_path: Path, parameters: str) -> None:
+    text = LAW_TEXT.replace("Parameters = Gains", f"Parameters = {parameters}")
+    path = write_law(tmp_path, text)
+    line = f"{path}:Steady: expected Parameters to be a frozen dataclass"
+    with pytest.raises(LawError, match=rf"\A{re.escape(line)}[^\n]*\Z"):
+        find_law(f"{path}:Steady")

@@ -1,0 +1,127 @@
+import math
+import re
+from typing import Any
+
+import pytest
+
+from turtlelog.errors import ScenarioError
+from turtlelog.scenario import (
+    PRESETS,
+    Scenario,
+    flatten_scenario,
+    get_preset,
+    override_scenario,
+    parse_assignments,
+)
+
+
+def set_values(*assignments: str, preset: str = "paper-kp10") -> Scenario:
+    return override_scenario(get_preset(preset), parse_assignments(assignments))
+
+
+def match_whole(text: str) -> str:
+    return rf"\A{re.escape(text)}\Z"
+
+
+@pytest.mark.parametrize(
+    ("assignment", "values"),
+    [
+        ("law.kp_linear=4", {"law.kp_linear": 4}),
+        ("limits.speed_m_s=inf", {"limits.speed_m_s": math.inf}),
+        ("loop.queue_policy=newest", {"loop.queue_policy": "newest"}),
+        ("loop.queue_policy='newest'", {"loop.queue_policy": "newest"}),
+        ("law.wrap_error=true", {"law.wrap_error": True}),
+        ("law.kind=laws/mine.py:Law", {"law.kind": "laws/mine.py:Law"}),
+        (" law.kp_linear = 4.5 ", {"law.kp_linear": 4.5}),
+        ("name=a=b", {"name": "a=b"}),
+        ("goal={x_m=1.0}", {"goal": {"x_m": 1.0}}),
+    ],
+)
+def test_assignment_is_a_key_and_a_value(assignment: str, values: dict[str, Any]) -> None:
+    assert parse_assignments([assignment]) == values
+
+
+@pytest.mark.parametrize("assignment", ["seed", "=3", "  =1", "seed=", "seed= ", "", "="])
+def test_assignment_without_key_or_value_is_refused(assignment: str) -> None:
+    line = f"--set: expected key=value, found {assignment!r}"
+    with pytest.raises(ScenarioError, match=match_whole(line)):
+        parse_assignments([assignment])
+
+
+def test_last_assignment_of_a_key_wins() -> None:
+    assert parse_assignments(["seed=1", "seed=2"]) == {"seed": 2}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_setting_nothing_changes_nothing(name: str) -> None:
+    assert override_scenario(get_preset(name), {}) == get_preset(name)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "key", "value"),
+    [
+        ("law.kp_linear=4", "law.kp_linear", 4.0),
+        ("loop.queue_policy=newest", "loop.queue_policy", "newest"),
+        ("limits.speed_m_s=inf", "limits.speed_m_s", math.inf),
+        ("goal.heading_rad=1.5", "goal.heading_rad", 1.5),
+        ("name=mine", "name", "mine"),
+    ],
+)
+def test_setting_a_key_changes_that_key_alone(assignment: str, key: str, value: object) -> None:
+    before, after = flatten_scenario(get_preset("paper-kp10")), set_values(assignment)
+    assert flatten_scenario(after) == before | {key: value}
+
+
+def test_setting_leaves_the_scenario_it_came_from() -> None:
+    scenario = get_preset("paper-kp10")
+    override_scenario(scenario, {"law.kp_linear": 4.0, "loop.start_backlog": 1})
+    assert scenario == get_preset("paper-kp10")
+
+
+def test_setting_both_gains_of_the_tenth_run_gives_the_paper_preset() -> None:
+    assert set_values("law.kp_linear=1", "law.kp_angular=1", "name=paper") == get_preset("paper")
+
+
+def test_same_kind_keeps_the_parameters_of_the_law() -> None:
+    assert set_values("law.kind=sequential-p") == get_preset("paper-kp10")
+
+
+def test_another_kind_drops_the_parameters_of_the_law() -> None:
+    scenario = set_values("law.kind=turtlelog.laws:SequentialP", "law.kp_linear=3")
+    parameters = scenario.law.parameters
+    assert (parameters.kp_linear, parameters.kp_angular, parameters.pause_ticks) == (3.0, 1.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "line"),
+    [
+        ("goal=3", "goal: expected a table, found 3"),
+        ("law=3", "law: expected a table, found 3"),
+        ("law.kind=4", "law.kind: expected text, found 4"),
+        ("law.kp_linear=fast", "law.kp_linear: expected a number > 0, found 'fast'"),
+        ("law.kp_lin=4", "law.kp_lin: expected kp_linear, found an unknown key"),
+        ("gaol.x_m=1", "gaol: expected goal, found an unknown key"),
+        ("goal.x_m=nan", "goal.x_m: expected a finite number, found nan"),
+        ("goal.x_m.y=1", "goal.x_m: expected a value, found a key below it"),
+        (
+            "law.kind=pid",
+            "law.kind: expected sequential-p, path.py:Class or package.module:Class, found 'pid'",
+        ),
+    ],
+)
+def test_wrong_assignment_is_named(assignment: str, line: str) -> None:
+    with pytest.raises(ScenarioError, match=match_whole(f"--set: {line}")):
+        set_values(assignment)
+
+
+@pytest.mark.parametrize("assignment", ["law.=4", ".x_m=1", "law..kp_linear=4"])
+def test_key_with_an_empty_part_is_refused(assignment: str) -> None:
+    with pytest.raises(
+        ScenarioError, match=match_whole(f"--set: expected key=value, found '{assignment}'")
+    ):
+        set_values(assignment)
+
+
+def test_errors_name_the_source_they_are_given() -> None:
+    with pytest.raises(ScenarioError, match=r"\Asweep\.toml: seed: expected a whole number >= 0"):
+        override_scenario(get_preset("paper"), {"seed": -1}, source="sweep.toml")

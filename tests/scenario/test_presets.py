@@ -1,0 +1,74 @@
+import pytest
+
+from turtlelog.laws import SequentialPParameters
+from turtlelog.scenario import (
+    PAPER_RUNS,
+    PRESETS,
+    flatten_scenario,
+    get_preset,
+    iterate_paper_runs,
+    load_scenario,
+)
+from turtlelog.turtlesim import SPAWN_XY_M
+
+
+def test_presets_are_the_paper_as_built_and_the_textbook() -> None:
+    assert (*PAPER_RUNS, "paper", "textbook") == PRESETS
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_preset_is_loaded_by_its_name(name: str) -> None:
+    assert load_scenario(name) == get_preset(name)
+    assert get_preset(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("name", "kp", "start_backlog", "pause_ticks"),
+    [
+        ("paper-kp1", 1.0, 6, 34),
+        ("paper-kp2", 2.0, 5, 34),
+        ("paper-kp4", 4.0, 6, 34),
+        ("paper-kp10", 10.0, 5, 33),
+        ("paper", 1.0, 5, 33),
+    ],
+)
+def test_paper_presets_hold_what_was_identified(
+    name: str, kp: float, start_backlog: int, pause_ticks: int
+) -> None:
+    preset = get_preset(name)
+    assert preset.law.parameters == SequentialPParameters(
+        kp_angular=kp,
+        kp_linear=kp,
+        projection="bearing",
+        wrap_error=False,
+        pause_ticks=pause_ticks,
+    )
+    assert (preset.loop.start_backlog, preset.loop.queue_policy) == (start_backlog, "one-per-tick")
+
+
+def test_textbook_keeps_limits_sampling_and_precision_alone() -> None:
+    textbook = get_preset("textbook")
+    assert textbook.law.parameters == SequentialPParameters(
+        projection="heading", wrap_error=True, pause_ticks=0
+    )
+    assert (textbook.loop.start_backlog, textbook.loop.queue_policy) == (1, "newest")
+    assert (textbook.limits.speed_m_s, textbook.limits.turn_rate_rad_s) == (1.0, 1.0)
+    assert (textbook.loop.period_ticks, textbook.loop.pose_precision) == (1, "float32")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_drive_from_the_spawn_pose_to_the_goal_of_the_paper(name: str) -> None:
+    preset = get_preset(name)
+    assert (preset.start.x_m, preset.start.y_m) == (SPAWN_XY_M, SPAWN_XY_M)
+    assert (preset.goal.x_m, preset.goal.y_m, preset.goal.heading_rad) == (2.0, 10.0, None)
+
+
+def test_paper_runs_come_by_rising_gain() -> None:
+    gains = [scenario.law.parameters.kp_linear for scenario in iterate_paper_runs()]
+    assert gains == [1.0, 2.0, 4.0, 10.0]
+
+
+def test_flat_scenario_leaves_out_what_is_none() -> None:
+    values = flatten_scenario(get_preset("textbook"))
+    assert "goal.heading_rad" not in values
+    assert (values["law.kind"], values["law.kp_linear"]) == ("sequential-p", 1.0)

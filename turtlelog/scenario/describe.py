@@ -1,0 +1,48 @@
+"""Types and values of scenario files in words, for error lines."""
+
+import types
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import msgspec
+
+_WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
+_LONGEST = 60
+
+
+def describe_type(hint: Any) -> str:
+    """Return what a type admits: `a number > 0`, `bearing or heading`, `a table`."""
+    origin, args = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        bounds = next((found for found in args[1:] if isinstance(found, msgspec.Meta)), None)
+        return f"{describe_type(args[0])}{_describe_bounds(bounds)}"
+    if origin is Literal:
+        return " or ".join(map(str, args))
+    if origin in {Union, types.UnionType}:
+        return " or ".join(describe_type(arg) for arg in args if arg is not type(None))
+    return _WORDS.get(hint, "a table")
+
+
+def describe_value(value: Any) -> str:
+    """Return a value as a scenario file would have it, cut where it is long; `none` for none."""
+    if value is None:
+        return "none"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    if hasattr(value, "isoformat"):
+        text = value.isoformat()
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text)} characters)"
+
+
+def name_key(key: str) -> str:
+    """Return a key as it can stand in one line."""
+    return key if key.isprintable() else repr(key)
+
+
+def _describe_bounds(bounds: msgspec.Meta | None) -> str:
+    if bounds is None:
+        return ""
+    if bounds.ge is not None and bounds.le is not None:
+        return f" from {bounds.ge:.10g} to {bounds.le:.10g}"
+    if bounds.gt is not None and bounds.le is not None:
+        return f" > {bounds.gt:g} and up to {bounds.le:g}"
+    low = "" if bounds.gt is None else f" > {bounds.gt:g}"
+    return low if bounds.ge is None else f" >= {bounds.ge:g}"
