@@ -163,10 +163,10 @@ def test_a_vector_without_two_coordinates_is_refused(wrong: float | list[float])
 
 def test_the_plant_moves_by_the_turtle_vector_in_the_world_frame() -> None:
     turtle = Turtle(x_m=5.0, y_m=5.0, heading_rad=2.0)
-    before_xy = np.array(turtle.pose[:2])
+    before_xy = np.array(turtle.state[:2])
     turtle.take_command(0.75, 0.0, lateral_speed_m_s=-0.5)
     turtle.step()
-    moved_xy = np.array(turtle.pose[:2]) - before_xy
+    moved_xy = np.array(turtle.state[:2]) - before_xy
     assert moved_xy == pytest.approx(rotate_to_world([0.75, -0.5], 2.0) * TICK_S, abs=1e-12)
 
 

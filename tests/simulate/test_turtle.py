@@ -18,7 +18,7 @@ def spawn(x_m: float = 5.0, y_m: float = 5.0, heading_rad: float = 0.0) -> Turtl
 def drive(turtle: Turtle, ticks: int = 1) -> tuple[float, float, float]:
     for _ in range(ticks):
         turtle.step()
-    return turtle.pose
+    return turtle.state[:3]
 
 
 def test_world_is_499_45ths_of_a_metre_in_32_bits() -> None:
@@ -32,7 +32,7 @@ def test_turtle_without_a_command_stands_still() -> None:
 
 def test_turtle_spawns_in_32_bits() -> None:
     turtle = spawn(0.1, 5.0, 0.1)
-    assert turtle.pose[::2] == (round_to_float32(0.1), round_to_float32(0.1))
+    assert turtle.state[:3:2] == (round_to_float32(0.1), round_to_float32(0.1))
 
 
 def test_turtle_turns_before_it_moves_along_the_new_heading() -> None:
@@ -40,7 +40,7 @@ def test_turtle_turns_before_it_moves_along_the_new_heading() -> None:
     turtle.take_command(0.5, 1.0)
     expected = (5.0 + 0.5 * math.cos(0.016) * TICK_S, 5.0 + 0.5 * math.sin(0.016) * TICK_S, 0.016)
     assert drive(turtle) == pytest.approx(expected, abs=1e-6)
-    assert turtle.pose[1] - spawn().pose[1] == pytest.approx(0.5 * math.sin(0.016) * TICK_S)
+    assert turtle.state[1] - spawn().state[1] == pytest.approx(0.5 * math.sin(0.016) * TICK_S)
 
 
 def test_command_is_held_until_the_next_one() -> None:
@@ -62,7 +62,7 @@ def test_published_speed_is_the_magnitude_of_both_velocities() -> None:
     turtle = spawn()
     turtle.take_command(-3.0, -0.5, lateral_speed_m_s=4.0)
     turtle.step()
-    assert turtle.velocity == (5.0, -0.5)
+    assert turtle.state[3:] == (5.0, -0.5)
 
 
 def test_plant_has_no_velocity_limit() -> None:
@@ -114,10 +114,10 @@ def test_watchdog_stops_the_turtle_at_the_63rd_tick_without_a_command() -> None:
     turtle.take_command(0.5, 0.2)
     turtle.step()
     drive(turtle, 62)
-    assert turtle.velocity == (0.5, 0.2)
-    before = turtle.pose
+    assert turtle.state[3:] == (0.5, 0.2)
+    before = turtle.state[:3]
     assert drive(turtle, 10) == before
-    assert turtle.velocity == (0.0, 0.0)
+    assert turtle.state[3:] == (0.0, 0.0)
 
 
 def test_every_command_winds_the_watchdog() -> None:
@@ -125,9 +125,9 @@ def test_every_command_winds_the_watchdog() -> None:
     for _ in range(3):
         turtle.take_command(0.0, 0.1)
         drive(turtle, 63)
-        assert turtle.velocity == (0.0, 0.1)
+        assert turtle.state[3:] == (0.0, 0.1)
     turtle.step()
-    assert turtle.velocity == (0.0, 0.0)
+    assert turtle.state[3:] == (0.0, 0.0)
 
 
 def test_turtle_moves_again_after_the_watchdog() -> None:
@@ -154,9 +154,9 @@ def test_wall_holds_the_turtle(
     turtle.take_command(1.0, 0.0)
     drive(turtle)
     assert turtle.hit_wall
-    assert turtle.pose[:2] == pytest.approx(expected, abs=1e-6)
+    assert turtle.state[:2] == pytest.approx(expected, abs=1e-6)
     wall = 0 if heading_rad in {0.0, WEST_RAD} else 1
-    assert turtle.pose[wall] == expected[wall]
+    assert turtle.state[wall] == expected[wall]
 
 
 def test_turtle_slides_along_a_wall() -> None:
@@ -186,9 +186,9 @@ def test_touching_a_wall_is_no_hit() -> None:
 def test_teleport_waits_for_the_next_step() -> None:
     turtle = spawn()
     turtle.teleport_to(2.0, 3.0, 1.0)
-    assert turtle.pose[0] == 5.0
+    assert turtle.state[0] == 5.0
     assert drive(turtle) == pytest.approx((2.0, 3.0, 1.0), abs=1e-6)
-    assert turtle.pose[2] == 1.0
+    assert turtle.state[2] == 1.0
 
 
 def test_teleport_comes_before_the_motion_of_its_tick() -> None:

@@ -12,7 +12,7 @@ from turtlelog.laws import Decision, Goal, Law, Pose
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario
 
-_PHASES: Final = frozenset({Phase.ROTATE, Phase.TRANSLATE, Phase.DONE})
+_ROTATE, _TRANSLATE, _DONE = Phase.ROTATE, Phase.TRANSLATE, Phase.DONE
 
 _LARGEST: Final = 3.4e38
 """Applied velocities are published as 32-bit floats."""
@@ -38,6 +38,9 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
     speed_m_s: float
     turn_rate_rad_s: float
     distance_m: float
+
+
+Samples = tuple[Sample, ...]
 
 
 class Controller:
@@ -82,28 +85,28 @@ class Controller:
         if self._waits_for:
             self._waits_for -= 1
 
-    def answer(self, tick: int, time_ns: int) -> tuple[list[Sample], list[Sample]]:
+    def answer(self, tick: int, time_ns: int) -> tuple[Samples, Samples]:
         """Return the samples computed in a tick, and those whose command goes out in it."""
-        computed: list[Sample] = []
-        published: list[Sample] = []
         if self._waits_for:
-            return computed, published
+            return (), ()
+        published: Samples = ()
         if self._blocked is not None:
             free_at_tick, blocked = self._blocked
             if tick < free_at_tick:
-                return computed, published
+                return (), ()
             self._blocked = None
-            published.append(blocked)
+            published = (blocked,)
             if blocked.decision.stop_reason is not None:
-                return computed, published
+                return (), published
+        computed: Samples = ()
         while self._poses:
             pose_sequence, pose = self._poses.popleft()
             sample = self._step(time_ns, pose_sequence, pose)
-            computed.append(sample)
+            computed += (sample,)
             if sample.decision.blocks_ticks > 0:
                 self._blocked = tick + sample.decision.blocks_ticks, sample
                 break
-            published.append(sample)
+            published += (sample,)
             if sample.decision.stop_reason is not None:
                 break
         return computed, published
@@ -137,26 +140,20 @@ class Controller:
 
 
 def _require_sound(decision: Decision) -> None:
-    """Refuse a decision that cannot be carried out or recorded; TypeError where it is no number."""
-    numbers = (
-        decision.bearing_rad
-        + decision.heading_error_rad
-        + decision.error_x_m
-        + decision.error_y_m
-        + decision.world_v_x_m_s
-        + decision.world_v_y_m_s
-    )
+    """Refuse a decision that cannot be carried out or recorded."""
+    speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
+    numbers = decision.bearing_rad + decision.heading_error_rad
+    numbers += decision.error_x_m + decision.error_y_m
+    numbers += decision.world_v_x_m_s + decision.world_v_y_m_s
     if not isfinite(numbers):
         raise SimulationError(f"expected finite numbers, found {decision}")
-    speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
     if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
         raise SimulationError(
             f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
         )
-    if decision.phase not in _PHASES or index(decision.blocks_ticks) < 0:
-        raise SimulationError(
-            f"expected a Phase and a number of ticks, found phase {decision.phase!r},"
-            f" blocks_ticks {decision.blocks_ticks}"
-        )
+    if not (phase is _TRANSLATE or phase is _ROTATE or phase is _DONE):
+        raise SimulationError(f"expected ROTATE, TRANSLATE or DONE, found phase {phase!r}")
+    if index(decision.blocks_ticks) < 0:
+        raise SimulationError(f"expected blocks_ticks >= 0, found {decision.blocks_ticks}")
     if decision.stop_reason is not None and not isinstance(decision.stop_reason, str):
-        raise SimulationError(f"expected a stop_reason in one word, found {decision.stop_reason!r}")
+        raise SimulationError(f"expected a stop_reason in words, found {decision.stop_reason!r}")

@@ -10,7 +10,7 @@ from turtlelog.errors import SimulationError, TurtlelogError, describe_error
 from turtlelog.laws import Law, Pose, find_law
 from turtlelog.run import Event
 from turtlelog.scenario import LawChoice, Scenario
-from turtlelog.simulate.controller import Controller, Sample
+from turtlelog.simulate.controller import Controller, Samples
 from turtlelog.simulate.queues import CommandQueue
 from turtlelog.simulate.turtle import Turtle
 from turtlelog.turtlesim import TICK_NS
@@ -37,9 +37,9 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
     pose: Pose
     speed_m_s: float
     turn_rate_rad_s: float
-    computed: list[Sample]
-    published: list[Sample]
-    events: list[Event]
+    computed: Samples
+    published: Samples
+    events: tuple[Event, ...]
     stop_reason: str | None
 
 
@@ -70,11 +70,9 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
         if command is not None:
             turtle.take_command(command.speed_m_s, command.turn_rate_rad_s)
         turtle.step()
-        exact_pose = turtle.pose
-        x_m, y_m, heading_rad, speed, turn_rate = round_floats(
-            pack_floats(*exact_pose, *turtle.velocity)
-        )
-        pose = Pose(*exact_pose) if exact else Pose(x_m, y_m, heading_rad)
+        state = turtle.state
+        x_m, y_m, heading_rad, speed, turn_rate = round_floats(pack_floats(*state))
+        pose = Pose(*state[:3]) if exact else Pose(x_m, y_m, heading_rad)
         controller.receive(tick, pose)
         computed, published = controller.answer(tick, time_ns)
         for sample in published:
@@ -113,26 +111,28 @@ class _EventWatch:
         self._was_at_wall = False
         self._lost_poses = self._lost_commands = 0
 
-    def find_events(self, time_ns: int, stop_reason: str | None, *, answered: bool) -> list[Event]:
+    def find_events(
+        self, time_ns: int, stop_reason: str | None, *, answered: bool
+    ) -> tuple[Event, ...]:
         at_wall = self._turtle.hit_wall
         # What a blocked controller misses becomes one event, told when it is back.
         lost_poses = (self._controller.dropped - self._lost_poses) if answered else 0
         lost_commands = self._commands.dropped - self._lost_commands
-        events = []
-        if at_wall and not self._was_at_wall:
-            x_m, y_m, _ = self._turtle.pose
-            text = f"The turtle hit the wall at x = {x_m:.3f} m, y = {y_m:.3f} m."
-            events.append(Event(time_ns=time_ns, kind="wall_hit", text=text))
-        if lost_poses:
-            text = f"The full pose queue of the controller dropped {lost_poses} poses."
-            events.append(Event(time_ns=time_ns, kind="poses_dropped", text=text))
-        if lost_commands:
-            text = f"The full command queue of the plant dropped {lost_commands} commands."
-            events.append(Event(time_ns=time_ns, kind="commands_dropped", text=text))
-        if stop_reason is not None:
-            text = f"The run ended: {stop_reason.replace('_', ' ')}."
-            events.append(Event(time_ns=time_ns, kind="stop", text=text))
+        hit_wall = at_wall and not self._was_at_wall
         self._was_at_wall = at_wall
+        if not (hit_wall or lost_poses or lost_commands or stop_reason):
+            return ()
         self._lost_poses += lost_poses
         self._lost_commands += lost_commands
-        return events
+        x_m, y_m, *_ = self._turtle.state
+        found = {
+            "wall_hit": hit_wall
+            and f"The turtle hit the wall at x = {x_m:.3f} m, y = {y_m:.3f} m.",
+            "poses_dropped": lost_poses and f"The controller's queue dropped {lost_poses} poses.",
+            "commands_dropped": lost_commands
+            and f"The plant's queue dropped {lost_commands} commands.",
+            "stop": stop_reason and f"The run ended: {stop_reason.replace('_', ' ')}.",
+        }
+        return tuple(
+            Event(time_ns=time_ns, kind=kind, text=text) for kind, text in found.items() if text
+        )

@@ -95,14 +95,19 @@ class Turtle:
         self._teleports.clear()
 
     @property
-    def pose(self) -> tuple[float, float, float]:
-        """Position x [m], y [m], heading [rad] in the world frame, in double precision."""
-        return self._x_m, WORLD_SIZE_M - self._down_m, self._heading_rad
+    def state(self) -> tuple[float, float, float, float, float]:
+        """What a pose message holds, in double precision.
 
-    @property
-    def velocity(self) -> tuple[float, float]:
-        """Magnitude of the applied velocity [m/s] and turn rate [rad/s], in double precision."""
-        return hypot(self.speed_m_s, self.lateral_speed_m_s), self.turn_rate_rad_s
+        Position x, y [m] and heading [rad] in the world frame, magnitude of the applied velocity
+        [m/s], applied turn rate [rad/s].
+        """
+        return (
+            self._x_m,
+            WORLD_SIZE_M - self._down_m,
+            self._heading_rad,
+            hypot(self.speed_m_s, self.lateral_speed_m_s),
+            self.turn_rate_rad_s,
+        )
 
 
 _CELL = array("f", [0.0])
