@@ -26,6 +26,8 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
         raise LogError(f"{path}: expected the name of a file to write, found a {kind}")
     temporary = path.with_name(f".turtlelog-{secrets.token_hex(6)}.part")
     try:
+        # Made at once, so that a place that cannot be written fails before any work is done.
+        temporary.touch(exist_ok=False)
         yield temporary
         temporary.replace(path)
     except OSError as err:

@@ -1,0 +1,24 @@
+from pathlib import Path
+
+import pytest
+
+from tests.show.rrds import simulate_preset
+from turtlelog.scenario import PAPER_RUNS
+from turtlelog.show import write_comparison_rrd, write_run_rrd
+
+DOCUMENTS = {"Table 1": "| Kp |\n| --- |\n| 10 |\n", "Läufer / notes": "# Notes"}
+
+
+@pytest.fixture(scope="session")
+def run_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("run") / "run.rrd"
+    write_run_rrd(simulate_preset("paper-kp10"), path, documents=DOCUMENTS)
+    return path
+
+
+@pytest.fixture(scope="session")
+def comparison_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("comparison") / "comparison.rrd"
+    runs = [simulate_preset(name) for name in PAPER_RUNS]
+    write_comparison_rrd(runs, path, documents=DOCUMENTS)
+    return path

@@ -1,0 +1,128 @@
+"""Recordings read back by column, with Rerun's own reader."""
+
+import subprocess
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rerun.chunk import RrdReader
+
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.scenario import get_preset
+from turtlelog.show.viewer import find_viewer
+from turtlelog.simulate import simulate_run
+
+NOTHING_NS = np.zeros(0, dtype=np.int64)
+
+
+@cache
+def simulate_preset(name: str) -> Run:
+    return simulate_run(get_preset(name))
+
+
+def make_foreign_run(rows: int) -> Run:
+    """Return what a bag of another robot holds: poses, and commands without a controller's view."""
+    time_ns = np.arange(rows, dtype=np.int64) * 33_000_000 + 5_000
+    turn_rad = time_ns / 3e9
+    values = np.linspace(-0.5, 0.5, rows)
+    run = simulate_preset("paper-kp10")
+    return replace(
+        run,
+        name="bag",
+        source="rosbag2",
+        poses=PoseColumns(
+            time_ns=time_ns,
+            xy_m=np.column_stack([np.cos(turn_rad), np.sin(turn_rad)]),
+            heading_rad=np.zeros(rows),
+        ),
+        commands=CommandColumns(
+            time_ns=time_ns, speed_m_s=values, lateral_speed_m_s=values, turn_rate_rad_s=-values
+        ),
+        samples=SampleColumns(
+            time_ns=NOTHING_NS,
+            sequence=NOTHING_NS,
+            pose_sequence=NOTHING_NS,
+            phase=NOTHING_NS,
+            bearing_rad=np.zeros(0),
+            heading_error_rad=np.zeros(0),
+            error_xy_m=np.zeros((0, 2)),
+            distance_m=np.zeros(0),
+            speed_m_s=np.zeros(0),
+            turn_rate_rad_s=np.zeros(0),
+            world_velocity_m_s=np.zeros((0, 2)),
+        ),
+        goal_xy_m=None,
+        parameters={},
+        stop_reason=None,
+        events=(),
+    )
+
+
+def read_times(path: Path, entity: str) -> NDArray[np.int64]:
+    return np.concatenate(
+        [
+            batch.column(batch.schema.get_field_index("sim_time")).cast("int64").to_numpy()
+            for batch in _read_batches(path, entity, is_static=False)
+        ]
+    )
+
+
+def read_rows(path: Path, entity: str, component: str) -> list[list[Any]]:
+    return [
+        row
+        for batch in _read_batches(path, entity, is_static=False)
+        for row in batch.column(batch.schema.get_field_index(component)).to_pylist()
+    ]
+
+
+def read_static(path: Path, entity: str, component: str) -> list[Any]:
+    values = [
+        batch.column(batch.schema.get_field_index(component)).to_pylist()[0]
+        for batch in _read_batches(path, entity, is_static=True)
+        if component in batch.schema.names
+    ]
+    assert len(values) == 1
+    return list(values[0])
+
+
+def list_entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(path).stream()}
+
+
+def list_timelines(path: Path) -> set[str]:
+    return {
+        field.name
+        for chunk in RrdReader(path).stream()
+        for field in chunk.to_record_batch().schema
+        if (field.metadata or {}).get(b"rerun:kind") == b"index"
+    }
+
+
+def read_layout(path: Path) -> dict[str, list[str]]:
+    """Return the views of the embedded layout: name to what it shows."""
+    reader = RrdReader(path)
+    names: dict[str, str] = {}
+    contents: dict[str, list[str]] = {}
+    for chunk in reader.stream(store=reader.blueprints()[0]):
+        batch = chunk.to_record_batch()
+        columns = dict(zip(batch.schema.names, batch.columns, strict=True))
+        view = "/".join(chunk.entity_path.split("/")[:3])
+        if "ViewBlueprint:display_name" in columns:
+            names[view] = columns["ViewBlueprint:display_name"].to_pylist()[0][0]
+        if "ViewContents:query" in columns:
+            contents[view] = columns["ViewContents:query"].to_pylist()[0]
+    return {name: contents.get(view, []) for view, name in names.items()}
+
+
+def verify(path: Path) -> None:
+    command = [str(find_viewer()), "rrd", "verify", str(path)]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+
+
+def _read_batches(path: Path, entity: str, *, is_static: bool) -> list[Any]:
+    chunks = RrdReader(path).stream().filter(content=entity, is_static=is_static)
+    return [chunk.to_record_batch() for chunk in chunks]

@@ -1,0 +1,32 @@
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.show.conftest import DOCUMENTS
+from tests.show.rrds import list_entities, read_layout
+
+TEXT = (Path(__file__).parents[2] / "docs" / "rerun.md").read_text(encoding="utf-8")
+
+
+def test_snippets_run_as_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for snippet in re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL):
+        exec(compile(snippet, "docs/rerun.md", "exec"), {})
+    assert (tmp_path / "kp10.rrd").is_file()
+
+
+def test_every_entity_is_documented(run_rrd: Path) -> None:
+    documented = set(re.findall(r"`(/[a-z_/]+)`", TEXT))
+    fixed = {
+        entity
+        for entity in list_entities(run_rrd)
+        if not entity.startswith(("/__", "/documents/", "/reference/"))
+    }
+    assert fixed <= documented
+
+
+def test_every_view_is_documented(run_rrd: Path, comparison_rrd: Path) -> None:
+    views = {*read_layout(run_rrd), *read_layout(comparison_rrd)}
+    plain = {re.split(r" \[| \(|, ", view)[0] for view in views}
+    assert {view for view in plain if view not in TEXT} <= set(DOCUMENTS)

@@ -1,0 +1,61 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import rerun as rr
+
+from tests.show.rrds import make_foreign_run
+from turtlelog.errors import ShowError
+from turtlelog.show import recording, write_run_rrd
+
+RUN = make_foreign_run(3)
+
+
+def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ShowError, match=r"run\.rrd: expected a") as caught:
+        write_run_rrd(RUN, tmp_path / "missing" / "run.rrd")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_in_place_of_the_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ShowError, match="found a folder"):
+        write_run_rrd(RUN, tmp_path)
+
+
+def test_rerun_switched_off_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RERUN", "off")
+    with pytest.raises(ShowError, match="RERUN='off'"):
+        write_run_rrd(RUN, tmp_path / "run.rrd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_rerun_did_not_write_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rr.RecordingStream, "save", lambda *_, **__: None)
+    with pytest.raises(ShowError, match="found none"):
+        write_run_rrd(RUN, tmp_path / "run.rrd")
+
+
+def fail_in_recording(path: Path) -> None:
+    layout = rr.blueprint.Blueprint(rr.blueprint.TextLogView())
+    with recording.open_recording(path, name="x", layout=layout) as stream:
+        stream.log("x", rr.Scalars("no number"))
+
+
+def test_wrong_data_raises_and_leaves_no_file(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no number"):
+        fail_in_recording(tmp_path / "run.rrd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_strict_mode_ends_with_the_recording(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no number"):
+        fail_in_recording(tmp_path / "run.rrd")
+    assert not rr.strict_mode()
+
+
+def test_importing_the_package_does_not_load_rerun() -> None:
+    code = "import sys, turtlelog.show; sys.exit('rerun' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

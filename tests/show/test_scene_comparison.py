@@ -1,0 +1,155 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.show.rrds import (
+    list_entities,
+    list_timelines,
+    make_foreign_run,
+    read_layout,
+    read_rows,
+    read_static,
+    read_times,
+    simulate_preset,
+    verify,
+)
+from turtlelog.errors import ShowError
+from turtlelog.measure import read_signal
+from turtlelog.scenario import PAPER_RUNS
+from turtlelog.show import write_comparison_rrd
+
+CURVES = ("heading_error_deg", "along_track", "distance", "speed/commanded", "turn_rate/commanded")
+
+
+@pytest.mark.parametrize("name", PAPER_RUNS)
+def test_runs_are_aligned_at_their_first_sample(comparison_rrd: Path, name: str) -> None:
+    run = simulate_preset(name)
+    poses_ns = read_times(comparison_rrd, f"/runs/{name}/distance")
+    np.testing.assert_array_equal(poses_ns + run.start_ns, run.poses.time_ns)
+    samples_ns = read_times(comparison_rrd, f"/runs/{name}/speed/commanded")
+    assert samples_ns[0] == 0
+    np.testing.assert_array_equal(samples_ns + run.start_ns, run.samples.time_ns)
+
+
+@pytest.mark.parametrize("name", PAPER_RUNS)
+@pytest.mark.parametrize("signal_name", ["along_track", "cross_track", "distance"])
+def test_curves_hold_the_signals_exactly(comparison_rrd: Path, name: str, signal_name: str) -> None:
+    signal = read_signal(simulate_preset(name), signal_name)
+    assert signal is not None
+    rows = read_rows(comparison_rrd, f"/runs/{name}/{signal_name}", "Scalars:scalars")
+    np.testing.assert_array_equal(np.array(rows)[:, 0], signal.values)
+
+
+@pytest.mark.parametrize("name", PAPER_RUNS)
+def test_commands_are_the_samples_exactly(comparison_rrd: Path, name: str) -> None:
+    samples = simulate_preset(name).samples
+    rows = read_rows(comparison_rrd, f"/runs/{name}/turn_rate/commanded", "Scalars:scalars")
+    np.testing.assert_array_equal(np.array(rows)[:, 0], samples.turn_rate_rad_s)
+
+
+def test_a_run_has_one_colour_in_all_views(comparison_rrd: Path) -> None:
+    colors: list[int] = []
+    for name in PAPER_RUNS:
+        prefix = f"/runs/{name}"
+        of_run = {
+            *read_static(comparison_rrd, f"{prefix}/plane/path", "LineStrips2D:colors"),
+            *read_static(comparison_rrd, f"{prefix}/plane/turtle", "Points2D:colors"),
+            *read_static(comparison_rrd, f"{prefix}/plane/turtle/arrow", "Arrows2D:colors"),
+        }
+        for curve in CURVES:
+            of_run.update(read_static(comparison_rrd, f"{prefix}/{curve}", "SeriesLines:colors"))
+        assert len(of_run) == 1
+        colors += of_run
+    assert len(set(colors)) == len(PAPER_RUNS)
+
+
+def test_curves_are_named_after_their_run(comparison_rrd: Path) -> None:
+    for name in PAPER_RUNS:
+        for curve in CURVES:
+            entity = f"/runs/{name}/{curve}"
+            assert read_static(comparison_rrd, entity, "SeriesLines:names") == [name]
+
+
+def test_every_run_has_a_row_of_phases(comparison_rrd: Path) -> None:
+    entities = [f"/runs/{name}/phase" for name in PAPER_RUNS]
+    assert read_layout(comparison_rrd)["Phases (brown: pause)"] == entities
+    for entity in entities:
+        states = [row[0] for row in read_rows(comparison_rrd, entity, "StateChange:state")]
+        assert states == ["rotate", "pause", "translate", "done"]
+
+
+def test_events_name_their_run(comparison_rrd: Path) -> None:
+    texts = [row[0] for row in read_rows(comparison_rrd, "/runs/paper-kp4/events", "TextLog:text")]
+    events = simulate_preset("paper-kp4").events
+    assert texts == [f"paper-kp4: {event.text}" for event in events]
+
+
+def test_properties_list_the_runs(comparison_rrd: Path) -> None:
+    runs = [simulate_preset(name) for name in PAPER_RUNS]
+    expected = {
+        "name": list(PAPER_RUNS),
+        "entity": [f"/runs/{name}" for name in PAPER_RUNS],
+        "source": ["simulation"] * 4,
+        "stop_reason": [run.stop_reason for run in runs],
+        "start_ns": [run.start_ns for run in runs],
+        "law.kp_linear": [1.0, 2.0, 4.0, 10.0],
+    }
+    found = {key: read_static(comparison_rrd, "/__properties/runs", key) for key in expected}
+    assert found == expected
+
+
+def test_recording_verifies_and_has_one_timeline(comparison_rrd: Path) -> None:
+    verify(comparison_rrd)
+    assert list_timelines(comparison_rrd) == {"sim_time"}
+    assert comparison_rrd.stat().st_size < 2_000_000
+
+
+def test_every_view_of_the_layout_has_data(comparison_rrd: Path) -> None:
+    layout = read_layout(comparison_rrd)
+    named = {path for paths in layout.values() for path in paths if "*" not in path}
+    assert {path.removeprefix("- ") for path in named} <= list_entities(comparison_rrd)
+    assert {"Plane", "At the goal, ±171 mm", "Along-track [m]", "Table 1"} < set(layout)
+
+
+def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
+    run, path = simulate_preset("paper-kp10"), tmp_path / "same.rrd"
+    write_comparison_rrd([run, run, replace(run, name="")], path)
+    names = read_static(path, "/__properties/runs", "name")
+    assert names == ["paper-kp10 (1)", "paper-kp10 (2)", "run"]
+    entities = read_static(path, "/__properties/runs", "entity")
+    assert {f"{entity}/plane/path" for entity in entities} < list_entities(path)
+
+
+def test_names_need_not_be_entity_paths(tmp_path: Path) -> None:
+    run, path = simulate_preset("paper-kp10"), tmp_path / "odd.rrd"
+    names = ["a/b", "Läufer 🐢\n", "- x", "$origin/**"]
+    write_comparison_rrd([replace(run, name=name) for name in names], path)
+    verify(path)
+    for entity in read_static(path, "/__properties/runs", "entity"):
+        assert len(read_rows(path, f"{entity}/distance", "Scalars:scalars")) == len(run.poses)
+
+
+def test_twenty_runs_have_colours_and_a_legend_of_their_own(tmp_path: Path) -> None:
+    run, path = simulate_preset("paper-kp10"), tmp_path / "many.rrd"
+    names = [f"kp{number}" for number in range(20)]
+    write_comparison_rrd([replace(run, name=name) for name in names], path)
+    assert read_static(path, "/legend", "Points2D:labels") == names
+    assert len(set(read_static(path, "/legend", "Points2D:colors"))) == 20
+    assert "Runs" in read_layout(path)
+
+
+def test_runs_without_samples_show_their_position(tmp_path: Path) -> None:
+    path = tmp_path / "bags.rrd"
+    write_comparison_rrd([make_foreign_run(300), make_foreign_run(1)], path)
+    verify(path)
+    assert "Position [m]" in read_layout(path)
+    rows = np.array(read_rows(path, "/runs/bag\\ \\(1\\)/position", "Scalars:scalars"))
+    np.testing.assert_array_equal(rows, make_foreign_run(300).poses.xy_m)
+
+
+def test_no_runs_are_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ShowError, match="at least one run"):
+        write_comparison_rrd([], tmp_path / "none.rrd")
+    assert not list(tmp_path.iterdir())

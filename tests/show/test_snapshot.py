@@ -1,0 +1,93 @@
+import struct
+from pathlib import Path
+
+import pytest
+
+from tests.show.rrds import list_entities, make_foreign_run
+from turtlelog.errors import ShowError
+from turtlelog.show import ViewReport, open_viewer, viewer, write_run_rrd, write_snapshot
+
+NO_GRAPHICS = "expected a graphics adapter"
+
+
+def take_snapshot(rrd: Path, png: Path) -> ViewReport:
+    try:
+        return write_snapshot(rrd, png, at_s=6.0, size=(1000, 700))
+    except ShowError as err:
+        if NO_GRAPHICS in str(err):
+            pytest.skip(str(err))
+        raise
+
+
+def read_size(png: Path) -> tuple[int, int]:
+    head = png.read_bytes()[:24]
+    assert head[:8] == b"\x89PNG\r\n\x1a\n"
+    width, height = struct.unpack(">II", head[16:])
+    return width, height
+
+
+@pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd"])
+def test_viewer_shows_every_view_without_problems(
+    scene: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    rrd: Path = request.getfixturevalue(scene)
+    report = take_snapshot(rrd, tmp_path / "x.png")
+    assert read_size(tmp_path / "x.png") == (1000, 700)
+    assert (tmp_path / "x.png").stat().st_size > 40_000
+    kinds = {view.kind for view in report.views}
+    assert kinds == {"2D", "TimeSeries", "StateTimeline", "TextDocument", "TextLog"}
+    assert not [problem for view in report.views for problem in view.problems]
+    assert not [text for text in report.messages if "rasterizer" not in text]
+    assert set(report.entities) >= {name for name in list_entities(rrd) if "__" not in name}
+
+
+def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, tmp_path: Path) -> None:
+    take_snapshot(run_rrd, tmp_path / "early.png")
+    write_snapshot(run_rrd, tmp_path / "end.png", size=(1000, 700))
+    assert (tmp_path / "early.png").read_bytes() != (tmp_path / "end.png").read_bytes()
+
+
+def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ShowError, match=r"none\.rrd: expected a recording, found no such file"):
+        write_snapshot(tmp_path / "none.rrd", tmp_path / "x.png")
+
+
+def test_a_damaged_recording_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "bad.rrd").write_bytes(b"no recording")
+    with pytest.raises(ShowError, match=r"bad\.rrd: expected a recording, found") as caught:
+        take_snapshot(tmp_path / "bad.rrd", tmp_path / "x.png")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_viewer_that_cannot_start_names_the_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run_rrd(make_foreign_run(2), tmp_path / "run.rrd")
+    monkeypatch.setenv("WGPU_BACKEND", "none")
+    with pytest.raises(ShowError, match="apt-get install mesa-vulkan-drivers") as caught:
+        write_snapshot(tmp_path / "run.rrd", tmp_path / "x.png")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "x.png").exists()
+
+
+def test_a_viewer_ends_with_its_block() -> None:
+    with viewer.start_viewer(["--serve-grpc", "--port", "auto"]) as process:
+        assert not process.has_ended
+    assert process.has_ended
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="other systems have a display")
+def test_no_display_is_one_line_that_names_the_alternatives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_run_rrd(make_foreign_run(2), tmp_path / "run.rrd")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ShowError, match="--snapshot") as caught:
+        open_viewer([tmp_path / "run.rrd"])
+    assert "\n" not in str(caught.value)
+
+
+def test_nothing_to_open_is_an_error() -> None:
+    with pytest.raises(ShowError, match="at least one recording"):
+        open_viewer([])

@@ -1,0 +1,119 @@
+"""What a recording holds, as far as its layout must know."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from turtlelog.measure import read_signal
+from turtlelog.run import Phase, Run
+from turtlelog.show import entities
+from turtlelog.show.entities import join_path
+from turtlelog.show.series import Reference, Series
+from turtlelog.show.surroundings import Bounds, find_goal_bounds, find_plane_bounds
+
+_HEADROOM = 1.25
+_LEAST_SIDE = 0.15
+_CLOSE_UP = 2.0
+_MOST_IN_PLOT = 4
+_SMALLEST_CLOSE_UP_DEG = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Content:
+    """What a recording holds for its layout.
+
+    Attributes:
+        prefixes: Entity prefix of each run; one empty prefix for a run alone.
+        series: Entity paths of the curves, in the order of drawing.
+        references: Plots that have level lines.
+        legend_names: Names of the runs where they need a view of their own, else none.
+        with_phases: How many runs have samples.
+        has_events: Whether a run has events.
+        documents: Titles.
+        plane: What the plane shows.
+        goal: What the close-up of the goal shows, None without one.
+        ranges: Fixed ranges of values, by plot.
+    """
+
+    prefixes: tuple[str, ...]
+    series: tuple[str, ...]
+    references: frozenset[str]
+    legend_names: tuple[str, ...]
+    with_phases: int
+    has_events: bool
+    documents: tuple[str, ...]
+    plane: Bounds
+    goal: Bounds | None
+    ranges: Mapping[str, tuple[float, float]]
+
+    def list_curves(self, plot: str) -> list[str]:
+        """Return the entity paths of a plot's curves: of its own name, and below it."""
+        names = [join_path(prefix, plot) for prefix in self.prefixes]
+        return [
+            path
+            for name in names
+            for path in self.series
+            if path == name or path.startswith(f"{name}/")
+        ]
+
+
+def describe_content(
+    runs: Sequence[Run],
+    prefixes: Sequence[str],
+    series: Sequence[Sequence[Series]],
+    references: Sequence[Reference],
+    documents: Iterable[str],
+    *,
+    names: Sequence[str] = (),
+) -> Content:
+    """Return what a recording of these runs holds, `series` being what is drawn of each."""
+    return Content(
+        prefixes=tuple(prefixes),
+        series=tuple(
+            join_path(prefix, curves.entity)
+            for prefix, listed in zip(prefixes, series, strict=True)
+            for curves in listed
+        ),
+        references=frozenset(reference.plot for reference in references),
+        legend_names=tuple(names) if len(names) > _MOST_IN_PLOT else (),
+        with_phases=sum(len(run.samples) > 0 for run in runs),
+        has_events=any(run.events for run in runs),
+        documents=tuple(documents),
+        plane=find_plane_bounds(runs),
+        goal=find_goal_bounds(runs),
+        ranges={**_find_command_ranges(series, references), **_find_close_up(runs)},
+    )
+
+
+def _find_command_ranges(
+    series: Sequence[Sequence[Series]], references: Sequence[Reference]
+) -> dict[str, tuple[float, float]]:
+    """Return ranges that end a little beyond the limits; wanted commands may lie far beyond."""
+    ranges = {}
+    for reference in references:
+        if reference.plot not in {entities.SPEED, entities.TURN_RATE}:
+            continue
+        kinds = {f"{reference.plot}/{kind}" for kind in (entities.COMMANDED, entities.APPLIED)}
+        values = [curves.values for run in series for curves in run if curves.entity in kinds]
+        least = _LEAST_SIDE * max(reference.levels)
+        low = min((float(column.min()) for column in values), default=0.0)
+        high = max((float(column.max()) for column in values), default=0.0)
+        ranges[reference.plot] = min(low, -least) * _HEADROOM, max(high, least) * _HEADROOM
+    return ranges
+
+
+def _find_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
+    """Return the range of heading errors that remain after rotating: the turn itself hides them."""
+    largest_deg = 0.0
+    for run in runs:
+        errors = read_signal(run, "heading_error")
+        if errors is None:
+            continue
+        ends_ns = [span.end_ns for span in run.find_phase_spans() if span.phase is Phase.ROTATE]
+        if not ends_ns:
+            return {}
+        after = np.abs(errors.values[errors.time_ns >= ends_ns[0]])
+        largest_deg = max(largest_deg, float(np.degrees(after.max(initial=0.0))))
+    half_deg = max(_CLOSE_UP * largest_deg, _SMALLEST_CLOSE_UP_DEG)
+    return {entities.HEADING_ERROR: (-half_deg, half_deg)}

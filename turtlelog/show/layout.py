@@ -1,0 +1,115 @@
+"""Layouts: which views a recording opens with, and where. A view without data is left out."""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Final
+
+import rerun.blueprint as rrb
+
+from turtlelog.show import entities, views
+from turtlelog.show.content import Content
+from turtlelog.show.entities import TIMELINE
+
+Legends = Mapping[str, rrb.Corner2D]
+
+_RUN_LEGENDS: Final[Legends] = MappingProxyType(
+    {
+        entities.HEADING: rrb.Corner2D.RightBottom,
+        entities.TURN_RATE: rrb.Corner2D.RightTop,
+        entities.POSITION: rrb.Corner2D.LeftTop,
+        entities.SPEED: rrb.Corner2D.RightTop,
+    }
+)
+"""Where the curves leave room."""
+
+_TURNING: Final = ((entities.HEADING,), (entities.HEADING_ERROR,), (entities.TURN_RATE,))
+_RUN_MOVING: Final = (
+    (entities.POSITION, entities.DISTANCE),
+    (entities.CROSS_TRACK,),
+    (entities.SPEED,),
+)
+_COMPARED_MOVING: Final = (
+    (entities.ALONG_TRACK, entities.POSITION, entities.DISTANCE),
+    (entities.CROSS_TRACK,),
+    (entities.SPEED,),
+)
+"""Cells from top to bottom; several plots in one cell are tabs."""
+
+_LEFT_SHARES: Final = (3.0, 2.5, 2.0)
+_COLUMN_SHARES: Final = (1.0, 1.8)
+_PHASE_HEAD_SHARE: Final = 0.09
+_PHASE_ROW_SHARE: Final = 0.055
+_LARGEST_PHASE_SHARE: Final = 0.4
+
+
+def build_run_layout(content: Content) -> rrb.Blueprint:
+    """Return the layout of a run alone: plane, heading loop, position loop, phases below."""
+    return _build_blueprint(content, (_TURNING, _RUN_MOVING), _RUN_LEGENDS)
+
+
+def build_comparison_layout(content: Content) -> rrb.Blueprint:
+    """Return the layout of a comparison: the same views with every run in each, one legend."""
+    return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), _choose_legend(content))
+
+
+def _choose_legend(content: Content) -> Legends:
+    """Return the one legend's place: a run keeps its colour in every view."""
+    if content.legend_names:
+        return {}
+    if len(content.list_curves(entities.ALONG_TRACK)) == len(content.prefixes):
+        return {entities.ALONG_TRACK: rrb.Corner2D.RightBottom}
+    return {entities.HEADING: rrb.Corner2D.RightBottom}
+
+
+def _build_blueprint(
+    content: Content, columns: Sequence[Sequence[Sequence[str]]], legends: Legends
+) -> rrb.Blueprint:
+    left = _list_left_views(content)
+    parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
+    stacks = [cells for column in columns if (cells := _list_cells(content, column, legends))]
+    if stacks:
+        parts.append(_add_phases(content, rrb.Horizontal(*(rrb.Vertical(*s) for s in stacks))))
+    return rrb.Blueprint(
+        rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)]),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
+    left: list[rrb.View | rrb.Container] = [views.view_plane(content)]
+    if content.goal is not None:
+        left.append(views.view_goal(content, content.goal))
+    tabs = [views.view_legend(content.legend_names)] if content.legend_names else []
+    tabs += [views.view_document(title) for title in content.documents]
+    if content.has_events:
+        tabs.append(views.view_events(content))
+    if tabs:
+        left.append(rrb.Tabs(*tabs, active_tab=0))
+    return left
+
+
+def _list_cells(
+    content: Content, column: Sequence[Sequence[str]], legends: Legends
+) -> list[rrb.View | rrb.Container]:
+    cells: list[rrb.View | rrb.Container] = []
+    for cell in column:
+        plots = [
+            views.view_plot(content, plot, legends.get(plot))
+            for plot in cell
+            if content.list_curves(plot)
+        ]
+        if plots:
+            cells.append(rrb.Tabs(*plots, active_tab=0) if len(plots) > 1 else plots[0])
+    return cells
+
+
+def _add_phases(content: Content, plots: rrb.Container) -> rrb.Container:
+    if not content.with_phases:
+        return plots
+    share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * content.with_phases
+    share = min(share, _LARGEST_PHASE_SHARE)
+    return rrb.Vertical(plots, views.view_phases(content), row_shares=[1.0 - share, share])

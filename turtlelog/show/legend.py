@@ -1,0 +1,58 @@
+"""The names of many runs in their colours, as a view: plots have no room for them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from turtlelog.show import entities, palette
+from turtlelog.show.entities import join_path
+
+_WIDTH: Final = 12.0  # in heights of a row
+_LETTERS: Final = 48
+_MOST_COLUMNS: Final = 4
+_RADIUS: Final = 5.0  # [points]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LegendGrid:
+    """Where the names stand.
+
+    Attributes:
+        places: One per name, y downward, shape (n, 2).
+        x_range: What the view shows.
+        y_range: What the view shows.
+    """
+
+    places: NDArray[np.float64]
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+
+
+def arrange_names(names: Sequence[str]) -> LegendGrid:
+    """Return a grid with as many columns as the longest name allows."""
+    longest = max(len(name) for name in names)
+    columns = max(1, min(_MOST_COLUMNS, _LETTERS // longest))
+    number = np.arange(len(names))
+    step = _WIDTH / columns
+    places = np.column_stack([(number % columns + 0.5) * step, number // columns])
+    return LegendGrid(
+        places=places, x_range=(0.0, _WIDTH), y_range=(-0.5, float(places[-1, 1]) + 1.0)
+    )
+
+
+def draw_legend(
+    stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[palette.Color]
+) -> None:
+    """Draw every run's name in its colour."""
+    points = rr.Points2D(
+        arrange_names(names).places,
+        radii=rr.Radius.ui_points(_RADIUS),
+        colors=colors,
+        labels=names,
+        show_labels=True,
+    )
+    stream.log(join_path(entities.LEGEND), points, static=True)

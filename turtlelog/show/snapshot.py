@@ -1,0 +1,192 @@
+"""A picture of a recording, and what the viewer says about it, without a display."""
+
+import socket
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rerun.experimental import ViewerClient
+
+from turtlelog.errors import ShowError
+from turtlelog.show.entities import TIMELINE
+from turtlelog.show.files import replace_file
+from turtlelog.show.viewer import ViewerProcess, require_recordings, start_viewer
+
+_START_S: Final = 30.0
+_LOAD_S: Final = 60.0
+_PICTURES: Final = 20
+_PAUSE_S: Final = 0.1
+_NOTICE_S: Final = 3.5
+_ZOOM_STEP: Final = 0.1
+_PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownView:
+    """One view of the layout.
+
+    Attributes:
+        name: Its title.
+        kind: Rerun's class of view, such as `TimeSeries`.
+        is_visible: Whether the layout shows it.
+        problems: Warnings and errors that it reported.
+    """
+
+    name: str
+    kind: str
+    is_visible: bool
+    problems: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewReport:
+    """What the viewer says of a recording.
+
+    Attributes:
+        views: Of the layout.
+        entities: Entity paths that were loaded, properties among them.
+        messages: Warnings and errors that the viewer logged.
+    """
+
+    views: tuple[ShownView, ...]
+    entities: tuple[str, ...]
+    messages: tuple[str, ...]
+
+
+def write_snapshot(
+    rrd_path: str | Path,
+    png_path: str | Path,
+    *,
+    at_s: float | None = None,
+    size: tuple[int, int] = (1600, 900),
+    zoom: float = 1.0,
+) -> ViewReport:
+    """Write a picture of a recording as the viewer shows it, and return what it reports.
+
+    Args:
+        rrd_path: The recording.
+        png_path: The picture; replaced when the new one is complete.
+        at_s: Where to put the time cursor [s]; at the end where None.
+        size: Width and height of the window [pixels].
+        zoom: Scale of letters and lines, in steps of 0.1; at least 1.
+
+    Raises:
+        ShowError: Where the viewer cannot start, or the recording cannot be shown.
+    """
+    require_recordings([rrd_path])
+    port = _find_free_port()
+    width, height = size
+    options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
+    with start_viewer([*options, "--window-size", f"{width}x{height}"]) as viewer:
+        client = _connect(viewer, port)
+        try:
+            _open(client, Path(rrd_path))
+            _arrange(client, at_s, zoom)
+            picture = _take_picture(client)
+            report = _read_report(client)
+        except (RuntimeError, OSError) as err:
+            raise ShowError(f"{rrd_path}: expected a recording to show: {err}") from err
+    with replace_file(png_path) as part_path:
+        part_path.write_bytes(picture)
+    return report
+
+
+def _find_free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _connect(viewer: ViewerProcess, port: int) -> ViewerClient:
+    deadline = time.monotonic() + _START_S
+    while True:
+        try:
+            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            client.get_state()
+        except Exception as err:
+            if not viewer.has_ended and time.monotonic() < deadline:
+                time.sleep(_PAUSE_S)
+                continue
+            raise ShowError(
+                f"viewer: expected a graphics adapter or a software one (on Debian: apt-get install"
+                f" {_PACKAGES}), found: {viewer.read_error()}"
+            ) from err
+        return client
+
+
+def _open(client: ViewerClient, path: Path) -> None:
+    client.open(str(path.resolve()))
+    deadline = time.monotonic() + _LOAD_S
+    while (state := client.get_state()).loading or not state.views:
+        errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
+        if errors:
+            raise ShowError(f"{path}: expected a recording, found: {errors[0].splitlines()[0]}")
+        if time.monotonic() > deadline:
+            raise ShowError(f"{path}: expected a recording that loads in {_LOAD_S:g} s")
+        time.sleep(_PAUSE_S)
+
+
+def _arrange(client: ViewerClient, at_s: float | None, zoom: float) -> None:
+    """Set time and zoom, and hide the bar of menus and of remarks on the graphics driver."""
+    cursor_s = _find_end(client) if at_s is None else at_s
+    if cursor_s is not None:
+        client.set_time(TIMELINE, duration=cursor_s, play_state="paused")
+    client.run_command("ui.toggle_top_panel")
+    for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
+        client.run_command("ui.zoom_in_ui")
+
+
+def _find_end(client: ViewerClient) -> float | None:
+    ends_ns = [
+        timeline.end
+        for recording in client.get_state().recordings
+        for timeline in recording.timelines
+        if timeline.name == TIMELINE and timeline.end is not None
+    ]
+    return max(ends_ns) / 1e9 if ends_ns else None
+
+
+def _take_picture(client: ViewerClient) -> bytes:
+    """Return the first picture that equals the one before it: views settle over some frames."""
+    _outlast_notices(client)
+    before = client.take_screenshot()
+    for _ in range(_PICTURES):
+        time.sleep(_PAUSE_S)
+        picture = client.take_screenshot()
+        if picture == before:
+            break
+        before = picture
+    return before
+
+
+def _outlast_notices(client: ViewerClient) -> None:
+    """Let the viewer paint until the notices that it greets with are gone from the picture."""
+    deadline = time.monotonic() + _NOTICE_S
+    while time.monotonic() < deadline:
+        client.take_screenshot(max_size=16)
+
+
+def _read_report(client: ViewerClient) -> ViewReport:
+    return ViewReport(
+        views=tuple(
+            ShownView(
+                name=view.name,
+                kind=view.view_class,
+                is_visible=view.visible,
+                problems=tuple(
+                    ": ".join(filter(None, (report.severity, report.summary, report.details)))
+                    for report in view.reports
+                ),
+            )
+            for view in client.get_state().views
+        ),
+        entities=tuple(
+            entity.entity_path for entity in client.get_recording_schema(paths_only=True).entities
+        ),
+        messages=tuple(
+            f"{entry.level}: {entry.message}"
+            for entry in client.get_logs()
+            if entry.level in {"WARN", "ERROR"}
+        ),
+    )

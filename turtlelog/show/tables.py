@@ -1,0 +1,128 @@
+"""Tables as text, Markdown, CSV and LaTeX."""
+
+import csv
+import io
+import textwrap
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+from turtlelog.compare import Column, Table, format_cell
+from turtlelog.errors import ShowError
+
+_WIDTH: Final = 96
+
+
+def format_text(table: Table) -> str:
+    """Return a table for a terminal: aligned columns, units in the second line, notes below."""
+    heads = [
+        [column.title for column in table.columns],
+        [f"[{column.unit}]" if column.unit else "" for column in table.columns],
+    ]
+    rows = _format_rows(table)
+    widths = [max(map(len, cells)) for cells in zip(*heads, *rows, strict=True)]
+    numeric = [_is_numeric(table, index) for index in range(len(widths))]
+
+    def join(cells: list[str]) -> str:
+        placed = zip(cells, widths, numeric, strict=True)
+        padded = [
+            f"{cell:>{width}}" if right else f"{cell:<{width}}" for cell, width, right in placed
+        ]
+        return "  ".join(padded).rstrip()
+
+    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
+    lines = [table.title, "", *map(join, filter(any, heads)), rule, *map(join, rows)]
+    notes = ["", *(line for note in table.notes for line in textwrap.wrap(note, _WIDTH))]
+    return "\n".join(lines + (notes if table.notes else [])) + "\n"
+
+
+def format_markdown(table: Table) -> str:
+    """Return a table as GitHub-flavoured Markdown."""
+    titles = [_escape_markdown(_join_title(column)) for column in table.columns]
+    rules = [" ---: " if _is_numeric(table, i) else " --- " for i in range(len(titles))]
+    rows = [[_escape_markdown(cell) for cell in row] for row in _format_rows(table)]
+    lines = [
+        f"**{table.title}**",
+        "",
+        "| " + " | ".join(titles) + " |",
+        "|" + "|".join(rules) + "|",
+        *("| " + " | ".join(row) + " |" for row in rows),
+        *(line for note in table.notes for line in ("", note)),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def format_csv(table: Table) -> str:
+    """Return a table as CSV with full precision, units in the head; empty where no value is."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([_join_title(column) for column in table.columns])
+    writer.writerows([["" if cell is None else cell for cell in row] for row in table.rows])
+    return text.getvalue()
+
+
+def format_latex(table: Table) -> str:
+    """Return a table as LaTeX for the booktabs package."""
+    alignment = "".join("r" if _is_numeric(table, i) else "l" for i in range(len(table.columns)))
+    lines = [
+        r"\begin{table}",
+        rf"  \caption{{{_escape_latex(table.title)}}}",
+        rf"  \begin{{tabular}}{{{alignment}}}",
+        r"    \toprule",
+        "    " + _join_latex([_join_title(column) for column in table.columns]),
+        r"    \midrule",
+        *("    " + _join_latex(row) for row in _format_rows(table)),
+        r"    \bottomrule",
+        r"  \end{tabular}",
+        *(rf"  \par\footnotesize {_escape_latex(note)}" for note in table.notes),
+        r"\end{table}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_FORMATS: Final[Mapping[str, Callable[[Table], str]]] = MappingProxyType(
+    {"txt": format_text, "md": format_markdown, "csv": format_csv, "tex": format_latex}
+)
+
+TABLE_FORMATS: Final = tuple(_FORMATS)
+"""The formats of tables, named as the suffixes of their files."""
+
+
+def format_table(table: Table, kind: str = "txt") -> str:
+    """Return a table as `txt`, `md` (Markdown), `csv` or `tex` (LaTeX).
+
+    Raises:
+        ShowError: Where there is no such format.
+    """
+    if kind not in _FORMATS:
+        raise ShowError(f"format: expected one of {', '.join(_FORMATS)}, found {kind!r}")
+    return _FORMATS[kind](table)
+
+
+def _format_rows(table: Table) -> list[list[str]]:
+    return [
+        [format_cell(cell, column) for cell, column in zip(row, table.columns, strict=True)]
+        for row in table.rows
+    ]
+
+
+def _is_numeric(table: Table, index: int) -> bool:
+    return any(isinstance(row[index], float | int) for row in table.rows)
+
+
+def _join_title(column: Column) -> str:
+    return f"{column.title} [{column.unit}]" if column.unit else column.title
+
+
+def _escape_markdown(text: str) -> str:
+    return text.replace("|", r"\|")
+
+
+def _join_latex(cells: list[str]) -> str:
+    return " & ".join(map(_escape_latex, cells)) + r" \\"
+
+
+def _escape_latex(text: str) -> str:
+    special = {character: f"\\{character}" for character in "&%$#_{}"}
+    special |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    return "".join(special.get(character, character) for character in text)
