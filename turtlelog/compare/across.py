@@ -37,9 +37,9 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
         *_HEAD[:2],
         Column(title="tau", unit="s", digits=2),
         *_HEAD[2:],
-        Column(title="heading error", unit="deg", digits=4),
+        Column(title="heading", unit="deg", digits=4),
         *([Column(title="paper", unit="deg", digits=4)] if beside_paper else []),
-        Column(title="position error", unit="m", digits=6),
+        Column(title="position", unit="m", digits=6),
         *([Column(title="paper", unit="m", digits=6)] if beside_paper else []),
     ]
     rows = []
@@ -54,7 +54,7 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
         tau_s = None if gain is None else compute_time_constant(gain)
         rows.append((*described[:2], tau_s, *described[2:], *errors))
     return Table(
-        title="Table 1: errors 15 s after the first sample (the paper's definition)",
+        title="Table 1: errors 15 s after the first sample",
         columns=tuple(columns),
         rows=tuple(rows),
         notes=(_CLOCK_NOTE,) if beside_paper else (),
@@ -70,7 +70,7 @@ def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
             (*_describe_run(name, run), *(metrics[metric].value for metric, _ in _WHOLE_RUN))
         )
     return Table(
-        title="To the end of each run: settling time ts (2 %) and overshoot (heading), measured",
+        title="To the end of each run: measured settling times ts (2 %), overshoot, errors",
         columns=(*_HEAD, *(column for _, column in _WHOLE_RUN)),
         rows=tuple(rows),
     )
@@ -125,8 +125,8 @@ _WHOLE_RUN: Final = (
     ("rotate.settling_time", Column(title="ts rotate", unit="s", digits=2)),
     ("translate.settling_time", Column(title="ts translate", unit="s", digits=2)),
     ("rotate.overshoot", Column(title="overshoot", unit="%", digits=2)),
-    ("final.heading_error", Column(title="heading error", unit="deg", digits=4)),
-    ("final.position_error", Column(title="position error", unit="m", digits=6)),
+    ("final.heading_error", Column(title="heading", unit="deg", digits=4)),
+    ("final.position_error", Column(title="position", unit="m", digits=6)),
     ("run.duration", Column(title="length", unit="s", digits=2)),
 )
 

@@ -1,0 +1,53 @@
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import turtlelog as tl
+from turtlelog.cli.app import main
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Answer:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
+
+
+Call = Callable[..., Answer]
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Call:
+    """Run a command as a shell would."""
+
+    def run_command(*words: str | Path) -> Answer:
+        with pytest.raises(SystemExit) as stop:
+            main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        code = stop.value.code
+        assert isinstance(code, int)
+        return Answer(code=code, out=out, err=err)
+
+    return run_command
+
+
+@pytest.fixture(scope="session")
+def kp4(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recordings") / "kp4.mcap"
+    tl.write_recording(tl.simulate_run(tl.load_scenario("paper-kp4")), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def kp10(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recordings") / "kp10.mcap"
+    tl.write_recording(tl.simulate_run(tl.load_scenario("paper-kp10")), path)
+    return path

@@ -1,0 +1,151 @@
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+
+SHARED = Path(__file__).parents[2].parent / "shared"
+
+
+def test_info_says_what_a_recording_holds(call: Call, kp4: Path) -> None:
+    answer = call("info", kp4)
+    assert answer.code == 0
+    assert "source    simulation" in answer.out
+    assert "ended     standstill" in answer.out
+    assert "law.kp_linear = 4.0" in answer.out
+
+
+def test_info_answers_in_json(call: Call, kp4: Path, kp10: Path) -> None:
+    first, second = call("info", kp4, kp10, "--json").json
+    assert (first["file"], first["name"]) == (str(kp4), "paper-kp4")
+    assert (first["format_version"], first["source"], first["complete"]) == (1, "simulation", True)
+    assert (first["duration_s"], second["duration_s"]) == (11.264, 12.672)
+    assert first["scenario"]["law"]["kp_linear"] == 4.0
+    assert first["absent"] == []
+    counts = {topic["topic"]: topic["count"] for topic in first["topics"]}
+    assert counts["/turtle1/control"] == counts["/turtle1/cmd_vel"] == 681
+
+
+def test_info_writes_a_limit_of_inf_as_null(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    assert call("run", "textbook", "--set", "limits.speed_m_s=inf", "-o", path).code == 0
+    assert call("info", path, "--json").json[0]["scenario"]["limits"]["speed_m_s"] is None
+
+
+def test_info_lists_other_peoples_recordings(call: Call) -> None:
+    paths = sorted((SHARED / "ros2").glob("*.mcap"))
+    if not paths:
+        pytest.skip(f"no recordings by others at {SHARED}")
+    answers = call("info", *paths, "--json").json
+    assert [answer["source"] for answer in answers] == ["mcap"] * len(paths)
+    assert all(answer["topics"] and answer["scenario"] is None for answer in answers)
+
+
+def test_metrics_puts_runs_side_by_side(call: Call, kp4: Path, kp10: Path) -> None:
+    answer = call("metrics", kp4, kp10)
+    assert answer.code == 0
+    rows = [line.split() for line in answer.out.splitlines()]
+    assert ["metric", "unit", "paper-kp4", "paper-kp10"] in rows
+    assert ["rotate.overshoot", "%", "0.066729", "1.0076"] in rows
+
+
+def test_metrics_answers_in_json_with_null_where_there_is_no_value(
+    call: Call, tmp_path: Path
+) -> None:
+    path = tmp_path / "cut.mcap"
+    call("run", "paper-kp1", "--set", "max_duration_s=2.0", "-o", path)
+    (answer,) = call("metrics", path, "--json").json
+    metrics = {metric["id"]: metric for metric in answer["metrics"]}
+    assert metrics["rotate.settling_time"]["value"] is None
+    assert metrics["rotate.settling_time"]["status"] == "not_reached"
+    assert metrics["run.duration"] == {
+        "id": "run.duration",
+        "value": 1.92,
+        "unit": "s",
+        "status": "ok",
+    }
+
+
+def test_compare_takes_the_first_file_as_reference(call: Call, kp4: Path, kp10: Path) -> None:
+    answer = call("compare", kp4, kp10, "--json").json
+    assert (answer["reference"], answer["alignment"]) == (str(kp4), "first_sample")
+    assert answer["verdict"] is None
+    (run,) = answer["runs"]
+    assert (run["file"], run["overlap_s"]) == (str(kp10), 11.184)
+    assert {signal["signal"] for signal in run["signals"]} == set(tl.SIGNALS)
+    errors = {metric["id"]: metric for metric in run["metrics"]}["final.position_error"]
+    assert errors["value"] > errors["reference"]
+    assert errors["better"] == "lower"
+
+
+def test_compare_takes_another_reference_when_asked(call: Call, kp4: Path, kp10: Path) -> None:
+    answer = call("compare", kp10, "--reference", kp4, "--json").json
+    assert answer["reference"] == str(kp4)
+    assert [run["file"] for run in answer["runs"]] == [str(kp10)]
+
+
+def test_compare_prints_tables_and_writes_a_view(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    answer = call("compare", kp4, kp10, "--rrd", tmp_path / "both.rrd")
+    assert "Table 1: errors 15 s after the first sample" in answer.out
+    assert "Largest differences from paper-kp4" in answer.out
+    assert (tmp_path / "both.rrd").exists()
+
+
+def test_view_saves_one_run_and_several(call: Call, kp4: Path, kp10: Path, tmp_path: Path) -> None:
+    assert call("view", kp4, "--save", tmp_path / "one.rrd").code == 0
+    assert call("view", kp4, kp10, "--save", tmp_path / "two.rrd").code == 0
+    assert (tmp_path / "two.rrd").stat().st_size > (tmp_path / "one.rrd").stat().st_size
+
+
+def test_import_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> None:
+    log, path = SHARED / "paper" / "kp1_210.json", tmp_path / "kp1.mcap"
+    if not log.exists():
+        pytest.skip(f"the paper's logs are not at {SHARED}")
+    answer = call("import", log, "-o", path, "--json").json
+    assert (answer["output"], answer["samples"]) == (str(path), 1265)
+    assert "samples.wanted_speed_m_s" in answer["absent"]
+    (from_log,), (from_recording,) = (call("metrics", file, "--json").json for file in (log, path))
+    assert from_log["metrics"] == from_recording["metrics"]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["info", "missing.mcap"], "missing.mcap: expected an MCAP file, found: No such file"),
+        (["info", "zeros.mcap"], "zeros.mcap: byte 0: expected an MCAP file"),
+        (["info", "empty.mcap"], "empty.mcap: byte 0: expected an MCAP file"),
+        (["metrics", "cut.mcap"], "expected the end of an MCAP file, found none"),
+        (["metrics", "."], ".: expected a turtlelog recording, found: Is a directory"),
+        (["metrics", "wrong.json"], "wrong.json: "),
+        (["metrics"], "FILE requires an argument"),
+        (["compare", "good.mcap"], "expected at least two runs to compare, found 1"),
+        (["compare", "good.mcap", "zeros.mcap"], "zeros.mcap: byte 0"),
+        (["import", "good.mcap"], "good.mcap: "),
+        (["view", "good.mcap", "--at", "3"], "--at: expected together with --snapshot"),
+        (["view", "a.rrd", "good.mcap"], "found a.rrd, which is a view already"),
+        (["view", "good.mcap", "--save", "no/such/a.rrd"], "expected a place that can be written"),
+        (["frobnicate"], 'Unknown command "frobnicate".'),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_line(
+    call: Call,
+    kp4: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    line: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("good.mcap").write_bytes(kp4.read_bytes())
+    Path("cut.mcap").write_bytes(kp4.read_bytes()[:20_000])
+    Path("zeros.mcap").write_bytes(bytes(1000))
+    Path("empty.mcap").touch()
+    Path("wrong.json").write_text("{")
+    answer = call(*words)
+    assert (answer.code, answer.out) == (2, "")
+    assert line in answer.err
+    assert answer.err.count("\n") == 1

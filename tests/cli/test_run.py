@@ -1,0 +1,82 @@
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+
+
+def test_run_prints_metrics_and_writes_nothing_unasked(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = call("run", "paper-kp10")
+    assert (answer.code, answer.err) == (0, "")
+    assert "770 samples. The run ended: standstill." in answer.out
+    assert "final.position_error         m        0.10673" in answer.out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_run_records_what_it_simulates(call: Call, tmp_path: Path) -> None:
+    answer = call("run", "paper-kp4", "-o", tmp_path / "a.mcap", "--rrd", tmp_path / "a.rrd")
+    assert answer.code == 0
+    assert len(tl.read_recording(tmp_path / "a.mcap").samples) == 681
+    assert (tmp_path / "a.rrd").stat().st_size > 10_000
+    assert answer.err == f"wrote {tmp_path / 'a.mcap'}\nwrote {tmp_path / 'a.rrd'}\n"
+
+
+def test_run_answers_in_json(call: Call, tmp_path: Path) -> None:
+    answer = call("run", "textbook", "--kp", "2", "-o", tmp_path / "a.mcap", "--json").json
+    assert answer["name"] == "textbook"
+    assert answer["file"] == str(tmp_path / "a.mcap")
+    assert answer["rrd"] is None
+    assert {metric["id"] for metric in answer["metrics"]} == set(tl.METRICS)
+
+
+def test_options_apply_gains_then_goal_then_single_keys(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    words = ("--kp", "4", "--goal", "3,4.5", "--set", "law.kp_linear=2", "--set", "seed=7")
+    assert call("run", "textbook", *words, "-o", path).code == 0
+    found = tl.read_recording(path).parameters
+    assert (found["law.kp_angular"], found["law.kp_linear"]) == (4.0, 2.0)
+    assert (found["goal.x_m"], found["goal.y_m"], found["seed"]) == (3.0, 4.5, 7)
+
+
+def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(call("scenario", "paper-kp10").out)
+    assert call("run", path).out == call("run", "paper-kp10").out
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["nosuch"], "nosuch: expected a scenario file (.toml) or one of paper-kp1,"),
+        (["missing.toml"], "missing.toml: expected a scenario file, found: No such file"),
+        (["--kp", "-1"], "--kp: law.kp_angular: expected a number > 0, found -1.0"),
+        (["--kp", "nan"], "--kp: law.kp_angular: expected a finite number, found nan"),
+        (["--kp", "fast"], 'Invalid value for --kp: unable to convert "fast" into float.'),
+        (["--goal", "3"], "--goal: expected X,Y in metres, found '3'"),
+        (["--goal", "3,4,5"], "--goal: expected X,Y in metres, found '3,4,5'"),
+        (["--goal", "30,3"], "--goal: goal.x_m: expected a number from 0 to 11.08888912, found 30.0"),
+        (["--goal", "nan,3"], "--goal: goal.x_m: expected a finite number, found nan"),
+        (["--set", "law.kp_linar=4"], "--set: law.kp_linar: expected kp_linear or kp_angular,"),
+        (["--set", "seed"], "--set: expected key=value, found 'seed'"),
+        (["--set", "law.kind=a.py:B"], "law.kind: expected a Python file at a.py, found none"),
+        (["--set", "max_duration_s=0.05"], "paper: expected a pose answered within"),
+        (["--nope"], "Unknown option: --nope."),
+        (["-o"], "requires an argument"),
+        (["-o", "no/such/folder/a.mcap"], "a.mcap: expected a place that can be written"),
+        (["--rrd", "no/such/folder/a.rrd"], "a.rrd: expected a place that can be written"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_a_bad_option_is_one_line(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], line: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = call("run", *words)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.startswith("turtlelog: error: ")
+    assert line in answer.err
+    assert answer.err.count("\n") == 1

@@ -1,0 +1,59 @@
+"""The command line: its commands, and the one boundary that turns known errors into one line."""
+
+import os
+import sys
+from collections.abc import Sequence
+
+from cyclopts import App, CycloptsError
+
+from turtlelog import __version__
+from turtlelog.cli.compare import compare
+from turtlelog.cli.demo import demo
+from turtlelog.cli.import_log import import_
+from turtlelog.cli.info import info
+from turtlelog.cli.metrics import metrics
+from turtlelog.cli.run import run
+from turtlelog.cli.scenario import scenario
+from turtlelog.cli.view import view
+from turtlelog.errors import TurtlelogError
+
+EXIT_FINE = 0
+EXIT_FAILED = 1
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+app = App(
+    name="turtlelog",
+    help=(
+        "What did my loop really do? Simulate the ROS 2 turtlesim robot under feedback, record it"
+        " to MCAP, measure, compare, and show it in Rerun.\n\n"
+        "Begin with: turtlelog demo"
+    ),
+    version=f"turtlelog {__version__}",
+    help_format="plaintext",
+)
+for command in (demo, run, scenario, import_, info, metrics, compare, view):
+    app.command(command)
+app.register_install_completion_command(
+    add_to_startup=False, help="Write the completion script of your shell and say where."
+)
+
+
+def main(tokens: Sequence[str] | None = None) -> None:
+    """Run a command and exit: 0 fine, 1 a comparison failed, 2 bad usage or unreadable input."""
+    try:
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
+    except (TurtlelogError, CycloptsError) as err:
+        if isinstance(err, CycloptsError):
+            err.verbose = False
+        sys.stderr.write(f"turtlelog: error: {' '.join(str(err).split())}\n")
+        code = EXIT_BAD_INPUT
+    except BrokenPipeError:
+        # The reader of our output has gone; nothing is left to tell it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_FINE
+    except KeyboardInterrupt:
+        sys.stderr.write("turtlelog: interrupted\n")
+        code = EXIT_INTERRUPTED
+    sys.exit(code if isinstance(code, int) else EXIT_FINE)

@@ -1,0 +1,58 @@
+"""`turtlelog demo`: the paper's experiment, once through the house."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.output import find_command_name, print_note, print_text
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run
+
+
+def demo(*, output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("demo-out")) -> None:
+    """Run the paper's experiment (Kp = 1, 2, 4, 10, as built) and write everything about it.
+
+    Example: turtlelog demo -o demo-out
+
+    Args:
+        output: The folder to write into: recordings (.mcap), Rerun recordings (.rrd), Table 1.
+    """
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise UsageError(f"{output}: expected a folder to write into: {err.strerror}") from err
+    runs = [_record(name, output) for name in tl.PAPER_RUNS]
+    tl.write_comparison_rrd(runs, output / "comparison.rrd", documents=tl.describe_runs(runs))
+    print_note(f"wrote {output / 'comparison.rrd'}")
+    table1 = tl.tabulate_table1(runs, beside_paper=True)
+    for kind in tl.TABLE_FORMATS:
+        (output / f"table1.{kind}").write_text(tl.format_table(table1, kind), encoding="utf-8")
+    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.TABLE_FORMATS)}}}\n")
+    tables = [tl.format_table(table) for table in (table1, tl.tabulate_whole_runs(runs))]
+    print_text("\n".join([*tables, _tell_next(output)]))
+
+
+def _record(name: str, folder: Path) -> "Run":
+    """Simulate, record, read back, show: what is measured is what the file holds."""
+    stem = name.removeprefix("paper-")
+    recording, rrd = folder / f"{stem}.mcap", folder / f"{stem}.rrd"
+    tl.write_recording(tl.simulate_run(tl.load_scenario(name)), recording)
+    run = tl.read_recording(recording)
+    tl.write_run_rrd(run, rrd, documents=tl.describe_run(run))
+    print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
+    return run
+
+
+def _tell_next(folder: Path) -> str:
+    command = find_command_name()
+    comparison, run, recording = (folder / n for n in ("comparison.rrd", "kp10.rrd", "kp10.mcap"))
+    return (
+        f"See the four runs:   {command} view {comparison}\n"
+        f"See one of them:     {command} view {run}\n"
+        f"Ask a recording:     {command} info {recording}\n"
+        f"Change one thing:    {command} run paper-kp10 --set loop.queue_policy=newest"
+    )

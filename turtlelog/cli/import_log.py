@@ -1,0 +1,51 @@
+"""`turtlelog import`: turn somebody's log into a recording."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import Json, Output
+from turtlelog.cli.output import print_json, print_text
+
+
+def import_(
+    log: Path,
+    /,
+    *,
+    output: Output = None,
+    sort: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
+) -> None:
+    """Import a log of the paper's controller (JSON or CSV) into an MCAP recording.
+
+    Example: turtlelog import kp1_210.json -o kp1.mcap
+
+    Args:
+        log: The log to read.
+        output: Where to write the recording; otherwise beside the log, with the suffix .mcap.
+        sort: Sort rows by time and drop exact duplicates, and count both, instead of refusing them.
+        json: Print one JSON object instead of a line.
+    """
+    path = log.with_suffix(".mcap") if output is None else output
+    run = tl.import_log(log, sort=sort)
+    tl.write_recording(run, path)
+    if json:
+        print_json(
+            {
+                "file": str(log),
+                "output": str(path),
+                "name": run.name,
+                "samples": len(run.samples),
+                "absent": list(run.absent),
+                "notes": dict(run.notes),
+            }
+        )
+        return
+    print_text(f"{path}: {run.name}, {len(run.samples)} samples from {log}")
+    if run.absent:
+        print_text(f"absent in the source: {', '.join(run.absent)}")
+    for name in ("sorted_rows", "dropped_duplicates"):
+        if name in run.notes:
+            print_text(f"{name.replace('_', ' ')}: {run.notes[name]}")

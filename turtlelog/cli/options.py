@@ -1,0 +1,71 @@
+"""Options that several commands share, and what they stand for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run, Scenario
+
+Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
+Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
+Json = Annotated[bool, Parameter(name="--json", negative="")]
+_LOG_SUFFIXES = frozenset({".json", ".csv"})
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenarioOptions:
+    """Changes to a scenario, applied in this order.
+
+    Attributes:
+        kp: Set both gains [1/s].
+        goal: Set the goal position, as in 2,10 [m].
+        assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
+            several times.
+    """
+
+    kp: float | None = None
+    goal: str | None = None
+    assignments: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None
+
+
+def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
+    """Return a preset or file with the options applied."""
+    options = options or ScenarioOptions()
+    scenario = tl.load_scenario(name_or_path)
+    if options.kp is not None:
+        gains = {"law.kp_angular": options.kp, "law.kp_linear": options.kp}
+        scenario = tl.override_scenario(scenario, gains, source="--kp")
+    if options.goal is not None:
+        scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
+    return tl.override_scenario(scenario, tl.parse_assignments(options.assignments or ()))
+
+
+def read_runs(paths: Sequence[Path]) -> "list[Run]":
+    """Return the runs of recordings (.mcap) and of the paper's logs (.json, .csv)."""
+    require_files(paths)
+    return [
+        tl.import_log(path) if path.suffix.lower() in _LOG_SUFFIXES else tl.read_recording(path)
+        for path in paths
+    ]
+
+
+def require_files(paths: Sequence[Path]) -> None:
+    """Refuse a command without files."""
+    if not paths:
+        raise UsageError("FILE: expected at least one recording, found none")
+
+
+def _parse_goal(text: str) -> dict[str, Any]:
+    try:
+        x_m, y_m = map(float, text.split(","))
+    except ValueError as err:
+        raise UsageError(f"--goal: expected X,Y in metres, found {text!r}") from err
+    return {"goal.x_m": x_m, "goal.y_m": y_m}
