@@ -1,0 +1,53 @@
+# Needs make and Python >= 3.11 with its venv module; everything else is installed below .venv.
+PYTHON ?= python3
+OUT ?= demo-out
+
+BIN := .venv/bin
+export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: demo test check recordings pictures bench clean
+
+demo: .venv/installed
+	$(BIN)/python -m turtlelog demo -o $(OUT)
+
+test: .venv/installed-dev
+	$(BIN)/python -m pytest
+
+check: .venv/installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# The paper's four runs, as they stand in the repository.
+recordings: .venv/installed
+	for kp in 1 2 4 10; do \
+		$(BIN)/python -m turtlelog run paper-kp$$kp -o recordings/paper/kp$$kp.mcap > /dev/null || exit 1; \
+	done
+
+# The pictures of the README, drawn by the headless viewer.
+pictures: .venv/installed
+	$(BIN)/python -m turtlelog view recordings/paper/kp1.mcap recordings/paper/kp2.mcap \
+		recordings/paper/kp4.mcap recordings/paper/kp10.mcap \
+		--snapshot docs/images/comparison.png --at 6 --size 1200x860
+	$(BIN)/python -m turtlelog view recordings/paper/kp10.mcap \
+		--snapshot docs/images/run.png --at 6 --size 1200x860
+
+bench: .venv/installed-dev
+	for file in benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done
+
+clean:
+	rm -rf .venv demo-out dist
+
+.venv/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "turtlelog needs Python >= 3.11")'
+	$(PYTHON) -m venv .venv
+
+.venv/installed: .venv/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+.venv/installed-dev: .venv/installed
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	@touch $@

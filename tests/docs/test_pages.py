@@ -1,0 +1,106 @@
+"""What the pages say is run: Python blocks, console blocks, links and tables."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SCRIPTS = [ROOT / "examples" / "first_run.py"]
+
+
+def find_blocks(language: str) -> list[object]:
+    return [
+        pytest.param(match[1], id=f"{page.stem}-{number}")
+        for page in PAGES
+        for number, match in enumerate(
+            re.finditer(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+        )
+    ]
+
+
+def find_consoles() -> list[object]:
+    blocks = {
+        page: re.findall(r"^```console\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+        for page in PAGES
+    }
+    return [pytest.param("".join(found), id=page.stem) for page, found in blocks.items() if found]
+
+
+def run_python(*words: str, folder: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUTF8": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    return done.stdout if done.returncode == 0 else done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("code", find_blocks("python"))
+def test_python_blocks_run_as_they_stand(code: str, tmp_path: Path) -> None:
+    printed = run_python("-W", "error", "-c", code, folder=tmp_path)
+    promised = re.findall(r"print\(.*\)  # (.*)$", code, re.M)
+    assert [line.partition(":")[0] for line in promised] == printed.splitlines()
+
+
+@pytest.mark.parametrize("block", find_consoles())
+def test_console_blocks_print_what_they_show(block: str, tmp_path: Path) -> None:
+    for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
+        printed = run_python("-m", "turtlelog", *shlex.split(command), folder=tmp_path)
+        pattern = "".join(
+            r"(?:.*\n)*?" if line == "..." else re.escape(line) + "\n"
+            for line in shown.splitlines()
+        ).replace(re.escape("..."), ".*")
+        assert re.fullmatch(pattern, printed), printed
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page: Path) -> None:
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text("utf-8"))
+    assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_example_scripts_run(script: Path, tmp_path: Path) -> None:
+    printed = run_python("-W", "error", str(script), folder=tmp_path)
+    assert "without queue and pause: final.position_error = 0.0051 m" in printed
+
+
+def test_the_example_law_reaches_the_goal(tmp_path: Path) -> None:
+    kind = f"{ROOT / 'examples' / 'turn_and_drive.py'}:TurnAndDrive"
+    scenario = tl.override_scenario(tl.load_scenario("textbook"), {"law.kind": kind})
+    assert tl.simulate_run(scenario).stop_reason == "within_tolerance"
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "examples" / "scenarios").glob("*.toml")), ids=lambda path: path.stem
+)
+def test_example_scenarios_come_to_an_end(path: Path) -> None:
+    assert tl.simulate_run(tl.load_scenario(path)).is_complete
+
+
+def test_the_scenario_on_its_page_is_the_preset() -> None:
+    text = (ROOT / "docs" / "scenarios.md").read_text("utf-8")
+    match = re.search(r"^```toml\n(.*?)^```$", text, re.M | re.S)
+    assert match is not None
+    path = ROOT / "docs" / "scenarios.md"
+    assert tl.parse_scenario(match[1], source=str(path)) == tl.load_scenario("paper-kp10")
+
+
+@pytest.mark.parametrize("name", [*tl.SIGNALS, *tl.METRICS])
+def test_every_signal_and_metric_stands_on_its_page(name: str) -> None:
+    page = (ROOT / "docs" / "metrics.md").read_text("utf-8")
+    kind = tl.SIGNALS[name] if name in tl.SIGNALS else tl.METRICS[name]
+    assert re.search(rf"^\| `{re.escape(name)}` \| {re.escape(kind.unit)} \|", page, re.M)
+    assert kind.meaning in page
