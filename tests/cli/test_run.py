@@ -58,7 +58,10 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
         (["--kp", "fast"], 'Invalid value for --kp: unable to convert "fast" into float.'),
         (["--goal", "3"], "--goal: expected X,Y in metres, found '3'"),
         (["--goal", "3,4,5"], "--goal: expected X,Y in metres, found '3,4,5'"),
-        (["--goal", "30,3"], "--goal: goal.x_m: expected a number from 0 to 11.08888912, found 30.0"),
+        (
+            ["--goal", "30,3"],
+            "--goal: goal.x_m: expected a number from 0 to 11.08888912, found 30.0",
+        ),
         (["--goal", "nan,3"], "--goal: goal.x_m: expected a finite number, found nan"),
         (["--set", "law.kp_linar=4"], "--set: law.kp_linar: expected kp_linear or kp_angular,"),
         (["--set", "seed"], "--set: expected key=value, found 'seed'"),
