@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 import sys
 from collections.abc import Mapping
@@ -38,6 +39,8 @@ def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
 
 def find_command_name() -> str:
     """Return how a user calls turtlelog again from here."""
+    if "UV_RUN_RECURSION_DEPTH" in os.environ:
+        return "uv run turtlelog"
     if shutil.which("turtlelog"):
         return "turtlelog"
     python = Path(sys.executable)
