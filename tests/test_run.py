@@ -1,6 +1,7 @@
+import pickle
 import re
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError, fields, replace
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,8 @@ import pytest
 
 from turtlelog.errors import RunError
 from turtlelog.run import CommandColumns, Phase, PhaseSpan, PoseColumns, Run, SampleColumns
+from turtlelog.scenario import get_preset
+from turtlelog.simulate import simulate_run
 
 Columns = PoseColumns | CommandColumns | SampleColumns
 
@@ -289,3 +292,32 @@ def test_last_span_ends_with_the_run() -> None:
 
 def test_run_without_samples_has_no_spans() -> None:
     assert make_run(samples=make_samples(rows=0)).find_phase_spans() == ()
+
+
+def test_a_run_comes_back_from_a_pickle_frozen() -> None:
+    run = simulate_run(get_preset("paper-kp4"))
+    same = pickle.loads(pickle.dumps(run))
+    assert np.array_equal(same.poses.xy_m, run.poses.xy_m)
+    assert same.parameters == run.parameters
+    with pytest.raises(ValueError, match="read-only"):
+        same.poses.xy_m[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("name", ["", "two\nlines", "\x1b[31m"])
+def test_a_name_that_cannot_be_printed_is_refused(name: str) -> None:
+    with pytest.raises(RunError, match=r"\Aname: expected printable text, found '.*'\Z"):
+        replace(simulate_run(get_preset("textbook")), name=name)
+
+
+def test_a_heading_in_degrees_is_refused() -> None:
+    poses = simulate_run(get_preset("textbook")).poses
+    with pytest.raises(RunError, match=r"pose\.heading_rad\[0\]: expected -pi to pi, found 90"):
+        replace(poses, heading_rad=np.full(len(poses), 90.0))
+
+
+def test_times_at_both_ends_of_64_bits_are_told_apart() -> None:
+    commands = simulate_run(get_preset("textbook")).commands
+    time_ns = np.full(len(commands), 2**63 - 1)
+    time_ns[1:] = -(2**63)
+    with pytest.raises(RunError, match=r"command\.time_ns: expected not decreasing"):
+        replace(commands, time_ns=time_ns)

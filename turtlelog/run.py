@@ -4,13 +4,21 @@ import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import RunError
 
-Parameter = bool | int | float | str
+Parameter = bool | int | float | str | list[Any]
+
+_PAIRS = frozenset({"xy_m", "error_xy_m", "world_velocity_m_s"})
+_LARGEST_HEADING_RAD = np.pi + 1e-6
+
+
+_Rebuilding = tuple[Any, tuple[type, dict[str, Any]]]
+"""How a value is pickled: built again from its fields, so that it is checked and frozen again."""
 
 
 class Phase(enum.IntEnum):
@@ -55,9 +63,17 @@ class PoseColumns:
         _freeze(self, "pose")
         _require_finite(self, "pose")
         _require_rising(self.time_ns, "pose.time_ns", strictly=True)
+        outside = np.abs(self.heading_rad) > _LARGEST_HEADING_RAD
+        if outside.any():
+            row = int(outside.argmax())
+            found = self.heading_rad[row]
+            raise RunError(f"pose.heading_rad[{row}]: expected -pi to pi, found {found}")
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def __reduce__(self) -> _Rebuilding:
+        return _rebuild, (type(self), _list_fields(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,6 +99,9 @@ class CommandColumns:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def __reduce__(self) -> _Rebuilding:
+        return _rebuild, (type(self), _list_fields(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,6 +153,9 @@ class SampleColumns:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def __reduce__(self) -> _Rebuilding:
+        return _rebuild, (type(self), _list_fields(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,6 +217,8 @@ class Run:
     notes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not self.name or not self.name.isprintable():
+            raise RunError(f"name: expected printable text, found {self.name!r}")
         if not len(self.poses):
             raise RunError("poses: expected at least one row, found none")
         read = self.samples.pose_sequence
@@ -207,6 +231,9 @@ class Run:
             )
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
         object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
+
+    def __reduce__(self) -> _Rebuilding:
+        return _rebuild, (type(self), _list_fields(self))
 
     @property
     def start_ns(self) -> int:
@@ -244,13 +271,25 @@ class Run:
         return tuple(spans)
 
 
+def _list_fields(value: Any) -> dict[str, Any]:
+    values = {found.name: getattr(value, found.name) for found in fields(value)}
+    return {
+        name: dict(inner) if isinstance(inner, MappingProxyType) else inner
+        for name, inner in values.items()
+    }
+
+
+def _rebuild(kind: type, values: dict[str, Any]) -> Any:
+    return kind(**values)
+
+
 def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
     rows = len(columns.time_ns)
     for column in fields(columns):
         values = getattr(columns, column.name)
         if values is None:
             continue
-        shape = (rows, 2) if "xy" in column.name or "world" in column.name else (rows,)
+        shape = (rows, 2) if column.name in _PAIRS else (rows,)
         if values.shape != shape:
             raise RunError(f"{table}.{column.name}: expected shape {shape}, found {values.shape}")
         values.flags.writeable = False
@@ -270,8 +309,8 @@ def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table
 
 
 def _require_rising(values: NDArray[np.int64], name: str, *, strictly: bool) -> None:
-    steps = np.diff(values)
-    wrong = steps <= 0 if strictly else steps < 0
+    before, after = values[:-1], values[1:]
+    wrong = after <= before if strictly else after < before
     if wrong.any():
         row = int(wrong.argmax()) + 1
         order = "strictly increasing" if strictly else "not decreasing"

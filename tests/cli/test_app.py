@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -71,3 +72,44 @@ def test_the_demo_refuses_a_file_for_its_folder(call: Call, tmp_path: Path) -> N
     answer = call("demo", "-o", tmp_path / "out")
     assert answer.code == 2
     assert "expected a folder to write into: File exists" in answer.err
+
+
+def test_a_full_standard_output_is_one_line() -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    command = [sys.executable, "-m", "turtlelog", "scenario", "paper"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "standard output: expected room to write" in done.stderr
+
+
+def test_names_beyond_ascii_are_printed_on_an_ascii_terminal(tmp_path: Path) -> None:
+    path = tmp_path / "läufer.mcap"
+    tl.write_recording(tl.simulate_run(tl.load_scenario("textbook")), path)
+    done = subprocess.run(
+        [sys.executable, "-m", "turtlelog", "info", str(path)],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        timeout=60,
+        check=True,
+    )
+    assert b"l\\xe4ufer.mcap" in done.stdout
+
+
+def test_a_name_inside_a_recording_leads_nowhere(call: Call, tmp_path: Path) -> None:
+    scenario = tl.override_scenario(tl.load_scenario("textbook"), {"name": "../../escaped"})
+    tl.write_recording(tl.simulate_run(scenario), tmp_path / "a.mcap")
+    answer = call("view", tmp_path / "a.mcap", "--save", tmp_path / "a.rrd")
+    assert answer.code == 0
+    assert [path.name for path in tmp_path.iterdir() if path.name != "a.mcap"] == ["a.rrd"]
+
+
+def test_a_gain_goes_to_the_law_that_is_chosen(call: Call, tmp_path: Path) -> None:
+    law = Path(__file__).parents[2] / "examples" / "turn_and_drive.py"
+    words = ("--set", f"law.kind={law}:TurnAndDrive", "--kp", "2")
+    answer = call("scenario", "textbook", *words)
+    assert "kp_angular = 2.0" in answer.out

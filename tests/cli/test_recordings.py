@@ -64,6 +64,7 @@ def test_metrics_answers_in_json_with_null_where_there_is_no_value(
         "value": 1.92,
         "unit": "s",
         "status": "ok",
+        "reason": None,
     }
 
 
@@ -124,8 +125,16 @@ def test_import_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> 
         (["compare", "good.mcap"], "expected at least two runs to compare, found 1"),
         (["compare", "good.mcap", "zeros.mcap"], "zeros.mcap: byte 0"),
         (["import", "good.mcap"], "good.mcap: "),
-        (["view", "good.mcap", "--at", "3"], "--at: expected together with --snapshot"),
+        (
+            ["view", "good.mcap", "--at", "3"],
+            "--at: expected seconds together with --snapshot, found 3.0",
+        ),
         (["view", "a.rrd", "good.mcap"], "found a.rrd, which is a view already"),
+        (["view", "good.mcap", "--snapshot", "a.png", "--at", "nan"], "--at: expected seconds"),
+        (["view", "good.mcap", "--save", "good.mcap"], "expected a name that ends in .rrd"),
+        (["compare", "good.mcap", "good.mcap", "--rrd", "x.png"], "ends in .rrd, found another"),
+        (["import", "wrong.json", "-o", "wrong.json"], "ends in .mcap, found another"),
+        (["import", "json.mcap"], "json.mcap: expected another file to write to, found the input"),
         (["view", "good.mcap", "--save", "no/such/a.rrd"], "expected a place that can be written"),
         (["frobnicate"], 'Unknown command "frobnicate".'),
     ],
@@ -145,6 +154,7 @@ def test_bad_input_is_one_line(
     Path("zeros.mcap").write_bytes(bytes(1000))
     Path("empty.mcap").touch()
     Path("wrong.json").write_text("{")
+    Path("json.mcap").write_text("{")
     answer = call(*words)
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err

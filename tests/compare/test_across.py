@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 
 import turtlelog as tl
@@ -48,9 +50,22 @@ def test_runs_of_one_name_are_told_apart() -> None:
     )
 
 
+def test_a_numbered_name_that_is_taken_is_not_given_twice() -> None:
+    runs = [dataclasses.replace(RUNS[0], name=name) for name in ("a", "a (1)", "a")]
+    assert tl.name_runs(runs) == ("a (2)", "a (1)", "a (3)")
+
+
+def test_the_table_of_metrics_gives_every_reason_once() -> None:
+    scenario = tl.override_scenario(tl.load_scenario("paper-kp1"), {"max_duration_s": 2.0})
+    notes = tl.tabulate_metrics([tl.simulate_run(scenario)] * 2).notes
+    assert "no_phase: the run has no phase translate." in notes
+    assert len(set(notes)) == len(notes)
+
+
 def test_the_table_of_differences_names_the_reference_and_every_run() -> None:
     comparisons = [tl.compare_runs(RUNS[0], run) for run in RUNS[1:]]
-    table = tl.tabulate_differences(comparisons, reference="paper-kp10")
+    names = [run.name for run in RUNS[1:]]
+    table = tl.tabulate_differences(comparisons, names=names, reference="paper-kp10")
     assert "from paper-kp10" in table.title
-    assert [column.title for column in table.columns[2::2]] == [run.name for run in RUNS[1:]]
+    assert [column.title for column in table.columns[2::2]] == names
     assert {row[0] for row in table.rows} == set(tl.SIGNALS)

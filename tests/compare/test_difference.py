@@ -58,3 +58,21 @@ def test_runs_without_overlap_are_refused() -> None:
     scenario = tl.override_scenario(tl.load_scenario("textbook"), {"max_duration_s": 0.001})
     with pytest.raises(CompareError, match=r"paper-kp4 and textbook: expected runs that overlap"):
         tl.compare_runs(KP4, tl.simulate_run(scenario))
+
+
+def test_headings_across_the_seam_differ_by_the_short_way() -> None:
+    starts = (3.1415, -3.1415)
+    base = tl.load_scenario("textbook")
+    one, other = (
+        tl.simulate_run(tl.override_scenario(base, {"start.heading_rad": start}))
+        for start in starts
+    )
+    largest = {found.signal: found.largest for found in tl.compare_runs(one, other).signals}
+    assert largest["heading"] < 0.02
+    assert largest["heading_error"] < 0.02
+
+
+def test_phases_differ_or_they_do_not() -> None:
+    comparison = tl.compare_runs(KP4, tl.simulate_run(tl.load_scenario("paper-kp1")))
+    found = next(found for found in comparison.signals if found.signal == "phase")
+    assert found.largest == 1.0

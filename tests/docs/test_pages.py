@@ -44,6 +44,7 @@ def run_python(*words: str, folder: Path) -> str:
         timeout=120,
         check=False,
     )
+    assert "Traceback" not in done.stderr
     return done.stdout if done.returncode == 0 else done.stdout + done.stderr
 
 
@@ -57,12 +58,14 @@ def test_python_blocks_run_as_they_stand(code: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("block", find_consoles())
 def test_console_blocks_print_what_they_show(block: str, tmp_path: Path) -> None:
     for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
+        assert shown.strip() != "...", f"{command}: expected some of its output, found none"
         printed = run_python("-m", "turtlelog", *shlex.split(command), folder=tmp_path)
         pattern = "".join(
             r"(?:.*\n)*?" if line == "..." else re.escape(line) + "\n"
             for line in shown.splitlines()
         ).replace(re.escape("..."), ".*")
         assert re.fullmatch(pattern, printed), printed
+        assert ("turtlelog: error: " in shown) == ("turtlelog: error: " in printed)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

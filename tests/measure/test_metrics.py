@@ -1,3 +1,4 @@
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +118,22 @@ def test_a_phase_that_never_came_has_no_metrics() -> None:
 def test_a_rotation_cut_outside_the_band_does_not_settle() -> None:
     metric = measure("paper-kp1", max_duration_s=2.0)["rotate.settling_time"]
     assert (metric.value, metric.status) == (None, tl.Status.NOT_REACHED)
+
+
+def test_a_phase_that_was_cut_has_no_length_and_no_final_error() -> None:
+    metrics = measure("paper-kp1", max_duration_s=2.0)
+    names = ("rotate.duration", "rotate.overshoot", "rotate.final_error")
+    assert {metrics[name].status for name in names} == {tl.Status.TOO_SHORT}
+    assert metrics["rotate.duration"].reason == "the run was cut in this phase"
+
+
+def test_a_return_to_a_phase_does_not_lengthen_it() -> None:
+    run = tl.simulate_run(tl.load_scenario("paper-kp4"))
+    phase = run.samples.phase.copy()
+    phase[-50:] = tl.Phase.ROTATE
+    again = dataclasses.replace(run, samples=dataclasses.replace(run.samples, phase=phase))
+    before, after = (tl.measure_run(found)["rotate.duration"].value for found in (run, again))
+    assert before == after
 
 
 def test_a_start_at_the_bearing_has_no_step() -> None:

@@ -1,3 +1,4 @@
+import dataclasses
 import math
 import re
 from typing import Any
@@ -12,7 +13,9 @@ from turtlelog.scenario import (
     get_preset,
     override_scenario,
     parse_assignments,
+    restore_scenario,
 )
+from turtlelog.simulate import simulate_run
 
 
 def set_values(*assignments: str, preset: str = "paper-kp10") -> Scenario:
@@ -43,7 +46,7 @@ def test_assignment_is_a_key_and_a_value(assignment: str, values: dict[str, Any]
 
 @pytest.mark.parametrize("assignment", ["seed", "=3", "  =1", "seed=", "seed= ", "", "="])
 def test_assignment_without_key_or_value_is_refused(assignment: str) -> None:
-    line = f"--set: expected key=value, found {assignment!r}"
+    line = f"changes: expected key=value, found {assignment!r}"
     with pytest.raises(ScenarioError, match=match_whole(line)):
         parse_assignments([assignment])
 
@@ -110,14 +113,14 @@ def test_another_kind_drops_the_parameters_of_the_law() -> None:
     ],
 )
 def test_wrong_assignment_is_named(assignment: str, line: str) -> None:
-    with pytest.raises(ScenarioError, match=match_whole(f"--set: {line}")):
+    with pytest.raises(ScenarioError, match=match_whole(f"changes: {line}")):
         set_values(assignment)
 
 
 @pytest.mark.parametrize("assignment", ["law.=4", ".x_m=1", "law..kp_linear=4"])
 def test_key_with_an_empty_part_is_refused(assignment: str) -> None:
     with pytest.raises(
-        ScenarioError, match=match_whole(f"--set: expected key=value, found '{assignment}'")
+        ScenarioError, match=match_whole(f"changes: expected key=value, found '{assignment}'")
     ):
         set_values(assignment)
 
@@ -125,3 +128,14 @@ def test_key_with_an_empty_part_is_refused(assignment: str) -> None:
 def test_errors_name_the_source_they_are_given() -> None:
     with pytest.raises(ScenarioError, match=r"\Asweep\.toml: seed: expected a whole number >= 0"):
         override_scenario(get_preset("paper"), {"seed": -1}, source="sweep.toml")
+
+
+def test_a_run_gives_its_scenario_back() -> None:
+    scenario = override_scenario(get_preset("paper-kp4"), {"limits.speed_m_s": math.inf})
+    assert restore_scenario(simulate_run(scenario)) == scenario
+
+
+def test_a_run_without_its_whole_scenario_gives_none() -> None:
+    run = dataclasses.replace(simulate_run(get_preset("textbook")), scenario_is_complete=False)
+    with pytest.raises(ScenarioError, match="textbook: expected a run with its whole scenario"):
+        restore_scenario(run)

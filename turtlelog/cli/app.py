@@ -1,8 +1,11 @@
 """The command line: its commands, and the one boundary that turns known errors into one line."""
 
+import io
 import os
 import sys
+import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 
 from cyclopts import App, CycloptsError
 
@@ -20,6 +23,7 @@ from turtlelog.errors import TurtlelogError
 EXIT_FINE = 0
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
+EXIT_DEFECT = 70
 EXIT_INTERRUPTED = 130
 
 app = App(
@@ -41,19 +45,45 @@ app.register_install_completion_command(
 
 def main(tokens: Sequence[str] | None = None) -> None:
     """Run a command and exit: 0 fine, 1 a comparison failed, 2 bad usage or unreadable input."""
+    _prepare_streams()
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
     except (TurtlelogError, CycloptsError) as err:
         if isinstance(err, CycloptsError):
             err.verbose = False
-        sys.stderr.write(f"turtlelog: error: {' '.join(str(err).split())}\n")
-        code = EXIT_BAD_INPUT
+        code = _fail(str(err), EXIT_BAD_INPUT)
     except BrokenPipeError:
         # The reader of our output has gone; nothing is left to tell it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
         code = EXIT_FINE
     except KeyboardInterrupt:
-        sys.stderr.write("turtlelog: interrupted\n")
-        code = EXIT_INTERRUPTED
+        code = _fail("interrupted", EXIT_INTERRUPTED)
+    except OSError as err:
+        _drop_stdout()
+        code = _fail(f"standard output: expected room to write, found: {err}", EXIT_BAD_INPUT)
+    except Exception:
+        traceback.print_exc()
+        code = _fail("this is a defect of turtlelog; please report it", EXIT_DEFECT)
     sys.exit(code if isinstance(code, int) else EXIT_FINE)
+
+
+def _prepare_streams() -> None:
+    """Make both streams take any text, also where they are closed or know ASCII only."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _drop_stdout() -> None:
+    """Let the interpreter flush into nothing at its end."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fail(text: str, code: int) -> int:
+    sys.stderr.write(f"turtlelog: error: {' '.join(text.split())}\n")
+    return code

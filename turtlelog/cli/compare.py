@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.output import print_json, print_note, print_text, require_new_target
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,10 +36,11 @@ def compare(
     paths = [*([] if reference is None else [reference]), *files]
     if len(paths) < 2:
         raise UsageError(f"FILE: expected at least two runs to compare, found {len(paths)}")
+    require_new_target(rrd, paths, suffix=".rrd")
     runs = read_runs(paths)
     comparisons = [tl.compare_runs(runs[0], run) for run in runs[1:]]
     if rrd is not None:
-        tl.write_comparison_rrd(runs, rrd, documents=tl.describe_runs(runs))
+        tl.write_comparison_rrd(runs, rrd)
         print_note(f"wrote {rrd}")
     if json:
         print_json(_describe(paths, comparisons))
@@ -48,10 +49,11 @@ def compare(
 
 
 def _format(runs: "Sequence[Run]", comparisons: "Sequence[Comparison]") -> str:
+    reference, *names = tl.name_runs(runs)
     tables = [
         tl.tabulate_table1(runs),
         tl.tabulate_whole_runs(runs),
-        tl.tabulate_differences(comparisons, reference=tl.name_runs(runs)[0]),
+        tl.tabulate_differences(comparisons, names=names, reference=reference),
     ]
     return "\n".join(map(tl.format_table, tables))
 
@@ -78,7 +80,13 @@ def _describe_signals(comparison: "Comparison") -> list[dict[str, Any]]:
     # No tolerances are asked for, so nothing is judged.
     unjudged = {"within": None, "tolerance": None, "first_outside_s": None}
     return [
-        {"signal": found.signal, "largest": found.largest, "at_s": found.at_s, **unjudged}
+        {
+            "signal": found.signal,
+            "unit": found.unit,
+            "largest": found.largest,
+            "at_s": found.at_s,
+            **unjudged,
+        }
         for found in comparison.signals
     ]
 
@@ -88,6 +96,8 @@ def _describe_metrics(comparison: "Comparison") -> list[dict[str, Any]]:
         {
             "id": found.metric.id,
             "value": found.metric.value,
+            "unit": found.metric.unit,
+            "status": found.metric.status.value,
             "reference": found.reference.value,
             "better": tl.METRICS[found.metric.id].better,
         }

@@ -26,11 +26,14 @@ def demo(*, output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("
     except OSError as err:
         raise UsageError(f"{output}: expected a folder to write into: {err.strerror}") from err
     runs = [_record(name, output) for name in tl.PAPER_RUNS]
-    tl.write_comparison_rrd(runs, output / "comparison.rrd", documents=tl.describe_runs(runs))
+    tl.write_comparison_rrd(runs, output / "comparison.rrd")
     print_note(f"wrote {output / 'comparison.rrd'}")
+    from turtlelog.log import replace_when_complete
+
     table1 = tl.tabulate_table1(runs, beside_paper=True)
     for kind in tl.TABLE_FORMATS:
-        (output / f"table1.{kind}").write_text(tl.format_table(table1, kind), encoding="utf-8")
+        with replace_when_complete(output / f"table1.{kind}") as path:
+            path.write_text(tl.format_table(table1, kind), encoding="utf-8")
     print_note(f"wrote {output / 'table1'}.{{{','.join(tl.TABLE_FORMATS)}}}\n")
     tables = [tl.format_table(table) for table in (table1, tl.tabulate_whole_runs(runs))]
     print_text("\n".join([*tables, _tell_next(output)]))
@@ -42,7 +45,7 @@ def _record(name: str, folder: Path) -> "Run":
     recording, rrd = folder / f"{stem}.mcap", folder / f"{stem}.rrd"
     tl.write_recording(tl.simulate_run(tl.load_scenario(name)), recording)
     run = tl.read_recording(recording)
-    tl.write_run_rrd(run, rrd, documents=tl.describe_run(run))
+    tl.write_run_rrd(run, rrd)
     print_note(f"wrote {recording} and {rrd}: {len(run.samples)} samples")
     return run
 

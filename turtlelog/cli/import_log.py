@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, Output
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import print_json, print_text, require_new_target
 
 
 def import_(
@@ -29,6 +29,7 @@ def import_(
         json: Print one JSON object instead of a line.
     """
     path = log.with_suffix(".mcap") if output is None else output
+    require_new_target(path, [log], suffix=".mcap")
     run = tl.import_log(log, sort=sort)
     tl.write_recording(run, path)
     if json:

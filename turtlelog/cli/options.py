@@ -40,12 +40,17 @@ def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) ->
     """Return a preset or file with the options applied."""
     options = options or ScenarioOptions()
     scenario = tl.load_scenario(name_or_path)
+    changes = tl.parse_assignments(options.assignments or (), source="--set")
+    if "law.kind" in changes:
+        # Another law has other keys: it is chosen before any of them is set.
+        kind = {"law.kind": changes.pop("law.kind")}
+        scenario = tl.override_scenario(scenario, kind, source="--set")
     if options.kp is not None:
         gains = {"law.kp_angular": options.kp, "law.kp_linear": options.kp}
         scenario = tl.override_scenario(scenario, gains, source="--kp")
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
-    return tl.override_scenario(scenario, tl.parse_assignments(options.assignments or ()))
+    return tl.override_scenario(scenario, changes, source="--set")
 
 
 def read_runs(paths: Sequence[Path]) -> "list[Run]":

@@ -5,9 +5,11 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Metric
@@ -32,9 +34,26 @@ def print_json(value: Any) -> None:
 def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
     """Return metrics as the `metrics` list of JSON answers."""
     return [
-        {"id": metric.id, "value": metric.value, "unit": metric.unit, "status": metric.status.value}
+        {
+            "id": metric.id,
+            "value": metric.value,
+            "unit": metric.unit,
+            "status": metric.status.value,
+            "reason": metric.reason or None,
+        }
         for metric in metrics.values()
     ]
+
+
+def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
+    """Refuse an output that is one of the inputs, or whose name says that it is something else."""
+    if target is None:
+        return
+    if target.suffix.lower() != suffix:
+        raise UsageError(f"{target}: expected a name that ends in {suffix}, found another")
+    for path in inputs:
+        if target.exists() and path.exists() and target.samefile(path):
+            raise UsageError(f"{target}: expected another file to write to, found the input itself")
 
 
 def find_command_name() -> str:

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, read_runs, require_files
-from turtlelog.cli.output import print_note
+from turtlelog.cli.output import print_note, require_new_target
 from turtlelog.errors import UsageError
+
+_LONGEST_S = 1e9
 
 
 def view(
@@ -31,11 +33,13 @@ def view(
         size: Width and height of the picture [pixels].
     """
     require_files(files)
-    if at is not None and snapshot is None:
-        raise UsageError("--at: expected together with --snapshot, found alone")
+    if at is not None and (snapshot is None or not abs(at) < _LONGEST_S):
+        raise UsageError(f"--at: expected seconds together with --snapshot, found {at}")
+    require_new_target(save, files, suffix=".rrd")
+    require_new_target(snapshot, files, suffix=".png")
     width_and_height = _parse_size(size)
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        rrds = _prepare_rrds(files, save, Path(folder))
+        rrds = _prepare_rrds(files, save, snapshot, Path(folder))
         if save is not None:
             print_note(f"wrote {save}")
         if snapshot is not None:
@@ -52,16 +56,20 @@ def _parse_size(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _prepare_rrds(files: list[Path], save: Path | None, folder: Path) -> list[Path]:
+def _prepare_rrds(
+    files: list[Path], save: Path | None, snapshot: Path | None, folder: Path
+) -> list[Path]:
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
         raise UsageError(f"FILE: expected recordings, found {ready[0]}, which is a view already")
+    if len(ready) > 1 and snapshot is not None:
+        raise UsageError(f"--snapshot: expected one view, found {len(ready)}")
     if ready:
         return ready
     runs = read_runs(files)
-    rrd = save or folder / f"{runs[0].name}.rrd"
+    rrd = save or folder / "view.rrd"
     if len(runs) == 1:
-        tl.write_run_rrd(runs[0], rrd, documents=tl.describe_run(runs[0]))
+        tl.write_run_rrd(runs[0], rrd)
     else:
-        tl.write_comparison_rrd(runs, rrd, documents=tl.describe_runs(runs))
+        tl.write_comparison_rrd(runs, rrd)
     return [rrd]

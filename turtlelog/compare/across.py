@@ -7,7 +7,7 @@ from typing import Final
 from turtlelog.compare.difference import Comparison
 from turtlelog.compare.names import name_runs
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.measure import METRICS, Metric, measure_run
+from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
@@ -90,24 +90,29 @@ def tabulate_metrics(runs: Sequence[Run]) -> Table:
             (name, kind.unit, *(_get_cell(metrics[name]) for metrics in measured))
             for name, kind in METRICS.items()
         ),
+        notes=_list_reasons(measured),
     )
 
 
-def tabulate_differences(comparisons: Sequence[Comparison], *, reference: str) -> Table:
-    """Return the largest difference of every signal from the reference, and when it is reached."""
-    names = [column.signal for column in comparisons[0].signals]
-    found = [{found.signal: found for found in comparison.signals} for comparison in comparisons]
-    units = {found.signal: found.unit for found in comparisons[0].signals}
+def tabulate_differences(
+    comparisons: Sequence[Comparison], *, names: Sequence[str], reference: str
+) -> Table:
+    """Return the largest difference of every signal from the reference, and when it is reached.
+
+    `names` heads the columns, one for each comparison.
+    """
+    found = [{signal.signal: signal for signal in run.signals} for run in comparisons]
     columns = [Column(title="signal"), Column(title="unit")]
-    for comparison in comparisons:
-        columns += [Column(title=comparison.name), Column(title="at", unit="s", digits=2)]
-    rows = []
     for name in names:
-        pairs = [
-            (signals[name].largest, signals[name].at_s) if name in signals else (None, None)
-            for signals in found
-        ]
-        rows.append((name, units[name], *(cell for pair in pairs for cell in pair)))
+        columns += [Column(title=name), Column(title="at", unit="s", digits=2)]
+    rows = []
+    for name, kind in SIGNALS.items():
+        cells: list[Cell] = []
+        for signals in found:
+            known = signals.get(name)
+            cells += [known.largest, known.at_s] if known else [None, None]
+        if any(cell is not None for cell in cells):
+            rows.append((name, kind.unit, *cells))
     return Table(
         title=f"Largest differences from {reference}, from the first samples on",
         columns=tuple(columns),
@@ -142,12 +147,20 @@ def _get_gain(run: Run) -> float | None:
     """Return the gain of both loops, None where it is not recorded or they differ."""
     gains = {run.parameters.get(f"law.kp_{loop}") for loop in ("angular", "linear")}
     gain = gains.pop()
-    return float(gain) if gain is not None and not gains else None
+    is_common = isinstance(gain, int | float) and not gains and gain > 0.0
+    return float(gain) if is_common else None
 
 
 def _sort_by_gain(runs: Sequence[Run]) -> list[tuple[str, Run]]:
     named = zip(name_runs(runs), runs, strict=True)
     return sorted(named, key=lambda pair: _get_gain(pair[1]) or 0.0)
+
+
+def _list_reasons(measured: Sequence[Mapping[str, Metric]]) -> tuple[str, ...]:
+    """Return why values are missing, each reason once."""
+    missing = [metric for metrics in measured for metric in metrics.values() if metric.reason]
+    reasons = dict.fromkeys(f"{metric.status.value}: {metric.reason}." for metric in missing)
+    return tuple(reasons)
 
 
 def _get_cell(metric: Metric) -> Cell:

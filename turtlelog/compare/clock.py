@@ -33,6 +33,7 @@ def resample_signal(
     """
     time_ns = signal.time_ns - start_ns
     if signal.kind.resampling == "line":
-        return np.interp(grid_ns, time_ns, signal.values)
+        values = np.unwrap(signal.values) if signal.kind.compared_as == "angle" else signal.values
+        return np.interp(grid_ns, time_ns, values)
     row = np.searchsorted(time_ns, grid_ns, side="right") - 1
     return signal.values[np.maximum(row, 0)]

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from turtlelog.angles import wrap_angle
 from turtlelog.compare.clock import find_overlap_ns, resample_signal
 from turtlelog.measure import SIGNALS, Metric, Signal, measure_run, read_signal
 from turtlelog.run import Run
@@ -80,7 +81,12 @@ def _compare_signals(
 ) -> SignalDifference:
     grid_ns = np.union1d(*(signal.time_ns - zero_ns for signal, zero_ns in (reference, run)))
     grid_ns = grid_ns[(grid_ns >= start_ns) & (grid_ns <= end_ns)]
-    difference = np.abs(resample_signal(*run, grid_ns) - resample_signal(*reference, grid_ns))
+    difference = resample_signal(*run, grid_ns) - resample_signal(*reference, grid_ns)
+    if run[0].kind.compared_as == "angle":
+        difference = wrap_angle(difference)
+    if run[0].kind.compared_as == "label":
+        difference = np.sign(difference)
+    difference = np.abs(difference)
     row = int(difference.argmax())
     return SignalDifference(
         signal=run[0].name,

@@ -2,17 +2,21 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import count
 
 from turtlelog.run import Run
 
 
 def name_runs(runs: Sequence[Run]) -> tuple[str, ...]:
-    """Return one name per run, in order; names that stand more than once get a number."""
+    """Return one name per run, in order, no two alike: names that clash get a number."""
     counts = Counter(run.name for run in runs)
-    seen: Counter[str] = Counter()
+    taken = {name for name, times in counts.items() if times == 1}
     names = []
     for run in runs:
-        seen[run.name] += 1
-        number = f" ({seen[run.name]})" if counts[run.name] > 1 else ""
-        names.append(f"{run.name}{number}")
+        name = run.name
+        if counts[name] > 1:
+            numbered = (f"{name} ({number})" for number in count(1))
+            name = next(found for found in numbered if found not in taken)
+        taken.add(name)
+        names.append(name)
     return tuple(names)

@@ -45,7 +45,7 @@ class MetricKind:
 
 def measure_run(run: Run) -> Mapping[str, Metric]:
     """Return every metric of a run by id, in the order of `METRICS`."""
-    return MappingProxyType({name: _measure(run, name, kind) for name, kind in METRICS.items()})
+    return {name: _measure(run, name, kind) for name, kind in METRICS.items()}
 
 
 def _measure(run: Run, name: str, kind: MetricKind) -> Metric:
@@ -58,12 +58,12 @@ def _measure(run: Run, name: str, kind: MetricKind) -> Metric:
 
 
 def _compute_duration(response: Response) -> Result:
-    return float(response.time_s[-1])
+    return _CUT if response.was_cut else float(response.time_s[-1])
 
 
 def _compute_overshoot(response: Response) -> Result:
-    if response.reference == response.initial:
-        return _NO_STEP
+    if response.was_cut or response.reference == response.initial:
+        return _CUT if response.was_cut else _NO_STEP
     return 100.0 * find_overshoot(
         response.values, initial=response.initial, reference=response.reference
     )
@@ -85,11 +85,13 @@ def _compute_settling_time(response: Response) -> Result:
 
 
 def _compute_final_error(response: Response) -> Result:
-    return abs(float(response.values[-1]) - response.reference)
+    return _CUT if response.was_cut else abs(float(response.values[-1]) - response.reference)
 
 
 def _compute_final_error_deg(response: Response) -> Result:
-    return degrees(abs(float(response.values[-1]) - response.reference))
+    return (
+        _CUT if response.was_cut else degrees(abs(float(response.values[-1]) - response.reference))
+    )
 
 
 def _compute_saturated_share(response: Response) -> Result:
@@ -147,6 +149,7 @@ def _of_run(unit: str, compute: Callable[[Run], Result], meaning: str) -> Metric
     return MetricKind(unit=unit, better="lower", meaning=meaning, compute=compute)
 
 
+_CUT: Final = Missing(status=Status.TOO_SHORT, reason="the run was cut in this phase")
 _NO_STEP: Final = Missing(status=Status.NO_STEP, reason="the phase begins at its reference")
 
 _ROTATE: Final = Phase.ROTATE

@@ -1,6 +1,7 @@
 """The stretch of a run that a phase's metrics are computed on."""
 
 from dataclasses import dataclass
+from itertools import dropwhile, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ class Response:
         reference: What the phase drives at.
         commands: Commands of its samples [rad/s or m/s], shape (m,).
         limit: Magnitude at which they are clipped, None where not recorded.
+        was_cut: Whether the run was cut before the phase had come to its end.
     """
 
     time_s: Values
@@ -31,14 +33,15 @@ class Response:
     reference: float
     commands: Values
     limit: float | None
+    was_cut: bool
 
 
 def find_response(run: Run, phase: Phase) -> Response | Missing:
     """Return the response of ROTATE (its pause included) or TRANSLATE, or why there is none."""
-    spans = [span for span in run.find_phase_spans() if _belongs(span, phase)]
-    if not spans:
+    stretch = _find_first_stretch(run, phase)
+    if not stretch:
         return Missing(status=Status.NO_PHASE, reason=f"the run has no phase {phase.label}")
-    start_ns, end_ns = spans[0].start_ns, spans[-1].end_ns
+    start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
     signal = read_signal(run, "heading" if phase is Phase.ROTATE else "along_track")
     if signal is None:
         return Missing(status=Status.ABSENT, reason="the recording holds no samples")
@@ -46,7 +49,8 @@ def find_response(run: Run, phase: Phase) -> Response | Missing:
     values = signal.values[inside]
     if len(values) < 2:
         return Missing(status=Status.TOO_SHORT, reason=f"{len(values)} pose in {phase.label}")
-    samples, of_phase = run.samples, run.samples.phase == phase
+    samples = run.samples
+    of_phase = (samples.phase == phase) & (samples.time_ns <= end_ns)
     if phase is Phase.ROTATE:
         commands, limit = samples.turn_rate_rad_s, run.parameters.get("limits.turn_rate_rad_s")
     else:
@@ -57,12 +61,16 @@ def find_response(run: Run, phase: Phase) -> Response | Missing:
         initial=float(values[0]),
         reference=_find_reference(run, phase, values),
         commands=commands[of_phase],
-        limit=None if limit is None else float(limit),
+        limit=float(limit) if isinstance(limit, int | float) else None,
+        was_cut=not run.is_complete and end_ns == run.end_ns,
     )
 
 
-def _belongs(span: PhaseSpan, phase: Phase) -> bool:
-    return span.phase is phase or (phase is Phase.ROTATE and span.phase is Phase.PAUSE)
+def _find_first_stretch(run: Run, phase: Phase) -> list[PhaseSpan]:
+    """Return the spans of the phase's first stretch; later returns to the phase are not part."""
+    kinds = {Phase.ROTATE, Phase.PAUSE} if phase is Phase.ROTATE else {phase}
+    before = dropwhile(lambda span: span.phase is not phase, run.find_phase_spans())
+    return list(takewhile(lambda span: span.phase in kinds, before))
 
 
 def _find_reference(run: Run, phase: Phase, values: Values) -> float:

@@ -24,13 +24,17 @@ class SignalKind:
         unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
         source: `pose`: one value per pose row; `sample`: one per sample.
         resampling: `line` between values, or `hold` of the last one.
+        compared_as: `number`; `angle`: differences in [-pi, pi); `label`: equal (0) or not (1).
         meaning: One sentence.
+        read: From a run to the values, None where the run does not hold them.
     """
 
     unit: str
     source: Literal["pose", "sample"]
     resampling: Literal["line", "hold"]
+    compared_as: Literal["number", "angle", "label"] = "number"
     meaning: str
+    read: Callable[[Run], Values | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,35 +54,6 @@ class Signal:
     values: Values
 
 
-def _pose(unit: str, meaning: str) -> SignalKind:
-    return SignalKind(unit=unit, source="pose", resampling="line", meaning=meaning)
-
-
-def _sample(unit: str, meaning: str) -> SignalKind:
-    return SignalKind(unit=unit, source="sample", resampling="hold", meaning=meaning)
-
-
-SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
-    {
-        "x": _pose("m", "Position in the world frame."),
-        "y": _pose("m", "Position in the world frame."),
-        "heading": _pose("rad", "Counter-clockwise from +x, without jumps at a full turn."),
-        "speed": _sample("m/s", "Commanded speed along the heading, after clipping."),
-        "turn_rate": _sample("rad/s", "Commanded turn rate, after clipping."),
-        "wanted_speed": _sample("m/s", "Commanded speed before clipping."),
-        "wanted_turn_rate": _sample("rad/s", "Commanded turn rate before clipping."),
-        "error_x": _pose("m", "Goal minus position in the world frame."),
-        "error_y": _pose("m", "Goal minus position in the world frame."),
-        "distance": _pose("m", "Distance to the goal."),
-        "heading_error": _pose("rad", "Goal bearing minus heading, in [-pi, pi)."),
-        "along_track": _pose("m", "Along the line from start to goal, from the start."),
-        "cross_track": _pose("m", "To the left of the line from start to goal."),
-        "phase": _sample("1", "Phase of the sample: 0 rotate, 2 translate."),
-    }
-)
-"""Every signal by name."""
-
-
 def read_signal(run: Run, name: str) -> Signal | None:
     """Return a signal of a run, None where the run does not hold it.
 
@@ -88,8 +63,8 @@ def read_signal(run: Run, name: str) -> Signal | None:
     if name not in SIGNALS:
         raise MeasureError(f"signal {name!r}: expected one of {', '.join(SIGNALS)}")
     kind = SIGNALS[name]
-    values = _READERS[name](run)
-    if values is None:
+    values = kind.read(run)
+    if values is None or (kind.source == "sample" and not len(run.samples)):
         return None
     time_ns = run.poses.time_ns if kind.source == "pose" else run.samples.time_ns
     return Signal(name=name, kind=kind, time_ns=time_ns, values=values)
@@ -117,21 +92,74 @@ def _read_heading_error(run: Run) -> Values | None:
     return subtract_headings(float(run.samples.bearing_rad[0]), run.poses.heading_rad)
 
 
-_READERS: Final[Mapping[str, Callable[[Run], Values | None]]] = MappingProxyType(
+def _pose(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
+    return SignalKind(
+        unit=unit,
+        source="pose",
+        resampling="line",
+        compared_as="angle" if unit == "rad" else "number",
+        meaning=meaning,
+        read=read,
+    )
+
+
+def _sample(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
+    return SignalKind(unit=unit, source="sample", resampling="hold", meaning=meaning, read=read)
+
+
+SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
     {
-        "x": lambda run: run.poses.xy_m[:, 0],
-        "y": lambda run: run.poses.xy_m[:, 1],
-        "heading": lambda run: np.unwrap(run.poses.heading_rad),
-        "speed": lambda run: run.samples.speed_m_s,
-        "turn_rate": lambda run: run.samples.turn_rate_rad_s,
-        "wanted_speed": lambda run: run.samples.wanted_speed_m_s,
-        "wanted_turn_rate": lambda run: run.samples.wanted_turn_rate_rad_s,
-        "error_x": lambda run: _read_error(run, 0),
-        "error_y": lambda run: _read_error(run, 1),
-        "distance": _read_distance,
-        "heading_error": _read_heading_error,
-        "along_track": lambda run: _read_track(run, along=True),
-        "cross_track": lambda run: _read_track(run, along=False),
-        "phase": lambda run: run.samples.phase.astype(np.float64),
+        "x": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 0]),
+        "y": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 1]),
+        "heading": _pose(
+            "rad",
+            "Counter-clockwise from +x, without jumps at a full turn.",
+            lambda run: np.unwrap(run.poses.heading_rad),
+        ),
+        "speed": _sample(
+            "m/s",
+            "Commanded speed along the heading, after clipping.",
+            lambda run: run.samples.speed_m_s,
+        ),
+        "turn_rate": _sample(
+            "rad/s", "Commanded turn rate, after clipping.", lambda run: run.samples.turn_rate_rad_s
+        ),
+        "wanted_speed": _sample(
+            "m/s", "Commanded speed before clipping.", lambda run: run.samples.wanted_speed_m_s
+        ),
+        "wanted_turn_rate": _sample(
+            "rad/s",
+            "Commanded turn rate before clipping.",
+            lambda run: run.samples.wanted_turn_rate_rad_s,
+        ),
+        "error_x": _pose(
+            "m", "Goal minus position in the world frame.", lambda run: _read_error(run, 0)
+        ),
+        "error_y": _pose(
+            "m", "Goal minus position in the world frame.", lambda run: _read_error(run, 1)
+        ),
+        "distance": _pose("m", "Distance to the goal.", _read_distance),
+        "heading_error": _pose(
+            "rad", "Goal bearing minus heading, in [-pi, pi).", _read_heading_error
+        ),
+        "along_track": _pose(
+            "m",
+            "Along the line from start to goal, from the start.",
+            lambda run: _read_track(run, along=True),
+        ),
+        "cross_track": _pose(
+            "m",
+            "To the left of the line from start to goal.",
+            lambda run: _read_track(run, along=False),
+        ),
+        "phase": SignalKind(
+            unit="1",
+            source="sample",
+            resampling="hold",
+            compared_as="label",
+            meaning="Phase of the sample: 0 rotate, 2 translate.",
+            read=lambda run: run.samples.phase.astype(np.float64),
+        ),
     }
 )
+"""Every signal by name."""

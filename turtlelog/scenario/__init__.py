@@ -8,7 +8,9 @@ from turtlelog.scenario.convert import (
     describe_unknown_key,
     flatten_scenario,
     flatten_tables,
+    nest_parameters,
     nest_scenario,
+    restore_scenario,
 )
 from turtlelog.scenario.model import LawChoice, Limits, LoopSettings, Scenario, Start, Target
 from turtlelog.scenario.overrides import override_scenario, parse_assignments
@@ -32,11 +34,13 @@ __all__ = [
     "get_preset",
     "iterate_paper_runs",
     "load_scenario",
+    "nest_parameters",
     "nest_scenario",
     "override_scenario",
     "parse_assignments",
     "parse_scenario",
     "read_scenario",
+    "restore_scenario",
 ]
 
 

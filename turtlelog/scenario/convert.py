@@ -11,7 +11,7 @@ import msgspec
 
 from turtlelog.errors import LawError, ScenarioError
 from turtlelog.laws import find_law
-from turtlelog.run import Parameter
+from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, Scenario
 
@@ -55,6 +55,46 @@ def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     tables = dataclasses.asdict(scenario)
     tables["law"] = {"kind": scenario.law.kind, **tables["law"]["parameters"]}
     return {key: _drop_none(value) for key, value in tables.items()}
+
+
+def restore_scenario(run: Run) -> Scenario:
+    """Return the scenario of a run; a law of the user's own is loaded.
+
+    Raises:
+        ScenarioError: Where the run does not hold all of it.
+    """
+    if not run.scenario_is_complete:
+        raise ScenarioError(
+            f"{run.name}: expected a run with its whole scenario, found {run.source}"
+        )
+    return build_scenario(nest_parameters(run.parameters), source=run.name)
+
+
+def nest_parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """Return values by dotted key as nested tables.
+
+    Raises:
+        ScenarioError: Where a key is both a value and a table.
+    """
+    tables: dict[str, Any] = {}
+    for key, value in parameters.items():
+        set_nested(tables, key, value)
+    return tables
+
+
+def set_nested(tables: dict[str, Any], key: str, value: Any) -> None:
+    """Set a value by its dotted key in nested tables, which are made where they are missing.
+
+    Raises:
+        ScenarioError: Where a key on the way holds a value, or the key itself a table.
+    """
+    *parents, last = key.split(".")
+    for depth, parent in enumerate(parents, start=1):
+        tables = tables.setdefault(parent, {})
+        if not isinstance(tables, dict):
+            above = ".".join(parents[:depth])
+            raise ScenarioError(f"{above}: expected a value, found a key below it")
+    tables[last] = value
 
 
 def flatten_tables(tables: Mapping[str, Any]) -> dict[str, Parameter]:

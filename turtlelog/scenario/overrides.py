@@ -5,12 +5,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from turtlelog.errors import ScenarioError
-from turtlelog.scenario.convert import build_scenario, nest_scenario
+from turtlelog.scenario.convert import build_scenario, nest_scenario, set_nested
 from turtlelog.scenario.model import Scenario
 
 
 def override_scenario(
-    scenario: Scenario, values: Mapping[str, Any], *, source: str = "--set"
+    scenario: Scenario, values: Mapping[str, Any], *, source: str = "changes"
 ) -> Scenario:
     """Return the scenario with values set by dotted key, checked like a file.
 
@@ -23,17 +23,14 @@ def override_scenario(
     if "law.kind" in values and values["law.kind"] != scenario.law.kind:
         tables["law"] = {}
     for key, value in values.items():
-        table, parts = tables, key.split(".")
-        for depth, part in enumerate(parts[:-1], start=1):
-            table = table.setdefault(part, {})
-            if not isinstance(table, dict):
-                above = ".".join(parts[:depth])
-                raise ScenarioError(f"{source}: {above}: expected a value, found a key below it")
-        table[parts[-1]] = value
+        try:
+            set_nested(tables, key, value)
+        except ScenarioError as err:
+            raise ScenarioError(f"{source}: {err}") from err
     return build_scenario(tables, source=source)
 
 
-def parse_assignments(assignments: Iterable[str], *, source: str = "--set") -> dict[str, Any]:
+def parse_assignments(assignments: Iterable[str], *, source: str = "changes") -> dict[str, Any]:
     """Return the values of `key=value` texts; a value is TOML, or plain text where it is none.
 
     Raises:

@@ -14,7 +14,6 @@ from turtlelog.show.recording import build_index
 from turtlelog.show.series import Reference, Series
 from turtlelog.show.surroundings import UPWARD, Bounds
 
-NO_DOCUMENTS: Final[Mapping[str, str]] = MappingProxyType({})
 
 _SHARE_BEYOND = 16
 _REFERENCE_WIDTH = 1.0  # [points], as are the radii

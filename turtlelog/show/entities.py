@@ -1,6 +1,5 @@
 """Names in a recording: where each thing of a run is found. docs/rerun.md explains them."""
 
-from collections.abc import Iterable
 from typing import Final
 
 APPLICATION_ID: Final = "turtlelog"
@@ -39,16 +38,3 @@ LEGEND: Final = "legend"
 def join_path(*parts: str) -> str:
     """Return an entity path from parts that are escaped already; empty ones are left out."""
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))
-
-
-def make_unique_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names in order, repeated ones told apart as `name (2)`, empty ones as `run`."""
-    taken: list[str] = []
-    for name in names:
-        wanted = candidate = name.strip() or "run"
-        number = 1
-        while candidate in taken:
-            number += 1
-            candidate = f"{wanted} ({number})"
-        taken.append(candidate)
-    return tuple(taken)

@@ -42,5 +42,5 @@ def _collect_numbers(run: Run) -> dict[str, float]:
     return {
         key: float(value)
         for key, value in run.parameters.items()
-        if key.startswith("law.") and not isinstance(value, bool | str)
+        if key.startswith("law.") and not isinstance(value, bool | str | list)
     }

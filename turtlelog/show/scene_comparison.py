@@ -10,7 +10,8 @@ from turtlelog.errors import ShowError
 from turtlelog.run import Run
 from turtlelog.show import drawing
 from turtlelog.show.content import describe_content
-from turtlelog.show.entities import RUNS, join_path, make_unique_names
+from turtlelog.show.documents import describe_runs
+from turtlelog.show.entities import RUNS, join_path
 from turtlelog.show.layout import build_comparison_layout
 from turtlelog.show.legend import draw_legend
 from turtlelog.show.palette import choose_run_colors
@@ -21,21 +22,22 @@ from turtlelog.show.surroundings import draw_surroundings
 
 
 def write_comparison_rrd(
-    runs: Sequence[Run], path: str | Path, *, documents: Mapping[str, str] = drawing.NO_DOCUMENTS
+    runs: Sequence[Run], path: str | Path, *, documents: Mapping[str, str] | None = None
 ) -> None:
     """Write one recording of several runs over each other; time zero is each one's first sample.
 
     Args:
         runs: At least one; each keeps its colour in every view.
         path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs.
+        documents: Markdown texts by title, shown as tabs; `describe_runs` where None.
 
     Raises:
         ShowError: Where there is no run, or the file cannot be written.
     """
     if not runs:
         raise ShowError(f"{path}: expected at least one run to compare, found none")
-    names = make_unique_names(name_runs(runs))
+    documents = describe_runs(runs) if documents is None else documents
+    names = name_runs(runs)
     colors = choose_run_colors(len(runs))
     prefixes = [join_path(RUNS, rr.escape_entity_path_part(name)) for name in names]
     series = [

@@ -6,6 +6,7 @@ from pathlib import Path
 from turtlelog.run import Run
 from turtlelog.show import drawing, palette
 from turtlelog.show.content import describe_content
+from turtlelog.show.documents import describe_run
 from turtlelog.show.layout import build_run_layout
 from turtlelog.show.properties import collect_run_properties
 from turtlelog.show.recording import open_recording
@@ -14,18 +15,19 @@ from turtlelog.show.surroundings import draw_surroundings
 
 
 def write_run_rrd(
-    run: Run, path: str | Path, *, documents: Mapping[str, str] = drawing.NO_DOCUMENTS
+    run: Run, path: str | Path, *, documents: Mapping[str, str] | None = None
 ) -> None:
     """Write a recording of one run with its layout; time zero is the first sample.
 
     Args:
         run: What to show.
         path: The .rrd file; replaced when the new one is complete.
-        documents: Markdown texts by title, shown as tabs.
+        documents: Markdown texts by title, shown as tabs; `describe_run` where None.
 
     Raises:
         ShowError: Where the file cannot be written.
     """
+    documents = describe_run(run) if documents is None else documents
     series, references = list_series(run), list_references([run])
     content = describe_content([run], [""], [series], references, documents)
     with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:

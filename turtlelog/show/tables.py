@@ -32,7 +32,14 @@ def format_text(table: Table) -> str:
 
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
     lines = [table.title, "", *map(join, filter(any, heads)), rule, *map(join, rows)]
-    notes = ["", *(line for note in table.notes for line in textwrap.wrap(note, _WIDTH))]
+    notes = [
+        "",
+        *(
+            line
+            for note in table.notes
+            for line in textwrap.wrap(note, _WIDTH, break_on_hyphens=False)
+        ),
+    ]
     return "\n".join(lines + (notes if table.notes else [])) + "\n"
 
 

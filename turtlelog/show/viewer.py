@@ -1,5 +1,6 @@
 """Rerun's native viewer, as a child process that ends with us."""
 
+import os
 import re
 import subprocess
 import sys
@@ -7,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO, Final
 
 from turtlelog.errors import ShowError
@@ -87,9 +88,11 @@ def open_viewer(paths: Sequence[str | Path]) -> None:
 @contextmanager
 def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     """Start a viewer that listens on this machine only, and end it on the way out."""
-    with TemporaryFile() as messages:
+    # The viewer leaves a folder behind in the temporary one: give it its own.
+    with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
             [find_viewer(), *_LOCAL, *options],
+            env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=messages,

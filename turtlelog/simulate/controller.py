@@ -120,7 +120,7 @@ class Controller:
             decision = self._law.step(time_ns, pose)
             speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
             _require_sound(decision)
-        except Exception as err:
+        except (Exception, SystemExit) as err:
             reason = str(err) if isinstance(err, SimulationError) else describe_error(err)
             raise SimulationError(f"law {self._law_kind}, sample {sequence}: {reason}") from err
         speed_limit, turn_limit = self._limits

@@ -99,7 +99,7 @@ def _build_law(choice: LawChoice) -> Law:
         return find_law(choice.kind)(choice.parameters)
     except TurtlelogError:
         raise
-    except Exception as err:
+    except (Exception, SystemExit) as err:
         raise SimulationError(f"law {choice.kind}: {describe_error(err)}") from err
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.run import CommandColumns, Parameter, Phase, PoseColumns, Run, SampleColumns
+from turtlelog.run import CommandColumns, Phase, PoseColumns, Run, SampleColumns
 
 STATES: Final = MappingProxyType(
     {"ROTACIONAR": Phase.ROTATE, "TRANSLADAR": Phase.TRANSLATE, "FINALIZADO": Phase.DONE}
@@ -23,6 +23,10 @@ NUMBERS: Final = (
     "vel_y_global",
 )
 """The lists of numbers, by the names of the JSON layout."""
+
+_LONGEST_S: Final = 4e9  # beyond any clock, and well within 64 bits of nanoseconds
+
+_POSE_TIMES: Final = "of the callbacks that read them: in a burst they are later than the poses"
 
 _NEVER_LOGGED: Final = (
     *("poses.speed_m_s", "poses.turn_rate_rad_s"),
@@ -48,7 +52,7 @@ class PaperLog:
     source: str
     columns: Mapping[str, NDArray[np.float64]]
     states: NDArray[np.int64]
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
 
@@ -109,7 +113,8 @@ def build_run(log: PaperLog, *, sort: bool) -> Run:
     Raises:
         LogError: Where the times do not increase.
     """
-    columns, states, notes = dict(log.columns), log.states, dict(log.notes)
+    columns, states = dict(log.columns), log.states
+    notes = {**log.notes, "pose_times": _POSE_TIMES}
     if sort:
         columns, states, counts = _sort_rows(columns, states)
         notes |= counts
@@ -163,11 +168,11 @@ def _build_samples(
 
 
 def _find_goal(
-    parameters: Mapping[str, Parameter], columns: Mapping[str, NDArray[np.float64]]
+    parameters: Mapping[str, float], columns: Mapping[str, NDArray[np.float64]]
 ) -> tuple[float, float] | None:
     """Return the goal as given, or position plus error where every row gives the same."""
     if "goal.x_m" in parameters and "goal.y_m" in parameters:
-        return float(parameters["goal.x_m"]), float(parameters["goal.y_m"])
+        return parameters["goal.x_m"], parameters["goal.y_m"]
     goal = np.column_stack(
         [columns["pos_x"] + columns["error_x"], columns["pos_y"] + columns["error_y"]]
     )
@@ -188,10 +193,14 @@ def _sort_rows(
 
 
 def _require_rising(time: NDArray[np.float64], *, is_sorted: bool) -> None:
+    if abs(time).max() > _LONGEST_S:
+        row = int(abs(time).argmax())
+        raise LogError(f"time[{row}]: expected up to {_LONGEST_S:g} s, found {time[row]}")
     wrong = np.diff(time) <= 0
     if wrong.any():
         row = int(wrong.argmax()) + 1
-        advice = "two rows of one time differ" if is_sorted else "--sort puts rows in order"
+        advice = "importing with --sort puts rows in order"
+        advice = "two rows of one time differ" if is_sorted else advice
         raise LogError(
             f"time[{row}]: expected more than {time[row - 1]}, found {time[row]}: {advice}"
         )

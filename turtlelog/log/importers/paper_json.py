@@ -8,7 +8,6 @@ from typing import Any, Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.importers.base import NUMBERS, PaperLog, build_columns, require_number
-from turtlelog.run import Parameter
 
 _PARAMETERS: Final = MappingProxyType(
     {
@@ -90,12 +89,15 @@ def _require_list(name: str, data: Mapping[str, Any]) -> list[object]:
     return values
 
 
-def _read_parameters(metadata: Mapping[str, Any]) -> dict[str, Parameter]:
-    parameters: dict[str, Parameter] = {}
+def _read_parameters(metadata: Mapping[str, Any]) -> dict[str, float]:
+    parameters: dict[str, float] = {}
     for key, (table, name) in _PARAMETERS.items():
         values = _require_table(f"metadata.{table}", metadata.get(table, {}))
         if name in values:
-            parameters[key] = require_number(f"metadata.{table}.{name}", values[name])
+            place = f"metadata.{table}.{name}"
+            parameters[key] = require_number(place, values[name])
+            if table != "target_position" and parameters[key] <= 0.0:
+                raise LogError(f"{place}: expected a number > 0, found {values[name]}")
     return parameters
 
 
