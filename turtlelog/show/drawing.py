@@ -1,8 +1,6 @@
 """What a run puts into a recording, entity by entity."""
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
-from typing import Final
 
 import numpy as np
 import rerun as rr
@@ -13,7 +11,6 @@ from turtlelog.show.entities import join_path
 from turtlelog.show.recording import build_index
 from turtlelog.show.series import Reference, Series
 from turtlelog.show.surroundings import UPWARD, Bounds
-
 
 _SHARE_BEYOND = 16
 _REFERENCE_WIDTH = 1.0  # [points], as are the radii
