@@ -147,8 +147,9 @@ def _get_gain(run: Run) -> float | None:
     """Return the gain of both loops, None where it is not recorded or they differ."""
     gains = {run.parameters.get(f"law.kp_{loop}") for loop in ("angular", "linear")}
     gain = gains.pop()
-    is_common = isinstance(gain, int | float) and not gains and gain > 0.0
-    return float(gain) if is_common else None
+    if gains or not isinstance(gain, int | float) or gain <= 0.0:
+        return None
+    return float(gain)
 
 
 def _sort_by_gain(runs: Sequence[Run]) -> list[tuple[str, Run]]:
