@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from turtlelog.angles import wrap_angle
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
@@ -43,7 +44,7 @@ def make_run(values: NDArray[np.float64], **changes: Any) -> Run:
         "poses": PoseColumns(
             time_ns=time_ns,
             xy_m=pairs,
-            heading_rad=values,
+            heading_rad=wrap_angle(values),
             speed_m_s=values,
             turn_rate_rad_s=values,
         ),
@@ -74,7 +75,7 @@ def make_bare_run() -> Run:
     run = make_run(np.array([-0.0]))
     return replace(
         run,
-        name="L\u00e4ufer\n\U0001f422",
+        name="L\u00e4ufer \U0001f422",
         poses=PoseColumns(
             time_ns=np.array([5]), xy_m=np.array([[0.1, 1e300]]), heading_rad=np.array([-0.0])
         ),
