@@ -136,7 +136,12 @@ def test_rows_of_one_time_that_differ_are_refused_even_sorted(tmp_path: Path) ->
         ("vel_linear_x", 0, [1], r"data\.vel_linear_x\[0\]: expected a number, found \[1\]"),
         ("state", 2, "PARADO", r"data\.state\[2\]: expected one of ROTACIONAR.*found 'PARADO'"),
         ("state", 2, 1, r"data\.state\[2\]: expected one of ROTACIONAR.*found 1"),
-        ("time", 0, 0.75, r"time\[1\]: expected more than 0\.75, found 0\.75: importing with --sort"),
+        (
+            "time",
+            0,
+            0.75,
+            r"time\[1\]: expected more than 0\.75, found 0\.75: importing with --sort",
+        ),
     ],
 )
 def test_a_wrong_value_is_named(
