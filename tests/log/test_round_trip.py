@@ -109,5 +109,5 @@ def test_a_time_before_zero_is_not_written(tmp_path: Path) -> None:
 
 def test_parameters_that_make_no_tables_are_not_written(tmp_path: Path) -> None:
     run = make_run(np.ones(1), parameters={"law": 1, "law.kp_linear": 2.0})
-    with pytest.raises(LogError, match=r"parameter law\.kp_linear: expected a key"):
+    with pytest.raises(LogError, match="parameters: law: expected a value, found a key below it"):
         write_recording(run, tmp_path / "run.mcap")

@@ -2,24 +2,15 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from mcap.reader import McapReader, make_reader
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
-from mcap.summary import Summary
+from mcap.records import Attachment, Metadata
 
 from turtlelog.log.border import name_file
-from turtlelog.log.head import (
-    HEAD,
-    PARAMETER_FILE,
-    SCENARIO_FILE,
-    parse_head,
-    parse_scenario_file,
-)
-from turtlelog.log.integrity import check_ends
+from turtlelog.log.engine.survey import Survey, survey_file
+from turtlelog.log.head import HEAD, parse_head, parse_scenario_file
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
 
@@ -42,7 +33,7 @@ class RecordingInfo:
         format_version: Of the recording, None where turtlelog did not write it.
         source: As in `Run`; `mcap` where turtlelog did not write it.
         name: As in `Run`; otherwise the file's name.
-        complete: Whether the file was finished; one that was not is refused so far.
+        complete: Whether the file was finished; of one that was not, what a walk finds is listed.
         stop_reason: As in `Run`.
         duration_s: First to last message [s], None where there is no message.
         scenario: The tables of the whole scenario, None where it is not known.
@@ -50,6 +41,7 @@ class RecordingInfo:
         topics: By name.
         absent: As in `Run`.
         notes: As in `Run`.
+        not_understood: Topics whose messages cannot become columns, each with the reason.
     """
 
     file: str
@@ -64,6 +56,7 @@ class RecordingInfo:
     topics: tuple[TopicInfo, ...]
     absent: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
+    not_understood: tuple[str, ...] = ()
 
 
 def read_info(path: str | Path) -> RecordingInfo:
@@ -72,97 +65,53 @@ def read_info(path: str | Path) -> RecordingInfo:
     Raises:
         LogError: Where it cannot be read, is no MCAP file, or is damaged.
     """
-    with name_file(path, expected="an MCAP file"), Path(path).open("rb") as stream:
-        check_ends(stream)
-        reader = make_reader(stream, validate_crcs=True)
-        duration_s, topics = _list_topics(reader.get_summary(), stream)
-        head = next((found for found in reader.iter_metadata() if found.name == HEAD), None)
-        if head is None:
-            return RecordingInfo(
-                file=str(path),
-                format_version=None,
-                source="mcap",
-                name=Path(path).stem,
-                complete=True,
-                duration_s=duration_s,
-                topics=topics,
-            )
-        return _build_info(str(path), head.metadata, _find_attachment(reader), duration_s, topics)
+    with name_file(path, expected="an MCAP file"):
+        with Path(path).open("rb") as stream:
+            survey = survey_file(stream)
+        span_ns = survey.span_ns
+        plans = survey.catalogue.iterate_plans()
+        info = RecordingInfo(
+            file=str(path),
+            format_version=None,
+            source="mcap",
+            name=Path(path).stem,
+            complete=survey.is_finished,
+            duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
+            topics=_list_topics(survey),
+            not_understood=tuple(f"{plan.topic}: {plan.reason}" for plan in plans if plan.reason),
+        )
+        return _add_head(info, survey)
 
 
-def _build_info(
-    file: str,
-    record: Mapping[str, str],
-    attachments: Mapping[str, bytes],
-    duration_s: float | None,
-    topics: tuple[TopicInfo, ...],
-) -> RecordingInfo:
-    head = parse_head(record)
+def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
+    """Return the info with what a recording of ours says of itself."""
+    metadata = {found.name: found for found in survey.records if isinstance(found, Metadata)}
+    if HEAD not in metadata:
+        return info
+    head = parse_head(metadata[HEAD].metadata)
+    attachments = {
+        found.name: found.data for found in survey.records if isinstance(found, Attachment)
+    }
     tables, is_complete = parse_scenario_file(attachments)
-    return RecordingInfo(
-        file=file,
+    return replace(
+        info,
         format_version=head.format_version,
         source=head.source,
         name=head.name,
-        complete=True,
         stop_reason=head.stop_reason,
-        duration_s=duration_s,
         scenario=tables if is_complete else None,
         parameters=flatten_tables(tables),
-        topics=topics,
         absent=head.absent,
         notes=head.notes,
     )
 
 
-def _find_attachment(reader: McapReader) -> dict[str, bytes]:
-    for attachment in reader.iter_attachments():
-        if attachment.name in {SCENARIO_FILE, PARAMETER_FILE}:
-            return {attachment.name: attachment.data}
-    return {}
-
-
-def _list_topics(
-    summary: Summary | None, stream: IO[bytes]
-) -> tuple[float | None, tuple[TopicInfo, ...]]:
-    """Return duration and topics; without statistics the messages have to be counted."""
-    if summary is None or summary.statistics is None or not summary.channels:
-        return _count_messages(stream)
-    statistics = summary.statistics
-    duration_s = None
-    if statistics.message_count:
-        duration_s = (statistics.message_end_time - statistics.message_start_time) / 1e9
-    counts = Counter(statistics.channel_message_counts)
-    types = {number: schema.name for number, schema in summary.schemas.items()}
-    return duration_s, _name_topics(summary.channels, types, counts)
-
-
-def _count_messages(stream: IO[bytes]) -> tuple[float | None, tuple[TopicInfo, ...]]:
-    channels: dict[int, Channel] = {}
-    types: dict[int, str] = {}
-    counts: Counter[int] = Counter()
-    span_ns: tuple[int, int] | None = None
-    stream.seek(0)
-    for record in StreamReader(stream, validate_crcs=True).records:
-        if isinstance(record, Schema):
-            types[record.id] = record.name
-        elif isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message):
-            counts[record.channel_id] += 1
-            start_ns, end_ns = span_ns or (record.log_time, record.log_time)
-            span_ns = min(start_ns, record.log_time), max(end_ns, record.log_time)
-    duration_s = None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9
-    return duration_s, _name_topics(channels, types, counts)
-
-
-def _name_topics(
-    channels: Mapping[int, Channel], types: Mapping[int, str], counts: Counter[int]
-) -> tuple[TopicInfo, ...]:
+def _list_topics(survey: Survey) -> tuple[TopicInfo, ...]:
     """Return the topics by name; channels of one topic and type are one."""
-    merged: Counter[tuple[str, str]] = Counter()
-    for number, channel in channels.items():
-        merged[channel.topic, types.get(channel.schema_id, "")] += counts[number]
+    schemas, merged = survey.catalogue.schemas, Counter[tuple[str, str]]()
+    for number, channel in survey.catalogue.channels.items():
+        schema = schemas.get(channel.schema_id)
+        merged[channel.topic, schema.name if schema else ""] += survey.counts.get(number, 0)
     return tuple(
         TopicInfo(topic=topic, type=kind, count=count)
         for (topic, kind), count in sorted(merged.items())

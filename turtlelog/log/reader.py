@@ -1,47 +1,62 @@
 """File -> Run."""
 
+import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
-from turtlelog.log.cdr import Column
-from turtlelog.log.columns import Contents, build_columns, read_contents
-from turtlelog.log.head import HEAD, Head, parse_head, parse_scenario_file
+from turtlelog.log.contents import Contents, read_contents, salvage_contents
+from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.layout import Column
+from turtlelog.log.head import Head, parse_scenario_file
+from turtlelog.log.partial import PartialRecordingWarning, reconcile_contents
 from turtlelog.log.topics import COMMAND, CONTROL, EVENT, GOAL, POSE, POSE64, VELOCITY64
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import flatten_tables
 
-Columns = Mapping[str, Column]
 Values = NDArray[np.float64]
 
+_ADVICE: Final = "turtlelog recover FILE -o OUT rewrites what it still holds"
 
-def read_recording(path: str | Path) -> Run:
+
+def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
     """Return the run in a recording, checksums checked. A law that it names is not loaded.
+
+    Args:
+        path: The recording.
+        allow_partial: Read what an unfinished or damaged recording still holds. A
+            `PartialRecordingWarning` and the note `partial` of the run say what is lost.
 
     Raises:
         LogError: One line with the file and the place, where it cannot be read, is no recording,
             is damaged, or was written by a newer turtlelog.
     """
-    with name_file(path, expected="a turtlelog recording"):
-        return _build_run(read_contents(Path(path).read_bytes()))
+    with name_file(path, expected="a turtlelog recording"), Path(path).open("rb") as stream:
+        try:
+            return _build_run(read_contents(stream))
+        except DamageError as err:
+            if not allow_partial:
+                raise LogError(f"{err}: {_ADVICE}") from err
+        contents, lost = reconcile_contents(salvage_contents(stream))
+        run = _build_run(contents)
+    warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=2)
+    return replace(run, notes={**run.notes, "partial": lost})
 
 
 def _build_run(contents: Contents) -> Run:
-    if HEAD not in contents.metadata:
-        raise LogError(
-            f"expected a metadata record {HEAD}, found none: not a recording by turtlelog"
-        )
-    head = parse_head(contents.metadata[HEAD])
+    head = contents.head
     tables, is_complete = parse_scenario_file(contents.attachments)
-    columns = build_columns(contents)
-    goal = columns[GOAL.name]
-    goal_xy_m = None
-    if len(goal["log_time"]):
-        goal_xy_m = float(goal["position.x"][0]), float(goal["position.y"][0])
+    columns = contents.topics
+    goal, goal_xy_m = columns[GOAL.name].fields, None
+    if len(columns[GOAL.name]):
+        goal_xy_m = float(goal["pose.position.x"][0]), float(goal["pose.position.y"][0])
     return Run(
         name=head.name,
         source=head.source,
@@ -59,16 +74,16 @@ def _build_run(contents: Contents) -> Run:
     )
 
 
-def _build_poses(columns: Mapping[str, Columns], head: Head) -> PoseColumns:
+def _build_poses(columns: Mapping[str, TopicColumns], head: Head) -> PoseColumns:
     pose = columns[POSE.name]
-    if not len(pose["log_time"]):
+    if not len(pose):
         raise LogError(f"topic {POSE.name}: expected messages, found none")
-    position = _prefer(columns[POSE64.name], pose, POSE64.name)
-    velocity = _prefer(columns[VELOCITY64.name], pose, VELOCITY64.name)
+    position = _prefer(columns[POSE64.name], pose).fields
+    velocity = _prefer(columns[VELOCITY64.name], pose).fields
     speed = velocity["linear.x" if "linear.x" in velocity else "linear_velocity"]
     turn_rate = velocity["angular.z" if "angular.z" in velocity else "angular_velocity"]
     return PoseColumns(
-        time_ns=pose["log_time"],
+        time_ns=pose.log_time_ns,
         xy_m=_pair(position["x"], position["y"]),
         heading_rad=_widen(position["theta"]),
         speed_m_s=_unless_nan(head, "poses.speed_m_s", speed),
@@ -76,30 +91,32 @@ def _build_poses(columns: Mapping[str, Columns], head: Head) -> PoseColumns:
     )
 
 
-def _prefer(exact: Columns, rounded: Columns, topic: str) -> Columns:
-    if not len(exact["log_time"]):
+def _prefer(exact: TopicColumns, rounded: TopicColumns) -> TopicColumns:
+    if not len(exact):
         return rounded
-    if not np.array_equal(exact["log_time"], rounded["log_time"]):
-        expected, found = len(rounded["log_time"]), len(exact["log_time"])
+    if not np.array_equal(exact.log_time_ns, rounded.log_time_ns):
+        expected, found = len(rounded), len(exact)
         raise LogError(
-            f"topic {topic}: expected the times of the {expected} poses, found {found} others"
+            f"topic {exact.topic}: expected the times of the {expected} poses, found {found} others"
         )
     return exact
 
 
-def _build_commands(command: Columns) -> CommandColumns:
+def _build_commands(columns: TopicColumns) -> CommandColumns:
+    command = columns.fields
     return CommandColumns(
-        time_ns=command["log_time"],
+        time_ns=columns.log_time_ns,
         speed_m_s=command["linear.x"],
         lateral_speed_m_s=command["linear.y"],
         turn_rate_rad_s=command["angular.z"],
     )
 
 
-def _build_samples(control: Columns, head: Head) -> SampleColumns:
+def _build_samples(columns: TopicColumns, head: Head) -> SampleColumns:
+    control = columns.fields
     wanted_speed, wanted_turn_rate = control["wanted_speed"], control["wanted_turn_rate"]
     return SampleColumns(
-        time_ns=control["log_time"],
+        time_ns=columns.log_time_ns,
         sequence=control["sequence"].astype(np.int64),
         pose_sequence=control["pose_sequence"].astype(np.int64),
         phase=control["phase"].astype(np.int64),
@@ -117,8 +134,9 @@ def _build_samples(control: Columns, head: Head) -> SampleColumns:
     )
 
 
-def _build_events(event: Columns) -> tuple[Event, ...]:
-    rows = zip(event["log_time"].tolist(), event["function"], event["msg"], strict=True)
+def _build_events(columns: TopicColumns) -> tuple[Event, ...]:
+    event = columns.fields
+    rows = zip(columns.log_time_ns.tolist(), event["function"], event["msg"], strict=True)
     return tuple(Event(time_ns=time_ns, kind=kind, text=text) for time_ns, kind, text in rows)
 
 

@@ -1,0 +1,155 @@
+"""File -> what a recording of ours consists of: its head, attachments, columns of its topics."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
+from turtlelog.log.engine.columns import TopicColumns, build_columns
+from turtlelog.log.engine.ending import read_ending
+from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.layout import lay_out
+from turtlelog.log.engine.rows import Rows, make_empty_rows
+from turtlelog.log.engine.schema import parse_schema
+from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
+from turtlelog.log.engine.source import Source, walk_blocks
+from turtlelog.log.engine.walk import Damage
+from turtlelog.log.head import HEAD, Head, parse_head
+from turtlelog.log.schemas import SCHEMAS
+from turtlelog.log.topics import TOPICS, Topic
+
+_EVERYTHING = Selection()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contents:
+    """What a recording holds.
+
+    Attributes:
+        head: What it says of itself.
+        attachments: Bytes by name.
+        topics: The columns of every topic in `TOPICS` by its name; empty ones without messages.
+        damages: What could not be read; empty where the file is whole.
+    """
+
+    head: Head
+    attachments: Mapping[str, bytes]
+    topics: Mapping[str, TopicColumns]
+    damages: tuple[Damage, ...] = ()
+
+
+def read_contents(stream: BinaryIO) -> Contents:
+    """Return what a recording holds; every byte is checked by a checksum, where it has them.
+
+    Raises:
+        LogError: Where the file is no MCAP, or a topic of ours has another type.
+        DamageError: Where it was never finished, or is damaged.
+    """
+    source = Source(stream)
+    try:
+        contents = _read_source(source)
+    except DamageError:
+        raise
+    except LogError:
+        source.check_data()  # where a byte is wrong, that is the reason
+        raise
+    if source.index is not None:  # last: it names no place
+        source.check_data()
+    return contents
+
+
+def _read_source(source: Source) -> Contents:
+    parts: dict[str, list[Rows]] = {}
+    found: list[Any] = []
+    if source.index is not None:
+        found += source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT))
+        # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
+        _find_head(found)
+    for piece in iterate_pieces(source, _EVERYTHING):
+        found += piece.rest
+        for topic, rows in piece.rows.items():
+            parts.setdefault(topic, []).append(rows)
+    return _build_contents(found, source.catalogue, parts, ())
+
+
+def salvage_contents(stream: BinaryIO) -> Contents:
+    """Return what a damaged or unfinished recording still holds.
+
+    Raises:
+        LogError: Where the file is no MCAP, or a topic of ours has another type.
+    """
+    catalogue, damages = Catalogue(), list[Damage]()
+    parts: dict[str, list[Rows]] = {}
+    found: list[Any] = []
+    ending = read_ending(stream)
+    catalogue.add((*ending.schemas.values(), *ending.channels.values()), 0)
+    for block in walk_blocks(stream, catalogue, damages=damages):
+        found += block.rest
+        known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
+        try:
+            piece = read_piece(catalogue, _EVERYTHING, block, known)
+        except LogError as err:
+            end = block.byte + len(block.data)
+            damages.append(Damage(start=block.byte, end=end, reason=str(err)))
+            continue
+        for number in block.offsets.keys() - known.keys():
+            reason = f"channel {number}: expected its record, found messages only"
+            damages.append(Damage(start=block.byte, end=block.byte, reason=reason))
+        for topic, rows in piece.rows.items():
+            parts.setdefault(topic, []).append(rows)
+    return _build_contents(found, catalogue, parts, damages)
+
+
+def _build_contents(
+    records: Collection[Any],
+    catalogue: Catalogue,
+    parts: Mapping[str, list[Rows]],
+    damages: Collection[Damage],
+) -> Contents:
+    head, topics = _find_head(records), {}
+    plans = {plan.topic: plan for plan in catalogue.iterate_plans()}
+    for topic in TOPICS:
+        _check_type(topic, plans.get(topic.name))
+        rows = parts.get(topic.name) or [make_empty_rows(_plan(topic))]
+        topics[topic.name] = build_columns({topic.name: rows}, {topic.name: topic.schema})
+    return Contents(
+        head=head,
+        attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
+        topics={name: columns[name] for name, columns in topics.items()},
+        damages=tuple(damages),
+    )
+
+
+def _find_head(records: Collection[Any]) -> Head:
+    """Return the last one: a live recording says at its end how it ended."""
+    heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
+    if not heads:
+        raise LogError(
+            f"expected a metadata record {HEAD}, found none: not a recording by turtlelog"
+        )
+    return parse_head(heads[-1].metadata)
+
+
+def _check_type(topic: Topic, found: TopicPlan | None) -> None:
+    if found is None:
+        return
+    if found.type != topic.schema:
+        kind = found.type or "no type"
+        raise LogError(f"topic {topic.name}: expected {topic.schema}, found {kind}")
+    if found.reason:
+        raise LogError(f"topic {topic.name}: not understood: {found.reason}")
+    if found.fields != _plan(topic).fields:
+        raise LogError(
+            f"topic {topic.name}: expected {topic.schema} as ROS 2 defines it, found other fields"
+        )
+
+
+@cache
+def _plan(topic: Topic) -> TopicPlan:
+    fields = parse_schema(topic.schema, SCHEMAS[topic.schema])
+    return TopicPlan(topic=topic.name, type=topic.schema, fields=fields, layout=lay_out(fields))

@@ -1,0 +1,182 @@
+"""Blocks: stretches of records in memory, and where in them the messages of each channel stand.
+
+With an index a block is a chunk, and its message indexes say where. They carry no checksum, so
+they are held against the chunk: together the records must fill it without gap or overlap.
+Otherwise the headers of the records are walked one by one.
+"""
+
+import struct
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
+from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.gather import gather_bytes
+from turtlelog.log.engine.parsing import HEADING, Place, iterate_places, parse_record
+from turtlelog.log.engine.summary import ChunkEntry
+
+Offsets = NDArray[np.int64]
+
+MESSAGE_HEAD: Final = 31
+"""Bytes of a message record before its data."""
+
+_HEADING: Final = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
+_INDEX: Final = struct.Struct("<HI")  # channel, bytes of the pairs of log time and offset
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """Records in memory.
+
+    Attributes:
+        data: Their bytes.
+        byte: Of the file: where they start, or their chunk.
+        offsets: By channel: where its messages start, shape (n,), increasing.
+        rest: The other records among them, in order: schemas and channels, and outside chunks
+            headers, metadata and attachments.
+    """
+
+    data: bytes
+    byte: int
+    offsets: Mapping[int, Offsets]
+    rest: tuple[Any, ...]
+
+
+def build_indexed_block(entry: ChunkEntry, stored: bytes) -> Block:
+    """Return a chunk as a block.
+
+    Args:
+        entry: What the summary says of it.
+        stored: The bytes of the file from the start of the chunk to the end of its indexes.
+
+    Raises:
+        DamageError: Where chunk, indexes and summary are not sound, or do not agree.
+    """
+    byte = entry.start
+    opcode, length = HEADING.unpack_from(stored) if len(stored) > HEADING.size else (0, 0)
+    if opcode != Opcode.CHUNK or HEADING.size + length != entry.length:
+        raise DamageError(
+            f"byte {byte}: expected a chunk of {entry.length} bytes,"
+            f" found opcode {opcode} with {HEADING.size + length}"
+        )
+    body = stored[HEADING.size : entry.length]
+    head = parse_chunk_head(body, byte)
+    found = (head.start_ns, head.end_ns, head.size)
+    if found != (entry.start_ns, entry.end_ns, entry.size):
+        expected = f"times {entry.start_ns} to {entry.end_ns} and {entry.size} bytes"
+        raise DamageError(
+            f"byte {byte}: expected a chunk of {expected} as its index says, found {found}"
+        )
+    data = open_chunk(head, body, byte)
+    offsets = _parse_indexes(stored[entry.length :], byte + entry.length)
+    rest = _check_tiling(data, offsets, byte)
+    return Block(data=data, byte=byte, offsets=offsets, rest=rest)
+
+
+def build_walked_block(data: bytes, byte: int) -> Block:
+    """Return records as a block; their headers are walked.
+
+    Raises:
+        DamageError: Where the records do not make sense.
+    """
+    offsets: dict[int, list[int]] = defaultdict(list)
+    rest = []
+    for place in iterate_places(data, 0, len(data), byte):
+        if place.opcode == Opcode.MESSAGE:
+            if place.length < MESSAGE_HEAD - HEADING.size:
+                raise DamageError(f"byte {byte}: expected a message, found {place.length} bytes")
+            offsets[data[place.start] | data[place.start + 1] << 8].append(
+                place.start - HEADING.size
+            )
+        else:
+            rest.append(parse_record(place, data[place.start : place.end], byte))
+    arrays = {channel: np.array(found, np.int64) for channel, found in offsets.items()}
+    found = tuple(record for record in rest if record is not None)
+    return Block(data=data, byte=byte, offsets=arrays, rest=found)
+
+
+def _parse_indexes(data: bytes, byte: int) -> dict[int, Offsets]:
+    """Return where the messages of each channel start, from the message indexes of a chunk."""
+    offsets = {}
+    for place in iterate_places(data, 0, len(data), byte):
+        channel, size = _INDEX.unpack_from(data, place.start) if place.length >= 6 else (0, -1)
+        if place.opcode != Opcode.MESSAGE_INDEX or size % 16 or size != place.length - 6:
+            found = f"opcode {place.opcode} with {place.length}"
+            raise DamageError(f"byte {byte}: expected a message index, found {found} bytes")
+        pairs = np.frombuffer(data, "<u8", size // 8, place.start + _INDEX.size)
+        found_offsets = pairs[1::2].astype(np.int64)
+        if channel in offsets:
+            raise DamageError(f"byte {byte}: expected one index of channel {channel}, found two")
+        if len(found_offsets) > 1 and (np.diff(found_offsets) <= 0).any():
+            # In the order of time, as some writers sort them.
+            found_offsets = np.sort(found_offsets)
+        offsets[channel] = found_offsets
+    return offsets
+
+
+def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> tuple[Any, ...]:
+    """Return the other records of a chunk; its messages must fill what they leave, each once.
+
+    From 0 on the records are a chain: each message ends where one starts that is marked, or where
+    another record does. Lengths that add up leave no message beside the chain.
+    """
+    starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
+    counts = [len(found) for found in offsets.values()]
+    ends = _check_messages(data, starts, np.repeat(np.array([*offsets], np.uint16), counts), byte)
+    marks = np.zeros(len(data) + 1, np.bool_)
+    marks[starts] = True
+    marks[len(data)] = True
+    gaps = ends[~marks[ends]].tolist()
+    if not marks[0]:
+        gaps.append(0)
+    rest, filled = [], int((ends - starts).sum())
+    for gap in gaps:
+        for place in _walk_gap(data, gap, marks, byte):
+            rest.append((place.start, parse_record(place, data[place.start : place.end], byte)))
+            filled += HEADING.size + place.length
+        if filled > len(data):
+            break
+    if filled != len(data):
+        raise _mistrust(byte, f"{filled} bytes of {len(data)}")
+    rest.sort(key=lambda found: found[0])
+    return tuple(record for _, record in rest if record is not None)
+
+
+def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: int) -> Offsets:
+    """Return where messages end; each must be one, of its channel, within the chunk."""
+    if not len(starts):
+        return starts
+    if starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD:
+        raise _mistrust(byte, f"offsets up to {starts.max()} in {len(data)} bytes")
+    heads = gather_bytes(data, starts, _HEADING.itemsize).view(_HEADING)
+    if (heads["opcode"] != Opcode.MESSAGE).any() or (heads["channel"] != channels).any():
+        raise _mistrust(byte, "another record than a message of the channel")
+    lengths = heads["length"]
+    shortest = MESSAGE_HEAD - HEADING.size
+    if lengths.min() < shortest or lengths.max() > len(data):
+        raise _mistrust(byte, f"messages of {lengths.min()} to {lengths.max()} bytes")
+    ends = starts + lengths.astype(np.int64) + HEADING.size
+    if ends.max() > len(data):
+        raise _mistrust(byte, f"a message up to {ends.max()} of {len(data)} bytes")
+    return ends
+
+
+def _walk_gap(data: bytes, start: int, marks: NDArray[np.bool_], byte: int) -> list[Place]:
+    places = []
+    for place in iterate_places(data, start, len(data), byte):
+        if place.opcode == Opcode.MESSAGE:
+            raise _mistrust(byte, f"a message at {start} that is not in it")
+        places.append(place)
+        if marks[place.end]:
+            break
+    return places
+
+
+def _mistrust(byte: int, found: str) -> DamageError:
+    return DamageError(f"byte {byte}: chunk: expected what its message index says, found {found}")

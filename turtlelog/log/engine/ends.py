@@ -1,0 +1,124 @@
+"""Whether an MCAP file is whole: its ends, and the checksums of its summary and its data.
+
+The mcap library checks chunks and the data section, but never the summary.
+"""
+
+import io
+import struct
+import zlib
+from dataclasses import dataclass
+from typing import BinaryIO, Final
+
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+from turtlelog.errors import LogError
+
+_FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary offsets, crc
+_DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
+_UNCHECKED: Final = 4 + len(MCAP0_MAGIC)  # the footer's checksum and what follows it
+_STEP: Final = 2**20  # bytes
+
+
+class DamageError(LogError):
+    """A file that is not what its writer wrote, or not all of it."""
+
+
+class UnfinishedError(DamageError):
+    """A file whose writer never came to its end, or whose end is cut off."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ends:
+    """Where the parts of a whole file are.
+
+    Attributes:
+        size: Of the file [bytes].
+        data_end: Byte of the record that ends the data section.
+        data_crc: Checksum of all bytes before it, 0 where there is none.
+        summary_start: Byte of the summary section; where it is empty, that of the footer.
+        summary: Its bytes, summary offsets included, checked.
+    """
+
+    size: int
+    data_end: int
+    data_crc: int
+    summary_start: int
+    summary: bytes
+
+
+def check_start(stream: BinaryIO) -> None:
+    """Check the magic bytes at the start.
+
+    Raises:
+        LogError: Where the file is no MCAP.
+    """
+    stream.seek(0)
+    start = stream.read(len(MCAP0_MAGIC))
+    if start != MCAP0_MAGIC:
+        found = f"0x{start.hex()}" if start else "an empty file"
+        raise LogError(f"byte 0: expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}")
+
+
+def read_ends(stream: BinaryIO) -> Ends:
+    """Check the magic bytes at both ends, the footer and the summary.
+
+    Raises:
+        LogError: Where the file is no MCAP.
+        DamageError: Where it is cut short, or its summary is damaged.
+    """
+    check_start(stream)
+    size = stream.seek(0, io.SEEK_END)
+    tail = _FOOTER.size + len(MCAP0_MAGIC)
+    stream.seek(max(size - tail, 0))
+    footer, end = stream.read(_FOOTER.size), stream.read()
+    if size < len(MCAP0_MAGIC) + tail or end != MCAP0_MAGIC:
+        raise UnfinishedError(
+            f"byte {size}: expected the end of an MCAP file, found none:"
+            " cut short, or never finished"
+        )
+    place = size - tail
+    opcode, length, summary_start, _, checksum = _FOOTER.unpack(footer)
+    if opcode != Opcode.FOOTER or length != 20 or summary_start > place:
+        raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")
+    summary_start = summary_start or place
+    data_end, data_crc = _read_data_end(stream, summary_start)
+    summary = stream.read(size - _UNCHECKED - summary_start)
+    if checksum and checksum != (found := zlib.crc32(summary)):
+        raise DamageError(
+            f"byte {summary_start}: expected a summary of checksum {checksum:#010x},"
+            f" found {found:#010x}"
+        )
+    return Ends(
+        size=size,
+        data_end=data_end,
+        data_crc=data_crc,
+        summary_start=summary_start,
+        summary=summary[: place - summary_start],
+    )
+
+
+def check_data(stream: BinaryIO, ends: Ends) -> None:
+    """Check all bytes before the end of the data section; costs one pass over the file.
+
+    Raises:
+        DamageError: Where they are not those that were written.
+    """
+    stream.seek(0)
+    found = 0
+    for start in range(0, ends.data_end if ends.data_crc else 0, _STEP):
+        found = zlib.crc32(stream.read(min(_STEP, ends.data_end - start)), found)
+    if found != ends.data_crc:
+        raise DamageError(
+            f"byte {ends.data_end}: expected data of checksum {ends.data_crc:#010x},"
+            f" found {found:#010x}"
+        )
+
+
+def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
+    place = max(summary_start - _DATA_END.size, 0)
+    stream.seek(place)
+    record = stream.read(_DATA_END.size)
+    if len(record) < _DATA_END.size or _DATA_END.unpack(record)[:2] != (Opcode.DATA_END, 4):
+        raise DamageError(f"byte {place}: expected the end of the data, found 0x{record.hex()}")
+    return place, int(_DATA_END.unpack(record)[2])

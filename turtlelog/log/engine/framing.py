@@ -1,0 +1,129 @@
+"""Whether bytes are an MCAP record: its lengths, checked before anything is allocated."""
+
+import struct
+from collections.abc import Mapping
+from typing import BinaryIO, Final
+
+from mcap.opcode import Opcode
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.unpack import LARGEST_CHUNK
+
+RECORD: Final = struct.Struct("<BQ")
+"""Opcode, length of the body."""
+
+SUMMARY_ONLY: Final = frozenset(
+    {
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.STATISTICS,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    }
+)
+"""Records that stand only behind the data."""
+
+_LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
+_PRIVATE: Final = 0x80  # first opcode that anybody may use
+_KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
+_BEFORE_INDEX: Final = frozenset({0, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
+_WINDOW: Final = 2**20  # bytes read at once
+
+# Bytes of fixed size at the front of a body, and how many fields with a length of their own follow.
+_SHAPES: Final[Mapping[int, tuple[int, int]]] = {
+    Opcode.HEADER: (0, 2),
+    Opcode.SCHEMA: (2, 3),
+    Opcode.CHANNEL: (4, 3),
+    Opcode.METADATA: (0, 2),
+    Opcode.MESSAGE_INDEX: (2, 1),
+    Opcode.ATTACHMENT: (16, 2),
+}
+_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: 22, Opcode.CHUNK: 40}
+_EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
+
+
+class FileWindow:
+    """A file read by place; small reads are served from one window of it."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._start, self._data = 0, b""
+        self.size = stream.seek(0, 2)
+
+    def read(self, start: int, count: int) -> bytes:
+        """Return `count` bytes from `start`, fewer at the end of the file."""
+        at = start - self._start
+        if at >= 0 and at + count <= len(self._data):
+            return self._data[at : at + count]
+        self._stream.seek(start)
+        if count > _WINDOW:
+            return self._stream.read(count)
+        self._start, self._data = start, self._stream.read(_WINDOW)
+        return self._data[:count]
+
+
+def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
+    """Return opcode and end of the record at `place`, whose lengths agree and which is whole.
+
+    Raises:
+        LogError: One clause, where they do not agree, or the file ends within the record.
+    """
+    opcode, length = _read_head(window, place)
+    end = place + RECORD.size + length
+    if end > window.size:
+        raise LogError(f"expected {length} bytes in a record, found the end of the file within it")
+    found = measure_record(window, place, opcode, end)
+    # A later version may append fields; a length that swallows the next record is damage.
+    if found > end or (found < end and is_record_start(window, found)):
+        found -= place + RECORD.size
+        raise LogError(f"expected a record (opcode {opcode}) of {length} bytes, found {found}")
+    # What its fields do not bear out, the next record must.
+    is_borne_out = opcode in _SHAPES or opcode in _EXACT
+    if not (is_borne_out and found == end) and not is_record_start(window, end, after=opcode):
+        raise LogError(f"expected another record after one of {length} bytes, found none")
+    return opcode, end
+
+
+def is_record_start(window: FileWindow, place: int, *, after: int = 0) -> bool:
+    """Return whether a record can start here; it may be cut off by the end of the file.
+
+    Only a chunk or another index stands before a message index.
+    """
+    if window.size - place < RECORD.size:
+        head = window.read(place, 1)
+        return not head or head[0] >= _PRIVATE or head[0] in _KNOWN
+    try:
+        opcode, _ = _read_head(window, place)
+    except LogError:
+        return False
+    return opcode != Opcode.MESSAGE_INDEX or after in _BEFORE_INDEX
+
+
+def measure_record(window: FileWindow, place: int, opcode: int, end: int) -> int:
+    """Return where the record ends by the lengths of its fields; `end` is where by its own."""
+    shape = _SHAPES.get(opcode)
+    if shape is None:
+        return end
+    fixed, fields = shape
+    at = place + RECORD.size + fixed
+    for _ in range(fields):
+        if at + 4 > end:
+            return at + 4
+        at += 4 + int.from_bytes(window.read(at, 4), "little")
+    if opcode == Opcode.ATTACHMENT and at + 8 <= end:
+        at += 8 + int.from_bytes(window.read(at, 8), "little") + 4
+    return at
+
+
+def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
+    head = window.read(place, RECORD.size)
+    if len(head) < RECORD.size:
+        raise LogError("expected a record, found the end of the file within its first 9 bytes")
+    opcode, length = RECORD.unpack(head)
+    if opcode < _PRIVATE and opcode not in _KNOWN:
+        raise LogError(f"expected a record, found the opcode {opcode:#04x}")
+    exact = _EXACT.get(opcode)
+    least, most = (_LEAST.get(opcode, 0), _LARGEST_RECORD) if exact is None else (exact, exact)
+    if not least <= length <= most:
+        raise LogError(f"expected a record (opcode {opcode}), found one of {length} bytes")
+    return opcode, length

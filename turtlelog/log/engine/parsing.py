@@ -1,0 +1,124 @@
+"""The bytes of MCAP records -> values; the rare kinds through the mcap library."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from typing import Any, BinaryIO, Final
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+from turtlelog.errors import describe_error
+from turtlelog.log.engine.ends import DamageError
+
+HEADING: Final = struct.Struct("<BQ")
+"""Opcode and length of every record."""
+
+_RARE: Final[dict[int, Any]] = {
+    Opcode.HEADER: Header,
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+    Opcode.STATISTICS: Statistics,
+    Opcode.METADATA_INDEX: MetadataIndex,
+    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A record in a buffer or file: its opcode, where its body starts, and its length [bytes]."""
+
+    opcode: int
+    start: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """The byte behind it."""
+        return self.start + self.length
+
+
+class _ExactBytes(BytesIO):
+    """Bytes of which more than there are cannot be read: the library would take fewer."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        data = super().read(size)
+        if size is not None and len(data) < size:
+            raise EOFError(f"{size} bytes expected, found {len(data)}")
+        return data
+
+
+def iterate_places(data: bytes, start: int, end: int, byte: int) -> Iterator[Place]:
+    """Yield the records between two places of a buffer.
+
+    Args:
+        data: The buffer.
+        start: Where the first one starts.
+        end: Where the last one must end.
+        byte: Of the file, for the error: where the stretch of records starts, or its chunk.
+
+    Raises:
+        DamageError: Where one goes over the end.
+    """
+    while start < end:
+        if start + HEADING.size > end:
+            raise DamageError(f"byte {byte}: expected a record, found {end - start} bytes more")
+        opcode, length = HEADING.unpack_from(data, start)
+        place = Place(opcode, start + HEADING.size, length)
+        if not opcode or place.end > end:
+            left = end - place.start
+            raise DamageError(
+                f"byte {byte}: expected a record of up to {left} bytes,"
+                f" found opcode {opcode} with {length} at {start}"
+            )
+        yield place
+        start = place.end
+
+
+def parse_record(place: Place, body: bytes, byte: int) -> Any:
+    """Return a record of a rare kind from its bytes, checksums checked; None for another kind.
+
+    Raises:
+        DamageError: Where they are no such record; `byte` is where it stands in the file.
+    """
+    kind = _RARE.get(place.opcode)
+    if kind is None:
+        return None
+    try:
+        stream = ReadDataStream(_ExactBytes(body))
+        record = kind.read(stream)
+    except Exception as err:
+        found = describe_error(err)
+        raise DamageError(f"byte {byte}: expected {kind.__name__}, found {found}") from err
+    if kind is Attachment:
+        # Some writers leave bytes behind the checksum, so it is not just the last four.
+        _check_attachment(body[: stream.count], byte)
+    return record
+
+
+def read_record(stream: BinaryIO, place: Place) -> Any:
+    """Return a record of a rare kind that stands alone in a file."""
+    stream.seek(place.start)
+    return parse_record(place, stream.read(place.length), place.start - HEADING.size)
+
+
+def _check_attachment(body: bytes, byte: int) -> None:
+    expected = int.from_bytes(body[-4:], "little")
+    if expected and expected != (found := zlib.crc32(body[:-4])):
+        raise DamageError(
+            f"byte {byte}: expected an attachment of checksum {expected:#010x}, found {found:#010x}"
+        )

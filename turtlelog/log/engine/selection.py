@@ -1,0 +1,186 @@
+"""What is asked for of a file, and its messages piece by piece."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import Block, Offsets
+from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
+from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.rows import LOG_TIME, Rows, read_rows, select_rows
+from turtlelog.log.engine.source import EVER, Source
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Which messages are asked for.
+
+    Attributes:
+        topics: By name; None for all that can be understood.
+        start_ns: Least log time.
+        end_ns: The log time before which they end.
+    """
+
+    topics: frozenset[str] | None = None
+    start_ns: int = 0
+    end_ns: int = EVER
+
+    @property
+    def is_ever(self) -> bool:
+        """Whether no message is left out for its time."""
+        return self.start_ns <= 0 and self.end_ns >= EVER
+
+    def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
+        """Return the plans of the topics asked for, as far as they are known so far.
+
+        Raises:
+            LogError: Where one that is asked for by name cannot be understood.
+        """
+        plans = {}
+        for plan in catalogue.iterate_plans():
+            if self.topics is not None and plan.topic not in self.topics:
+                continue
+            if not plan.reason:
+                plans[plan.topic] = plan
+            elif self.topics is not None:
+                raise LogError(f"topic {plan.topic}: not understood: {plan.reason}")
+        return plans
+
+    def require_topics(self, catalogue: Catalogue) -> None:
+        """Check that every topic asked for by name is there.
+
+        Raises:
+            LogError: Where one is not.
+        """
+        known = {channel.topic for channel in catalogue.channels.values()}
+        for topic in sorted((self.topics or frozenset()) - known):
+            raise LogError(f"topic {topic}: expected it in the file, found no such topic")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """Some messages that stand together.
+
+    Attributes:
+        rows: By topic, as far as they are asked for.
+        size: Bytes that they were read from.
+        counts: Messages by channel, asked for or not.
+        rest: The other records among them, at the first piece of a block.
+    """
+
+    rows: Mapping[str, Rows]
+    size: int
+    counts: Mapping[int, int]
+    rest: tuple[Any, ...] = ()
+
+
+def select_topics(
+    topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
+) -> Selection:
+    """Return a selection; None takes all."""
+    names = [topics] if isinstance(topics, str) else topics
+    return Selection(
+        topics=None if names is None else frozenset(names),
+        start_ns=0 if start_ns is None else start_ns,
+        end_ns=EVER if end_ns is None else end_ns,
+    )
+
+
+def iterate_pieces(
+    source: Source, selection: Selection, most_rows: int | None = None
+) -> Iterator[Piece]:
+    """Yield the messages asked for, in the order of the file; of a topic up to so many at once.
+
+    Raises:
+        LogError: Where a topic asked for is not there or not understood.
+        DamageError: Where something read is damaged, or more or less than the statistics say.
+    """
+    catalogue, channels = source.catalogue, None
+    if source.index is not None:
+        selection.require_topics(catalogue)
+        plans = selection.choose_plans(catalogue)
+        known = catalogue.channels.values()
+        channels = {channel.id for channel in known if channel.topic in plans}
+    counts: Counter[int] = Counter()
+
+    def read(block: Block) -> list[Piece]:
+        parts = _split(block.offsets, most_rows)
+        pieces = [read_piece(catalogue, selection, block, offsets) for offsets in parts]
+        return [replace(pieces[0], rest=block.rest), *pieces[1:]]
+
+    for pieces in source.map_blocks(read, channels, selection.start_ns, selection.end_ns):
+        for piece in pieces:
+            counts.update(piece.counts)
+            yield piece
+    selection.require_topics(catalogue)
+    if selection.is_ever:
+        _check_counts(source, counts, channels)
+
+
+def count_rows(source: Source, selection: Selection) -> Mapping[str, int]:
+    """Return how many rows of each topic the statistics promise, none where they do not tell.
+
+    No more than the message indexes have room for: no one is believed who promises billions.
+    """
+    if source.index is None or source.statistics is None or not selection.is_ever:
+        return {}
+    room = sum(entry.index_length for entry in source.index.chunks) // 16
+    counts: Counter[str] = Counter()
+    for number, count in source.statistics.channel_message_counts.items():
+        if number in source.catalogue:
+            counts[source.catalogue.channels[number].topic] += min(count, room)
+    return counts
+
+
+def read_piece(
+    catalogue: Catalogue, selection: Selection, block: Block, offsets: Mapping[int, Offsets]
+) -> Piece:
+    """Return those of the messages at some places of a block that are asked for.
+
+    Raises:
+        LogError: Where one is not of its topic's type.
+    """
+    plans, found = selection.choose_plans(catalogue), {}
+    for topic, channels in catalogue.group_channels(offsets, block.byte).items():
+        starts = _merge([offsets[channel] for channel in channels])
+        if topic not in plans or not len(starts):
+            continue
+        rows = read_rows(plans[topic], block, starts)
+        if not selection.is_ever:
+            times = rows[LOG_TIME]
+            rows = select_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
+        if len(rows[LOG_TIME]):
+            found[topic] = rows
+    counts = {channel: len(starts) for channel, starts in offsets.items()}
+    share = sum(counts.values()) / max(sum(map(len, block.offsets.values())), 1)
+    return Piece(rows=found, size=int(len(block.data) * share), counts=counts)
+
+
+def _merge(offsets: list[Offsets]) -> Offsets:
+    return offsets[0] if len(offsets) == 1 else np.sort(np.concatenate(offsets))
+
+
+def _split(offsets: Mapping[int, Offsets], most_rows: int | None) -> list[Mapping[int, Offsets]]:
+    """Return the messages of a block in stretches of up to so many of a channel."""
+    if most_rows is None or max(map(len, offsets.values()), default=0) <= most_rows:
+        return [offsets]
+    borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
+    cuts = {channel: np.split(of, np.searchsorted(of, borders)) for channel, of in offsets.items()}
+    return [
+        {channel: parts[number] for channel, parts in cuts.items()}
+        for number in range(len(borders) + 1)
+    ]
+
+
+def _check_counts(source: Source, counts: Counter[int], channels: Collection[int] | None) -> None:
+    statistics = source.statistics
+    for channel, expected in statistics.channel_message_counts.items() if statistics else ():
+        if (channels is None or channel in channels) and counts[channel] != expected:
+            raise DamageError(
+                f"byte {source.ends.summary_start}: channel {channel}: expected {expected} messages"
+                f" as the statistics say, found {counts[channel]}"
+            )

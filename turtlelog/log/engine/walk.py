@@ -1,0 +1,230 @@
+"""A file walked record by record from its start, whatever state it is in.
+
+Finished files are read by their indexes; this is for those that have none, were never finished, or
+are damaged.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import BinaryIO, Final
+
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.framing import (
+    RECORD,
+    SUMMARY_ONLY,
+    FileWindow,
+    find_record_end,
+    is_record_start,
+    measure_record,
+)
+from turtlelog.log.engine.resync import find_next_record
+from turtlelog.log.engine.unpack import LARGEST_CHUNK, unpack_chunk
+
+_CHUNK: Final = struct.Struct("<BQQQQII")  # ... start, end, size unpacked, crc, length of the name
+_BATCH: Final = 2**20  # bytes of lone records handed on together
+_LONGEST_NAME: Final = 64  # bytes; of a compression
+_LONE: Final = frozenset(
+    {
+        Opcode.HEADER,
+        Opcode.SCHEMA,
+        Opcode.CHANNEL,
+        Opcode.MESSAGE,
+        Opcode.METADATA,
+        Opcode.DATA_END,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """One stretch of records, sound as far as can be told.
+
+    Attributes:
+        data: Records one after the other: opcode u8, length u64, body. The whole of an unpacked
+            chunk; or records that stand alone in the data section (header, schemas, channels,
+            messages, metadata, one attachment, the end of the data).
+        start: Byte in the file.
+        is_chunk: Whether it is a chunk.
+        is_checked: Whether a checksum vouches for it: a chunk's or an attachment's own. For the
+            end of the data, that the checksum of the whole data section holds, which then vouches
+            for everything before it.
+    """
+
+    data: bytes
+    start: int
+    is_chunk: bool
+    is_checked: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Damage:
+    """A stretch that could not be read.
+
+    Attributes:
+        start: First byte in the file.
+        end: Byte after the last one; where it equals `start`, something is missing there.
+        reason: One clause: what was expected, what was found.
+    """
+
+    start: int
+    end: int
+    reason: str
+
+
+def walk_sections(stream: BinaryIO) -> Iterator[Section | Damage]:
+    """Yield everything in the data section in the order of the file, and what could not be read.
+
+    Walking goes on after damage: where a header makes no sense, at the next record that bears
+    itself out (a chunk, a message index, an attachment with its checksum; single messages only
+    where messages stood alone before). Chunks that fail their checksum are damage as a whole: of
+    what they hold nothing can be told apart. A file that was never finished ends in damage. The
+    summary is not walked. Needs memory for a chunk, packed and unpacked, at a time.
+    """
+    window, damaged = FileWindow(stream), False
+    for found in _walk_records(window):
+        if isinstance(found, Damage):
+            damaged = True
+        elif not damaged and not found.is_chunk and found.data[0] == Opcode.DATA_END:
+            yield _check_data(window, found)
+            continue
+        yield found
+
+
+def _walk_records(window: FileWindow) -> Iterator[Section | Damage]:
+    place: int | None = len(MCAP0_MAGIC)
+    if (magic := window.read(0, len(MCAP0_MAGIC))) != MCAP0_MAGIC:
+        reason = f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found 0x{magic.hex()}"
+        yield Damage(start=0, end=len(magic), reason=reason)
+    kind = 0  # what stood first: chunks, messages of their own, or what comes before both
+    while place is not None:
+        start = place
+        try:
+            found, place = _read_record(window, place, kind)
+        except LogError as err:
+            place = find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
+            end = window.size if place is None else place
+            yield Damage(start=start, end=end, reason=str(err))
+            continue
+        yield from found
+        if kind not in {Opcode.CHUNK, Opcode.MESSAGE} and start < window.size:
+            kind = window.read(start, 1)[0]
+
+
+def _read_record(
+    window: FileWindow, place: int, kind: int
+) -> tuple[list[Section | Damage], int | None]:
+    """Return what stands at `place`, and where to go on, if anywhere.
+
+    Raises:
+        LogError: One clause, where no record stands there that can be stepped over.
+    """
+    if place >= window.size:
+        reason = "expected the end of the data, found that of the file: cut short, or not finished"
+        return [Damage(start=window.size, end=window.size, reason=reason)], None
+    if window.read(place, 1)[0] == Opcode.CHUNK:
+        return _read_chunk(window, place)
+    opcode, end = find_record_end(window, place)
+    # One bit makes a message of a header or of a message index. Nobody mixes chunks and messages.
+    if opcode == Opcode.MESSAGE and kind in {0, Opcode.CHUNK}:
+        raise LogError("expected messages in chunks, found one that stands alone")
+    # One bit makes one of these of metadata or an attachment.
+    if opcode in SUMMARY_ONLY:
+        raise LogError(f"expected data, found a record of the summary (opcode {opcode})")
+    if opcode == Opcode.FOOTER:
+        reason = "expected the end of the data, found that of the file"
+        return [Damage(start=place, end=place, reason=reason)], None
+    if opcode == Opcode.ATTACHMENT:
+        return [_read_attachment(window, place, end)], end
+    if opcode not in _LONE:
+        return [], end
+    data = _read_run(window, place, opcode)
+    section = Section(data=data, start=place, is_chunk=False, is_checked=False)
+    return [section], None if opcode == Opcode.DATA_END else place + len(data)
+
+
+def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
+    """Return the records of one kind that follow each other from `place`, up to a batch."""
+    _, end = find_record_end(window, place)
+    parts = [window.read(place, end - place)]
+    while opcode == Opcode.MESSAGE and end - place < _BATCH:
+        start = end
+        try:
+            found, end = find_record_end(window, start)
+        except LogError:
+            break
+        if found != opcode:
+            break
+        parts.append(window.read(start, end - start))
+    return b"".join(parts)
+
+
+def _read_attachment(window: FileWindow, place: int, end: int) -> Section | Damage:
+    data = window.read(place, end - place)
+    # Some writers leave bytes behind the checksum.
+    last = measure_record(window, place, Opcode.ATTACHMENT, end) - 4 - place
+    checksum = int.from_bytes(data[last : last + 4], "little")
+    if checksum and (found := zlib.crc32(data[RECORD.size : last])) != checksum:
+        reason = f"expected an attachment with checksum {checksum:#010x}, found {found:#010x}"
+        return Damage(start=place, end=end, reason=reason)
+    return Section(data=data, start=place, is_chunk=False, is_checked=checksum != 0)
+
+
+def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage], int]:
+    head = window.read(place, _CHUNK.size)
+    if len(head) < _CHUNK.size:
+        raise LogError("expected a chunk, found the end of the file within its header")
+    _, length, _, _, size, checksum, name_size = _CHUNK.unpack(head)
+    if name_size > _LONGEST_NAME:
+        raise LogError(f"expected a chunk, found a compression of {name_size} letters")
+    rest = window.read(place + _CHUNK.size, name_size + 8)
+    start = place + _CHUNK.size + name_size + 8
+    by_record, by_data = place + RECORD.size + length, start + int.from_bytes(rest[-8:], "little")
+    ends = [
+        end
+        for end in dict.fromkeys((by_data, by_record))
+        if start <= end <= min(window.size, start + LARGEST_CHUNK)
+        and (by_data == by_record or is_record_start(window, end, after=Opcode.CHUNK))
+    ]
+    if not ends:
+        raise LogError(f"expected a chunk of {length} bytes, found {window.size - start} to come")
+    reason = f"expected a chunk with lengths that agree, found {length} and {by_data - start}"
+    for end in ends:
+        try:
+            packed = window.read(start, end - start)
+            data = unpack_chunk(rest[:-8].decode("utf-8", "replace"), packed, size)
+            _check_chunk(data, size, checksum, agree=by_data == by_record)
+        except LogError as err:
+            reason = str(err)
+            continue
+        section = Section(data=data, start=place, is_chunk=True, is_checked=checksum != 0)
+        if by_data == by_record and len(data) == size:
+            return [section], end
+        # The checksum holds, so it is the header that is wrong.
+        reason = f"expected a chunk of {len(data)} bytes, found a header that says otherwise"
+        return [section, Damage(start=place, end=start, reason=reason)], end
+    return [Damage(start=place, end=ends[0], reason=reason)], ends[0]
+
+
+def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
+    if checksum and (found := zlib.crc32(data)) != checksum:
+        raise LogError(f"expected a chunk with the checksum {checksum:#010x}, found {found:#010x}")
+    if not checksum and (len(data) != size or not agree):
+        raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
+
+
+def _check_data(window: FileWindow, end: Section) -> Section | Damage:
+    """Hold the checksum of the data section, where there is one, against the file."""
+    expected, found = int.from_bytes(end.data[-4:], "little"), 0
+    if not expected:
+        return end
+    for place in range(0, end.start, _BATCH):
+        found = zlib.crc32(window.read(place, min(_BATCH, end.start - place)), found)
+    if found == expected:
+        return replace(end, is_checked=True)
+    reason = f"expected data with the checksum {expected:#010x}, found {found:#010x}"
+    return Damage(start=0, end=end.start, reason=reason)
