@@ -196,7 +196,8 @@ class Run:
         goal_heading_rad: Goal heading [rad], None where none was asked for.
         parameters: What is known of the scenario, by dotted key (`law.kp_linear`).
         scenario_is_complete: Whether the parameters determine the run.
-        stop_reason: Why it ended, in the law's word, or `max_duration`; None where not recorded.
+        stop_reason: Why it ended, in the law's word, or `max_duration` or `interrupted`; None where
+            not recorded.
         events: In order of time.
         absent: Names of the fields that the source does not hold.
         notes: What an importer did or found, by name (`original_timestamp`, `sorted_rows`, ...).
@@ -249,7 +250,7 @@ class Run:
     @property
     def is_complete(self) -> bool:
         """Whether the controller came to its own end."""
-        return self.stop_reason not in {None, "max_duration"}
+        return self.stop_reason not in {None, "max_duration", "interrupted"}
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
         """Return the phases in order; the silence after a rotation's last sample is PAUSE."""

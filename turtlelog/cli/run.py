@@ -1,13 +1,28 @@
 """`turtlelog run`: simulate a scenario."""
 
+import sys
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, Output, ScenarioOptions, load_changed_scenario
-from turtlelog.cli.output import describe_metrics, print_json, print_note, print_text
+from turtlelog.cli.output import (
+    describe_metrics,
+    print_json,
+    print_note,
+    print_text,
+    require_new_target,
+)
+
+if TYPE_CHECKING:
+    from turtlelog import Run, Scenario
+    from turtlelog.simulate import Tick
+
+EXIT_FINE: Final = 0
+EXIT_INTERRUPTED: Final = 130
 
 
 def run(
@@ -17,26 +32,41 @@ def run(
     options: ScenarioOptions | None = None,
     output: Output = None,
     rrd: Annotated[Path | None, Parameter(name="--rrd")] = None,
+    realtime: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
-) -> None:
+) -> int:
     """Simulate a scenario in closed loop, print its metrics, record it.
 
     Example: turtlelog run paper-kp10 --set loop.queue_policy=newest -o kp10.mcap
+
+    With --realtime the recording is written while the loop runs, to a new file that can be read up
+    to the last second whatever happens. Ctrl-C ends the run, and the file is finished (exit code
+    130).
 
     Args:
         scenario: A preset (paper-kp1, paper-kp2, paper-kp4, paper-kp10, paper, textbook) or a
             scenario file.
         output: Write the recording to this .mcap file.
+        realtime: Run at the speed of the wall clock.
         rrd: Write a Rerun recording to this .rrd file.
         json: Print one JSON object instead of tables.
     """
+    require_new_target(output, [rrd] if rrd else [], suffix=".mcap")
+    require_new_target(rrd, [], suffix=".rrd")
     chosen = load_changed_scenario(scenario, options)
-    result = tl.simulate_run(chosen)
+    result = _run_realtime(chosen, output) if realtime else tl.simulate_run(chosen)
+    if result.stop_reason == "interrupted":
+        recorded = "" if output is None else f"; {output} holds everything up to there"
+        print_note(f"interrupted at {result.end_ns / 1e9:.3f} s{recorded}")
+        return EXIT_INTERRUPTED
+    for name, note in result.notes.items():
+        print_note(f"{name.replace('_', ' ')}: {note}")
     if output is not None:
-        tl.write_recording(result, output)
+        if not realtime:
+            tl.write_recording(result, output)
         print_note(f"wrote {output}")
     if rrd is not None:
-        tl.write_run_rrd(result, rrd, documents=tl.describe_run(result))
+        tl.write_run_rrd(result, rrd)
         print_note(f"wrote {rrd}")
     if json:
         print_json(
@@ -49,6 +79,34 @@ def run(
                 "metrics": describe_metrics(tl.measure_run(result)),
             }
         )
-        return
+        return EXIT_FINE
     print_text(f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n")
     print_text(tl.format_table(tl.tabulate_metrics([result])))
+    return EXIT_FINE
+
+
+def _run_realtime(scenario: "Scenario", output: Path | None) -> "Run":
+    progress = [_Progress(scenario.max_duration_s)] if sys.stderr.isatty() else []
+    if output is None:
+        return tl.run_live(scenario, progress, realtime=True)
+    with tl.Recorder(output, scenario) as recorder:
+        return tl.run_live(scenario, [recorder, *progress], realtime=True)
+
+
+class _Progress:
+    """Counts the seconds of a run on one line of a terminal."""
+
+    def __init__(self, most_s: float) -> None:
+        self._most_s = most_s
+        self._shown = -1
+
+    def receive(self, tick: "Tick") -> None:
+        seconds = tick.time_ns // 1_000_000_000
+        if seconds != self._shown:
+            self._shown = seconds
+            sys.stderr.write(f"\r{seconds} s (at most {self._most_s:g} s)")
+            sys.stderr.flush()
+
+    def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
+        sys.stderr.write("\r\x1b[K")
+        sys.stderr.flush()

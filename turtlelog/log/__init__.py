@@ -1,17 +1,39 @@
-"""Run <-> files: topics and schemas, writer, reader, importers."""
+"""Run <-> files: topics and schemas, writers, readers, columns of any file, importers, recovery."""
 
+from turtlelog.log.any_file import read_run
 from turtlelog.log.atomic import replace_when_complete
+from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
+from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
+from turtlelog.log.partial import PartialRecordingWarning
 from turtlelog.log.reader import read_recording
-from turtlelog.log.writer import write_recording
+from turtlelog.log.recorder import Recorder
+from turtlelog.log.recovery import Loss, RecoveryReport, recover_recording
+from turtlelog.log.ros2 import read_bag, read_bag_info
+from turtlelog.log.writer import write_columns, write_recording
 
 __all__ = [
+    "Loss",
+    "PartialRecordingWarning",
+    "Recorder",
     "RecordingInfo",
+    "RecoveryReport",
+    "TopicColumns",
     "TopicInfo",
+    "export_csv",
+    "export_parquet",
+    "export_rosbag2",
     "import_log",
+    "iter_columns",
+    "read_bag",
+    "read_bag_info",
+    "read_columns",
     "read_info",
     "read_recording",
+    "read_run",
+    "recover_recording",
     "replace_when_complete",
+    "write_columns",
     "write_recording",
 ]

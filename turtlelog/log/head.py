@@ -1,6 +1,7 @@
 """What a recording says of itself: the metadata record and the attached scenario."""
 
 import tomllib
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -9,11 +10,15 @@ import msgspec
 import tomli_w
 
 from turtlelog import __version__
-from turtlelog.errors import LogError
+from turtlelog.errors import LogError, ScenarioError
 from turtlelog.run import Run
+from turtlelog.scenario import Scenario, nest_parameters
 
 HEAD: Final = "turtlelog"
 """Name of the metadata record."""
+
+CHECKSUM: Final = "checksum"
+"""Entry that holds the crc32 of the others, as JSON in order of their names, in hexadecimal."""
 
 FORMAT_VERSION: Final = 1
 SCENARIO_FILE: Final = "scenario.toml"
@@ -48,22 +53,53 @@ class Head:
     notes: Mapping[str, str]
 
 
-def format_head(run: Run) -> dict[str, str]:
-    """Return the metadata record of a run; what is None is left out."""
+def describe_run(run: Run) -> Head:
+    """Return the head of a run's recording."""
+    return Head(
+        format_version=FORMAT_VERSION,
+        source=run.source,
+        name=run.name,
+        stop_reason=run.stop_reason,
+        goal_heading_rad=run.goal_heading_rad,
+        absent=run.absent,
+        nan_columns=frozenset(_list_nan_columns(run)),
+        notes=run.notes,
+    )
+
+
+def describe_scenario(
+    scenario: Scenario, *, stop_reason: str | None, notes: Mapping[str, str]
+) -> Head:
+    """Return the head of a recording of a scenario that runs, or has run."""
+    return Head(
+        format_version=FORMAT_VERSION,
+        source="simulation",
+        name=scenario.name,
+        stop_reason=stop_reason,
+        goal_heading_rad=scenario.goal.heading_rad,
+        absent=(),
+        nan_columns=frozenset(),
+        notes=notes,
+    )
+
+
+def format_head(head: Head) -> dict[str, str]:
+    """Return the metadata record; what is None is left out."""
     record = {
-        "format_version": str(FORMAT_VERSION),
+        "format_version": str(head.format_version),
         "turtlelog_version": __version__,
-        "source": run.source,
-        "name": run.name,
-        "absent": _encode(run.absent),
-        "nan_columns": _encode(_list_nan_columns(run)),
-        "notes": _encode(dict(run.notes)),
+        "source": head.source,
+        "name": head.name,
+        "absent": _encode(head.absent),
+        "nan_columns": _encode(sorted(head.nan_columns)),
+        "notes": _encode(dict(head.notes)),
     }
-    if run.stop_reason is not None:
-        record["stop_reason"] = run.stop_reason
-    if run.goal_heading_rad is not None:
-        record["goal_heading_rad"] = repr(float(run.goal_heading_rad))
-    return record
+    if head.stop_reason is not None:
+        record["stop_reason"] = head.stop_reason
+    if head.goal_heading_rad is not None:
+        record["goal_heading_rad"] = repr(float(head.goal_heading_rad))
+    # MCAP has no checksum for a metadata record that is read without the rest of the file.
+    return {**record, CHECKSUM: _sum_up(record)}
 
 
 def parse_head(record: Mapping[str, str]) -> Head:
@@ -78,6 +114,8 @@ def parse_head(record: Mapping[str, str]) -> Head:
         raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
     if version < 1:
         raise LogError(f"format version {version}: expected 1 to {FORMAT_VERSION}")
+    if _get(record, CHECKSUM) != _sum_up(record):
+        raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
     heading = _decode(record, "goal_heading_rad", float) if "goal_heading_rad" in record else None
     return Head(
         format_version=version,
@@ -91,22 +129,16 @@ def parse_head(record: Mapping[str, str]) -> Head:
     )
 
 
-def format_scenario_file(run: Run) -> tuple[str, str] | None:
-    """Return name and TOML text of the attachment; None where no parameter is known."""
+def format_scenario_file(run: Run) -> dict[str, bytes]:
+    """Return the attached TOML text by its name; nothing where no parameter is known."""
     if not run.parameters and not run.scenario_is_complete:
-        return None
-    tables: dict[str, Any] = {}
-    for key, value in run.parameters.items():
-        *parents, last = key.split(".")
-        table = tables
-        for parent in parents:
-            table = table.setdefault(parent, {})
-            if not isinstance(table, dict):
-                raise LogError(f"parameter {key}: expected a key, found one below a value")
-        if last in table:
-            raise LogError(f"parameter {key}: expected a value, found keys below it")
-        table[last] = value
-    return SCENARIO_FILE if run.scenario_is_complete else PARAMETER_FILE, tomli_w.dumps(tables)
+        return {}
+    try:
+        tables = nest_parameters(run.parameters)
+    except ScenarioError as err:
+        raise LogError(f"parameters: {err}") from err
+    name = SCENARIO_FILE if run.scenario_is_complete else PARAMETER_FILE
+    return {name: tomli_w.dumps(tables).encode()}
 
 
 def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
@@ -131,6 +163,11 @@ def _list_nan_columns(run: Run) -> list[str]:
         "samples.wanted_turn_rate_rad_s": run.samples.wanted_turn_rate_rad_s,
     }
     return [name for name, values in columns.items() if values is None]
+
+
+def _sum_up(record: Mapping[str, str]) -> str:
+    rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
+    return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
 
 
 def _encode(value: object) -> str:

@@ -1,14 +1,15 @@
 """Run -> messages, topic by topic."""
 
 import math
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.cdr import encode_columns, encode_message
+from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.layout import Column
 from turtlelog.log.topics import (
     COMMAND,
     CONTROL,
@@ -20,30 +21,15 @@ from turtlelog.log.topics import (
     VELOCITY64,
     Topic,
 )
-from turtlelog.run import Event, PoseColumns, Run
+from turtlelog.run import Event, PoseColumns, Run, SampleColumns
+
+Values = dict[str, Any]
 
 _INFO: Final = 20
 _WARN: Final = 30
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TopicMessages:
-    """The messages of one topic.
-
-    Attributes:
-        topic: Where they go.
-        time_ns: Log time of each [ns].
-        sequence: Number of each.
-        payloads: CDR bytes of each.
-    """
-
-    topic: Topic
-    time_ns: list[int]
-    sequence: list[int]
-    payloads: list[bytes]
-
-
-def build_messages(run: Run) -> tuple[TopicMessages, ...]:
+def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     """Return the messages of a run, in the order of `TOPICS`; a topic without any is left out.
 
     Raises:
@@ -59,12 +45,38 @@ def build_messages(run: Run) -> tuple[TopicMessages, ...]:
         _build_poses(run.poses),
         _build_poses64(run.poses),
         _build_velocities64(run.poses),
-        _build_samples(run),
+        _build_samples(run.samples),
         _build_commands(run),
         _build_phases(run),
         _build_events(run.events),
     )
-    return tuple(messages for messages in topics if messages.payloads)
+    return tuple(messages for messages in topics if len(messages))
+
+
+def describe_goal(time_ns: int, xy_m: tuple[float, float], heading_rad: float | None) -> Values:
+    """Return the fields of the goal's one message; without a heading it is turned by 0."""
+    half_rad = (heading_rad or 0.0) / 2.0
+    return {
+        **_stamp(time_ns),
+        "header.frame_id": "world",
+        "pose.position.x": xy_m[0],
+        "pose.position.y": xy_m[1],
+        "pose.orientation.z": math.sin(half_rad),
+        "pose.orientation.w": math.cos(half_rad),
+    }
+
+
+def describe_event(event: Event) -> Values:
+    """Return the fields of an event's message."""
+    seconds, nanoseconds = divmod(event.time_ns, 1_000_000_000)
+    return {
+        "stamp.sec": seconds,
+        "stamp.nanosec": nanoseconds,
+        "level": _INFO if event.kind == "stop" else _WARN,
+        "name": "turtlesim" if event.kind == "wall_hit" else "controller",
+        "msg": event.text,
+        "function": event.kind,
+    }
 
 
 def _require_range(name: str, values: NDArray[np.int64], end: int) -> None:
@@ -73,60 +85,66 @@ def _require_range(name: str, values: NDArray[np.int64], end: int) -> None:
             raise LogError(f"{name}: expected values from 0 to below {end}, found {value}")
 
 
-def _number(topic: Topic, time_ns: list[int], payloads: list[bytes]) -> TopicMessages:
-    sequence = list(range(len(payloads)))
-    return TopicMessages(topic=topic, time_ns=time_ns, sequence=sequence, payloads=payloads)
+def _collect(
+    topic: Topic,
+    time_ns: NDArray[np.int64],
+    fields: Mapping[str, Column],
+    sequence: NDArray[np.uint32] | None = None,
+) -> TopicColumns:
+    """Number messages from 0 where they have no number of their own."""
+    return TopicColumns(
+        topic=topic.name,
+        type=topic.schema,
+        log_time_ns=time_ns,
+        publish_time_ns=time_ns,
+        sequence=np.arange(len(time_ns), dtype=np.uint32) if sequence is None else sequence,
+        fields=fields,
+    )
 
 
-def _build_goal(run: Run) -> TopicMessages:
+def _collect_rows(topic: Topic, rows: Sequence[tuple[int, Values]]) -> TopicColumns:
+    names = rows[0][1] if rows else ()
+    fields = {name: np.array([row[name] for _, row in rows], dtype=object) for name in names}
+    return _collect(topic, np.array([time_ns for time_ns, _ in rows], dtype=np.int64), fields)
+
+
+def _build_goal(run: Run) -> TopicColumns:
     if run.goal_xy_m is None:
-        return _number(GOAL, [], [])
-    half_rad = (run.goal_heading_rad or 0.0) / 2.0
+        return _collect_rows(GOAL, [])
     time_ns = int(run.poses.time_ns[0])
-    values = {
-        **_stamp(time_ns),
-        "frame_id": "world",
-        "position.x": run.goal_xy_m[0],
-        "position.y": run.goal_xy_m[1],
-        "orientation.z": math.sin(half_rad),
-        "orientation.w": math.cos(half_rad),
-    }
-    return _number(GOAL, [time_ns], [encode_message(GOAL.schema, values)])
+    goal = describe_goal(time_ns, run.goal_xy_m, run.goal_heading_rad)
+    return _collect_rows(GOAL, [(time_ns, goal)])
 
 
-def _build_poses(poses: PoseColumns) -> TopicMessages:
+def _build_poses(poses: PoseColumns) -> TopicColumns:
     columns = {
         "x": poses.xy_m[:, 0],
         "y": poses.xy_m[:, 1],
         "theta": poses.heading_rad,
-        "linear_velocity": _or_nan(poses.speed_m_s),
-        "angular_velocity": _or_nan(poses.turn_rate_rad_s),
+        "linear_velocity": _or_nan(poses.speed_m_s, len(poses)),
+        "angular_velocity": _or_nan(poses.turn_rate_rad_s, len(poses)),
     }
-    payloads = encode_columns(POSE.schema, len(poses), columns)
-    return _number(POSE, poses.time_ns.tolist(), payloads)
+    return _collect(POSE, poses.time_ns, columns)
 
 
-def _build_poses64(poses: PoseColumns) -> TopicMessages:
+def _build_poses64(poses: PoseColumns) -> TopicColumns:
     if _fits_float32(poses.xy_m) and _fits_float32(poses.heading_rad):
-        return _number(POSE64, [], [])
+        return _collect_rows(POSE64, [])
     columns = {"x": poses.xy_m[:, 0], "y": poses.xy_m[:, 1], "theta": poses.heading_rad}
-    payloads = encode_columns(POSE64.schema, len(poses), columns)
-    return _number(POSE64, poses.time_ns.tolist(), payloads)
+    return _collect(POSE64, poses.time_ns, columns)
 
 
-def _build_velocities64(poses: PoseColumns) -> TopicMessages:
+def _build_velocities64(poses: PoseColumns) -> TopicColumns:
     if _fits_float32(poses.speed_m_s) and _fits_float32(poses.turn_rate_rad_s):
-        return _number(VELOCITY64, [], [])
+        return _collect_rows(VELOCITY64, [])
     columns = {
-        "linear.x": _or_nan(poses.speed_m_s),
-        "angular.z": _or_nan(poses.turn_rate_rad_s),
+        "linear.x": _or_nan(poses.speed_m_s, len(poses)),
+        "angular.z": _or_nan(poses.turn_rate_rad_s, len(poses)),
     }
-    payloads = encode_columns(VELOCITY64.schema, len(poses), columns)
-    return _number(VELOCITY64, poses.time_ns.tolist(), payloads)
+    return _collect(VELOCITY64, poses.time_ns, columns)
 
 
-def _build_samples(run: Run) -> TopicMessages:
-    samples = run.samples
+def _build_samples(samples: SampleColumns) -> TopicColumns:
     columns = {
         "sequence": samples.sequence,
         "pose_sequence": samples.pose_sequence,
@@ -136,22 +154,17 @@ def _build_samples(run: Run) -> TopicMessages:
         "error_x": samples.error_xy_m[:, 0],
         "error_y": samples.error_xy_m[:, 1],
         "distance": samples.distance_m,
-        "wanted_speed": _or_nan(samples.wanted_speed_m_s),
-        "wanted_turn_rate": _or_nan(samples.wanted_turn_rate_rad_s),
+        "wanted_speed": _or_nan(samples.wanted_speed_m_s, len(samples)),
+        "wanted_turn_rate": _or_nan(samples.wanted_turn_rate_rad_s, len(samples)),
         "speed": samples.speed_m_s,
         "turn_rate": samples.turn_rate_rad_s,
         "world_v_x": samples.world_velocity_m_s[:, 0],
         "world_v_y": samples.world_velocity_m_s[:, 1],
     }
-    return TopicMessages(
-        topic=CONTROL,
-        time_ns=samples.time_ns.tolist(),
-        sequence=samples.sequence.tolist(),
-        payloads=encode_columns(CONTROL.schema, len(samples), columns),
-    )
+    return _collect(CONTROL, samples.time_ns, columns, samples.sequence.astype(np.uint32))
 
 
-def _build_commands(run: Run) -> TopicMessages:
+def _build_commands(run: Run) -> TopicColumns:
     commands = run.commands
     columns = {
         "linear.x": commands.speed_m_s,
@@ -159,50 +172,33 @@ def _build_commands(run: Run) -> TopicMessages:
         "angular.z": commands.turn_rate_rad_s,
     }
     # Commands go out in the order of their samples; only the last ones may be missing.
-    sequence = np.arange(len(commands))
+    sequence = np.arange(len(commands), dtype=np.uint32)
     answered = run.samples.sequence[: len(commands)]
     sequence[: len(answered)] = answered
-    return TopicMessages(
-        topic=COMMAND,
-        time_ns=commands.time_ns.tolist(),
-        sequence=sequence.tolist(),
-        payloads=encode_columns(COMMAND.schema, len(commands), columns),
-    )
+    return _collect(COMMAND, commands.time_ns, columns, sequence)
 
 
-def _build_phases(run: Run) -> TopicMessages:
+def _build_phases(run: Run) -> TopicColumns:
     spans = run.find_phase_spans()
-    changes = [(span.start_ns, span.phase.label) for span in spans]
-    if spans and run.is_complete:
-        changes.append((spans[-1].end_ns, "done"))
-    payloads = [encode_message(PHASE.schema, {"data": label}) for _, label in changes]
-    return _number(PHASE, [time_ns for time_ns, _ in changes], payloads)
-
-
-def _build_events(events: tuple[Event, ...]) -> TopicMessages:
-    payloads = [
-        encode_message(
-            EVENT.schema,
-            {
-                **_stamp(event.time_ns),
-                "level": _INFO if event.kind == "stop" else _WARN,
-                "name": "turtlesim" if event.kind == "wall_hit" else "controller",
-                "msg": event.text,
-                "function": event.kind,
-            },
-        )
-        for event in events
+    changes: list[tuple[int, Values]] = [
+        (span.start_ns, {"data": span.phase.label}) for span in spans
     ]
-    return _number(EVENT, [event.time_ns for event in events], payloads)
+    if spans and run.is_complete:
+        changes.append((spans[-1].end_ns, {"data": "done"}))
+    return _collect_rows(PHASE, changes)
+
+
+def _build_events(events: tuple[Event, ...]) -> TopicColumns:
+    return _collect_rows(EVENT, [(event.time_ns, describe_event(event)) for event in events])
 
 
 def _stamp(time_ns: int) -> dict[str, int]:
     seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
-    return {"stamp.sec": seconds, "stamp.nanosec": nanoseconds}
+    return {"header.stamp.sec": seconds, "header.stamp.nanosec": nanoseconds}
 
 
-def _or_nan(values: NDArray[np.float64] | None) -> NDArray[np.float64] | float:
-    return math.nan if values is None else values
+def _or_nan(values: NDArray[np.float64] | None, rows: int) -> NDArray[np.float64]:
+    return np.full(rows, math.nan) if values is None else values
 
 
 def _fits_float32(values: NDArray[np.float64] | None) -> bool:

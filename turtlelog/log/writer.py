@@ -1,18 +1,24 @@
-"""Run -> file."""
+"""Columns -> file, all at once: a run's, or those of anybody's topics."""
 
-from io import BytesIO
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
-from mcap.well_known import Profile, SchemaEncoding
-from mcap.writer import IndexType, Writer
-
-from turtlelog import __version__
 from turtlelog.errors import LogError
 from turtlelog.log.atomic import replace_when_complete
-from turtlelog.log.head import HEAD, format_head, format_scenario_file
-from turtlelog.log.messages import TopicMessages, build_messages
+from turtlelog.log.channels import describe_topics
+from turtlelog.log.chunks import ChannelRecords, cut_chunks
+from turtlelog.log.container import McapFile, pack_chunk
+from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.head import HEAD, describe_run, format_head, format_scenario_file
+from turtlelog.log.messages import build_messages
+from turtlelog.log.records import encode_records
 from turtlelog.log.schemas import SCHEMAS
 from turtlelog.run import Run
+
+_NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})
+_NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
 
 
 def write_recording(run: Run, path: str | Path) -> None:
@@ -22,54 +28,65 @@ def write_recording(run: Run, path: str | Path) -> None:
         LogError: Where the place cannot be written, or the run holds what a recording cannot.
     """
     try:
-        data = _format_recording(run)
-    except LogError as err:
-        raise LogError(f"{path}: {err}") from err
-    except UnicodeEncodeError as err:
-        raise LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}") from err
-    with replace_when_complete(path) as temporary:
-        temporary.write_bytes(data)
+        topics = build_messages(run)
+        head, scenario = format_head(describe_run(run)), format_scenario_file(run)
+    except (LogError, UnicodeEncodeError) as err:
+        raise _name_error(path, err) from err
+    write_columns(topics, path, metadata={HEAD: head}, attachments=scenario)
 
 
-def _format_recording(run: Run) -> bytes:
-    scenario = format_scenario_file(run)
-    # An index without entries would write an empty group, which strict checkers call an error.
-    indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
-    if scenario is not None:
-        indexes |= IndexType.ATTACHMENT
-    output = BytesIO()
-    writer = Writer(output, index_types=indexes, enable_data_crcs=True)
-    writer.start(profile=Profile.ROS2, library=f"turtlelog/{__version__}")
-    writer.add_metadata(HEAD, format_head(run))
-    if scenario is not None:
-        name, text = scenario
-        writer.add_attachment(0, 0, name, "application/toml", text.encode())
-    _write_messages(writer, build_messages(run))
-    writer.finish()  # type: ignore[no-untyped-call]
-    return output.getvalue()
+def write_columns(
+    topics: Sequence[TopicColumns],
+    path: str | Path,
+    *,
+    definitions: Mapping[str, str] = SCHEMAS,
+    metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
+    attachments: Mapping[str, bytes] = _NO_FILES,
+) -> None:
+    """Write topics as an MCAP file in order of log time; the same columns give the same bytes.
+
+    Args:
+        topics: As `read_columns` returns them; a field left out is 0 or empty. Messages of one
+            time stand in the order of the topics.
+        path: The file, replaced when all is written.
+        definitions: The `ros2msg` text of every message type that occurs.
+        metadata: Metadata records by name.
+        attachments: Attached files by name.
+
+    Raises:
+        LogError: Where the place cannot be written, or a column does not fit its type.
+    """
+    try:
+        channels = list(_encode_topics(topics, definitions))
+        with replace_when_complete(path) as temporary, temporary.open("wb") as stream:
+            file = McapFile(stream)
+            file.begin()
+            for name, entries in metadata.items():
+                file.add_metadata(name, entries)
+            for name, data in attachments.items():
+                file.add_attachment(name, data)
+            for rows in cut_chunks(channels):
+                file.add_chunk(pack_chunk(rows))
+            file.finish()
+    except (LogError, UnicodeEncodeError) as err:
+        raise _name_error(path, err) from err
 
 
-def _write_messages(writer: Writer, topics: tuple[TopicMessages, ...]) -> None:
-    """Write all messages in order of time; those of one time in the order of their topics."""
-    schema_ids: dict[str, int] = {}
-    messages = []
-    for of_topic in topics:
-        topic = of_topic.topic
-        if topic.schema not in schema_ids:
-            text = SCHEMAS[topic.schema].encode()
-            schema_ids[topic.schema] = writer.register_schema(
-                topic.schema, SchemaEncoding.ROS2, text
-            )
-        # Without the QoS entry some versions of rosbag2 refuse the channel.
-        channel = writer.register_channel(
-            topic.name, "cdr", schema_ids[topic.schema], {"offered_qos_profiles": ""}
-        )
-        messages += [
-            (time_ns, channel, sequence, payload)
-            for time_ns, sequence, payload in zip(
-                of_topic.time_ns, of_topic.sequence, of_topic.payloads, strict=True
-            )
-        ]
-    messages.sort(key=lambda message: message[0])
-    for time_ns, channel, sequence, payload in messages:
-        writer.add_message(channel, time_ns, payload, time_ns, sequence)
+def _encode_topics(
+    topics: Sequence[TopicColumns], definitions: Mapping[str, str]
+) -> Iterator[ChannelRecords]:
+    channels = describe_topics([(columns.topic, columns.type) for columns in topics], definitions)
+    for columns, (schema, channel) in zip(topics, channels, strict=True):
+        try:
+            records = encode_records(columns, definitions[columns.type], channel.id)
+        except LogError as err:
+            raise LogError(f"topic {columns.topic}: {err}") from err
+        yield ChannelRecords(schema=schema, channel=channel, records=records)
+
+
+def _name_error(path: str | Path, err: Exception) -> LogError:
+    if isinstance(err, UnicodeEncodeError):
+        return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
+    # What cannot be written is named already.
+    text = str(err)
+    return LogError(text if text.startswith(f"{path}: ") else f"{path}: {text}")

@@ -79,6 +79,9 @@ def nest_parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     tables: dict[str, Any] = {}
     for key, value in parameters.items():
         set_nested(tables, key, value)
+    lost = parameters.keys() - flatten_tables(tables).keys()
+    if lost:
+        raise ScenarioError(f"{min(lost)}: expected a value, found another for part of its key")
     return tables
 
 

@@ -1,0 +1,95 @@
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from tests.log.live import ROOT, read_messages
+
+SHORT = ("--set", "max_duration_s=0.6")
+
+
+def test_a_run_at_wall_clock_takes_its_time_and_prints_as_any_other(call: Call) -> None:
+    start = time.monotonic()
+    answer = call("run", "paper", *SHORT, "--realtime", "--json")
+    assert 0.59 < time.monotonic() - start < 10.0
+    assert answer.json == call("run", "paper", *SHORT, "--json").json
+
+
+def test_a_run_at_wall_clock_records_the_same_columns(call: Call, tmp_path: Path) -> None:
+    live, once = tmp_path / "live.mcap", tmp_path / "once.mcap"
+    answer = call("run", "paper", *SHORT, "--realtime", "-o", live)
+    assert (answer.code, answer.err.splitlines()[-1]) == (0, f"wrote {live}")
+    assert "samples. The run ended: max duration." in answer.out
+    call("run", "paper", *SHORT, "-o", once)
+    found, expected = tl.read_recording(live), tl.read_recording(once)
+    assert found.poses.xy_m.tolist() == expected.poses.xy_m.tolist()
+    assert found.samples.time_ns.tolist() == expected.samples.time_ns.tolist()
+    assert found.parameters == expected.parameters
+
+
+def test_an_existing_file_is_refused_before_anything_runs(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(b"mine")
+    start = time.monotonic()
+    answer = call("run", "paper", "--realtime", "-o", path)
+    assert (answer.code, answer.out) == (2, "")
+    assert f"{path}: expected a new file, found one" in answer.err
+    assert path.read_bytes() == b"mine"
+    assert time.monotonic() - start < 5.0
+
+
+def start(*words: str | Path) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "turtlelog", "run", "paper", "--realtime", *map(str, words)]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    )
+
+
+def wait_for_messages(path: Path) -> None:
+    """Return when the recording has taken its first second."""
+    end = time.monotonic() + 30.0
+    while not (path.exists() and read_messages(path)):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_finishes_the_file_and_says_so_in_a_line(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    process = start("-o", path)
+    wait_for_messages(path)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=30)
+    run = tl.read_recording(path)
+    assert (process.returncode, out, run.stop_reason) == (130, "", "interrupted")
+    end_s = run.end_ns / 1e9
+    assert err == f"interrupted at {end_s:.3f} s; {path} holds everything up to there\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_progress_is_shown_on_a_terminal_only() -> None:
+    import pty
+
+    command = [sys.executable, "-m", "turtlelog", "run", "paper", *SHORT, "--realtime"]
+    outer, inner = pty.openpty()
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=inner, cwd=ROOT, check=True)
+    os.close(inner)
+    shown = b""
+    with suppress(OSError):  # how a terminal says that nobody writes to it any more
+        while found := os.read(outer, 1000):
+            shown += found
+    os.close(outer)
+    assert b"\r0 s (at most 0.6 s)" in shown
+    assert b"samples" in done.stdout
+    quiet = subprocess.run(command, capture_output=True, cwd=ROOT, check=True)
+    assert b"at most" not in quiet.stderr

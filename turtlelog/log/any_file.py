@@ -1,0 +1,65 @@
+"""Any file -> Run: the kind is told by what is in it."""
+
+from pathlib import Path
+from typing import Final
+
+from mcap.writer import MCAP0_MAGIC
+
+from turtlelog.errors import LogError
+from turtlelog.log.border import name_file
+from turtlelog.log.importers import import_log
+from turtlelog.log.info import read_info
+from turtlelog.log.reader import read_recording
+from turtlelog.log.ros2 import list_bag_files, read_bag
+from turtlelog.run import Run
+
+_SQLITE_MAGIC: Final = b"SQLite format 3\0"
+_LOG_SUFFIXES: Final = frozenset({".json", ".csv"})
+
+
+def read_run(
+    path: str | Path, *, pose_topic: str | None = None, command_topic: str | None = None
+) -> Run:
+    """Return the run in a recording of turtlelog's, somebody's bag or .mcap, or a paper's log.
+
+    Args:
+        path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
+        pose_topic: As in `read_bag`; turtlelog's own recordings have but one.
+        command_topic: The same.
+
+    Raises:
+        LogError: One line with the file and the place.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        start = _read_start(path)
+        if start.startswith(_SQLITE_MAGIC):
+            raise LogError(
+                f"{path}: expected MCAP, found a bag in SQLite: ros2 bag convert makes MCAP of it"
+            )
+        if not start.startswith(MCAP0_MAGIC):
+            # What should be a recording is told so; everything else may be a log.
+            is_log = path.suffix.lower() in _LOG_SUFFIXES
+            return import_log(path) if is_log else read_recording(path)
+    own = None if pose_topic or command_topic else _find_own_recording(path)
+    if own is not None:
+        return read_recording(own)
+    return read_bag(path, pose_topic=pose_topic, command_topic=command_topic)
+
+
+def _read_start(path: Path) -> bytes:
+    with name_file(path, expected="a recording, a bag or a log"), path.open("rb") as stream:
+        return stream.read(len(_SQLITE_MAGIC))
+
+
+def _find_own_recording(path: Path) -> Path | None:
+    """Return the file that turtlelog wrote, or that is too damaged to say who did."""
+    files = list_bag_files(path)
+    if len(files) != 1:
+        return None
+    try:
+        info = read_info(files[0])
+    except LogError:
+        # Reading it says the same, or reads what can be read.
+        return files[0]
+    return files[0] if info.format_version is not None else None

@@ -1,0 +1,236 @@
+"""MCAP records -> file: its head, chunks with their message indexes, summary and checksums.
+
+Every chunk brings the schemas and channels of its messages: any chunk that survives can be read
+alone.
+"""
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import PurePath
+from struct import Struct
+from typing import BinaryIO, Final
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from turtlelog import __version__
+
+_COMPRESSION: Final = "zstd"
+_INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries
+_MEDIA_TYPES: Final = {".toml": "application/toml"}
+_FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkRows:
+    """The messages of one chunk.
+
+    Attributes:
+        channels: Their channels, each with its schema.
+        records: Message records, one after the other.
+        index: By channel number: log time [ns] and place in `records` of each of its messages,
+            shape (n, 2).
+        start_ns: Least log time [ns].
+        end_ns: Greatest log time [ns].
+    """
+
+    channels: Sequence[tuple[Schema, Channel]]
+    records: bytes | bytearray
+    index: Mapping[int, NDArray[np.uint64]]
+    start_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PackedChunk:
+    """A chunk ready to be written: the same messages, compressed.
+
+    Attributes:
+        rows: What it holds.
+        chunk: The record.
+        front: Bytes of schemas and channels before the first message.
+    """
+
+    rows: ChunkRows
+    chunk: Chunk
+    front: int
+
+
+def pack_chunk(rows: ChunkRows) -> PackedChunk:
+    """Compress a chunk; may run in any thread."""
+    front = _join_records([record for pair in rows.channels for record in pair])
+    data = b"".join((front, rows.records))
+    chunk = Chunk(
+        compression=_COMPRESSION,
+        data=zstandard.ZstdCompressor().compress(data),
+        message_start_time=rows.start_ns,
+        message_end_time=rows.end_ns,
+        uncompressed_crc=zlib.crc32(data),
+        uncompressed_size=len(data),
+    )
+    return PackedChunk(rows=rows, chunk=chunk, front=len(front))
+
+
+@dataclass(slots=True)
+class _Summary:
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+
+
+class McapFile:
+    """Appends records to a stream that is at its start; each call writes once, and whole.
+
+    Attributes:
+        end: Bytes written so far, all of them in whole records.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self.end = 0
+        self._stream, self._checksum, self._summary = stream, 0, _Summary()
+
+    def begin(self) -> None:
+        """Write the magic bytes and the header."""
+        header = Header(profile="ros2", library=f"turtlelog/{__version__}")
+        self._write(MCAP0_MAGIC + _join_records([header]))
+
+    def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        start = self.end
+        self._write(_join_records([Metadata(name=name, metadata=dict(entries))]))
+        index = MetadataIndex(offset=start, length=self.end - start, name=name)
+        self._summary.metadata.append(index)
+
+    def add_attachment(self, name: str, data: bytes) -> None:
+        """Write an attachment, without a time."""
+        start = self.end
+        media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
+        attachment = Attachment(
+            create_time=0, log_time=0, name=name, media_type=media_type, data=data
+        )
+        self._write(_join_records([attachment]))
+        index = AttachmentIndex(
+            offset=start,
+            length=self.end - start,
+            log_time=0,
+            create_time=0,
+            data_size=len(data),
+            name=name,
+            media_type=media_type,
+        )
+        self._summary.attachments.append(index)
+
+    def add_chunk(self, packed: PackedChunk) -> None:
+        """Write a chunk and its message indexes."""
+        rows, chunk, start = packed.rows, packed.chunk, self.end
+        record = _join_records([chunk])
+        indexes = [
+            _format_index(channel, entries, packed.front) for channel, entries in rows.index.items()
+        ]
+        ends = np.cumsum([start + len(record), *map(len, indexes)]).tolist()
+        self._write(b"".join((record, *indexes)))
+        index = ChunkIndex(
+            chunk_length=len(record),
+            chunk_start_offset=start,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=rows.end_ns,
+            message_index_length=ends[-1] - ends[0],
+            message_index_offsets=dict(zip(rows.index, ends, strict=False)),
+            message_start_time=rows.start_ns,
+            uncompressed_size=chunk.uncompressed_size,
+        )
+        self._summary.chunks.append(index)
+        for schema, channel in rows.channels:
+            self._summary.schemas[schema.id] = schema
+            self._summary.channels[channel.id] = channel
+        for number, entries in rows.index.items():
+            self._summary.counts[number] = self._summary.counts.get(number, 0) + len(entries)
+
+    def finish(self) -> None:
+        """Write the end of the data, the summary and the footer."""
+        data_end = _join_records([DataEnd(data_section_crc=self._checksum)])
+        start = self.end + len(data_end)
+        # A group without records is an error to strict checkers.
+        groups = [_join_records(group) for group in self._list_groups() if group]
+        ends = np.cumsum([start, *map(len, groups)]).tolist()
+        offsets = [
+            SummaryOffset(group_opcode=group[0], group_start=place, group_length=len(group))
+            for group, place in zip(groups, ends, strict=False)
+        ]
+        summary = b"".join((*groups, _join_records(offsets)))
+        footer = Footer(summary_start=start, summary_offset_start=ends[-1], summary_crc=0)
+        front = _join_records([footer])[:_FOOTER_FRONT]
+        footer.summary_crc = zlib.crc32(summary + front)
+        self._write(data_end + summary + _join_records([footer]) + MCAP0_MAGIC)
+
+    def cut_back(self) -> None:
+        """Take away what a failed write left behind the last whole record."""
+        self._stream.seek(self.end)
+        self._stream.truncate()
+
+    def _list_groups(self) -> Iterator[Sequence[McapRecord]]:
+        summary = self._summary
+        yield [schema for _, schema in sorted(summary.schemas.items())]
+        yield [channel for _, channel in sorted(summary.channels.items())]
+        yield [_count_records(summary)]
+        yield from (summary.chunks, summary.attachments, summary.metadata)
+
+    def _write(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            # A stream without a buffer may take less than it is given.
+            rest = rest[self._stream.write(rest) :]
+        self.end += len(data)
+        self._checksum = zlib.crc32(data, self._checksum)
+
+
+def _count_records(summary: _Summary) -> Statistics:
+    return Statistics(
+        attachment_count=len(summary.attachments),
+        channel_count=len(summary.channels),
+        channel_message_counts=dict(sorted(summary.counts.items())),
+        chunk_count=len(summary.chunks),
+        message_count=sum(summary.counts.values()),
+        message_end_time=max((chunk.message_end_time for chunk in summary.chunks), default=0),
+        message_start_time=min((chunk.message_start_time for chunk in summary.chunks), default=0),
+        metadata_count=len(summary.metadata),
+        schema_count=len(summary.schemas),
+    )
+
+
+def _join_records(records: Sequence[McapRecord]) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+def _format_index(channel: int, entries: NDArray[np.uint64], front: int) -> bytes:
+    moved = (entries + np.array([0, front], np.uint64)).astype("<u8").tobytes()
+    return _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(moved), channel, len(moved)) + moved

@@ -1,0 +1,203 @@
+"""Ticks -> file, while the loop runs: readable up to the last second however it ends."""
+
+import struct
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import BinaryIO, Final, Self
+
+from turtlelog.errors import LogError
+from turtlelog.log.container import McapFile, pack_chunk
+from turtlelog.log.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
+from turtlelog.log.signals import exit_on_terminate, hold_stop
+from turtlelog.log.tick_records import TickRecords, measure_tick
+from turtlelog.scenario import Scenario, format_scenario
+from turtlelog.simulate import Tick
+
+CHUNK_BYTES: Final = 2**16
+"""What a chunk of a live recording may hold, about."""
+
+FLUSH_S: Final = 1.0
+"""After so long a chunk goes to the operating system, however little it holds [s of wall clock]."""
+
+INTERRUPTED: Final = "interrupted"
+"""Stop reason of a run that somebody ended from outside."""
+
+_NO_NOTES: Final[Mapping[str, str]] = MappingProxyType({})
+
+
+def create_file(path: Path) -> BinaryIO:
+    """Create a file that did not exist and return it, without a buffer."""
+    return path.open("xb", buffering=0)
+
+
+class Recorder:
+    """Records the ticks of a running loop in a new file, under its own name from the first byte.
+
+    Ticks are kept until 64 KiB are full or a second has passed, and then go to the operating system
+    as one chunk that can be read alone. So a process that is killed loses about the last second; a
+    power failure may take what the system had not written yet. Nothing runs in the background:
+    ticks that came before the loop stood still wait for the next one.
+
+    As a context manager it finishes the file on the way out, also on Ctrl-C and SIGTERM. An
+    existing file is refused, and so is one that another recorder is writing.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        scenario: Scenario,
+        *,
+        flush_s: float = FLUSH_S,
+        create: Callable[[Path], BinaryIO] = create_file,
+    ) -> None:
+        """Create the file, and write what it is: a recording of this scenario.
+
+        Args:
+            path: The file, which must not exist.
+            scenario: What runs.
+            flush_s: Longest time that a tick is kept [s].
+            create: Makes the file, as `create_file`; a write must take what it can or raise.
+
+        Raises:
+            LogError: Where the file exists or cannot be written.
+        """
+        self._path, self._scenario, self._flush_s = Path(path), scenario, flush_s
+        self._records = TickRecords(scenario)
+        self._ticks: list[Tick] = []
+        self._size, self._oldest_s = 0, 0.0
+        self._safe_ns: int | None = None
+        self._stop_reason: str | None = None
+        self._exits = ExitStack()
+        self._stream = self._create(create)
+        self._file = McapFile(self._stream)
+        self._is_open = True
+        try:
+            with self._guard():
+                self._file.begin()
+                self._add_head(_NO_NOTES)
+                self._file.add_attachment(SCENARIO_FILE, format_scenario(scenario).encode())
+        except LogError:
+            # Without a head it is no recording, and would only be in the way.
+            self._path.unlink(missing_ok=True)
+            raise
+
+    def __enter__(self) -> Self:
+        self._exits.enter_context(exit_on_terminate())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with self._exits:
+            if isinstance(error, KeyboardInterrupt | SystemExit):
+                self._stop_reason = self._stop_reason or INTERRUPTED
+            self.close()
+
+    def receive(self, tick: Tick) -> None:
+        """Record a tick.
+
+        Raises:
+            LogError: Where the file can take no more; it is closed then, readable up to there.
+        """
+        if not self._is_open:
+            raise LogError(f"{self._path}: expected a recording in progress, found a closed one")
+        now_s = time.monotonic()
+        if not self._ticks:
+            self._oldest_s = now_s
+        self._ticks.append(tick)
+        self._size += measure_tick(tick)
+        if self._size >= CHUNK_BYTES or now_s - self._oldest_s >= self._flush_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand what is kept to the operating system.
+
+        Raises:
+            LogError: As `receive`.
+        """
+        if self._is_open and self._ticks:
+            with self._guard():
+                self._file.add_chunk(pack_chunk(self._records.encode(self._ticks)))
+                self._safe_ns = self._ticks[-1].time_ns
+                self._stop_reason = self._ticks[-1].stop_reason or self._stop_reason
+                self._ticks, self._size = [], 0
+
+    def close(self, notes: Mapping[str, str] = _NO_NOTES) -> None:
+        """Finish the file; a second call does nothing.
+
+        Args:
+            notes: As in `Run`.
+
+        Raises:
+            LogError: As `receive`.
+        """
+        with hold_stop():
+            self.flush()
+            if not self._is_open:
+                return
+            with self._guard():
+                self._add_head(notes)
+                self._file.finish()
+            self._is_open = False
+            try:
+                self._stream.close()
+            except OSError as err:
+                raise LogError(
+                    f"{self._path}: expected the system to keep the file, found: {err.strerror}"
+                ) from err
+
+    def _create(self, create: Callable[[Path], BinaryIO]) -> BinaryIO:
+        try:
+            format_scenario(self._scenario).encode()
+            return create(self._path)
+        except FileExistsError as err:
+            raise LogError(
+                f"{self._path}: expected a new file, found one: a live recording replaces nothing"
+            ) from err
+        except OSError as err:
+            raise LogError(
+                f"{self._path}: expected a place that can be written, found: {err.strerror or err}"
+            ) from err
+        except UnicodeEncodeError as err:
+            raise LogError(
+                f"{self._path}: expected text, found characters that UTF-8 lacks: {err}"
+            ) from err
+
+    def _add_head(self, notes: Mapping[str, str]) -> None:
+        head = describe_scenario(self._scenario, stop_reason=self._stop_reason, notes=notes)
+        self._file.add_metadata(HEAD, format_head(head))
+
+    @contextmanager
+    def _guard(self) -> Iterator[None]:
+        """Let a write end before a signal acts; where it fails, close what can be read."""
+        try:
+            with hold_stop():
+                yield
+        except (OSError, UnicodeEncodeError, struct.error) as err:
+            reason = (isinstance(err, OSError) and err.strerror) or str(err)
+            self._give_up(reason)
+            safe = (
+                "its head alone is" if self._safe_ns is None else f"{self._safe_ns / 1e9:.3f} s are"
+            )
+            raise LogError(
+                f"{self._path}: expected room for the recording, found: {reason}: {safe} safe"
+            ) from err
+
+    def _give_up(self, reason: str) -> None:
+        """Take half a record away, finish the file if there is room for that, and close it."""
+        self._is_open = False
+        try:
+            self._file.cut_back()
+            self._add_head({"recording_failed": reason})
+            self._file.finish()
+        except OSError:
+            with suppress(OSError):
+                self._file.cut_back()
+        with suppress(OSError):
+            self._stream.close()

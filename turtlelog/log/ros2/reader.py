@@ -1,0 +1,179 @@
+"""Bag -> Run."""
+
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from turtlelog.errors import LogError
+from turtlelog.log.border import name_file
+from turtlelog.log.engine.columns import TopicColumns, read_columns
+from turtlelog.log.info import TopicInfo, read_info
+from turtlelog.log.ros2.bag_folder import list_bag_files
+from turtlelog.log.ros2.columns_of_types import (
+    Fields,
+    Values,
+    extract_commands,
+    extract_poses,
+    wrap_far_headings,
+)
+from turtlelog.log.ros2.rows import Rows, order_rows, separate_times
+from turtlelog.log.ros2.topic_choice import (
+    TopicChoice,
+    choose_command_topic,
+    choose_pose_topic,
+)
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+_NEVER_IN_BAGS: Final = (
+    *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
+)
+
+_Found = Sequence[Mapping[str, TopicColumns]]
+"""The columns of each file, by topic."""
+
+
+def read_bag(
+    path: str | Path, *, pose_topic: str | None = None, command_topic: str | None = None
+) -> Run:
+    """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
+
+    Times count from the first pose or command. Rows are sorted by time and exact duplicates
+    dropped; of several poses of one time the later ones move on by 1 ns each. The run's notes count
+    all of it.
+
+    Args:
+        path: A folder with `metadata.yaml`, or a lone .mcap file.
+        pose_topic: Poses (turtlesim's, Odometry, PoseStamped); otherwise the only such topic,
+            `/turtle1/pose` and its like before others.
+        command_topic: Commands (Twist, TwistStamped); otherwise `cmd_vel` beside the poses, or the
+            only such topic.
+
+    Raises:
+        LogError: One line with the file and the place, where it cannot be read, holds no poses, or
+            more than one topic can be meant.
+    """
+    path = Path(path)
+    files = list_bag_files(path)
+    topics = {file: read_info(file).topics for file in files}
+    distinct = _merge([topic for of_file in topics.values() for topic in of_file])
+    with name_file(path, expected="a bag"):
+        poses = choose_pose_topic(distinct, pose_topic)
+        commands = choose_command_topic(distinct, command_topic, pose_topic=poses.topic)
+    names = {choice.topic for choice in (poses, commands) if choice}
+    found = [
+        read_columns(file, topics=names & {topic.topic for topic in topics[file] if topic.count})
+        for file in files
+    ]
+    with name_file(path, expected="a bag"):
+        return _build_run(path, found, poses, commands)
+
+
+def _merge(topics: Sequence[TopicInfo]) -> list[TopicInfo]:
+    """Return the topics of several files, each once."""
+    counts: dict[tuple[str, str], int] = {}
+    for found in topics:
+        key = found.topic, found.type
+        counts[key] = counts.get(key, 0) + found.count
+    return [
+        TopicInfo(topic=topic, type=kind, count=count) for (topic, kind), count in counts.items()
+    ]
+
+
+def _build_run(
+    path: Path, found: _Found, pose_topic: TopicChoice, command_topic: TopicChoice | None
+) -> Run:
+    poses = _order(found, pose_topic, extract_poses)
+    commands = None if command_topic is None else _order(found, command_topic, extract_commands)
+    tables = [rows for rows in (poses, commands) if rows]
+    start_ns = min(int(rows.time_ns[0]) for rows in tables)
+    time_ns, moved = separate_times(poses.time_ns - start_ns)
+    heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
+    name = path.resolve().name
+    absent = () if "speed" in poses.columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
+    notes = {
+        "original_timestamp": _format_time(start_ns),
+        "pose_topic": f"{pose_topic.topic} ({pose_topic.type})",
+        "sorted_rows": str(sum(rows.late for rows in tables)),
+        "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
+        "moved_rows": str(moved),
+        "wrapped_headings": str(wrapped),
+    }
+    if command_topic is not None:
+        notes["command_topic"] = f"{command_topic.topic} ({command_topic.type})"
+    return Run(
+        name=name if path.is_dir() else path.stem,
+        source=f"{'rosbag2' if path.is_dir() else 'mcap'}: {name}",
+        poses=PoseColumns(
+            time_ns=time_ns,
+            xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
+            heading_rad=heading_rad,
+            speed_m_s=poses.columns.get("speed"),
+            turn_rate_rad_s=poses.columns.get("turn_rate"),
+        ),
+        commands=_build_commands(commands, start_ns),
+        samples=_build_no_samples(),
+        absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
+        notes=notes,
+    )
+
+
+def _order(
+    found: _Found, choice: TopicChoice, extract: Callable[[str, Fields], dict[str, Values]]
+) -> Rows:
+    """Return the rows of a topic from all files."""
+    messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
+    tables = []
+    for columns in messages:
+        if columns.type != choice.type:
+            raise LogError(f"topic {choice.topic}: expected {choice.type}, found {columns.type}")
+        try:
+            tables.append(extract(choice.type, columns.fields))
+        except LogError as err:
+            raise LogError(f"topic {choice.topic}: {err}") from err
+        except KeyError as err:
+            raise LogError(
+                f"topic {choice.topic}: expected {choice.type} with a field {err.args[0]},"
+                f" found {', '.join(columns.fields)}"
+            ) from err
+    return order_rows(messages, tables)
+
+
+def _build_commands(rows: Rows | None, start_ns: int) -> CommandColumns:
+    none = np.zeros(0)
+    columns = rows.columns if rows else dict.fromkeys(("speed", "lateral_speed", "turn_rate"), none)
+    return CommandColumns(
+        time_ns=rows.time_ns - start_ns if rows else np.zeros(0, dtype=np.int64),
+        speed_m_s=columns["speed"],
+        lateral_speed_m_s=columns["lateral_speed"],
+        turn_rate_rad_s=columns["turn_rate"],
+    )
+
+
+def _build_no_samples() -> SampleColumns:
+    """Return a table without rows: what a controller computed stands in no bag."""
+    none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return SampleColumns(
+        time_ns=whole,
+        sequence=whole,
+        pose_sequence=whole,
+        phase=whole,
+        bearing_rad=none,
+        heading_error_rad=none,
+        error_xy_m=np.zeros((0, 2)),
+        distance_m=none,
+        speed_m_s=none,
+        turn_rate_rad_s=none,
+        world_velocity_m_s=np.zeros((0, 2)),
+    )
+
+
+def _format_time(time_ns: int) -> str:
+    """Return a time since the epoch as ISO 8601 in UTC, to the nanosecond."""
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
+    except (OverflowError, OSError, ValueError):
+        return f"{time_ns} ns"
