@@ -41,6 +41,10 @@ class LogError(TurtlelogError):
     """A file that cannot be read, written or imported."""
 
 
+class ReplayError(TurtlelogError):
+    """A run that cannot be driven again."""
+
+
 class MeasureError(TurtlelogError):
     """A metric or signal that is not known."""
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, read_runs
+from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text, require_new_target
 from turtlelog.errors import UsageError
 
@@ -21,6 +21,7 @@ def compare(
     *,
     reference: Path | None = None,
     rrd: Annotated[Path | None, Parameter(name="--rrd")] = None,
+    topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
     """Compare runs across gains and against a reference, aligned at their first samples.
@@ -28,7 +29,7 @@ def compare(
     Example: turtlelog compare kp1.mcap kp4.mcap --rrd comparison.rrd
 
     Args:
-        files: Recordings (.mcap), or the paper's logs (.json, .csv).
+        files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
         reference: The run that differences are taken from; otherwise the first file.
         rrd: Write all runs into one Rerun recording.
         json: Print one JSON object instead of tables.
@@ -37,7 +38,7 @@ def compare(
     if len(paths) < 2:
         raise UsageError(f"FILE: expected at least two runs to compare, found {len(paths)}")
     require_new_target(rrd, paths, suffix=".rrd")
-    runs = read_runs(paths)
+    runs = read_runs(paths, topics)
     comparisons = [tl.compare_runs(runs[0], run) for run in runs[1:]]
     if rrd is not None:
         tl.write_comparison_rrd(runs, rrd)

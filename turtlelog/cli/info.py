@@ -21,7 +21,9 @@ def info(files: Files, /, *, json: Json = False) -> None:
         json: Print one JSON list instead of text.
     """
     require_files(files)
-    found = [(path, tl.read_info(path)) for path in files]
+    found = [
+        (path, tl.read_bag_info(path) if path.is_dir() else tl.read_info(path)) for path in files
+    ]
     if json:
         print_json([_describe(path, recording) for path, recording in found])
     else:

@@ -1,20 +1,20 @@
 """`turtlelog metrics`: measure recordings."""
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, read_runs
+from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
 from turtlelog.cli.output import describe_metrics, print_json, print_text
 
 
-def metrics(files: Files, /, *, json: Json = False) -> None:
+def metrics(files: Files, /, *, topics: TopicOptions | None = None, json: Json = False) -> None:
     """Measure recordings: a table with a row per metric, a status where there is no value.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 
     Args:
-        files: Recordings (.mcap), or the paper's logs (.json, .csv).
+        files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
         json: Print one JSON list instead of a table.
     """
-    runs = read_runs(files)
+    runs = read_runs(files, topics)
     if json:
         print_json(
             [

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
-_LOG_SUFFIXES = frozenset({".json", ".csv"})
 
 
 @Parameter(name="*")
@@ -36,6 +35,20 @@ class ScenarioOptions:
     assignments: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicOptions:
+    """Which topics of somebody else's bag to read, where more than one can be meant.
+
+    Attributes:
+        pose_topic: Poses: turtlesim's, Odometry or PoseStamped.
+        command_topic: Commands: Twist or TwistStamped.
+    """
+
+    pose_topic: str | None = None
+    command_topic: str | None = None
+
+
 def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
     """Return a preset or file with the options applied."""
     options = options or ScenarioOptions()
@@ -53,11 +66,12 @@ def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) ->
     return tl.override_scenario(scenario, changes, source="--set")
 
 
-def read_runs(paths: Sequence[Path]) -> "list[Run]":
-    """Return the runs of recordings (.mcap) and of the paper's logs (.json, .csv)."""
+def read_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "list[Run]":
+    """Return the runs of recordings, bags, other recorders' files and the paper's logs."""
     require_files(paths)
+    topics = topics or TopicOptions()
     return [
-        tl.import_log(path) if path.suffix.lower() in _LOG_SUFFIXES else tl.read_recording(path)
+        tl.read_run(path, pose_topic=topics.pose_topic, command_topic=topics.command_topic)
         for path in paths
     ]
 

@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, read_runs, require_files
+from turtlelog.cli.options import Files, TopicOptions, read_runs, require_files
 from turtlelog.cli.output import print_note, require_new_target
 from turtlelog.errors import UsageError
 
@@ -20,13 +20,14 @@ def view(
     snapshot: Path | None = None,
     at: float | None = None,
     size: str = "1600x900",
+    topics: TopicOptions | None = None,
 ) -> None:
     """Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.
 
     Example: turtlelog view kp1.mcap kp10.mcap
 
     Args:
-        files: Recordings (.mcap), the paper's logs (.json, .csv), or .rrd files as they are.
+        files: Recordings (.mcap), bags, the paper's logs (.json, .csv), or .rrd files as they are.
         save: Write this .rrd file and open nothing.
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
         at: Time of the picture, from the first sample [s]; otherwise the end.
@@ -39,7 +40,7 @@ def view(
     require_new_target(snapshot, files, suffix=".png")
     width_and_height = _parse_size(size)
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        rrds = _prepare_rrds(files, save, snapshot, Path(folder))
+        rrds = _prepare_rrds(files, save, snapshot, Path(folder), topics)
         if save is not None:
             print_note(f"wrote {save}")
         if snapshot is not None:
@@ -57,7 +58,11 @@ def _parse_size(text: str) -> tuple[int, int]:
 
 
 def _prepare_rrds(
-    files: list[Path], save: Path | None, snapshot: Path | None, folder: Path
+    files: list[Path],
+    save: Path | None,
+    snapshot: Path | None,
+    folder: Path,
+    topics: TopicOptions | None,
 ) -> list[Path]:
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
@@ -66,7 +71,7 @@ def _prepare_rrds(
         raise UsageError(f"--snapshot: expected one view, found {len(ready)}")
     if ready:
         return ready
-    runs = read_runs(files)
+    runs = read_runs(files, topics)
     rrd = save or folder / "view.rrd"
     if len(runs) == 1:
         tl.write_run_rrd(runs[0], rrd)

@@ -1,0 +1,93 @@
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Call
+from tests.log.ros2.bags import make_command, make_poses, make_stamped_pose, write_mcap
+from tests.log.runs import find_shared
+
+EXACT = {"x": 0.0, "y": 0.0, "heading": 0.0}
+
+
+def test_replay_answers_in_json(call: Call) -> None:
+    path = find_shared("ros2", "turtlesim_jazzy")
+    answer = call("replay", path, "--plant", "--json").json
+    assert (answer["file"], answer["mode"], answer["samples"]) == (str(path), "plant", 2501)
+    assert (answer["max_abs_error"], answer["first_difference"]) == (EXACT, None)
+    first, second = answer["stretches"]
+    assert (first["start_s"], first["ticks"], first["max_abs_error"]) == (0.0, 877, EXACT)
+    assert (second["end_s"], second["rounding"]["heading"]) == (42.066412176, 2.0**-22)
+    assert [(gap["start_s"], gap["missing_ticks"]) for gap in answer["gaps"]] == [
+        (14.032113878, 99)
+    ]
+    assert [(jump["at_s"], jump["kind"]) for jump in answer["jumps"]] == [(15.632487045, "spawn")]
+
+
+def test_replay_prints_stretches_and_what_lies_between(call: Call) -> None:
+    answer = call("replay", find_shared("ros2", "turtlesim_jazzy"), "--plant")
+    assert (answer.code, answer.err) == (0, "")
+    rows = [line.split()[:3] for line in answer.out.splitlines()]
+    assert ["15.632", "42.066", "1622"] in rows
+    assert "14.032 s: gap of 1.600 s: 99 ticks\n15.632 s: jump (spawn) to x = 5.544 m" in answer.out
+
+
+def test_replay_counts_time_from_the_first_sample(call: Call, kp4: Path) -> None:
+    [stretch] = call("replay", kp4, "--plant", "--json").json["stretches"]
+    assert (stretch["start_s"], stretch["end_s"], stretch["max_abs_error"]) == (
+        -0.08,
+        11.184,
+        EXACT,
+    )
+
+
+def test_replay_says_where_no_command_explains_the_motion(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", make_poses(5))
+    assert "No recorded command explains 5 ticks" in call("replay", path, "--plant").out
+    assert call("replay", path, "--plant", "--json").json["commands"]["taken"] == 0
+
+
+def test_topics_of_a_bag_are_chosen_by_option(call: Call, tmp_path: Path) -> None:
+    turtles = [pose for name in "ab" for pose in make_poses(3, topic=f"/{name}/pose", x=ord(name))]
+    path = write_mcap(tmp_path / "a.mcap", [*turtles, make_command(topic="/a/cmd_vel")])
+    answer = call("metrics", path)
+    assert (answer.code, "choose with --pose-topic" in answer.err) == (2, True)
+    for command in (["metrics"], ["replay", "--plant"], ["compare", path]):
+        assert call(*command, path, "--pose-topic", "/b/pose").code == 0
+
+
+def test_commands_take_a_run_of_bare_poses(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", [make_stamped_pose()])
+    (answer,) = call("metrics", path, "--json").json
+    values = {metric["id"]: metric["value"] for metric in answer["metrics"]}
+    assert values.pop("run.duration") == 0.0
+    assert {*values.values()} == {None}
+    assert call("view", path, "--save", tmp_path / "a.rrd").code == 0
+    assert call("info", path).code == 0
+
+
+def test_info_tells_a_bag_by_its_folder(call: Call) -> None:
+    path = find_shared("ros2", "turtlesim_jazzy")
+    (answer,) = call("info", path, "--json").json
+    assert (answer["source"], answer["duration_s"]) == ("rosbag2: turtlesim_jazzy", 42.066412176)
+    assert [topic["count"] for topic in answer["topics"]] == [18, 2501]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["replay", "a.mcap"], "replay: expected what to drive the recording through, --plant"),
+        (["replay", "a.mcap", "--plant"], "a: expected poses with the applied velocities"),
+        (["metrics", "."], ".: expected a bag, found a folder without metadata.yaml"),
+        (["metrics", "a.mcap", "--pose-topic", "/b"], "pose_topic: expected a topic with messages"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_line(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], line: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mcap(Path("a.mcap"), [make_stamped_pose()])
+    answer = call(*words)
+    assert (answer.code, answer.out) == (2, "")
+    assert line in answer.err
+    assert answer.err.count("\n") == 1

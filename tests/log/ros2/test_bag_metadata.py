@@ -1,0 +1,70 @@
+from contextlib import suppress
+from io import StringIO
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from tests.log.runs import find_shared
+from turtlelog.errors import LogError
+from turtlelog.log.ros2 import BagTopic, format_bag_metadata, parse_bag_metadata
+
+NAMES = st.text(
+    st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=("C", "Zl", "Zp")),
+    min_size=1,
+)
+
+
+def load(text: str) -> Any:
+    return YAML(typ="safe").load(StringIO(text))["rosbag2_bagfile_information"]
+
+
+def format_one(file: str) -> str:
+    topic = BagTopic(name="/a", type="std_msgs/msg/String", type_hash="RIHS01_0", count=3)
+    return format_bag_metadata(file, [topic], start_ns=5, duration_ns=7)
+
+
+@given(name=NAMES)
+def test_any_file_name_comes_back_and_a_yaml_library_agrees(name: str) -> None:
+    text = format_one(name)
+    assert parse_bag_metadata(text).files == (name,)
+    assert load(text)["relative_file_paths"] == [name]
+    assert load(text)["files"][0]["path"] == name
+
+
+def test_the_entries_have_the_types_that_rosbag2_expects() -> None:
+    found = load(format_one("a.mcap"))
+    assert (found["version"], found["storage_identifier"], found["message_count"]) == (8, "mcap", 3)
+    assert found["starting_time"] == {"nanoseconds_since_epoch": 5}
+    assert found["duration"] == {"nanoseconds": 7}
+    assert found["compression_mode"] == found["ros_distro"] == ""
+    [topic] = found["topics_with_message_count"]
+    assert topic["topic_metadata"]["offered_qos_profiles"] == ""
+    assert topic["topic_metadata"]["type_description_hash"] == "RIHS01_0"
+
+
+def test_what_rosbag2_wrote_is_read() -> None:
+    path = find_shared("ros2", "turtlesim_jazzy", "metadata.yaml")
+    found = parse_bag_metadata(path.read_text())
+    expected = load(path.read_text())
+    assert list(found.files) == expected["relative_file_paths"]
+    assert (found.storage, found.compression) == ("mcap", "")
+    assert found.duration_ns == expected["duration"]["nanoseconds"]
+
+
+@pytest.mark.parametrize("indent", ["", "  ", "    "])
+def test_a_list_may_be_indented_or_not(indent: str) -> None:
+    lines = ["rosbag2_bagfile_information:", "  relative_file_paths:"]
+    lines += [f"  {indent}- 'it''s.mcap'", f"  {indent}-  b.mcap  ", "", "  # end"]
+    text = "\n".join([*lines, "  storage_identifier: mcap", "other:", "  - c"])
+    assert parse_bag_metadata(text).files == ("it's.mcap", "b.mcap")
+
+
+@given(lines=st.lists(st.text("rosbag2_ \t-:'\"[]{}~\\\n", max_size=40)))
+def test_any_text_is_read_or_refused(lines: list[str]) -> None:
+    text = "\n  ".join(["rosbag2_bagfile_information:", "storage_identifier: mcap", *lines])
+    with suppress(LogError):
+        found = parse_bag_metadata(f"{text}\n  relative_file_paths:\n  - a.mcap\n")
+        assert found.files[-1] == "a.mcap"

@@ -1,0 +1,68 @@
+from pathlib import Path
+
+import pytest
+
+from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap, write_metadata
+from tests.log.runs import assert_same, find_shared, simulate_short_run
+from turtlelog.errors import LogError
+from turtlelog.log import write_recording
+from turtlelog.log.any_file import read_run
+from turtlelog.log.exporters import export_rosbag2
+
+
+def test_a_recording_of_turtlelogs_is_read_whole(tmp_path: Path) -> None:
+    run = simulate_short_run()
+    write_recording(run, tmp_path / "run.log")
+    assert_same(read_run(tmp_path / "run.log"), run)
+
+
+def test_a_bag_around_a_recording_of_turtlelogs_is_that_recording(tmp_path: Path) -> None:
+    run = simulate_short_run()
+    export_rosbag2(run, tmp_path / "bag")
+    assert_same(read_run(tmp_path / "bag"), run)
+
+
+def test_a_topic_asked_for_reads_a_recording_of_turtlelogs_as_a_bag(tmp_path: Path) -> None:
+    write_recording(simulate_short_run(), tmp_path / "run.mcap")
+    assert read_run(tmp_path / "run.mcap", pose_topic="/turtle1/goal").poses.xy_m.tolist() == [
+        [2.0, 10.0]
+    ]
+
+
+def test_other_peoples_files_and_folders_are_read_as_bags(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", [*make_poses(4), make_stamped_pose("/other")])
+    assert read_run(tmp_path / "a.mcap").source == "mcap: a.mcap"
+    folder = write_metadata(tmp_path, ["a.mcap"])
+    assert read_run(folder).source == f"rosbag2: {tmp_path.name}"
+    assert len(read_run(folder, pose_topic="/other").poses) == 1
+
+
+def test_a_log_of_the_papers_is_imported() -> None:
+    assert len(read_run(find_shared("paper", "kp1_210.json")).samples) == 1265
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line"),
+    [
+        ("a.db3", b"SQLite format 3\0" + bytes(100), "expected MCAP, found a bag in SQLite"),
+        ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
+        ("a.json", b"{", r"expected JSON, found"),
+    ],
+)
+def test_what_cannot_be_read_is_named(name: str, content: bytes, line: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(LogError, match=rf"{name}: {line}"):
+        read_run(tmp_path / name)
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"a\.mcap: expected a recording.*, found: No such file"):
+        read_run(tmp_path / "a.mcap")
+
+
+def test_a_damaged_recording_says_where(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_recording(simulate_short_run(), path)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(LogError, match=r"run\.mcap: .*expected the end of an MCAP file"):
+        read_run(path)

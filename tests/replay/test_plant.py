@@ -1,0 +1,279 @@
+from dataclasses import replace
+from math import cos, sin
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.log.runs import find_shared, simulate_preset
+from turtlelog.log.ros2 import read_bag
+from turtlelog.replay import PlantReplay, PoseError, ReplayError, replay_plant
+from turtlelog.run import CommandColumns, PoseColumns, Run
+from turtlelog.scenario import PAPER_RUNS
+from turtlelog.simulate import Turtle
+from turtlelog.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
+
+EXACT = PoseError()
+
+
+@pytest.fixture(scope="module")
+def kp10() -> Run:
+    return simulate_preset("paper-kp10")
+
+
+@pytest.fixture(scope="module")
+def real() -> Run:
+    return read_bag(find_shared("ros2", "turtlesim_jazzy"))
+
+
+def drop_rows(run: Run, first: int, after: int) -> Run:
+    """Return a run without samples, and without some of its poses."""
+    keep = np.r_[0:first, after : len(run.poses)]
+    return replace_poses(run, keep=keep)
+
+
+def replace_poses(run: Run, *, keep: Any = slice(None), **changes: Any) -> Run:
+    columns = {
+        name: getattr(run.poses, name)[keep].copy()
+        for name in ("time_ns", "xy_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
+    }
+    no_samples = {
+        name: getattr(run.samples, name)[:0]
+        for name in run.samples.__dataclass_fields__
+        if getattr(run.samples, name) is not None
+    }
+    return replace(
+        run,
+        poses=PoseColumns(**(columns | changes)),
+        samples=replace(run.samples, **no_samples),
+    )
+
+
+def replace_commands(run: Run, **changes: Any) -> Run:
+    return replace(run, commands=replace(run.commands, **changes))
+
+
+def test_a_real_turtlesim_is_reproduced_bit_for_bit(real: Run) -> None:
+    found = replay_plant(real)
+    assert found.max_abs_error == EXACT
+    assert [stretch.ticks for stretch in found.stretches] == [877, 1622]
+    assert (found.commands.taken, found.commands.unseen, found.commands.stops) == (18, 0, 8)
+    assert found.commands.unexplained_ticks == 0
+
+
+def test_the_reset_and_the_silence_of_a_real_turtlesim_are_found(real: Run) -> None:
+    found = replay_plant(real)
+    [jump], [gap] = found.jumps, found.gaps
+    assert (jump.kind, jump.to_pose) == ("spawn", (SPAWN_XY_M, SPAWN_XY_M, 0.0))
+    assert jump.at_ns == gap.end_ns == 15_632_487_045
+    assert gap.end_ns - gap.start_ns == 1_600_373_167
+
+
+@pytest.mark.parametrize("name", [*PAPER_RUNS, "paper", "textbook"])
+def test_a_simulation_is_reproduced_bit_for_bit(name: str) -> None:
+    run = simulate_preset(name)
+    found = replay_plant(run)
+    assert (found.max_abs_error, found.commands.unexplained_ticks) == (EXACT, 0)
+    assert (found.samples, found.jumps, found.gaps) == (len(run.poses), (), ())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"loop__transport_delay_ticks": 5},
+        {"loop__pose_precision": "float64"},
+        {"loop__period_ticks": 7},
+        {"loop__period_ticks": 80},
+        {"law__kp_linear": 30.0, "limits__speed_m_s": float("inf")},
+        {"goal__x_m": 11.0, "goal__y_m": 11.0, "law__kp_linear": 80.0, "limits__speed_m_s": 20.0},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("name", ["paper-kp10", "textbook"])
+def test_any_loop_is_reproduced_bit_for_bit(name: str, changes: dict[str, Any]) -> None:
+    found = replay_plant(simulate_preset(name, max_duration_s=20.0, **changes))
+    assert (found.max_abs_error, found.commands.unexplained_ticks) == (EXACT, 0)
+
+
+def test_a_pose_that_is_wrong_by_a_little_shows_in_its_stretch(kp10: Run) -> None:
+    xy_m = kp10.poses.xy_m.copy()
+    xy_m[400, 1] = np.float32(xy_m[400, 1] + 3e-6)
+    found = replay_plant(replace_poses(kp10, xy_m=xy_m))
+    assert found.max_abs_error.y_m == pytest.approx(3e-6, abs=5e-7)
+    assert (found.max_abs_error.x_m, found.max_abs_error.heading_rad) == (0.0, 0.0)
+
+
+def test_a_command_that_is_wrong_by_a_little_shows_where_it_is_integrated(kp10: Run) -> None:
+    turn_rate = kp10.commands.turn_rate_rad_s * (1.0 + 1e-9)
+    found = replay_plant(replace_commands(kp10, turn_rate_rad_s=turn_rate))
+    assert found.commands.unexplained_ticks == 0
+    slower = replay_plant(replace_commands(kp10, turn_rate_rad_s=turn_rate * 1.001))
+    assert slower.commands.unexplained_ticks > 100
+
+
+def test_a_teleport_begins_a_new_stretch(kp10: Run) -> None:
+    xy_m = kp10.poses.xy_m.copy()
+    xy_m[450:] += (0.5, -0.5)
+    found = replay_plant(replace_poses(kp10, xy_m=xy_m))
+    [jump] = found.jumps
+    assert (jump.kind, jump.at_ns) == ("teleport", 450 * TICK_NS)
+    assert [stretch.ticks for stretch in found.stretches] == [449, len(kp10.poses) - 451]
+    assert_agrees_to_rounding(found)
+
+
+def test_a_turn_on_the_spot_that_nobody_commanded_is_a_jump(kp10: Run) -> None:
+    heading_rad = kp10.poses.heading_rad.copy()
+    heading_rad[20:] += 0.1
+    [jump] = replay_plant(replace_poses(kp10, heading_rad=heading_rad)).jumps
+    assert jump.at_ns == 20 * TICK_NS
+
+
+@pytest.mark.parametrize("first", [50, 300, 700])
+def test_missing_poses_are_a_gap_and_no_jump(kp10: Run, first: int) -> None:
+    found = replay_plant(drop_rows(kp10, first, first + 7))
+    [gap] = found.gaps
+    assert (found.jumps, gap.missing_ticks) == ((), 7)
+    assert gap.start_ns == (first - 1) * TICK_NS
+    assert_agrees_to_rounding(found)
+
+
+def test_a_stretch_from_the_middle_of_a_motion_agrees_to_its_rounding(kp10: Run) -> None:
+    for first in range(60, 700, 80):
+        found = replay_plant(replace_poses(kp10, keep=slice(first, None)))
+        assert_agrees_to_rounding(found)
+        assert found.max_abs_error.x_m < 2e-6 > found.max_abs_error.y_m
+
+
+def assert_agrees_to_rounding(found: PlantReplay) -> None:
+    for stretch in found.stretches:
+        error = stretch.max_abs_error
+        assert max(error.x_m, error.y_m) <= stretch.rounding_m
+        assert error.heading_rad <= stretch.rounding_rad
+
+
+def test_ticks_without_a_recorded_command_use_the_recorded_velocity() -> None:
+    run = simulate_preset("paper-kp1")
+    keep = np.r_[0:150, 190 : len(run.commands)]
+    columns = {
+        name: getattr(run.commands, name)[keep].copy() for name in run.commands.__dataclass_fields__
+    }
+    found = replay_plant(replace(run, commands=CommandColumns(**columns)))
+    assert found.commands.unexplained_ticks == 40
+    assert found.max_abs_error.heading_rad < 1e-6
+
+
+def test_a_recording_without_commands_is_replayed_from_its_velocities(real: Run) -> None:
+    none = {name: getattr(real.commands, name)[:0] for name in real.commands.__dataclass_fields__}
+    found = replay_plant(replace(real, commands=CommandColumns(**none)))
+    speed, turn_rate = real.poses.speed_m_s, real.poses.turn_rate_rad_s
+    assert speed is not None
+    assert turn_rate is not None
+    moving = int(np.count_nonzero(np.hypot(speed, turn_rate)))
+    assert (found.commands.taken, found.commands.unexplained_ticks) == (0, moving)
+    assert found.max_abs_error == EXACT
+
+
+def drive(*commands: tuple[float, float, float], ticks: int = 30) -> Run:
+    """Return a run in which a turtle takes a command every `ticks` ticks."""
+    turtle = Turtle(x_m=5.0, y_m=5.0, heading_rad=0.0)
+    rows = []
+    for tick in range(ticks * len(commands)):
+        if tick % ticks == ticks // 2:
+            turtle.take_command(*commands[tick // ticks])
+        turtle.step()
+        rows.append(turtle.state)
+    values = np.array(rows, dtype=np.float32).astype(np.float64)
+    forward, turn_rate, left = np.array(commands).T
+    run = replace_poses(simulate_preset("paper-kp1", max_duration_s=0.5))
+    return replace(
+        run,
+        poses=PoseColumns(
+            time_ns=np.arange(len(rows)) * TICK_NS,
+            xy_m=values[:, :2],
+            heading_rad=values[:, 2],
+            speed_m_s=values[:, 3],
+            turn_rate_rad_s=values[:, 4],
+        ),
+        commands=CommandColumns(
+            time_ns=(np.arange(len(commands)) * ticks + ticks // 2) * TICK_NS - TICK_NS // 2,
+            speed_m_s=forward.copy(),
+            lateral_speed_m_s=left.copy(),
+            turn_rate_rad_s=turn_rate.copy(),
+        ),
+    )
+
+
+def test_backward_and_sideward_motion_is_told_from_forward() -> None:
+    run = drive((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.6, 0.3, -0.8))
+    found = replay_plant(run)
+    assert (found.max_abs_error, found.commands.taken) == (EXACT, 4)
+    lost = replay_plant(replace_commands(run, speed_m_s=np.full(4, 9.0)))
+    assert lost.commands.unexplained_ticks > 100
+    assert max(lost.max_abs_error.x_m, lost.max_abs_error.y_m) < 2e-5
+
+
+def test_a_wall_is_no_jump() -> None:
+    found = replay_plant(drive((200.0, 0.0, 0.0), (-200.0, 1.0, 0.0), (3.0, 0.0, 0.0)))
+    assert (found.max_abs_error, found.jumps) == (EXACT, ())
+
+
+def test_a_wall_clock_that_jitters_hides_no_tick() -> None:
+    rng = np.random.default_rng(3)
+    run = drive(*[(1.0, 0.5, 0.0), (0.5, -1.0, 0.0)] * 6)
+    jitter_ns = rng.integers(-7_000_000, 7_000_000, len(run.poses))
+    time_ns = np.maximum.accumulate(run.poses.time_ns + jitter_ns)
+    found = replay_plant(replace_poses(run, time_ns=time_ns + np.arange(len(time_ns))))
+    assert (found.max_abs_error, found.gaps, found.jumps) == (EXACT, (), ())
+
+
+@pytest.mark.parametrize("early_ns", [0, 9_000_000])
+def test_a_message_lost_from_a_moving_turtle_is_a_gap_on_a_wall_clock(early_ns: int) -> None:
+    run = drive(*[(1.0, 0.5, 0.0)] * 4)
+    time_ns = run.poses.time_ns + np.arange(len(run.poses)) % 5
+    time_ns[61] -= early_ns
+    found = replay_plant(drop_rows(replace_poses(run, time_ns=time_ns), 60, 61))
+    [gap] = found.gaps
+    assert (gap.start_ns, gap.missing_ticks, found.jumps) == (int(time_ns[59]), 1, ())
+
+
+def test_a_command_stamped_after_the_pose_that_shows_it_is_found_on_a_wall_clock() -> None:
+    run = drive((1.0, 0.5, 0.0), (0.5, -1.0, 0.0), (-1.0, 0.3, 0.2))
+    run = replace_poses(run, time_ns=run.poses.time_ns + np.arange(len(run.poses)) % 5)
+    found = replay_plant(replace_commands(run, time_ns=run.commands.time_ns + TICK_NS))
+    assert (found.commands.taken, found.commands.unexplained_ticks) == (3, 0)
+    assert found.max_abs_error == EXACT
+
+
+def test_a_jump_names_both_poses() -> None:
+    run = drive((0.0, 0.0, 0.0))
+    xy_m, heading_rad = run.poses.xy_m.copy(), run.poses.heading_rad.copy()
+    xy_m[9:], heading_rad[9:] = (2.0, 3.0), 1.0
+    [jump] = replay_plant(replace_poses(run, xy_m=xy_m, heading_rad=heading_rad)).jumps
+    assert (jump.from_pose, jump.to_pose) == ((5.0, 5.0, 0.0), (2.0, 3.0, 1.0))
+
+
+def test_one_pose_is_a_stretch_of_no_ticks(kp10: Run) -> None:
+    found = replay_plant(replace_poses(kp10, keep=slice(0, 1)))
+    assert ([stretch.ticks for stretch in found.stretches], found.max_abs_error) == ([0], EXACT)
+
+
+def test_a_run_without_applied_velocities_is_refused(kp10: Run) -> None:
+    run = replace_poses(kp10, speed_m_s=None)
+    with pytest.raises(ReplayError, match="paper-kp10: expected poses with the applied velocities"):
+        replay_plant(run)
+
+
+def test_a_robot_that_is_no_turtlesim_is_refused(kp10: Run) -> None:
+    run = replace_poses(kp10, time_ns=kp10.poses.time_ns * 2)
+    with pytest.raises(ReplayError, match="expected a pose per tick of 16 ms, found one per 32 ms"):
+        replay_plant(run)
+
+
+def test_the_rounding_grows_with_the_way_driven() -> None:
+    short, far = (drive(*[(2.0, 1.0, 0.0)] * count) for count in (1, 8))
+    [first], [second] = replay_plant(short).stretches, replay_plant(far).stretches
+    driven_m = 2.0 * TICK_S * 8 * 30
+    assert first.rounding_m < second.rounding_m < 3 * 2.0**-21 + driven_m * 2.0**-23
+    assert (cos(second.rounding_rad), sin(second.rounding_rad)) == pytest.approx(
+        (1.0, 0.0), abs=3e-7
+    )

@@ -1,0 +1,146 @@
+"""The recorded commands through the plant, against the recorded poses."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import hypot
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import subtract_headings
+from turtlelog.replay.breaks import Gap, Jump, find_breaks
+from turtlelog.replay.placement import CommandUse, Velocity, place_commands
+from turtlelog.replay.recorded import RecordedMotion, read_motion
+from turtlelog.run import Run
+from turtlelog.simulate import Turtle
+from turtlelog.turtlesim import TICK_S
+
+_HALF_STEP_M: Final = 2.0**-21
+"""Half a 32-bit step of a coordinate between 8 and 16 m, the coarsest in this world [m]."""
+
+_HALF_STEP_RAD: Final = 2.0**-23
+"""Half a 32-bit step of a heading between 2 and 4 rad [rad]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseError:
+    """The largest magnitudes of differences between replayed and recorded poses."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    heading_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A part of the recording without a jump or gap, replayed from its first recorded pose.
+
+    Attributes:
+        start_ns: Time of its first pose [ns].
+        end_ns: Time of its last pose [ns].
+        ticks: Steps replayed.
+        max_abs_error: Over all its poses.
+        rounding_m: What 32-bit rounding of the first pose may grow to, along the way driven [m];
+            the plant's own state is in double precision, and not recorded.
+        rounding_rad: The same for the heading [rad].
+    """
+
+    start_ns: int
+    end_ns: int
+    ticks: int
+    max_abs_error: PoseError
+    rounding_m: float
+    rounding_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantReplay:
+    """What the plant makes of the recorded commands.
+
+    Attributes:
+        name: Of the run.
+        samples: Poses compared.
+        max_abs_error: Over all stretches.
+        stretches: In order of time.
+        jumps: In order of time.
+        gaps: In order of time.
+        commands: What became of the recorded commands.
+    """
+
+    name: str
+    samples: int
+    max_abs_error: PoseError
+    stretches: tuple[Stretch, ...]
+    jumps: tuple[Jump, ...]
+    gaps: tuple[Gap, ...]
+    commands: CommandUse
+
+
+def replay_plant(run: Run) -> PlantReplay:
+    """Drive the plant with the commands of a turtlesim recording and compare the poses.
+
+    The poses' applied velocities tell in which tick each command was taken. After each jump or gap
+    the plant starts again from the recorded pose.
+
+    Raises:
+        ReplayError: Where the run holds no applied velocities, or its poses are no ticks.
+    """
+    motion = read_motion(run)
+    jumps, gaps, starts = find_breaks(motion)
+    velocities, use = place_commands(motion, run.commands, frozenset(starts))
+    bounds = zip([0, *starts], [*starts, len(motion.time_ns)], strict=True)
+    stretches = tuple(_replay_stretch(motion, velocities, first, after) for first, after in bounds)
+    return PlantReplay(
+        name=run.name,
+        samples=len(motion.time_ns),
+        max_abs_error=_find_largest(stretch.max_abs_error for stretch in stretches),
+        stretches=stretches,
+        jumps=jumps,
+        gaps=gaps,
+        commands=use,
+    )
+
+
+def _replay_stretch(
+    motion: RecordedMotion, velocities: tuple[Velocity, ...], first: int, after: int
+) -> Stretch:
+    x_m, y_m = motion.xy_m[first].tolist()
+    turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=float(motion.heading_rad[first]))
+    states = [turtle.state[:3]]
+    driven_m = 0.0
+    for forward, left, turn_rate in velocities[first + 1 : after]:
+        # Taken anew in every tick: when the plant's own watchdog fires depends on the wall clock,
+        # and the recorded velocities tell it.
+        turtle.take_command(forward, turn_rate, left)
+        turtle.step()
+        states.append(turtle.state[:3])
+        driven_m += hypot(forward, left) * TICK_S
+    recorded = np.column_stack([motion.xy_m, motion.heading_rad])[first:after]
+    return Stretch(
+        start_ns=int(motion.time_ns[first]),
+        end_ns=int(motion.time_ns[after - 1]),
+        ticks=after - first - 1,
+        max_abs_error=_compare(np.array(states), recorded),
+        rounding_m=3.0 * _HALF_STEP_M + driven_m * _HALF_STEP_RAD,
+        rounding_rad=2.0 * _HALF_STEP_RAD,
+    )
+
+
+def _compare(replayed: NDArray[np.float64], recorded: NDArray[np.float64]) -> PoseError:
+    published = replayed.astype(np.float32).astype(np.float64)
+    # A recording of double precision is compared in double precision.
+    if (recorded == recorded.astype(np.float32)).all():
+        replayed = published
+    x_m, y_m = np.abs(replayed[:, :2] - recorded[:, :2]).max(axis=0).tolist()
+    turned = np.abs(subtract_headings(replayed[:, 2], recorded[:, 2]))
+    return PoseError(x_m=x_m, y_m=y_m, heading_rad=float(turned.max()))
+
+
+def _find_largest(errors: Iterable[PoseError]) -> PoseError:
+    found = [*errors]
+    return PoseError(
+        x_m=max(error.x_m for error in found),
+        y_m=max(error.y_m for error in found),
+        heading_rad=max(error.heading_rad for error in found),
+    )
