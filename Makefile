@@ -6,7 +6,7 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test check recordings pictures bench clean
+.PHONY: demo test check torture recordings pictures bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
@@ -19,6 +19,10 @@ check: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Every cut and every flipped bit of a small recording, a hundred killed recorders.
+torture: .venv/installed-dev
+	TORTURE=full $(BIN)/python -m pytest -s tests/torture
 
 # The paper's four runs, as they stand in the repository.
 recordings: .venv/installed

@@ -8,7 +8,10 @@ import pytest
 import turtlelog as tl
 from tests.cli.conftest import Call
 
-COMMANDS = ("demo", "run", "scenario", "import", "info", "metrics", "compare", "view")
+COMMANDS = (
+    *("demo", "run", "scenario", "info", "metrics", "compare", "view"),
+    *("replay", "import", "export", "recover"),
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

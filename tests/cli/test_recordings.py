@@ -119,7 +119,7 @@ def test_import_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> 
         (["info", "zeros.mcap"], "zeros.mcap: byte 0: expected an MCAP file"),
         (["info", "empty.mcap"], "empty.mcap: byte 0: expected an MCAP file"),
         (["metrics", "cut.mcap"], "expected the end of an MCAP file, found none"),
-        (["metrics", "."], ".: expected a turtlelog recording, found: Is a directory"),
+        (["metrics", "."], ".: expected a bag, found a folder without metadata.yaml"),
         (["metrics", "wrong.json"], "wrong.json: "),
         (["metrics"], "FILE requires an argument"),
         (["compare", "good.mcap"], "expected at least two runs to compare, found 1"),

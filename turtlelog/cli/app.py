@@ -12,9 +12,12 @@ from cyclopts import App, CycloptsError
 from turtlelog import __version__
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
+from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
 from turtlelog.cli.metrics import metrics
+from turtlelog.cli.recover import recover
+from turtlelog.cli.replay import replay
 from turtlelog.cli.run import run
 from turtlelog.cli.scenario import scenario
 from turtlelog.cli.view import view
@@ -36,7 +39,19 @@ app = App(
     version=f"turtlelog {__version__}",
     help_format="plaintext",
 )
-for command in (demo, run, scenario, import_, info, metrics, compare, view):
+for command in (
+    demo,
+    run,
+    scenario,
+    info,
+    metrics,
+    compare,
+    view,
+    replay,
+    import_,
+    export,
+    recover,
+):
     app.command(command)
 app.register_install_completion_command(
     add_to_startup=False, help="Write the completion script of your shell and say where."

@@ -1,0 +1,62 @@
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Call
+
+
+@pytest.fixture
+def cut(kp4: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(kp4.read_bytes()[:-3000])
+    return path
+
+
+def test_recover_says_how_much_and_what_was_lost(call: Call, cut: Path, tmp_path: Path) -> None:
+    answer = call("recover", cut, "-o", tmp_path / "whole.mcap")
+    assert (answer.code, answer.err) == (0, "")
+    assert f"{tmp_path / 'whole.mcap'}: " in answer.out
+    assert "messages from 0.000 s to 11.264 s" in answer.out
+    assert "messages lost: not known" in answer.out
+    assert "lost: bytes " in answer.out
+
+
+def test_recover_answers_in_json(call: Call, cut: Path, tmp_path: Path) -> None:
+    report = call("recover", cut, "-o", tmp_path / "whole.mcap", "--json").json
+    assert (report["file"], report["complete"]) == (str(cut), False)
+    assert report["recovered"]["/turtle1/cmd_vel"] == 681
+    assert (report["from_s"], report["to_s"], report["missing"]) == (0.0, 11.264, None)
+    assert {"start", "end", "reason"} == set(report["lost"][0])
+    assert call("metrics", tmp_path / "whole.mcap").code == 0
+
+
+def test_recover_says_where_nothing_was_lost(call: Call, kp4: Path, tmp_path: Path) -> None:
+    answer = call("recover", kp4, "-o", tmp_path / "whole.mcap")
+    assert answer.code == 0
+    assert "nothing was lost: the file is complete and undamaged" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["none.mcap", "-o", "out.mcap"], "none.mcap: expected an MCAP file, found: No such file"),
+        (["zeros.mcap", "-o", "out.mcap"], "zeros.mcap: expected messages to recover, found: "),
+        (["cut.mcap", "-o", "cut.mcap"], "expected another file to write to, found the same"),
+        (["cut.mcap", "-o", "no/out.mcap"], "expected a place that can be written"),
+        (["cut.mcap"], "--output"),
+    ],
+)
+def test_what_cannot_be_recovered_is_one_line(
+    call: Call,
+    cut: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    line: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("zeros.mcap").write_bytes(bytes(1000))
+    answer = call("recover", *words)
+    assert (answer.code, answer.out) == (2, "")
+    assert line in answer.err
+    assert answer.err.count("\n") == 1

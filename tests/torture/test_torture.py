@@ -1,0 +1,93 @@
+"""Every cut, every flipped bit, lying lengths, killed recorders.
+
+The ordinary suite takes a sample; `TORTURE=full` takes all, on two cores (`make torture`).
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.torture.kills import (
+    PRESETS,
+    ROOT,
+    find_difference,
+    find_fault,
+    kill_command,
+    kill_recorders,
+    simulate_messages,
+)
+from tests.torture.outcomes import count_outcomes, format_table, list_harms, sample_harms
+from tests.torture.recordings import COMPRESSIONS, list_messages, make_recording
+from turtlelog.log.recovery import recover_recording
+
+IS_FULL = os.environ.get("TORTURE") == "full"
+SEED = int(os.environ.get("TORTURE_SEED", "0"))
+
+pytestmark = pytest.mark.torture
+
+
+def test_damage_is_one_line_or_harmless(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    counts, failures = {}, []
+    for compression in COMPRESSIONS:
+        sound = make_recording(tmp_path, compression)
+        harms = list_harms(sound) if IS_FULL else sample_harms(sound, 100, SEED)
+        with capsys.disabled():
+            counts[compression], bad = count_outcomes(
+                sound, harms, processes=2 if IS_FULL else 1, label=compression if IS_FULL else ""
+            )
+        failures += bad
+    table = format_table(counts)
+    if IS_FULL:
+        with capsys.disabled():
+            sys.stdout.write(f"\n{table}\n")
+    assert failures == [], table
+
+
+def test_killed_recorders_keep_all_but_the_last_second(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = {preset: simulate_messages(preset, tmp_path) for preset in PRESETS}
+    killed = kill_recorders(tmp_path, 100 if IS_FULL else 10, at_once=10, seed=SEED)
+    faults = [
+        fault
+        for found in killed
+        if (fault := find_fault(found, whole[found.preset], tmp_path / "recovered.mcap"))
+    ]
+    if IS_FULL:
+        with capsys.disabled():
+            sys.stdout.write(f"\n{len(killed)} recorders killed, {len(faults)} lost too much\n")
+    assert faults == []
+
+
+def test_a_killed_command_leaves_a_recording(tmp_path: Path) -> None:
+    killed = kill_command(tmp_path, after_s=4.0)
+    report = recover_recording(killed.path, tmp_path / "recovered.mcap")
+    messages = list_messages((tmp_path / "recovered.mcap").read_bytes())
+    assert find_difference(messages, simulate_messages(killed.preset, tmp_path), -1) is None
+    # How far it was, only a journal would tell; a busy machine takes a while to start.
+    assert report.to_s >= 1.0
+    assert not report.complete
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the address space as Linux does")
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_lying_length_takes_no_memory(compression: str, tmp_path: Path) -> None:
+    path = tmp_path / "sound.mcap"
+    path.write_bytes(make_recording(tmp_path, compression))
+    words = [sys.executable, "-m", "tests.torture.memory", str(path), str(SEED)]
+    done = subprocess.run(
+        [*words, str(3000 if IS_FULL else 60)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    *greedy, count = map(json.loads, done.stdout.splitlines())
+    assert greedy == []
+    assert count >= 100

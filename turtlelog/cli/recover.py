@@ -1,0 +1,67 @@
+"""`turtlelog recover`: make a whole file of what a damaged one still holds."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import Json
+from turtlelog.cli.output import print_json, print_text
+
+if TYPE_CHECKING:
+    from turtlelog import RecoveryReport
+
+_MOST_LINES = 20
+
+
+def recover(
+    file: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    json: Json = False,
+) -> None:
+    """Write what an unfinished or damaged MCAP file still holds as a complete one.
+
+    For recordings that were cut off (a crash, a full disk, a copy that broke off) or damaged, by
+    turtlelog or by anybody else. The file itself is not changed.
+
+    Example: turtlelog recover cut.mcap -o whole.mcap
+
+    Args:
+        file: The MCAP file to read.
+        output: Write the recovered recording to this .mcap file.
+        json: Print one JSON object instead of text.
+    """
+    report = tl.recover_recording(file, output)
+    if json:
+        print_json({**asdict(report), "output": str(output)})
+        return
+    print_text("\n".join(_format(report, output)))
+
+
+def _format(report: "RecoveryReport", output: Path) -> list[str]:
+    count = sum(report.recovered.values())
+    span = f"from {report.from_s:.3f} s to {report.to_s:.3f} s"
+    lines = [f"{output}: {count} messages {span}, from {report.file}"]
+    width = max(map(len, report.recovered))
+    lines += [f"  {topic:<{width}}  {found}" for topic, found in report.recovered.items()]
+    if report.complete:
+        return [*lines, "nothing was lost: the file is complete and undamaged"]
+    if report.missing:
+        lost = ", ".join(f"{count} of {topic}" for topic, count in report.missing.items())
+        lines.append(f"messages lost: {sum(report.missing.values())} ({lost})")
+    elif report.missing is None:
+        lines.append("messages lost: not known, for the file has no sound summary that counts them")
+    if report.unchecked:
+        unchecked = sum(report.unchecked.values())
+        lines.append(f"messages that no checksum vouches for: {unchecked}")
+    lines += [
+        f"lost: bytes {loss.start} to {loss.end}: {loss.reason}"
+        for loss in report.lost[:_MOST_LINES]
+    ]
+    if len(report.lost) > _MOST_LINES:
+        lines.append(f"lost: and {len(report.lost) - _MOST_LINES} more stretches (--json has all)")
+    return lines
