@@ -41,7 +41,10 @@ def test_recover_says_where_nothing_was_lost(call: Call, kp4: Path, tmp_path: Pa
     [
         (["none.mcap", "-o", "out.mcap"], "none.mcap: expected an MCAP file, found: No such file"),
         (["zeros.mcap", "-o", "out.mcap"], "zeros.mcap: expected messages to recover, found: "),
-        (["cut.mcap", "-o", "cut.mcap"], "expected another file to write to, found the same"),
+        (
+            ["cut.mcap", "-o", "cut.mcap"],
+            "expected another file to write to, found the input itself",
+        ),
         (["cut.mcap", "-o", "no/out.mcap"], "expected a place that can be written"),
         (["cut.mcap"], "--output"),
     ],
@@ -60,3 +63,12 @@ def test_what_cannot_be_recovered_is_one_line(
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err
     assert answer.err.count("\n") == 1
+
+
+def test_a_name_that_is_no_recording_is_not_overwritten(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "thesis.txt").write_text("precious")
+    (tmp_path / "a.mcap").write_bytes(b"")
+    answer = call("recover", tmp_path / "a.mcap", "-o", tmp_path / "thesis.txt")
+    assert answer.code == 2
+    assert "thesis.txt: expected a name that ends in .mcap" in answer.err
+    assert (tmp_path / "thesis.txt").read_text() == "precious"

@@ -389,3 +389,13 @@ def test_a_signal_amid_a_flush_waits_for_its_end(tmp_path: Path) -> None:
         record_ticks(path, scenario, left, lambda path: Interrupted(path, "x+"))
     check_strictly(path)
     assert len(read_recording(path).poses) == len(ticks) - len(list(left))
+
+
+def test_a_file_that_another_program_replaced_is_told(tmp_path: Path) -> None:
+    path, scenario = tmp_path / "a.mcap", make_scenario(max_duration_s=0.5)
+    recorder = Recorder(path, scenario)
+    for tick in iterate_ticks(scenario):
+        recorder.receive(tick)
+    write_recording(simulate_run(scenario), path)
+    with pytest.raises(LogError, match="expected it to stay, found it replaced meanwhile"):
+        recorder.close()

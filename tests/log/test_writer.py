@@ -272,3 +272,12 @@ def test_the_same_columns_give_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a.mcap", "b.mcap"):
         write_columns(topics, tmp_path / name)
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_a_topic_twice_or_numbers_too_few_are_one_line(tmp_path: Path) -> None:
+    twists = make_twists(5)
+    with pytest.raises(LogError, match=f"topic {twists.topic}: expected once, found 2 times"):
+        write_columns([twists, twists], tmp_path / "a.mcap")
+    short = replace(twists, sequence=twists.sequence[:3])
+    with pytest.raises(LogError, match="sequence: expected 5 rows, found 3"):
+        write_columns([short], tmp_path / "a.mcap")

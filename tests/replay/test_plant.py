@@ -277,3 +277,19 @@ def test_the_rounding_grows_with_the_way_driven() -> None:
     assert (cos(second.rounding_rad), sin(second.rounding_rad)) == pytest.approx(
         (1.0, 0.0), abs=3e-7
     )
+
+
+def test_the_first_pose_beyond_rounding_is_named(kp10: Run) -> None:
+    drift_m = 2e-6 * np.maximum(np.arange(len(kp10.poses)) - 300, 0)
+    xy_m = kp10.poses.xy_m.copy()
+    xy_m[:, 1] = np.float32(xy_m[:, 1] + drift_m)
+    found = replay_plant(replace(kp10, poses=replace(kp10.poses, xy_m=xy_m))).first_difference
+    assert found is not None
+    assert found.signal == "y"
+    assert 300 < found.time_ns / TICK_NS < 305
+    assert 0.0 < found.recorded - found.replayed < 1e-5
+
+
+def test_what_rounding_explains_is_no_difference(kp10: Run, real: Run) -> None:
+    assert replay_plant(kp10).first_difference is None
+    assert replay_plant(real).first_difference is None

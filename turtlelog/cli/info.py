@@ -55,9 +55,12 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         "name": recording.name,
         "source": recording.source,
         "format": f"version {recording.format_version}" if recording.format_version else "not ours",
+        "complete": "yes"
+        if recording.complete
+        else "no: turtlelog recover FILE -o OUT makes it so",
         "ended": (recording.stop_reason or "not recorded").replace("_", " "),
         "duration": "-" if recording.duration_s is None else f"{recording.duration_s:.3f} s",
-        "absent": ", ".join(recording.absent) or "nothing",
+        "absent": ", ".join(recording.absent) or ("nothing" if recording.format_version else "-"),
         **recording.notes,
     }
     width = max(map(len, facts))

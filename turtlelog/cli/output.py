@@ -51,6 +51,8 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
         return
     if target.suffix.lower() != suffix:
         raise UsageError(f"{target}: expected a name that ends in {suffix}, found another")
+    if not target.absolute().parent.is_dir():
+        raise UsageError(f"{target}: expected a place that can be written, found no such folder")
     for path in inputs:
         if target.exists() and path.exists() and target.samefile(path):
             raise UsageError(f"{target}: expected another file to write to, found the input itself")

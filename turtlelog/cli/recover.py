@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import print_json, print_text, require_new_target
 
 if TYPE_CHECKING:
     from turtlelog import RecoveryReport
@@ -35,6 +35,7 @@ def recover(
         output: Write the recovered recording to this .mcap file.
         json: Print one JSON object instead of text.
     """
+    require_new_target(output, [file], suffix=".mcap")
     report = tl.recover_recording(file, output)
     if json:
         print_json({**asdict(report), "output": str(output)})

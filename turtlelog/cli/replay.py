@@ -54,13 +54,21 @@ def _describe(file: Path, run: "Run", found: "PlantReplay") -> dict[str, Any]:
     def tell_time(time_ns: int) -> float:
         return (time_ns - run.start_ns) / 1e9
 
+    first = found.first_difference
     return {
         "file": str(file),
         "name": found.name,
         "mode": "plant",
         "samples": found.samples,
         "max_abs_error": _describe_error(found.max_abs_error),
-        "first_difference": None,
+        "first_difference": None
+        if first is None
+        else {
+            "signal": first.signal,
+            "time_s": tell_time(first.time_ns),
+            "recorded": first.recorded,
+            "replayed": first.replayed,
+        },
         "stretches": [
             {
                 "start_s": tell_time(stretch.start_ns),

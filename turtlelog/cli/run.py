@@ -55,10 +55,9 @@ def run(
     require_new_target(rrd, [], suffix=".rrd")
     chosen = load_changed_scenario(scenario, options)
     result = _run_realtime(chosen, output) if realtime else tl.simulate_run(chosen)
-    if result.stop_reason == "interrupted":
-        recorded = "" if output is None else f"; {output} holds everything up to there"
-        print_note(f"interrupted at {result.end_ns / 1e9:.3f} s{recorded}")
-        return EXIT_INTERRUPTED
+    code = EXIT_INTERRUPTED if result.stop_reason == "interrupted" else EXIT_FINE
+    if code:
+        print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
         print_note(f"{name.replace('_', ' ')}: {note}")
     if output is not None:
@@ -79,10 +78,10 @@ def run(
                 "metrics": describe_metrics(tl.measure_run(result)),
             }
         )
-        return EXIT_FINE
+        return code
     print_text(f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n")
     print_text(tl.format_table(tl.tabulate_metrics([result])))
-    return EXIT_FINE
+    return code
 
 
 def _run_realtime(scenario: "Scenario", output: Path | None) -> "Run":

@@ -11,6 +11,7 @@ from turtlelog.log.importers import import_log
 from turtlelog.log.info import read_info
 from turtlelog.log.reader import read_recording
 from turtlelog.log.ros2 import list_bag_files, read_bag
+from turtlelog.log.topics import COMMAND, POSE
 from turtlelog.run import Run
 
 _SQLITE_MAGIC: Final = b"SQLite format 3\0"
@@ -41,7 +42,9 @@ def read_run(
             # What should be a recording is told so; everything else may be a log.
             is_log = path.suffix.lower() in _LOG_SUFFIXES
             return import_log(path) if is_log else read_recording(path)
-    own = None if pose_topic or command_topic else _find_own_recording(path)
+    # A recording of ours holds more than its poses and commands: asking for these loses nothing.
+    is_usual = pose_topic in {None, POSE.name} and command_topic in {None, COMMAND.name}
+    own = _find_own_recording(path) if is_usual else None
     if own is not None:
         return read_recording(own)
     return read_bag(path, pose_topic=pose_topic, command_topic=command_topic)

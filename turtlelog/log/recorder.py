@@ -4,6 +4,9 @@ import struct
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from io import UnsupportedOperation
+from os import fstat
+from os.path import samestat
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import BinaryIO, Final, Self
@@ -145,12 +148,25 @@ class Recorder:
                 self._add_head(notes)
                 self._file.finish()
             self._is_open = False
+            is_in_place = self._is_in_place()
             try:
                 self._stream.close()
             except OSError as err:
                 raise LogError(
                     f"{self._path}: expected the system to keep the file, found: {err.strerror}"
                 ) from err
+            if not is_in_place:
+                # Its name would be another program's file, and this one lost without a word.
+                raise LogError(f"{self._path}: expected it to stay, found it replaced meanwhile")
+
+    def _is_in_place(self) -> bool:
+        """Return whether the file still has its name; a stream that is no file always has."""
+        try:
+            return samestat(fstat(self._stream.fileno()), self._path.stat())
+        except UnsupportedOperation:
+            return True
+        except OSError:
+            return False
 
     def _create(self, create: Callable[[Path], BinaryIO]) -> BinaryIO:
         try:

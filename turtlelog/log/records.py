@@ -67,11 +67,14 @@ def encode_records(columns: TopicColumns, definition: str, channel: int) -> Reco
     """
     fields, layout = read_type(columns.type, definition)
     known = dict.fromkeys(_name_fields(fields, ""))
-    for name, values in columns.fields.items():
+    for name in columns.fields:
         if name not in known:
             raise LogError(f"{name}: expected a field of {columns.type}: {', '.join(known)}")
-        if len(values) != len(columns):
-            raise LogError(f"{name}: expected {len(columns)} rows, found {len(values)}")
+    lengths = {"publish_time_ns": len(columns.publish_time_ns), "sequence": len(columns.sequence)}
+    lengths |= {name: len(values) for name, values in columns.fields.items()}
+    for name, rows in lengths.items():
+        if rows != len(columns):
+            raise LogError(f"{name}: expected {len(columns)} rows, found {rows}")
     columns = _sort(columns)
     stamps = {
         "log_time": _fit("log_time_ns", columns.log_time_ns, "<u8"),

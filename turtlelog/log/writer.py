@@ -75,6 +75,10 @@ def write_columns(
 def _encode_topics(
     topics: Sequence[TopicColumns], definitions: Mapping[str, str]
 ) -> Iterator[ChannelRecords]:
+    names = [columns.topic for columns in topics]
+    for name in names:
+        if names.count(name) > 1:
+            raise LogError(f"topic {name}: expected once, found {names.count(name)} times")
     channels = describe_topics([(columns.topic, columns.type) for columns in topics], definitions)
     for columns, (schema, channel) in zip(topics, channels, strict=True):
         try:

@@ -22,6 +22,8 @@ _HALF_STEP_M: Final = 2.0**-21
 _HALF_STEP_RAD: Final = 2.0**-23
 """Half a 32-bit step of a heading between 2 and 4 rad [rad]."""
 
+_FIELDS: Final = ("x_m", "y_m", "heading_rad")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseError:
@@ -33,6 +35,23 @@ class PoseError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PoseDifference:
+    """Where a replayed pose first leaves the recorded one by more than rounding explains.
+
+    Attributes:
+        signal: `x`, `y` [m] or `heading` [rad].
+        time_ns: When [ns].
+        recorded: In the signal's unit.
+        replayed: In the signal's unit.
+    """
+
+    signal: str
+    time_ns: int
+    recorded: float
+    replayed: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
     """A part of the recording without a jump or gap, replayed from its first recorded pose.
 
@@ -41,6 +60,7 @@ class Stretch:
         end_ns: Time of its last pose [ns].
         ticks: Steps replayed.
         max_abs_error: Over all its poses.
+        first_difference: None where rounding explains all of it.
         rounding_m: What 32-bit rounding of the first pose may grow to, along the way driven [m];
             the plant's own state is in double precision, and not recorded.
         rounding_rad: The same for the heading [rad].
@@ -50,6 +70,7 @@ class Stretch:
     end_ns: int
     ticks: int
     max_abs_error: PoseError
+    first_difference: PoseDifference | None
     rounding_m: float
     rounding_rad: float
 
@@ -62,6 +83,7 @@ class PlantReplay:
         name: Of the run.
         samples: Poses compared.
         max_abs_error: Over all stretches.
+        first_difference: The earliest of all stretches, None where rounding explains all of it.
         stretches: In order of time.
         jumps: In order of time.
         gaps: In order of time.
@@ -71,6 +93,7 @@ class PlantReplay:
     name: str
     samples: int
     max_abs_error: PoseError
+    first_difference: PoseDifference | None
     stretches: tuple[Stretch, ...]
     jumps: tuple[Jump, ...]
     gaps: tuple[Gap, ...]
@@ -95,6 +118,9 @@ def replay_plant(run: Run) -> PlantReplay:
         name=run.name,
         samples=len(motion.time_ns),
         max_abs_error=_find_largest(stretch.max_abs_error for stretch in stretches),
+        first_difference=next(
+            (found.first_difference for found in stretches if found.first_difference), None
+        ),
         stretches=stretches,
         jumps=jumps,
         gaps=gaps,
@@ -117,24 +143,51 @@ def _replay_stretch(
         states.append(turtle.state[:3])
         driven_m += hypot(forward, left) * TICK_S
     recorded = np.column_stack([motion.xy_m, motion.heading_rad])[first:after]
+    replayed = _round_alike(np.array(states), recorded)
+    errors = _compare(replayed, recorded)
+    rounding_m, rounding_rad = 3.0 * _HALF_STEP_M + driven_m * _HALF_STEP_RAD, 2.0 * _HALF_STEP_RAD
+    beyond = errors > np.array([rounding_m, rounding_m, rounding_rad])
     return Stretch(
         start_ns=int(motion.time_ns[first]),
         end_ns=int(motion.time_ns[after - 1]),
         ticks=after - first - 1,
-        max_abs_error=_compare(np.array(states), recorded),
-        rounding_m=3.0 * _HALF_STEP_M + driven_m * _HALF_STEP_RAD,
-        rounding_rad=2.0 * _HALF_STEP_RAD,
+        max_abs_error=PoseError(**dict(zip(_FIELDS, errors.max(axis=0).tolist(), strict=True))),
+        first_difference=_find_first(beyond, motion.time_ns[first:after], recorded, replayed),
+        rounding_m=rounding_m,
+        rounding_rad=rounding_rad,
     )
 
 
-def _compare(replayed: NDArray[np.float64], recorded: NDArray[np.float64]) -> PoseError:
+def _round_alike(
+    replayed: NDArray[np.float64], recorded: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return poses as published; a recording of double precision holds them as they are."""
     published = replayed.astype(np.float32).astype(np.float64)
-    # A recording of double precision is compared in double precision.
-    if (recorded == recorded.astype(np.float32)).all():
-        replayed = published
-    x_m, y_m = np.abs(replayed[:, :2] - recorded[:, :2]).max(axis=0).tolist()
-    turned = np.abs(subtract_headings(replayed[:, 2], recorded[:, 2]))
-    return PoseError(x_m=x_m, y_m=y_m, heading_rad=float(turned.max()))
+    return published if (recorded == recorded.astype(np.float32)).all() else replayed
+
+
+def _compare(replayed: NDArray[np.float64], recorded: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the magnitudes of the differences in x, y [m] and heading [rad], shape (n, 3)."""
+    turned_rad = subtract_headings(replayed[:, 2], recorded[:, 2])
+    return np.abs(np.column_stack([replayed[:, :2] - recorded[:, :2], turned_rad]))
+
+
+def _find_first(
+    beyond: NDArray[np.bool_],
+    time_ns: NDArray[np.int64],
+    recorded: NDArray[np.float64],
+    replayed: NDArray[np.float64],
+) -> PoseDifference | None:
+    if not beyond.any():
+        return None
+    row = int(beyond.any(axis=1).argmax())
+    column = int(beyond[row].argmax())
+    return PoseDifference(
+        signal=("x", "y", "heading")[column],
+        time_ns=int(time_ns[row]),
+        recorded=float(recorded[row, column]),
+        replayed=float(replayed[row, column]),
+    )
 
 
 def _find_largest(errors: Iterable[PoseError]) -> PoseError:

@@ -179,6 +179,12 @@ def test_commands_come_from_the_neighbour_of_the_poses(file: Path) -> None:
     assert run.commands.speed_m_s.tolist() == [4.0]
 
 
+def test_another_turtles_commands_are_not_taken(file: Path) -> None:
+    other = make_command(9.0, topic="/turtle1/cmd_vel")
+    run = read_messages(file, *make_poses(2, topic="/turtle2/pose"), other)
+    assert len(run.commands) == 0
+
+
 def test_two_commanders_are_a_question(file: Path) -> None:
     commands = [make_command(float(row), topic=f"/{row}/cmd_vel") for row in (1, 2)]
     write_mcap(file, [make_stamped_pose(), *commands])

@@ -17,6 +17,7 @@ POSE_TYPES: Final = (
 COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
 _TURTLE: Final = re.compile(r"/turtle\d+/pose")
+_TURTLE_COMMANDS: Final = re.compile(r"/turtle\d+/cmd_vel")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,6 +61,11 @@ def choose_command_topic(
         return _find_asked(present, asked, COMMAND_TYPES, "command_topic")
     fitting = _list_fitting(present, COMMAND_TYPES)
     neighbour = f"{pose_topic.rpartition('/')[0]}/cmd_vel"
+    if _TURTLE.fullmatch(pose_topic):
+        # The commands of another turtle drove another turtle.
+        fitting = [topic for topic in fitting if not _TURTLE_COMMANDS.fullmatch(topic.topic)] + [
+            topic for topic in fitting if topic.topic == neighbour
+        ]
     chosen = [topic for topic in fitting if topic.topic == neighbour] or fitting
     return _require_one(chosen, "command_topic", "--command-topic") if chosen else None
 
