@@ -13,6 +13,10 @@ def describe_error(err: BaseException) -> str:
     return f"{type(err).__name__}: {' '.join(str(err).split())}".removesuffix(": ")
 
 
+class ExpressionError(TurtlelogError):
+    """An expression that does not parse, or names what is not there."""
+
+
 class FrameError(TurtlelogError):
     """Arrays that are no vectors."""
 
@@ -53,8 +57,16 @@ class CompareError(TurtlelogError):
     """Runs that cannot be compared."""
 
 
+class ExplainError(TurtlelogError):
+    """A run from which nothing can be identified."""
+
+
 class ShowError(TurtlelogError):
     """A picture, table or viewer that cannot be made."""
+
+
+class CheckError(TurtlelogError):
+    """A specification or formula that cannot be checked."""
 
 
 class UsageError(TurtlelogError):

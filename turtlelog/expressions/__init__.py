@@ -1,0 +1,1 @@
+"""The one expression language: parsed by us, never run as Python."""
