@@ -1,46 +1,10 @@
-"""The controller's side of the loop: its pose queue, its law, its clipping, its blocking."""
+"""The controller's side of the loop: its pose queue, its law, its blocking."""
 
 from collections import deque
-from math import copysign, hypot, isfinite
-from operator import index
-from typing import Final
 
-import msgspec
-
-from turtlelog.errors import SimulationError, describe_error
-from turtlelog.laws import Decision, Goal, Law, Pose
-from turtlelog.run import Phase
+from turtlelog.laws import Law, Pose
 from turtlelog.scenario import Scenario
-
-_ROTATE, _TRANSLATE, _DONE = Phase.ROTATE, Phase.TRANSLATE, Phase.DONE
-
-_LARGEST: Final = 3.4e38
-"""Applied velocities are published as 32-bit floats."""
-
-
-class Sample(msgspec.Struct, frozen=True, gc=False):
-    """One controller callback.
-
-    Attributes:
-        time_ns: Time of the tick at which the pose was answered [ns].
-        sequence: Number of the sample, from 0.
-        pose_sequence: Number of the pose that it read, from 0.
-        decision: What the law decided.
-        speed_m_s: Command after clipping [m/s].
-        turn_rate_rad_s: Command after clipping [rad/s].
-        distance_m: From the pose to the goal [m].
-    """
-
-    time_ns: int
-    sequence: int
-    pose_sequence: int
-    decision: Decision
-    speed_m_s: float
-    turn_rate_rad_s: float
-    distance_m: float
-
-
-Samples = tuple[Sample, ...]
+from turtlelog.simulate.law_driver import LawDriver, Sample, Samples
 
 
 class Controller:
@@ -52,27 +16,19 @@ class Controller:
 
     __slots__ = (
         "_blocked",
-        "_goal",
-        "_law",
-        "_law_kind",
-        "_limits",
+        "_driver",
         "_period_ticks",
         "_poses",
-        "_sequence",
         "_waits_for",
         "dropped",
     )
 
     def __init__(self, scenario: Scenario, law: Law) -> None:
         """Wait for `loop.start_backlog` poses before the first answer."""
-        self._law = law
-        self._law_kind = scenario.law.kind
-        self._goal = Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
-        self._limits = scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s
+        self._driver = LawDriver(scenario, law)
         self._period_ticks = scenario.loop.period_ticks
         self._waits_for = scenario.loop.start_backlog
         self._poses: deque[tuple[int, Pose]] = deque(maxlen=scenario.loop.pose_queue)
-        self._sequence = 0
         self._blocked: tuple[int, Sample] | None = None
         self.dropped = 0
 
@@ -101,7 +57,7 @@ class Controller:
         computed: Samples = ()
         while self._poses:
             pose_sequence, pose = self._poses.popleft()
-            sample = self._step(time_ns, pose_sequence, pose)
+            sample = self._driver.answer(time_ns, pose_sequence, pose)
             computed += (sample,)
             if sample.decision.blocks_ticks > 0:
                 self._blocked = tick + sample.decision.blocks_ticks, sample
@@ -110,50 +66,3 @@ class Controller:
             if sample.decision.stop_reason is not None:
                 break
         return computed, published
-
-    def _step(self, time_ns: int, pose_sequence: int, pose: Pose) -> Sample:
-        sequence = self._sequence
-        self._sequence += 1
-        try:
-            if sequence == 0:
-                self._law.reset(pose, self._goal)
-            decision = self._law.step(time_ns, pose)
-            speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
-            _require_sound(decision)
-        except (Exception, SystemExit) as err:
-            reason = str(err) if isinstance(err, SimulationError) else describe_error(err)
-            raise SimulationError(f"law {self._law_kind}, sample {sequence}: {reason}") from err
-        speed_limit, turn_limit = self._limits
-        if not -speed_limit <= speed <= speed_limit:
-            speed = copysign(speed_limit, speed)
-        if not -turn_limit <= turn_rate <= turn_limit:
-            turn_rate = copysign(turn_limit, turn_rate)
-        return Sample(
-            time_ns,
-            sequence,
-            pose_sequence,
-            decision,
-            speed,
-            turn_rate,
-            hypot(decision.error_x_m, decision.error_y_m),
-        )
-
-
-def _require_sound(decision: Decision) -> None:
-    """Refuse a decision that cannot be carried out or recorded."""
-    speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
-    numbers = decision.bearing_rad + decision.heading_error_rad
-    numbers += decision.error_x_m + decision.error_y_m
-    numbers += decision.world_v_x_m_s + decision.world_v_y_m_s
-    if not isfinite(numbers):
-        raise SimulationError(f"expected finite numbers, found {decision}")
-    if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
-        raise SimulationError(
-            f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
-        )
-    if not (phase is _TRANSLATE or phase is _ROTATE or phase is _DONE):
-        raise SimulationError(f"expected ROTATE, TRANSLATE or DONE, found phase {phase!r}")
-    if index(decision.blocks_ticks) < 0:
-        raise SimulationError(f"expected blocks_ticks >= 0, found {decision.blocks_ticks}")
-    if decision.stop_reason is not None and not isinstance(decision.stop_reason, str):
-        raise SimulationError(f"expected a stop_reason in words, found {decision.stop_reason!r}")

@@ -6,11 +6,11 @@ from typing import Final
 
 import msgspec
 
-from turtlelog.errors import SimulationError, TurtlelogError, describe_error
-from turtlelog.laws import Law, Pose, find_law
+from turtlelog.laws import Pose
 from turtlelog.run import Event
-from turtlelog.scenario import LawChoice, Scenario
-from turtlelog.simulate.controller import Controller, Samples
+from turtlelog.scenario import Scenario
+from turtlelog.simulate.controller import Controller
+from turtlelog.simulate.law_driver import Samples, build_law
 from turtlelog.simulate.queues import CommandQueue
 from turtlelog.simulate.turtle import Turtle
 from turtlelog.turtlesim import TICK_NS
@@ -53,7 +53,7 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
     turtle = Turtle(
         x_m=scenario.start.x_m, y_m=scenario.start.y_m, heading_rad=scenario.start.heading_rad
     )
-    controller = Controller(scenario, _build_law(scenario.law))
+    controller = Controller(scenario, build_law(scenario.law))
     commands = CommandQueue(
         depth=loop.command_queue,
         newest_only=loop.queue_policy == "newest",
@@ -92,15 +92,6 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
         )
         if stop_reason is not None:
             return
-
-
-def _build_law(choice: LawChoice) -> Law:
-    try:
-        return find_law(choice.kind)(choice.parameters)
-    except TurtlelogError:
-        raise
-    except (Exception, SystemExit) as err:
-        raise SimulationError(f"law {choice.kind}: {describe_error(err)}") from err
 
 
 class _EventWatch:

@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from turtlelog.simulate.controller import Sample
+from turtlelog.simulate.law_driver import Sample
 
 
 class CommandQueue:
