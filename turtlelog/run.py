@@ -188,7 +188,8 @@ class Run:
 
     Attributes:
         name: Short name for tables and legends.
-        source: Where it comes from: `simulation`, or the layout and name of an imported file.
+        source: Where it comes from: `simulation`, `replay of` a run, or the layout and name of an
+            imported file.
         poses: At least one row.
         commands: As published; imported logs hold one per sample.
         samples: What the controller computed; no rows where the source does not hold it.

@@ -287,7 +287,7 @@ def test_the_first_pose_beyond_rounding_is_named(kp10: Run) -> None:
     assert found is not None
     assert found.signal == "y"
     assert 300 < found.time_ns / TICK_NS < 305
-    assert 0.0 < found.recorded - found.replayed < 1e-5
+    assert 0.0 < float(found.recorded or 0.0) - float(found.replayed or 0.0) < 1e-5
 
 
 def test_what_rounding_explains_is_no_difference(kp10: Run, real: Run) -> None:

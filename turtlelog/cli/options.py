@@ -51,8 +51,12 @@ class TopicOptions:
 
 def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
     """Return a preset or file with the options applied."""
+    return change_scenario(tl.load_scenario(name_or_path), options)
+
+
+def change_scenario(scenario: "Scenario", options: ScenarioOptions | None) -> "Scenario":
+    """Return a scenario with the options applied."""
     options = options or ScenarioOptions()
-    scenario = tl.load_scenario(name_or_path)
     changes = tl.parse_assignments(options.assignments or (), source="--set")
     if "law.kind" in changes:
         # Another law has other keys: it is chosen before any of them is set.

@@ -1,163 +1,97 @@
 """`turtlelog replay`: a recording driven again."""
 
-from dataclasses import asdict
-from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_text
-from turtlelog.errors import UsageError
+from turtlelog.cli.options import Json, Output, ScenarioOptions, TopicOptions, read_runs
+from turtlelog.cli.output import print_json, print_note, print_text, require_new_target
+from turtlelog.cli.replay_choice import (
+    ReplayOptions,
+    choose_scenario,
+    require_sound,
+    settle_file,
+)
+from turtlelog.cli.replay_metrics import describe_changes, format_changes
+from turtlelog.cli.replay_plant import describe_plant, format_plant
+from turtlelog.cli.replay_signals import describe_law, describe_loop, format_law, format_loop
 
 if TYPE_CHECKING:
-    from turtlelog import PlantReplay, Run
-    from turtlelog.replay import Jump, PoseError
+    from turtlelog import Run, Scenario
+    from turtlelog.replay import Difference
+
+EXIT_FINE: Final = 0
+EXIT_DIFFERENT: Final = 1
+
+_Answer = tuple[dict[str, Any], str, "Difference | None"]
+"""As JSON, as text, and the first difference."""
 
 
 def replay(
-    file: Annotated[Path, Parameter(name="FILE")],
+    file: Annotated[Path | None, Parameter(name="FILE")] = None,
     /,
     *,
-    plant: Annotated[bool, Parameter(negative="")] = False,
+    mode: ReplayOptions | None = None,
+    changes: ScenarioOptions | None = None,
+    output: Output = None,
     topics: TopicOptions | None = None,
     json: Json = False,
-) -> None:
+) -> int:
     """Drive a recording again and say how far the result is from what was recorded.
 
-    With --plant the recorded commands go through turtlelog's turtlesim, each in the tick in which
-    the poses show it. A jump of the pose (teleport, reset) or a gap in the recording begins a new
-    stretch, from the recorded pose. Times count from the first sample, or else the first pose.
+    Without --plant or --law its scenario is simulated again in closed loop, changed by --set and
+    its like where given, and compared tick by tick and sample by sample. --law gives a law the
+    recorded poses and compares what it commands. --plant takes the recorded commands through
+    turtlelog's turtlesim. Times count from the first sample, or else the first pose.
 
-    Example: turtlelog replay turtlesim-bag --plant
+    Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest -o newest.mcap
+
+    Differences are an answer, not a failure: the exit code is 0, unless --expect-equal is given.
 
     Args:
-        file: A recording (.mcap) or a ROS 2 bag of turtlesim.
-        plant: Replay the commands through the plant.
+        file: A recording (.mcap), a ROS 2 bag of turtlesim, or a log of the paper's.
+        output: Write the run of the closed loop to this .mcap file.
         json: Print one JSON object instead of tables.
     """
-    if not plant:
-        raise UsageError(
-            "replay: expected what to drive the recording through, --plant, found none"
-        )
+    mode = mode or ReplayOptions()
+    require_sound(mode, changes, output)
+    file, kind = settle_file(file, mode)
+    require_new_target(output, [file], suffix=".mcap")
     (run,) = read_runs([file], topics)
-    found = tl.replay_plant(run)
-    if json:
-        print_json(_describe(file, run, found))
+    if mode.plant:
+        plant = tl.replay_plant(run)
+        described, text = describe_plant(run, plant), format_plant(run, plant)
+        first = plant.first_difference
     else:
-        print_text(_format(run, found))
+        scenario = choose_scenario(run, mode, changes, kind)
+        answer = _replay_loop if mode.law is None else _replay_law
+        described, text, first = answer(run, scenario, mode.tolerance or 0.0, output)
+    if json:
+        print_json({"file": str(file), **described})
+    else:
+        print_text(text)
+    return EXIT_DIFFERENT if mode.expect_equal and first is not None else EXIT_FINE
 
 
-def _describe(file: Path, run: "Run", found: "PlantReplay") -> dict[str, Any]:
-    def tell_time(time_ns: int) -> float:
-        return (time_ns - run.start_ns) / 1e9
-
-    first = found.first_difference
-    return {
-        "file": str(file),
-        "name": found.name,
-        "mode": "plant",
-        "samples": found.samples,
-        "max_abs_error": _describe_error(found.max_abs_error),
-        "first_difference": None
-        if first is None
-        else {
-            "signal": first.signal,
-            "time_s": tell_time(first.time_ns),
-            "recorded": first.recorded,
-            "replayed": first.replayed,
-        },
-        "stretches": [
-            {
-                "start_s": tell_time(stretch.start_ns),
-                "end_s": tell_time(stretch.end_ns),
-                "ticks": stretch.ticks,
-                "max_abs_error": _describe_error(stretch.max_abs_error),
-                "rounding": {"position": stretch.rounding_m, "heading": stretch.rounding_rad},
-            }
-            for stretch in found.stretches
-        ],
-        "jumps": [
-            {
-                "at_s": tell_time(jump.at_ns),
-                "kind": jump.kind,
-                "from": dict(zip(("x", "y", "heading"), jump.from_pose, strict=True)),
-                "to": dict(zip(("x", "y", "heading"), jump.to_pose, strict=True)),
-            }
-            for jump in found.jumps
-        ],
-        "gaps": [
-            {
-                "start_s": tell_time(gap.start_ns),
-                "end_s": tell_time(gap.end_ns),
-                "missing_ticks": gap.missing_ticks,
-            }
-            for gap in found.gaps
-        ],
-        "commands": asdict(found.commands),
-    }
+def _replay_law(
+    run: "Run", scenario: "Scenario | None", tolerance: float, _: Path | None
+) -> _Answer:
+    found = tl.replay_law(run, scenario, tolerance=tolerance)
+    return describe_law(run, found), format_law(run, found), found.first_difference
 
 
-def _describe_error(error: "PoseError") -> dict[str, float]:
-    return {"x": error.x_m, "y": error.y_m, "heading": error.heading_rad}
-
-
-def _format(run: "Run", found: "PlantReplay") -> str:
-    use = found.commands
-    notes = [
-        f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
-        f" the plant stopped by itself {use.stops} times.",
-        "Rounding: what 32 bits of a stretch's first pose may grow to, along the way driven.",
-    ]
-    if use.unexplained_ticks:
-        notes.append(
-            f"No recorded command explains {use.unexplained_ticks} ticks: the recorded velocity"
-            " was used there."
-        )
-    heads = (
-        *(("from", "s"), ("to", "s"), ("ticks", ""), ("x", "m"), ("y", "m")),
-        *(("heading", "deg"), ("rounding", "m"), ("rounding", "deg")),
-    )
-    stretches = tl.Table(
-        title=f"Largest differences between the plant and {run.name}",
-        columns=tuple(
-            tl.Column(title=title, unit=unit, digits=3 if unit == "s" else None)
-            for title, unit in heads
-        ),
-        rows=tuple(
-            (
-                (stretch.start_ns - run.start_ns) / 1e9,
-                (stretch.end_ns - run.start_ns) / 1e9,
-                stretch.ticks,
-                stretch.max_abs_error.x_m,
-                stretch.max_abs_error.y_m,
-                degrees(stretch.max_abs_error.heading_rad),
-                stretch.rounding_m,
-                degrees(stretch.rounding_rad),
-            )
-            for stretch in found.stretches
-        ),
-        notes=tuple(notes),
-    )
-    return "\n".join([tl.format_table(stretches), *_list_breaks(run, found)])
-
-
-def _list_breaks(run: "Run", found: "PlantReplay") -> list[str]:
-    """Return a line for each jump and gap, in order of time."""
-    lines = [(jump.at_ns, _format_jump(jump)) for jump in found.jumps]
-    lines += [
-        (
-            gap.start_ns,
-            f"gap of {(gap.end_ns - gap.start_ns) / 1e9:.3f} s: {gap.missing_ticks} ticks",
-        )
-        for gap in found.gaps
-    ]
-    return [f"{(at_ns - run.start_ns) / 1e9:.3f} s: {text}" for at_ns, text in sorted(lines)]
-
-
-def _format_jump(jump: "Jump") -> str:
-    to_x_m, to_y_m, to_rad = jump.to_pose
-    place = f"x = {to_x_m:.3f} m, y = {to_y_m:.3f} m, heading {degrees(to_rad):.1f} deg"
-    return f"jump ({jump.kind}) to {place}"
+def _replay_loop(
+    run: "Run", scenario: "Scenario | None", tolerance: float, output: Path | None
+) -> _Answer:
+    found = tl.replay_loop(run, scenario, tolerance=tolerance)
+    if output is not None:
+        tl.write_recording(found.run, output)
+        print_note(f"wrote {output}")
+    text = format_loop(run, found)
+    if found.first_difference is not None:
+        text += f"\n\n{format_changes(run, found.run)}"
+    metrics = describe_changes(run, found.run)
+    described = {"output": None if output is None else str(output), "metrics": metrics}
+    return describe_loop(run, found) | described, text, found.first_difference

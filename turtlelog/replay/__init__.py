@@ -1,17 +1,28 @@
-"""A Run driven again: its commands through the plant."""
+"""A Run driven again: through the plant, through a law, in closed loop, with changes."""
 
 from turtlelog.errors import ReplayError
 from turtlelog.replay.breaks import Gap, Jump
+from turtlelog.replay.difference import Difference, SignalDifference
+from turtlelog.replay.law import LawReplay, replay_law
+from turtlelog.replay.loop import LoopReplay, replay_loop
 from turtlelog.replay.placement import CommandUse
 from turtlelog.replay.plant import PlantReplay, PoseError, Stretch, replay_plant
+from turtlelog.replay.run_pairs import RowCount
 
 __all__ = [
     "CommandUse",
+    "Difference",
     "Gap",
     "Jump",
+    "LawReplay",
+    "LoopReplay",
     "PlantReplay",
     "PoseError",
     "ReplayError",
+    "RowCount",
+    "SignalDifference",
     "Stretch",
+    "replay_law",
+    "replay_loop",
     "replay_plant",
 ]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.replay.breaks import Gap, Jump, find_breaks
+from turtlelog.replay.difference import Difference
 from turtlelog.replay.placement import CommandUse, Velocity, place_commands
 from turtlelog.replay.recorded import RecordedMotion, read_motion
 from turtlelog.run import Run
@@ -35,23 +36,6 @@ class PoseError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PoseDifference:
-    """Where a replayed pose first leaves the recorded one by more than rounding explains.
-
-    Attributes:
-        signal: `x`, `y` [m] or `heading` [rad].
-        time_ns: When [ns].
-        recorded: In the signal's unit.
-        replayed: In the signal's unit.
-    """
-
-    signal: str
-    time_ns: int
-    recorded: float
-    replayed: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
     """A part of the recording without a jump or gap, replayed from its first recorded pose.
 
@@ -60,7 +44,8 @@ class Stretch:
         end_ns: Time of its last pose [ns].
         ticks: Steps replayed.
         max_abs_error: Over all its poses.
-        first_difference: None where rounding explains all of it.
+        first_difference: Of x, y [m] or heading [rad], the first that rounding does not explain;
+            None where it explains all of them.
         rounding_m: What 32-bit rounding of the first pose may grow to, along the way driven [m];
             the plant's own state is in double precision, and not recorded.
         rounding_rad: The same for the heading [rad].
@@ -70,7 +55,7 @@ class Stretch:
     end_ns: int
     ticks: int
     max_abs_error: PoseError
-    first_difference: PoseDifference | None
+    first_difference: Difference | None
     rounding_m: float
     rounding_rad: float
 
@@ -93,7 +78,7 @@ class PlantReplay:
     name: str
     samples: int
     max_abs_error: PoseError
-    first_difference: PoseDifference | None
+    first_difference: Difference | None
     stretches: tuple[Stretch, ...]
     jumps: tuple[Jump, ...]
     gaps: tuple[Gap, ...]
@@ -177,12 +162,12 @@ def _find_first(
     time_ns: NDArray[np.int64],
     recorded: NDArray[np.float64],
     replayed: NDArray[np.float64],
-) -> PoseDifference | None:
+) -> Difference | None:
     if not beyond.any():
         return None
     row = int(beyond.any(axis=1).argmax())
     column = int(beyond[row].argmax())
-    return PoseDifference(
+    return Difference(
         signal=("x", "y", "heading")[column],
         time_ns=int(time_ns[row]),
         recorded=float(recorded[row, column]),

@@ -13,7 +13,11 @@ from turtlelog.scenario.convert import (
     restore_scenario,
 )
 from turtlelog.scenario.model import LawChoice, Limits, LoopSettings, Scenario, Start, Target
-from turtlelog.scenario.overrides import override_scenario, parse_assignments
+from turtlelog.scenario.overrides import (
+    complete_scenario,
+    override_scenario,
+    parse_assignments,
+)
 from turtlelog.scenario.presets import PAPER_RUNS, PRESETS, get_preset, iterate_paper_runs
 from turtlelog.scenario.toml import format_scenario, parse_scenario, read_scenario
 
@@ -27,6 +31,7 @@ __all__ = [
     "Start",
     "Target",
     "build_scenario",
+    "complete_scenario",
     "describe_unknown_key",
     "flatten_scenario",
     "flatten_tables",

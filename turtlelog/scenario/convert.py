@@ -65,7 +65,8 @@ def restore_scenario(run: Run) -> Scenario:
     """
     if not run.scenario_is_complete:
         raise ScenarioError(
-            f"{run.name}: expected a run with its whole scenario, found {run.source}"
+            f"{run.name}: expected a run with its whole scenario, found {run.source} without"
+            f" {_list_unknown(run)}: --scenario gives the rest from another"
         )
     return build_scenario(nest_parameters(run.parameters), source=run.name)
 
@@ -109,6 +110,13 @@ def describe_unknown_key(key: str, known: list[str]) -> str:
     """Return the end of an error line for a key that is not known, with the nearest that are."""
     near = difflib.get_close_matches(key, known, n=2) or known
     return f"expected {' or '.join(near)}, found an unknown key"
+
+
+def _list_unknown(run: Run) -> str:
+    """Return keys that a run lacks, those of the law first, and how many more."""
+    keys = sorted(flatten_scenario(Scenario()).keys() - run.parameters.keys())
+    keys.sort(key=lambda key: not key.startswith("law."))
+    return f"{', '.join(keys[:4])} and {len(keys[4:])} more"
 
 
 def _drop_none(value: Any) -> Any:

@@ -5,7 +5,13 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from turtlelog.errors import ScenarioError
-from turtlelog.scenario.convert import build_scenario, nest_scenario, set_nested
+from turtlelog.run import Run
+from turtlelog.scenario.convert import (
+    build_scenario,
+    flatten_scenario,
+    nest_scenario,
+    set_nested,
+)
 from turtlelog.scenario.model import Scenario
 
 
@@ -30,6 +36,21 @@ def override_scenario(
     return build_scenario(tables, source=source)
 
 
+def complete_scenario(run: Run, base: Scenario) -> Scenario:
+    """Return the scenario of a run: what it holds of its own, and the rest from another.
+
+    An imported log knows gains, tolerances, limits and goal at most. Keys that the law of `base`
+    does not have are left out.
+
+    Raises:
+        ScenarioError: Where a value of the run is wrong.
+    """
+    known = flatten_scenario(base).keys() | {"goal.heading_rad"}
+    values: dict[str, Any] = {} if run.goal_xy_m is None else _name_goal(run.goal_xy_m)
+    values |= {key: value for key, value in run.parameters.items() if key in known}
+    return override_scenario(base, values, source=run.name)
+
+
 def parse_assignments(assignments: Iterable[str], *, source: str = "changes") -> dict[str, Any]:
     """Return the values of `key=value` texts; a value is TOML, or plain text where it is none.
 
@@ -50,3 +71,7 @@ def _parse_value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
         return text
+
+
+def _name_goal(xy_m: tuple[float, float]) -> dict[str, float]:
+    return {"goal.x_m": xy_m[0], "goal.y_m": xy_m[1]}

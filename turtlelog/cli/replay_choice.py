@@ -1,0 +1,147 @@
+"""What `turtlelog replay` is asked for: the mode, and the scenario."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import ScenarioOptions, change_scenario
+from turtlelog.cli.output import print_note
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run, Scenario
+
+_OF_LAW: Final = ("law", "limits", "goal")
+"""The tables of a scenario that count where poses are given."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayOptions:
+    """What to drive the recording through, and how to judge the result.
+
+    Attributes:
+        plant: Drive the recorded commands through the plant.
+        law: Let a law answer the recorded poses: the recorded one, or KIND, which is a built-in
+            kind, path.py:Class or package.module:Class.
+        scenario: A preset or scenario file in place of the recording's own; a log that knows a part
+            of its scenario keeps that.
+        tolerance: Differences up to this one count as none, in each signal's unit.
+        expect_equal: Exit with code 1 where there is a difference.
+    """
+
+    plant: Annotated[bool, Parameter(negative="")] = False
+    law: Annotated[
+        list[str] | None, Parameter(consume_multiple=(0, 2), negative="", metavar="[KIND]")
+    ] = None
+    scenario: str | None = None
+    tolerance: float | None = None
+    expect_equal: Annotated[bool, Parameter(negative="")] = False
+
+
+def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | None]:
+    """Return the recording, and the law that takes the place of the recorded one.
+
+    A word after --law is its KIND; the last one is FILE where nothing else is.
+    """
+    words = list(options.law or ())
+    if file is None and words:
+        file = Path(words.pop())
+    if file is None:
+        raise UsageError("FILE: expected a recording, found none")
+    if len(words) > 1:
+        raise UsageError(f"--law: expected at most one KIND, found {' '.join(words)}")
+    return file, words[0] if words else None
+
+
+def require_sound(
+    options: ReplayOptions, changes: ScenarioOptions | None, output: Path | None
+) -> None:
+    """Refuse options that do not go together."""
+    by_law = options.law is not None
+    if options.plant and by_law:
+        raise UsageError("--plant: expected one mode, found --law as well")
+    if (options.plant or by_law) and output is not None:
+        mode = "--plant" if options.plant else "--law"
+        raise UsageError(f"--output: expected the closed loop, which makes a run, found {mode}")
+    given = {
+        "--scenario": options.scenario,
+        "--tolerance": options.tolerance,
+        **_name_changes(changes),
+    }
+    wrong = [name for name, value in given.items() if value is not None]
+    if options.plant and wrong:
+        raise UsageError(f"--plant: expected the recorded commands as they are, found {wrong[0]}")
+
+
+def choose_scenario(
+    run: "Run", options: ReplayOptions, changes: ScenarioOptions | None, kind: str | None
+) -> "Scenario | None":
+    """Return the scenario to replay, None where it is to be the recording's own as it is."""
+    if options.law is not None:
+        _require_keys_of_law(changes)
+    if changes is None and kind is None and options.scenario is None:
+        return None
+    scenario = _find_base(run, options.scenario)
+    if kind is not None:
+        scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
+    return _name_replay(run, change_scenario(scenario, changes), options, changes)
+
+
+def _name_replay(
+    run: "Run", scenario: "Scenario", options: ReplayOptions, changes: ScenarioOptions | None
+) -> "Scenario":
+    """Return the scenario under a name that tells what was changed, unless one was set."""
+    said = [] if options.scenario is None else [f"as {Path(options.scenario).stem}"]
+    said += _list_changes(changes)
+    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
+    return scenario if is_named else replace(scenario, name=" ".join([run.name, *said]))
+
+
+def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
+    """Return the scenario before any change."""
+    if name_or_path is None:
+        return tl.restore_scenario(run)
+    base = tl.load_scenario(name_or_path)
+    if run.scenario_is_complete:
+        return base
+    completed = tl.complete_scenario(run, base)
+    _print_conflicts(completed, base, name_or_path)
+    return completed
+
+
+def _print_conflicts(completed: "Scenario", base: "Scenario", name: str) -> None:
+    was = tl.flatten_scenario(base)
+    kept = [
+        f"{key} = {value} ({was.get(key, 'none')})"
+        for key, value in tl.flatten_scenario(completed).items()
+        if value != was.get(key)
+    ]
+    if kept:
+        print_note(f"known from the log itself (in {name}): {', '.join(kept)}")
+
+
+def _require_keys_of_law(changes: ScenarioOptions | None) -> None:
+    for key in tl.parse_assignments((changes and changes.assignments) or (), source="--set"):
+        if key.partition(".")[0] not in _OF_LAW:
+            raise UsageError(
+                f"--set: {key}: expected a key of {', '.join(_OF_LAW)}, as --law takes the poses"
+                " from the recording"
+            )
+
+
+def _list_changes(changes: ScenarioOptions | None) -> list[str]:
+    if changes is None:
+        return []
+    said = [] if changes.kp is None else [f"kp={changes.kp:g}"]
+    said += [] if changes.goal is None else [f"goal={changes.goal}"]
+    return said + list(changes.assignments or ())
+
+
+def _name_changes(changes: ScenarioOptions | None) -> dict[str, object]:
+    if changes is None:
+        return {}
+    return {"--kp": changes.kp, "--goal": changes.goal, "--set": changes.assignments}

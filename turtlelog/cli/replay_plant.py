@@ -1,0 +1,115 @@
+"""How a replay through the plant is answered."""
+
+from dataclasses import asdict
+from math import degrees
+from typing import TYPE_CHECKING, Any
+
+import turtlelog as tl
+from turtlelog.cli.replay_signals import describe_difference, describe_pose_error
+
+if TYPE_CHECKING:
+    from turtlelog import PlantReplay, Run
+    from turtlelog.replay import Jump
+
+
+def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
+    """Return the JSON answer."""
+
+    def tell_time(time_ns: int) -> float:
+        return (time_ns - run.start_ns) / 1e9
+
+    return {
+        "name": found.name,
+        "mode": "plant",
+        "samples": found.samples,
+        "max_abs_error": describe_pose_error(found.max_abs_error),
+        "first_difference": describe_difference(run, found.first_difference),
+        "stretches": [
+            {
+                "start_s": tell_time(stretch.start_ns),
+                "end_s": tell_time(stretch.end_ns),
+                "ticks": stretch.ticks,
+                "max_abs_error": describe_pose_error(stretch.max_abs_error),
+                "rounding": {"position": stretch.rounding_m, "heading": stretch.rounding_rad},
+            }
+            for stretch in found.stretches
+        ],
+        "jumps": [
+            {
+                "at_s": tell_time(jump.at_ns),
+                "kind": jump.kind,
+                "from": dict(zip(("x", "y", "heading"), jump.from_pose, strict=True)),
+                "to": dict(zip(("x", "y", "heading"), jump.to_pose, strict=True)),
+            }
+            for jump in found.jumps
+        ],
+        "gaps": [
+            {
+                "start_s": tell_time(gap.start_ns),
+                "end_s": tell_time(gap.end_ns),
+                "missing_ticks": gap.missing_ticks,
+            }
+            for gap in found.gaps
+        ],
+        "commands": asdict(found.commands),
+    }
+
+
+def format_plant(run: "Run", found: "PlantReplay") -> str:
+    """Return the stretches as a table, and what lies between them."""
+    use = found.commands
+    notes = [
+        f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
+        f" the plant stopped by itself {use.stops} times.",
+        "Rounding: what 32 bits of a stretch's first pose may grow to, along the way driven.",
+    ]
+    if use.unexplained_ticks:
+        notes.append(
+            f"No recorded command explains {use.unexplained_ticks} ticks: the recorded velocity"
+            " was used there."
+        )
+    heads = (
+        *(("from", "s"), ("to", "s"), ("ticks", ""), ("x", "m"), ("y", "m")),
+        *(("heading", "deg"), ("rounding", "m"), ("rounding", "deg")),
+    )
+    stretches = tl.Table(
+        title=f"Largest differences between the plant and {run.name}",
+        columns=tuple(
+            tl.Column(title=title, unit=unit, digits=3 if unit == "s" else None)
+            for title, unit in heads
+        ),
+        rows=tuple(
+            (
+                (stretch.start_ns - run.start_ns) / 1e9,
+                (stretch.end_ns - run.start_ns) / 1e9,
+                stretch.ticks,
+                stretch.max_abs_error.x_m,
+                stretch.max_abs_error.y_m,
+                degrees(stretch.max_abs_error.heading_rad),
+                stretch.rounding_m,
+                degrees(stretch.rounding_rad),
+            )
+            for stretch in found.stretches
+        ),
+        notes=tuple(notes),
+    )
+    return "\n".join([tl.format_table(stretches), *_list_breaks(run, found)])
+
+
+def _list_breaks(run: "Run", found: "PlantReplay") -> list[str]:
+    """Return a line for each jump and gap, in order of time."""
+    lines = [(jump.at_ns, _format_jump(jump)) for jump in found.jumps]
+    lines += [
+        (
+            gap.start_ns,
+            f"gap of {(gap.end_ns - gap.start_ns) / 1e9:.3f} s: {gap.missing_ticks} ticks",
+        )
+        for gap in found.gaps
+    ]
+    return [f"{(at_ns - run.start_ns) / 1e9:.3f} s: {text}" for at_ns, text in sorted(lines)]
+
+
+def _format_jump(jump: "Jump") -> str:
+    to_x_m, to_y_m, to_rad = jump.to_pose
+    place = f"x = {to_x_m:.3f} m, y = {to_y_m:.3f} m, heading {degrees(to_rad):.1f} deg"
+    return f"jump ({jump.kind}) to {place}"

@@ -1,0 +1,212 @@
+"""How replays that compare signals are answered: through a law, and in closed loop."""
+
+from collections.abc import Iterable, Sequence
+from math import degrees
+from typing import TYPE_CHECKING, Any, Final
+
+import turtlelog as tl
+
+if TYPE_CHECKING:
+    from turtlelog import LawReplay, LoopReplay, Run, Table
+    from turtlelog.replay import Difference, PoseError, SignalDifference
+
+_PRINTED: Final = {"rad": "deg", "rad/s": "deg/s", "1": ""}
+"""Units as printed, where they are not those of the values."""
+
+_ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
+"""Signals that are printed even where they are equal."""
+
+
+def describe_difference(run: "Run", found: "Difference | None") -> dict[str, Any] | None:
+    """Return a difference as JSON answers have it; time counts from the first sample."""
+    if found is None:
+        return None
+    return {
+        "signal": found.signal,
+        "time_s": _tell_time(run, found.time_ns),
+        "recorded": found.recorded,
+        "replayed": found.replayed,
+    }
+
+
+def describe_pose_error(error: "PoseError") -> dict[str, float]:
+    """Return the largest pose differences as JSON answers have them [m, rad]."""
+    return {"x": error.x_m, "y": error.y_m, "heading": error.heading_rad}
+
+
+def describe_law(run: "Run", found: "LawReplay") -> dict[str, Any]:
+    """Return the JSON answer of a replay through a law, but for the file."""
+    return {
+        "name": found.name,
+        "mode": "law",
+        "law": found.scenario.law.kind,
+        "samples": found.samples,
+        # Poses are what the law was given.
+        "max_abs_error": dict.fromkeys(("x", "y", "heading")),
+        "first_difference": describe_difference(run, found.first_difference),
+        "first_command_difference": describe_difference(run, found.first_command_difference),
+        "signals": _describe_signals(run, found.signals),
+        "stop": describe_difference(run, found.stop),
+        "missing_samples": found.missing_samples,
+        "not_compared": list(found.absent),
+        **_NO_STRETCHES,
+    }
+
+
+def describe_loop(run: "Run", found: "LoopReplay") -> dict[str, Any]:
+    """Return the JSON answer of a replay in closed loop, but for file and metrics."""
+    return {
+        "name": found.name,
+        "mode": "loop",
+        "replay": found.run.name,
+        "by": "tick" if found.by_tick else "sample",
+        "samples": found.samples,
+        "max_abs_error": describe_pose_error(found.max_abs_error),
+        "first_difference": describe_difference(run, found.first_difference),
+        "signals": _describe_signals(run, found.signals),
+        "counts": {
+            name: {"recorded": count.recorded, "replayed": count.replayed}
+            for name, count in found.counts.items()
+        },
+        "stop_reason": {"recorded": run.stop_reason, "replayed": found.run.stop_reason},
+        "not_compared": list(found.absent),
+        **_NO_STRETCHES,
+    }
+
+
+def format_law(run: "Run", found: "LawReplay") -> str:
+    """Return what is printed of a replay through a law."""
+    title = f"{found.scenario.law.kind} on the {found.samples} poses that {run.name} read"
+    notes = _describe_rest(found.signals, found.absent)
+    if found.missing_samples:
+        notes += (f"{found.missing_samples} samples are lost: the law did not see their poses.",)
+    lines = [tl.format_table(_tabulate(run, found.signals, title, notes))]
+    if found.first_difference is None:
+        return "\n".join([*lines, "On the recorded poses the law commands what was recorded."])
+    lines.append(_format_first(run, found.first_difference, found.signals))
+    command = found.first_command_difference
+    if command is not None and command != found.first_difference:
+        lines.append(f"In the commands: {_format_difference(run, command, found.signals)}.")
+    if command is None:
+        lines.append("The commands as published are those recorded.")
+    return "\n".join(lines)
+
+
+def format_loop(run: "Run", found: "LoopReplay") -> str:
+    """Return what is printed of a replay in closed loop."""
+    rows = "tick by tick" if found.by_tick else "sample by sample"
+    title = f"{found.run.name} simulated again, against {run.name}, {rows}"
+    lines = [
+        tl.format_table(
+            _tabulate(run, found.signals, title, _describe_rest(found.signals, found.absent))
+        ),
+        _format_counts(run, found),
+    ]
+    if found.first_difference is None:
+        return "\n".join([*lines, "The replay is the recording, in every column."])
+    return "\n".join([*lines, _format_first(run, found.first_difference, found.signals)])
+
+
+_NO_STRETCHES: Final[dict[str, Any]] = {"stretches": [], "jumps": [], "gaps": []}
+
+
+def _describe_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[dict[str, Any]]:
+    return [
+        {
+            "signal": found.signal,
+            "unit": found.unit,
+            "rows": found.rows,
+            "differing": found.differing,
+            "largest": found.largest,
+            "at_s": None if found.at_ns is None else _tell_time(run, found.at_ns),
+            "first_difference": describe_difference(run, found.first_difference),
+        }
+        for found in signals
+    ]
+
+
+def _tabulate(
+    run: "Run", signals: "Sequence[SignalDifference]", title: str, notes: tuple[str, ...]
+) -> "Table":
+    return tl.Table(
+        title=title,
+        columns=(
+            tl.Column(title="signal"),
+            tl.Column(title="unit"),
+            tl.Column(title="largest difference"),
+            tl.Column(title="at", unit="s", digits=3),
+            tl.Column(title="rows that differ"),
+            tl.Column(title="of"),
+        ),
+        rows=tuple(
+            (
+                found.signal,
+                _PRINTED.get(found.unit, found.unit),
+                _convert(found.largest, found.unit),
+                None if found.at_ns is None else _tell_time(run, found.at_ns),
+                found.differing,
+                found.rows,
+            )
+            for found in signals
+            if _is_printed(found)
+        ),
+        notes=notes,
+    )
+
+
+def _describe_rest(signals: "Iterable[SignalDifference]", absent: Sequence[str]) -> tuple[str, ...]:
+    """Return sentences on the signals that are equal, and on those that are not there."""
+    equal = [found.signal for found in signals if not _is_printed(found)]
+    sentences = [("Equal in every row as well", equal), ("Not in the recording", absent)]
+    return tuple(f"{head}: {', '.join(names)}." for head, names in sentences if names)
+
+
+def _is_printed(found: "SignalDifference") -> bool:
+    return found.largest > 0.0 or found.signal in _ALWAYS
+
+
+def _format_counts(run: "Run", found: "LoopReplay") -> str:
+    """Return how many rows there are, and why both ended."""
+    counts = [
+        f"{count.recorded} {name}"
+        if count.recorded == count.replayed
+        else f"{count.recorded} {name}, replayed {count.replayed}"
+        for name, count in found.counts.items()
+    ]
+    ends = run.stop_reason or "not recorded why", found.run.stop_reason or ""
+    was, now = (end.replace("_", " ") for end in ends)
+    end = f"both ended: {was}" if was == now else f"it ended: {was}, replayed: {now}"
+    return f"Recorded: {'; '.join(counts)}; {end}."
+
+
+def _format_first(run: "Run", first: "Difference", signals: "Sequence[SignalDifference]") -> str:
+    return f"First difference: {_format_difference(run, first, signals)}."
+
+
+def _format_difference(
+    run: "Run", found: "Difference", signals: "Sequence[SignalDifference]"
+) -> str:
+    unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
+    was, now = _format_pair(_convert(found.recorded, unit), _convert(found.replayed, unit))
+    printed = f" {_PRINTED.get(unit, unit)}".rstrip()
+    place = f"{found.signal.replace('_', ' ')} at {_tell_time(run, found.time_ns):.3f} s"
+    return f"{place}: recorded {was}{printed}, replayed {now}{printed}"
+
+
+def _format_pair(was: Any, now: Any) -> tuple[str, str]:
+    """Return two values with as many digits as tell them apart, six at least."""
+    if not (isinstance(was, float) and isinstance(now, float)):
+        return tuple("none" if value is None else str(value) for value in (was, now))  # type: ignore[return-value]
+    for digits in range(6, 18):
+        texts = f"{was:.{digits}g}", f"{now:.{digits}g}"
+        if texts[0] != texts[1]:
+            break
+    return texts
+
+
+def _convert(value: Any, unit: str) -> Any:
+    return degrees(value) if unit.startswith("rad") and isinstance(value, float) else value
+
+
+def _tell_time(run: "Run", time_ns: int) -> float:
+    return (time_ns - run.start_ns) / 1e9

@@ -1,0 +1,135 @@
+"""The recorded poses through a law, against the recorded commands."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import ReplayError
+from turtlelog.laws import Pose
+from turtlelog.log.topics import CONTROL
+from turtlelog.replay.difference import (
+    Difference,
+    Pairing,
+    SignalDifference,
+    compare_pairing,
+    find_earliest,
+    require_tolerance,
+)
+from turtlelog.replay.sample_pairs import COMMANDS, count_missing, list_absent, pair_samples
+from turtlelog.replay.stops import compare_last_decision
+from turtlelog.run import Run, SampleColumns
+from turtlelog.scenario import Scenario, restore_scenario
+from turtlelog.simulate import LawDriver, Sample, build_law, build_samples, pack_sample
+from turtlelog.turtlesim import TICK_NS
+
+_NOTHING_READ: Final = (
+    f"expected the samples of a controller (topic {CONTROL.name}), found none: what the law read"
+    " and commanded is not recorded; --plant drives recorded commands through the plant"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LawReplay:
+    """What a law makes of the recorded poses.
+
+    Attributes:
+        name: Of the run.
+        scenario: Law, limits and goal come from it.
+        samples: Compared: all, or up to that at which the replayed law stops.
+        missing_samples: Recorded ones that are lost: the law did not see their poses.
+        signals: By signal, commands first.
+        stop: Where the law ends the run elsewhere, or for another reason; None where it does not.
+        first_difference: The earliest of all; of several in one sample that of the first signal in
+            `signals`. None where there is none.
+        first_command_difference: The earliest in the commands as published.
+        absent: Signals that the recording does not hold.
+        answers: The samples as replayed.
+    """
+
+    name: str
+    scenario: Scenario
+    samples: int
+    missing_samples: int
+    signals: tuple[SignalDifference, ...]
+    stop: Difference | None
+    first_difference: Difference | None
+    first_command_difference: Difference | None
+    absent: tuple[str, ...]
+    answers: SampleColumns
+
+
+def replay_law(run: Run, scenario: Scenario | None = None, *, tolerance: float = 0.0) -> LawReplay:
+    """Let a law answer the recorded poses, in the order and at the times of the samples.
+
+    The law sees what the recorded one saw; its own commands have no effect on the poses. Of the
+    scenario only the law, the limits and the goal count.
+
+    Args:
+        run: With samples.
+        scenario: Otherwise that of the recording.
+        tolerance: Differences up to this one are none, in each signal's unit.
+
+    Raises:
+        ReplayError: Where the run holds no samples.
+        ScenarioError: Where no scenario is given, and the run does not hold all of its own.
+        SimulationError: Where the law fails or answers with something that is no number.
+    """
+    require_tolerance(tolerance)
+    if not len(run.samples):
+        raise ReplayError(f"{run.name}: {_NOTHING_READ}: {run.source}")
+    scenario = restore_scenario(run) if scenario is None else scenario
+    answers, blocks_ticks, last = _answer_poses(run, scenario)
+    rows = slice(len(answers))
+    pairings = [*pair_samples(run.samples, answers, rows=rows, others=rows)]
+    pairings += _pair_pauses(run, blocks_ticks)
+    signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
+    stop = compare_last_decision(run, len(answers) - 1, last.decision)
+    return LawReplay(
+        name=run.name,
+        scenario=scenario,
+        samples=len(answers),
+        missing_samples=count_missing(run.samples),
+        signals=signals,
+        stop=stop,
+        first_difference=find_earliest([*(found.first_difference for found in signals), stop]),
+        first_command_difference=find_earliest(
+            found.first_difference for found in signals if found.signal in COMMANDS
+        ),
+        absent=list_absent(run.samples),
+        answers=answers,
+    )
+
+
+def _answer_poses(run: Run, scenario: Scenario) -> tuple[SampleColumns, NDArray[np.int64], Sample]:
+    """Return the samples up to the law's end, the ticks that each blocks for, and the last."""
+    driver, read = LawDriver(scenario, build_law(scenario.law)), run.samples.pose_sequence
+    x_m, y_m = run.poses.xy_m[read].T
+    columns = (run.samples.time_ns, read, x_m, y_m, run.poses.heading_rad[read])
+    packed, blocks_ticks = bytearray(), []
+    for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
+        sample = driver.answer(time_ns, row, Pose(x, y, heading))
+        packed += pack_sample(sample)
+        blocks_ticks.append(sample.decision.blocks_ticks)
+        if sample.decision.stop_reason is not None:
+            break
+    return build_samples(packed), np.array(blocks_ticks, dtype=np.int64), sample
+
+
+def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
+    """Return the ticks between samples and their commands, where the recording tells them."""
+    rows = min(len(run.commands), len(blocks_ticks))
+    held_ns = run.commands.time_ns[:rows] - run.samples.time_ns[:rows]
+    is_told = run.poses.speed_m_s is not None and not (held_ns % TICK_NS).any()
+    if not is_told or count_missing(run.samples) or (held_ns < 0).any():
+        return []
+    return [
+        Pairing(
+            signal="pause",
+            unit="tick",
+            time_ns=run.samples.time_ns[:rows],
+            recorded=held_ns // TICK_NS,
+            replayed=blocks_ticks[:rows],
+        )
+    ]

@@ -1,0 +1,127 @@
+"""The closed loop simulated again, against all that was recorded."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final
+
+from turtlelog.errors import ReplayError
+from turtlelog.replay.difference import (
+    Difference,
+    SignalDifference,
+    compare_pairing,
+    find_earliest,
+    require_tolerance,
+)
+from turtlelog.replay.plant import PoseError
+from turtlelog.replay.run_pairs import (
+    RowCount,
+    count_rows,
+    find_count_difference,
+    has_ticks,
+    pair_by_sample,
+    pair_by_tick,
+)
+from turtlelog.replay.sample_pairs import list_absent
+from turtlelog.replay.stops import compare_ends
+from turtlelog.run import Run
+from turtlelog.scenario import Scenario, restore_scenario
+from turtlelog.simulate import simulate_run
+from turtlelog.turtlesim import TICK_NS
+
+_OF_TICKS: Final = (
+    *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),
+)
+"""Signals that a recording has only where it holds a pose per tick."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LoopReplay:
+    """What becomes of a scenario when it is simulated again.
+
+    Attributes:
+        name: Of the recorded run.
+        scenario: As simulated.
+        run: The replayed run.
+        by_tick: Whether poses were compared tick by tick; otherwise those that samples read were.
+        samples: Compared.
+        max_abs_error: Over all poses compared.
+        signals: By signal: poses, samples, commands.
+        counts: Rows of `samples`, `poses` and `commands`, as far as they are recorded.
+        stop: Where the run ended for another reason; None where not.
+        first_difference: The earliest of all, counts and stop included; of several at one time that
+            of the first signal in `signals`. None where there is none.
+        absent: Signals that the recording does not hold.
+    """
+
+    name: str
+    scenario: Scenario
+    run: Run
+    by_tick: bool
+    samples: int
+    max_abs_error: PoseError
+    signals: tuple[SignalDifference, ...]
+    counts: Mapping[str, RowCount]
+    stop: Difference | None
+    first_difference: Difference | None
+    absent: tuple[str, ...]
+
+
+def replay_loop(
+    run: Run, scenario: Scenario | None = None, *, tolerance: float = 0.0
+) -> LoopReplay:
+    """Simulate the scenario of a recording again, and compare row by row.
+
+    Ticks are matched by their number, samples by theirs, commands by their order; times are values
+    like others. A log with one pose per sample is compared sample by sample, its clock not at all.
+    A recording that was cut may end before its replay.
+
+    Args:
+        run: With ticks of exactly 16 ms, or with samples.
+        scenario: Otherwise that of the recording; a changed one answers "what if".
+        tolerance: Differences up to this one are none, in each signal's unit.
+
+    Raises:
+        ReplayError: Where the run holds neither such ticks nor samples.
+        ScenarioError: Where no scenario is given, and the run does not hold all of its own.
+        SimulationError: Where the simulation cannot go on.
+    """
+    require_tolerance(tolerance)
+    by_tick = has_ticks(run)
+    if not by_tick and not len(run.samples):
+        raise ReplayError(
+            f"{run.name}: expected a pose per tick of exactly {TICK_NS / 1e6:g} ms, or the samples"
+            f" of a controller, found neither; --plant drives recorded commands through the plant:"
+            f" {run.source}"
+        )
+    scenario = restore_scenario(run) if scenario is None else scenario
+    replayed = replace(simulate_run(scenario), source=f"replay of {run.name}")
+    pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
+    signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
+    counts = count_rows(run, replayed, by_tick=by_tick)
+    stop = compare_ends(run, replayed.stop_reason)
+    first = [found.first_difference for found in signals]
+    first += [find_count_difference(run, name, count) for name, count in counts.items()]
+    return LoopReplay(
+        name=run.name,
+        scenario=scenario,
+        run=replayed,
+        by_tick=by_tick,
+        samples=next((found.rows for found in signals if found.signal == "phase"), 0),
+        max_abs_error=_find_pose_error(signals),
+        signals=signals,
+        counts=MappingProxyType(counts),
+        stop=stop,
+        first_difference=find_earliest([*first, stop]),
+        absent=(*list_absent(run.samples), *_list_missing(_OF_TICKS, signals)),
+    )
+
+
+def _find_pose_error(signals: Sequence[SignalDifference]) -> PoseError:
+    largest = {found.signal: found.largest for found in signals}
+    return PoseError(x_m=largest["x"], y_m=largest["y"], heading_rad=largest["heading"])
+
+
+def _list_missing(names: Sequence[str], signals: Sequence[SignalDifference]) -> tuple[str, ...]:
+    found = {signal.signal for signal in signals}
+    return tuple(name for name in names if name not in found)

@@ -1,0 +1,166 @@
+"""The signals of a recorded run and of its replay, paired row by row."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.replay.difference import Difference, Pairing
+from turtlelog.replay.sample_pairs import count_missing, pair_samples
+from turtlelog.replay.stops import is_cut
+from turtlelog.run import PoseColumns, Run
+from turtlelog.turtlesim import TICK_NS
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowCount:
+    """How many rows a recording holds of a kind, and how many its replay."""
+
+    recorded: int
+    replayed: int
+
+
+def has_ticks(run: Run) -> bool:
+    """Whether a run holds its poses tick by tick, as a simulation does."""
+    return run.poses.speed_m_s is not None and not (run.poses.time_ns % TICK_NS).any()
+
+
+def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
+    """Yield poses matched by the number of their tick, samples by theirs, commands by order."""
+    ticks = run.poses.time_ns // TICK_NS
+    rows = np.flatnonzero(ticks < len(replayed.poses))
+    yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, ticks[rows])
+    yield from _pair_applied(run.poses, replayed.poses, rows, ticks[rows])
+    if len(run.samples):
+        rows, others = _match_samples(run, replayed)
+        yield from pair_samples(run.samples, replayed.samples, rows=rows, others=others)
+        yield from _pair_clocks(run, replayed, rows, others)
+    if len(run.commands) and not count_missing(run.samples):
+        yield from _pair_commands(run, replayed)
+
+
+def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
+    """Yield the poses that samples read, and the samples, matched by their number."""
+    rows, others = _match_samples(run, replayed)
+    read = run.samples.pose_sequence[rows], replayed.samples.pose_sequence[others]
+    yield from _pair_poses(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
+    yield from pair_samples(run.samples, replayed.samples, rows=rows, others=others)
+
+
+def count_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, RowCount]:
+    """Return the rows of every kind that the recording holds."""
+    kinds = {"samples": (run.samples, replayed.samples)}
+    if by_tick:
+        kinds["poses"] = run.poses, replayed.poses  # type: ignore[assignment]
+        kinds["commands"] = run.commands, replayed.commands  # type: ignore[assignment]
+    return {
+        name: RowCount(recorded=len(was), replayed=len(now))
+        for name, (was, now) in kinds.items()
+        if len(was)
+    }
+
+
+def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | None:
+    """Return the difference of two counts; lost rows and a cut recording explain fewer."""
+    if count.recorded == count.replayed:
+        return None
+    if count.recorded < count.replayed and (is_cut(run) or _has_holes(run)):
+        return None
+    return Difference(
+        signal=name, time_ns=run.end_ns, recorded=count.recorded, replayed=count.replayed
+    )
+
+
+def _has_holes(run: Run) -> bool:
+    ticks = run.poses.time_ns // TICK_NS
+    return bool(count_missing(run.samples)) or (
+        has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
+    )
+
+
+def _match_samples(run: Run, replayed: Run) -> tuple[Rows, Rows]:
+    rows = np.flatnonzero(run.samples.sequence < len(replayed.samples))
+    return rows, run.samples.sequence[rows]
+
+
+def _pair_poses(
+    recorded: PoseColumns, replayed: PoseColumns, time_ns: Rows, rows: Rows, others: Rows
+) -> Iterator[Pairing]:
+    for axis, name in enumerate("xy"):
+        yield Pairing(
+            signal=name,
+            unit="m",
+            time_ns=time_ns,
+            recorded=recorded.xy_m[rows, axis],
+            replayed=replayed.xy_m[others, axis],
+        )
+    yield Pairing(
+        signal="heading",
+        unit="rad",
+        time_ns=time_ns,
+        recorded=recorded.heading_rad[rows],
+        replayed=replayed.heading_rad[others],
+        kind="angle",
+    )
+
+
+def _pair_applied(
+    recorded: PoseColumns, replayed: PoseColumns, rows: Rows, others: Rows
+) -> Iterator[Pairing]:
+    columns = (
+        ("applied_speed", "m/s", recorded.speed_m_s, replayed.speed_m_s),
+        ("applied_turn_rate", "rad/s", recorded.turn_rate_rad_s, replayed.turn_rate_rad_s),
+    )
+    for name, unit, was, now in columns:
+        if was is not None and now is not None:
+            yield Pairing(
+                signal=name,
+                unit=unit,
+                time_ns=recorded.time_ns[rows],
+                recorded=was[rows],
+                replayed=now[others],
+            )
+
+
+def _pair_clocks(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
+    """Yield when a sample was answered, and the number of the tick whose pose it read."""
+    time_ns = run.samples.time_ns[rows]
+    yield Pairing(
+        signal="sample_time",
+        unit="s",
+        time_ns=time_ns,
+        recorded=time_ns / 1e9,
+        replayed=replayed.samples.time_ns[others] / 1e9,
+    )
+    yield Pairing(
+        signal="pose_read",
+        unit="tick",
+        time_ns=time_ns,
+        recorded=run.poses.time_ns[run.samples.pose_sequence[rows]] // TICK_NS,
+        replayed=replayed.samples.pose_sequence[others],
+    )
+
+
+def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:
+    was, now, count = (
+        run.commands,
+        replayed.commands,
+        min(len(run.commands), len(replayed.commands)),
+    )
+    columns = (
+        ("command_time", "s", was.time_ns / 1e9, now.time_ns / 1e9),
+        ("command_speed", "m/s", was.speed_m_s, now.speed_m_s),
+        ("command_lateral_speed", "m/s", was.lateral_speed_m_s, now.lateral_speed_m_s),
+        ("command_turn_rate", "rad/s", was.turn_rate_rad_s, now.turn_rate_rad_s),
+    )
+    for name, unit, recorded, others in columns:
+        yield Pairing(
+            signal=name,
+            unit=unit,
+            time_ns=was.time_ns[:count],
+            recorded=recorded[:count],
+            replayed=others[:count],
+        )

@@ -1,0 +1,66 @@
+"""The signals of two tables of samples, paired row by row."""
+
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.replay.difference import Pairing
+from turtlelog.run import SampleColumns
+
+Rows = NDArray[np.int64] | slice
+
+_Read = Callable[[SampleColumns], NDArray[np.float64] | None]
+
+_NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = MappingProxyType(
+    {
+        "wanted_speed": ("m/s", lambda samples: samples.wanted_speed_m_s),
+        "wanted_turn_rate": ("rad/s", lambda samples: samples.wanted_turn_rate_rad_s),
+        "speed": ("m/s", lambda samples: samples.speed_m_s),
+        "turn_rate": ("rad/s", lambda samples: samples.turn_rate_rad_s),
+        "bearing": ("rad", lambda samples: samples.bearing_rad),
+        "heading_error": ("rad", lambda samples: samples.heading_error_rad),
+        "error_x": ("m", lambda samples: samples.error_xy_m[:, 0]),
+        "error_y": ("m", lambda samples: samples.error_xy_m[:, 1]),
+        "distance": ("m", lambda samples: samples.distance_m),
+        "world_v_x": ("m/s", lambda samples: samples.world_velocity_m_s[:, 0]),
+        "world_v_y": ("m/s", lambda samples: samples.world_velocity_m_s[:, 1]),
+    }
+)
+"""What a controller computes, as it computed it, by name: commands first, then errors."""
+
+COMMANDS: Final = ("speed", "turn_rate")
+"""The signals that leave the controller."""
+
+
+def pair_samples(
+    recorded: SampleColumns, replayed: SampleColumns, *, rows: Rows, others: Rows
+) -> Iterator[Pairing]:
+    """Yield the signals that both hold; `rows` of the one are beside `others` of the other."""
+    time_ns = recorded.time_ns[rows]
+    for name, (unit, read) in _NUMBERS.items():
+        was, now = read(recorded), read(replayed)
+        if was is not None and now is not None:
+            yield Pairing(
+                signal=name, unit=unit, time_ns=time_ns, recorded=was[rows], replayed=now[others]
+            )
+    yield Pairing(
+        signal="phase",
+        unit="1",
+        time_ns=time_ns,
+        recorded=recorded.phase[rows],
+        replayed=replayed.phase[others],
+        kind="phase",
+    )
+
+
+def list_absent(recorded: SampleColumns) -> tuple[str, ...]:
+    """Return the names of the signals that a recording does not hold."""
+    return tuple(name for name, (_, read) in _NUMBERS.items() if read(recorded) is None)
+
+
+def count_missing(samples: SampleColumns) -> int:
+    """Return how many samples are missing before the last one, by their numbers from 0."""
+    return int(samples.sequence[-1]) + 1 - len(samples) if len(samples) else 0
