@@ -85,6 +85,8 @@ def choose_scenario(
         _require_keys_of_law(changes)
     if changes is None and kind is None and options.scenario is None:
         return None
+    if kind is not None:
+        run = _replace_law(run, kind)
     scenario = _find_base(run, options.scenario)
     if kind is not None:
         scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
@@ -111,6 +113,14 @@ def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
     completed = tl.complete_scenario(run, base)
     _print_conflicts(completed, base, name_or_path)
     return completed
+
+
+def _replace_law(run: "Run", kind: str) -> "Run":
+    """Return a run that knows nothing of a law of another kind, which need not be there to load."""
+    if run.parameters.get("law.kind") in {None, kind}:
+        return run
+    kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
+    return replace(run, parameters=kept)
 
 
 def _print_conflicts(completed: "Scenario", base: "Scenario", name: str) -> None:

@@ -89,6 +89,8 @@ def format_law(run: "Run", found: "LawReplay") -> str:
         lines.append(f"In the commands: {_format_difference(run, command, found.signals)}.")
     if command is None:
         lines.append("The commands as published are those recorded.")
+    if found.stop is not None and found.stop != found.first_difference:
+        lines.append(f"The end: {_format_difference(run, found.stop, found.signals)}.")
     return "\n".join(lines)
 
 
@@ -103,7 +105,10 @@ def format_loop(run: "Run", found: "LoopReplay") -> str:
         _format_counts(run, found),
     ]
     if found.first_difference is None:
-        return "\n".join([*lines, "The replay is the recording, in every column."])
+        goes_on = any(count.recorded != count.replayed for count in found.counts.values())
+        end = ", as far as that goes" if goes_on else ""
+        columns = "every column that it holds" if found.absent else "every column"
+        return "\n".join([*lines, f"The replay is the recording, in {columns}{end}."])
     return "\n".join([*lines, _format_first(run, found.first_difference, found.signals)])
 
 
@@ -175,8 +180,8 @@ def _format_counts(run: "Run", found: "LoopReplay") -> str:
     ]
     ends = run.stop_reason or "not recorded why", found.run.stop_reason or ""
     was, now = (end.replace("_", " ") for end in ends)
-    end = f"both ended: {was}" if was == now else f"it ended: {was}, replayed: {now}"
-    return f"Recorded: {'; '.join(counts)}; {end}."
+    end = f"both ended: {was}" if was == now else f"it ended: {was}; the replay: {now}"
+    return f"Recorded: {'; '.join(counts)}.\nWhy {end}."
 
 
 def _format_first(run: "Run", first: "Difference", signals: "Sequence[SignalDifference]") -> str:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
+from turtlelog.angles import wrap_angle
 from turtlelog.errors import ReplayError
 from turtlelog.run import Phase
 
@@ -78,7 +78,8 @@ class Pairing:
 def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
     """Return how far a signal's rows differ; phases differ whatever the tolerance."""
     apart = _subtract(pairing)
-    outside = apart > (0.0 if pairing.kind == "phase" else tolerance)
+    # What is not within: nan, which a difference beyond the largest number may be, is none.
+    outside = ~(apart <= (0.0 if pairing.kind == "phase" else tolerance))
     row = int(apart.argmax()) if len(apart) else 0
     largest = float(apart[row]) if len(apart) else 0.0
     return SignalDifference(
@@ -107,12 +108,10 @@ def require_tolerance(tolerance: float) -> None:
 def _subtract(pairing: Pairing) -> NDArray[np.float64]:
     recorded, replayed = pairing.recorded, pairing.replayed
     if pairing.kind == "phase":
-        return (recorded != replayed).astype(np.float64)
-    if pairing.kind == "angle":
-        return np.abs(subtract_headings(replayed.astype(np.float64), recorded.astype(np.float64)))
-    with np.errstate(over="ignore"):
-        apart: NDArray[np.float64] = np.abs(np.subtract(replayed, recorded, dtype=np.float64))
-    return apart
+        return np.not_equal(recorded, replayed).astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart: NDArray[np.float64] = np.subtract(replayed, recorded, dtype=np.float64)
+        return np.abs(wrap_angle(apart) if pairing.kind == "angle" else apart)
 
 
 def _build_first(pairing: Pairing, row: int) -> Difference:

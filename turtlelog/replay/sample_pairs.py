@@ -44,7 +44,12 @@ def pair_samples(
         was, now = read(recorded), read(replayed)
         if was is not None and now is not None:
             yield Pairing(
-                signal=name, unit=unit, time_ns=time_ns, recorded=was[rows], replayed=now[others]
+                signal=name,
+                unit=unit,
+                time_ns=time_ns,
+                recorded=was[rows],
+                replayed=now[others],
+                kind="angle" if name == "bearing" else "number",
             )
     yield Pairing(
         signal="phase",

@@ -1,0 +1,207 @@
+import shutil
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap
+from tests.log.runs import find_shared
+from tests.replay.changes import write_law
+
+EXACT = {"x": 0.0, "y": 0.0, "heading": 0.0}
+NOT_COMPARED = {"x": None, "y": None, "heading": None}
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_closed_loop_is_the_default(call: Call, kp4: Path) -> None:
+    answer = call("replay", kp4, "--json").json
+    assert (answer["file"], answer["mode"], answer["by"]) == (str(kp4), "loop", "tick")
+    assert (answer["samples"], answer["max_abs_error"]) == (681, EXACT)
+    assert (answer["first_difference"], answer["not_compared"]) == (None, [])
+    assert {signal["largest"] for signal in answer["signals"]} == {0.0}
+    assert answer["counts"]["commands"] == {"recorded": 681, "replayed": 681}
+    assert answer["stop_reason"] == {"recorded": "standstill", "replayed": "standstill"}
+    assert [answer[name] for name in ("stretches", "jumps", "gaps")] == [[], [], []]
+
+
+def test_an_equal_replay_is_told_in_one_sentence(call: Call, kp4: Path) -> None:
+    answer = call("replay", kp4)
+    assert (answer.code, answer.err) == (0, "")
+    assert "The replay is the recording, in every column.\n" in answer.out
+    assert "final.position_error" not in answer.out
+    assert max(map(len, answer.out.splitlines())) <= 100
+
+
+def test_a_law_answers_in_json(call: Call, kp4: Path) -> None:
+    answer = call("replay", kp4, "--law", "--set", "law.kp_linear=4.000004", "--json").json
+    assert (answer["mode"], answer["law"], answer["samples"]) == ("law", "sequential-p", 681)
+    assert answer["max_abs_error"] == NOT_COMPARED
+    assert answer["first_difference"] == {
+        "signal": "wanted_speed",
+        "time_s": 3.296,
+        "recorded": 22.77369061561925,
+        "replayed": 22.77371338930986,
+    }
+    command = answer["first_command_difference"]
+    assert (command["signal"], command["time_s"]) == ("speed", 8.752)
+    [speed] = [signal for signal in answer["signals"] if signal["signal"] == "speed"]
+    assert (speed["unit"], speed["rows"], speed["differing"]) == ("m/s", 681, 153)
+
+
+def test_a_law_answers_in_text(call: Call, kp4: Path) -> None:
+    assert "the law commands what was recorded" in call("replay", kp4, "--law").out
+    answer = call("replay", kp4, "--law", "--set", "law.kp_angular=4.000004")
+    assert "recorded 514.0106 deg/s, replayed 514.0111 deg/s" in answer.out
+    assert "In the commands: turn rate at 2.016 s" in answer.out
+
+
+@pytest.mark.parametrize(
+    "words", [["FILE", "--law", "KIND"], ["--law", "KIND", "FILE"], ["FILE", "--law=KIND"]], ids=str
+)
+def test_a_law_of_ones_own_is_put_in(call: Call, kp4: Path, words: list[str]) -> None:
+    kind = f"{ROOT / 'examples' / 'turn_and_drive.py'}:TurnAndDrive"
+    spoken = [word.replace("KIND", kind).replace("FILE", str(kp4)) for word in words]
+    answer = call("replay", *spoken, "--set", "law.kp_angular=2", "--json").json
+    assert (answer["law"], answer["samples"]) == (kind, 681)
+    assert answer["first_difference"]["signal"] == "wanted_turn_rate"
+    assert answer["stop"]["recorded"] == "standstill"
+
+
+def test_the_file_may_follow_the_law_option(call: Call, kp4: Path) -> None:
+    assert (
+        call("replay", "--law", kp4, "--json").json == call("replay", kp4, "--law", "--json").json
+    )
+
+
+def test_what_if_writes_a_recording_that_says_what_it_is(
+    call: Call, kp10: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "other.mcap"
+    answer = call("replay", kp10, "--set", "loop.queue_policy=newest", "-o", target)
+    assert (answer.code, answer.err) == (0, f"wrote {target}\n")
+    assert "First difference: heading at 0.016 s: recorded 0 deg, replayed 0.916733" in answer.out
+    assert "final.position_error     m      0.10673    0.026837    -0.079891" in answer.out
+    run = tl.read_recording(target)
+    assert run.name == "paper-kp10 loop.queue_policy=newest"
+    assert run.source == "replay of paper-kp10"
+    assert call("replay", target, "--expect-equal").code == 0
+
+
+def test_what_if_answers_in_json(call: Call, kp10: Path) -> None:
+    words = ["--set", "name=short", "--set", "max_duration_s=1", "--kp", "4", "--goal", "3,4"]
+    answer = call("replay", kp10, *words, "--json").json
+    assert answer["replay"] == "short"
+    assert answer["stop_reason"]["replayed"] == "max_duration"
+    metrics = {metric["id"]: metric for metric in answer["metrics"]}
+    error = metrics["final.position_error"]
+    assert error["difference"] == error["replayed"] - error["recorded"]
+    duration = metrics["translate.settling_time"]
+    assert (duration["replayed"], duration["difference"]) == (None, None)
+    assert duration["replayed_status"] == "no_phase"
+
+
+def test_the_published_logs_replay_with_a_scenario(call: Call) -> None:
+    path = find_shared("paper", "kp4_210.json")
+    answer = call("replay", path, "--scenario", "paper-kp4", "--json").json
+    assert (answer["by"], answer["max_abs_error"], answer["samples"]) == ("sample", EXACT, 681)
+    assert answer["first_difference"] is None
+    assert (
+        "Not in the recording: wanted_speed"
+        in call("replay", path, "--law", "--scenario", "paper-kp4").out
+    )
+
+
+def test_what_a_log_knows_of_its_scenario_stays(call: Call) -> None:
+    path = find_shared("paper", "kp4_210.json")
+    answer = call("replay", path, "--law", "--scenario", "paper", "--json")
+    assert "law.kp_linear = 4.0 (1.0)" in answer.err
+    assert answer.json["first_difference"] is None
+    changed = call("replay", path, "--law", "--scenario", "paper", "--kp", "5", "--json")
+    assert changed.json["first_difference"]["signal"] == "turn_rate"
+
+
+def test_another_scenario_takes_the_place_of_the_recordings_own(call: Call, kp4: Path) -> None:
+    answer = call("replay", kp4, "--scenario", "paper-kp10", "--json").json
+    assert (answer["name"], answer["replay"]) == ("paper-kp4", "paper-kp4 as paper-kp10")
+    assert answer["counts"]["samples"] == {"recorded": 681, "replayed": 770}
+
+
+def test_a_difference_fails_only_where_equality_is_expected(call: Call, kp4: Path) -> None:
+    change = ["--law", "--set", "law.kp_linear=4.000004"]
+    assert call("replay", kp4, *change).code == 0
+    assert call("replay", kp4, *change, "--expect-equal").code == 1
+    assert call("replay", kp4, *change, "--expect-equal", "--tolerance", "1e-4").code == 0
+    assert call("replay", kp4, "--plant", "--expect-equal").code == 0
+
+
+def test_a_recovered_recording_is_replayed_as_far_as_it_goes(call: Call, tmp_path: Path) -> None:
+    live, cut, whole = (tmp_path / f"{name}.mcap" for name in ("live", "cut", "whole"))
+    scenario = tl.load_scenario("paper-kp4")
+    with tl.Recorder(live, scenario) as recorder:
+        tl.run_live(scenario, [recorder], realtime=False)
+    cut.write_bytes(live.read_bytes()[: live.stat().st_size // 2])
+    answer = call("replay", cut)
+    assert (answer.code, "turtlelog recover FILE -o OUT" in answer.err) == (2, True)
+    assert call("recover", cut, "-o", whole).code == 0
+    answer = call("replay", whole, "--expect-equal")
+    assert answer.code == 0
+    assert "in every column, as far as that goes." in answer.out
+    assert call("replay", whole, "--law", "--expect-equal").code == 0
+
+
+def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -> None:
+    law, path = tmp_path / "law.py", tmp_path / "a.mcap"
+    kind = write_law(law)
+    assert call("run", "textbook", "--set", f"law.kind={kind}", "-o", path).code == 0
+    law.unlink()
+    answer = call("replay", path)
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "expected a Python file at" in answer.err
+    assert call("replay", path, "--law", "sequential-p").code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["bag.mcap"], "bag: expected a pose per tick of exactly 16 ms, or the samples of a con"),
+        (["bag.mcap", "--law"], "(topic /turtle1/control), found none"),
+        (["ticks.mcap"], "ticks: expected a run with its whole scenario, found mcap: ticks.mcap"),
+        (["ticks.mcap", "--law", "--kp", "1"], "ticks: expected a run with its whole scenario"),
+        ([], "FILE: expected a recording, found none"),
+        (["--law"], "FILE: expected a recording, found none"),
+        (["--law", "a:B", "kp4.mcap", "x"], "accepts"),
+        (["kp4.mcap", "--law", "a:B", "c:D"], "--law: expected at most one KIND, found a:B c:D"),
+        (["kp4.mcap", "--law", "kp4.mcap"], "--law: law.kind: expected sequential-p, path.py:Cl"),
+        (["kp4.mcap", "--law", "--plant"], "--plant: expected one mode, found --law as well"),
+        (["kp4.mcap", "--law", "-o", "b.mcap"], "--output: expected the closed loop"),
+        (["kp4.mcap", "--plant", "-o", "b.mcap"], "--output: expected the closed loop"),
+        (["kp4.mcap", "--plant", "--kp", "3"], "--plant: expected the recorded commands as they"),
+        (["kp4.mcap", "--plant", "--tolerance", "0"], "are, found --tolerance"),
+        (["kp4.mcap", "-o", "kp4.mcap"], "kp4.mcap: expected another file to write to"),
+        (["kp4.mcap", "-o", "b.txt"], "b.txt: expected a name that ends in .mcap"),
+        (["kp4.mcap", "--law", "--set", "loop.period_ticks=2"], "expected a key of law, limits, g"),
+        (["kp4.mcap", "--set", "law.kp=2"], "--set: law.kp: expected kp_angular or kp_linear"),
+        (["kp4.mcap", "--set", "law.kp_linear=nan"], "--set: law.kp_linear: expected a finite num"),
+        (["kp4.mcap", "--scenario", "no"], "no: expected a scenario file (.toml) or one of"),
+        (["kp4.mcap", "--tolerance", "nan"], "tolerance: expected a number >= 0, found nan"),
+        (["kp4.mcap", "--set", "max_duration_s=0.01"], "expected a pose answered within"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_line(
+    call: Call,
+    kp4: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    line: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(kp4, "kp4.mcap")
+    write_mcap(Path("bag.mcap"), [make_stamped_pose()])
+    write_mcap(Path("ticks.mcap"), make_poses(5))
+    answer = call("replay", *words)
+    assert (answer.code, answer.out) == (2, "")
+    assert line in answer.err
+    assert answer.err.count("\n") == 1
