@@ -41,9 +41,16 @@ def main() -> None:
     bare = measure_rate(samples, lambda: run_bare_loop(samples))
     loop = measure_rate(samples, lambda: sum(1 for _ in iterate_ticks(scenario)))
     run = measure_rate(samples, lambda: tl.simulate_run(scenario))
+    recorded = tl.simulate_run(scenario)
+    law = measure_rate(samples, lambda: tl.replay_law(recorded))
+    again = measure_rate(samples, lambda: tl.replay_loop(recorded))
     print(f"bare loop, no objects   {bare:11,.0f} samples/s")
     print(f"iterate_ticks           {loop:11,.0f} samples/s, {bare / loop:.1f} times the bare time")
     print(f"simulate_run (columns)  {run:11,.0f} samples/s, {bare / run:.1f} times the bare time")
+    print(f"replay_law              {law:11,.0f} samples/s, {bare / law:.1f} times the bare time")
+    print(
+        f"replay_loop             {again:11,.0f} samples/s, {bare / again:.1f} times the bare time"
+    )
 
 
 if __name__ == "__main__":

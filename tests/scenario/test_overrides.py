@@ -1,6 +1,7 @@
 import dataclasses
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from turtlelog.errors import ScenarioError
 from turtlelog.scenario import (
     PRESETS,
     Scenario,
+    complete_scenario,
     flatten_scenario,
     get_preset,
     override_scenario,
@@ -139,3 +141,48 @@ def test_a_run_without_its_whole_scenario_gives_none() -> None:
     run = dataclasses.replace(simulate_run(get_preset("textbook")), scenario_is_complete=False)
     with pytest.raises(ScenarioError, match="textbook: expected a run with its whole scenario"):
         restore_scenario(run)
+
+
+def test_a_run_is_completed_with_what_it_does_not_know() -> None:
+    known = {"law.kp_linear": 3.0, "limits.speed_m_s": 0.5, "goal.x_m": 4.0}
+    run = dataclasses.replace(
+        simulate_run(get_preset("textbook")),
+        parameters=known,
+        scenario_is_complete=False,
+        goal_xy_m=None,
+    )
+    values = flatten_scenario(complete_scenario(run, get_preset("paper-kp10")))
+    expected = flatten_scenario(get_preset("paper-kp10")) | known
+    assert values == expected
+
+
+def test_the_goal_of_a_run_completes_where_no_parameter_tells_it() -> None:
+    run = dataclasses.replace(
+        simulate_run(get_preset("textbook")), parameters={}, goal_xy_m=(3.0, 4.0)
+    )
+    goal = complete_scenario(run, get_preset("paper")).goal
+    assert (goal.x_m, goal.y_m) == (3.0, 4.0)
+
+
+def test_what_a_law_does_not_have_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "law.py"
+    path.write_text(
+        "import dataclasses\n"
+        "@dataclasses.dataclass(frozen=True)\n"
+        "class Own:\n    kp_angular: float = 1.0\n"
+        "class Law:\n    Parameters = Own\n    reset = step = lambda *_: None\n"
+    )
+    base = override_scenario(get_preset("textbook"), {"law.kind": f"{path}:Law"})
+    run = dataclasses.replace(
+        simulate_run(get_preset("textbook")),
+        parameters={"law.kp_angular": 3.0, "law.kp_linear": 4.0},
+    )
+    assert complete_scenario(run, base).law.parameters.kp_angular == 3.0
+
+
+def test_a_wrong_value_of_a_run_is_named() -> None:
+    run = dataclasses.replace(
+        simulate_run(get_preset("textbook")), parameters={"law.kp_linear": -1.0}
+    )
+    with pytest.raises(ScenarioError, match=r"textbook: law\.kp_linear: expected a number > 0"):
+        complete_scenario(run, get_preset("paper"))

@@ -82,7 +82,8 @@ def format_law(run: "Run", found: "LawReplay") -> str:
         notes += (f"{found.missing_samples} samples are lost: the law did not see their poses.",)
     lines = [tl.format_table(_tabulate(run, found.signals, title, notes))]
     if found.first_difference is None:
-        return "\n".join([*lines, "On the recorded poses the law commands what was recorded."])
+        sentence = "On the recorded poses the law commands what was recorded"
+        return "\n".join([*lines, f"{sentence}{_describe_slack(found.signals)}."])
     lines.append(_format_first(run, found.first_difference, found.signals))
     command = found.first_command_difference
     if command is not None and command != found.first_difference:
@@ -107,8 +108,9 @@ def format_loop(run: "Run", found: "LoopReplay") -> str:
     if found.first_difference is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
+        slack = _describe_slack(found.signals)
         columns = "every column that it holds" if found.absent else "every column"
-        return "\n".join([*lines, f"The replay is the recording, in {columns}{end}."])
+        return "\n".join([*lines, f"The replay is the recording, in {columns}{end}{slack}."])
     return "\n".join([*lines, _format_first(run, found.first_difference, found.signals)])
 
 
@@ -164,6 +166,10 @@ def _describe_rest(signals: "Iterable[SignalDifference]", absent: Sequence[str])
     equal = [found.signal for found in signals if not _is_printed(found)]
     sentences = [("Equal in every row as well", equal), ("Not in the recording", absent)]
     return tuple(f"{head}: {', '.join(names)}." for head, names in sentences if names)
+
+
+def _describe_slack(signals: "Iterable[SignalDifference]") -> str:
+    return ", within the tolerance" if any(found.largest > 0.0 for found in signals) else ""
 
 
 def _is_printed(found: "SignalDifference") -> bool:
