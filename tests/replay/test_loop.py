@@ -9,7 +9,7 @@ from tests.log.runs import assert_same, find_shared, simulate_preset
 from tests.replay.changes import change_scenario, change_value, scenarios
 from turtlelog.errors import ScenarioError
 from turtlelog.log import export_rosbag2, read_bag, read_recording, read_run, write_recording
-from turtlelog.replay import LoopReplay, PoseError, ReplayError, RowCount, replay_loop
+from turtlelog.replay import LoopReplay, PoseError, ReplayError, RowCount, replay_law, replay_loop
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, complete_scenario, get_preset, override_scenario
 from turtlelog.simulate import simulate_run
@@ -183,3 +183,16 @@ def test_a_tolerance_hides_what_is_smaller(kp10: Run) -> None:
     scenario = override_scenario(get_preset("paper-kp10"), {"start.x_m": 5.544445037841797})
     assert replay_loop(kp10, scenario).first_difference is not None
     assert replay_loop(kp10, scenario, tolerance=1e-4).first_difference is None
+
+
+def test_commands_are_left_out_where_some_are_lost(kp10: Run) -> None:
+    keep = np.r_[0:100, 200:770]
+    columns = {
+        name: getattr(kp10.commands, name)[keep] for name in kp10.commands.__dataclass_fields__
+    }
+    run = replace(kp10, commands=replace(kp10.commands, **columns))
+    found = replay_loop(replace(run, stop_reason=None))
+    assert found.first_difference is None
+    assert {"command_speed", "command_time"}.isdisjoint(signal.signal for signal in found.signals)
+    assert "command_time" in found.absent
+    assert replay_law(run).first_difference is None

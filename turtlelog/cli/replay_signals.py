@@ -16,6 +16,9 @@ _PRINTED: Final = {"rad": "deg", "rad/s": "deg/s", "1": ""}
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 """Signals that are printed even where they are equal."""
 
+_NO_STRETCHES: Final[dict[str, Any]] = {"stretches": [], "jumps": [], "gaps": []}
+"""Only the plant begins anew after a jump or gap."""
+
 
 def describe_difference(run: "Run", found: "Difference | None") -> dict[str, Any] | None:
     """Return a difference as JSON answers have it; time counts from the first sample."""
@@ -112,9 +115,6 @@ def format_loop(run: "Run", found: "LoopReplay") -> str:
         columns = "every column that it holds" if found.absent else "every column"
         return "\n".join([*lines, f"The replay is the recording, in {columns}{end}{slack}."])
     return "\n".join([*lines, _format_first(run, found.first_difference, found.signals)])
-
-
-_NO_STRETCHES: Final[dict[str, Any]] = {"stretches": [], "jumps": [], "gaps": []}
 
 
 def _describe_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list[dict[str, Any]]:

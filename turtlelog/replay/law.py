@@ -17,7 +17,13 @@ from turtlelog.replay.difference import (
     find_earliest,
     require_tolerance,
 )
-from turtlelog.replay.sample_pairs import COMMANDS, count_missing, list_absent, pair_samples
+from turtlelog.replay.sample_pairs import (
+    COMMANDS,
+    count_missing,
+    has_all_commands,
+    list_absent,
+    pair_samples,
+)
 from turtlelog.replay.stops import compare_last_decision
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, restore_scenario
@@ -122,7 +128,7 @@ def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
     rows = min(len(run.commands), len(blocks_ticks))
     held_ns = run.commands.time_ns[:rows] - run.samples.time_ns[:rows]
     is_told = run.poses.speed_m_s is not None and not (held_ns % TICK_NS).any()
-    if not is_told or count_missing(run.samples) or (held_ns < 0).any():
+    if not is_told or not has_all_commands(run) or (held_ns < 0).any():
         return []
     return [
         Pairing(

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.replay.difference import Difference, Pairing
-from turtlelog.replay.sample_pairs import count_missing, pair_samples
+from turtlelog.replay.sample_pairs import count_missing, has_all_commands, pair_samples
 from turtlelog.replay.stops import is_cut
 from turtlelog.run import PoseColumns, Run
 from turtlelog.turtlesim import TICK_NS
@@ -31,14 +31,14 @@ def has_ticks(run: Run) -> bool:
 def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
     """Yield poses matched by the number of their tick, samples by theirs, commands by order."""
     ticks = run.poses.time_ns // TICK_NS
-    rows = np.flatnonzero(ticks < len(replayed.poses))
+    rows = np.flatnonzero((ticks >= 0) & (ticks < len(replayed.poses)))
     yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, ticks[rows])
     yield from _pair_applied(run.poses, replayed.poses, rows, ticks[rows])
     if len(run.samples):
         rows, others = _match_samples(run, replayed)
         yield from pair_samples(run.samples, replayed.samples, rows=rows, others=others)
         yield from _pair_clocks(run, replayed, rows, others)
-    if len(run.commands) and not count_missing(run.samples):
+    if len(run.commands) and has_all_commands(run):
         yield from _pair_commands(run, replayed)
 
 
@@ -82,8 +82,9 @@ def _has_holes(run: Run) -> bool:
 
 
 def _match_samples(run: Run, replayed: Run) -> tuple[Rows, Rows]:
-    rows = np.flatnonzero(run.samples.sequence < len(replayed.samples))
-    return rows, run.samples.sequence[rows]
+    numbers = run.samples.sequence
+    rows = np.flatnonzero((numbers >= 0) & (numbers < len(replayed.samples)))
+    return rows, numbers[rows]
 
 
 def _pair_poses(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.replay.difference import Pairing
-from turtlelog.run import SampleColumns
+from turtlelog.run import Run, SampleColumns
 
 Rows = NDArray[np.int64] | slice
 
@@ -69,3 +69,9 @@ def list_absent(recorded: SampleColumns) -> tuple[str, ...]:
 def count_missing(samples: SampleColumns) -> int:
     """Return how many samples are missing before the last one, by their numbers from 0."""
     return int(samples.sequence[-1]) + 1 - len(samples) if len(samples) else 0
+
+
+def has_all_commands(run: Run) -> bool:
+    """Whether the n-th command is that of the n-th sample; the last may not have gone out."""
+    samples, commands = len(run.samples), len(run.commands)
+    return not samples or (not count_missing(run.samples) and samples - 1 <= commands <= samples)
