@@ -58,14 +58,19 @@ if TYPE_CHECKING:
         restore_scenario,
     )
     from turtlelog.show import (
+        FIGURES,
         TABLE_FORMATS,
+        Page,
         describe_run,
         describe_runs,
+        draw_figure,
         format_table,
         open_viewer,
         write_comparison_rrd,
+        write_figures,
         write_run_rrd,
         write_snapshot,
+        write_tables,
     )
     from turtlelog.simulate import simulate_run
 
@@ -122,6 +127,11 @@ _ROOMS = {
         "restore_scenario",
     ),
     "show": (
+        "FIGURES",
+        "Page",
+        "draw_figure",
+        "write_figures",
+        "write_tables",
         "TABLE_FORMATS",
         "describe_run",
         "describe_runs",
@@ -136,6 +146,7 @@ _ROOMS = {
 _PLACES = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
+    "FIGURES",
     "METRICS",
     "PAPER_RUNS",
     "PRESETS",
@@ -147,6 +158,7 @@ __all__ = [
     "Goal",
     "Law",
     "Metric",
+    "Page",
     "PartialRecordingWarning",
     "Phase",
     "PlantReplay",
@@ -165,6 +177,7 @@ __all__ = [
     "compare_runs",
     "describe_run",
     "describe_runs",
+    "draw_figure",
     "export_csv",
     "export_parquet",
     "export_rosbag2",
@@ -197,9 +210,11 @@ __all__ = [
     "tabulate_whole_runs",
     "write_columns",
     "write_comparison_rrd",
+    "write_figures",
     "write_recording",
     "write_run_rrd",
     "write_snapshot",
+    "write_tables",
 ]
 
 
