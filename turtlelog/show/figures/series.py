@@ -90,7 +90,7 @@ def draw_stack(figure: Figure, runs: Sequence[Run], *, panels: Sequence[Any]) ->
     for axes, below in pairwise(grid[:, 0]):
         axes.set_xlabel("")
         if _list_labels(axes) == _list_labels(below):
-            below.get_legend().remove() if below.get_legend() else None
+            _drop_legend(below)
 
 
 def draw_panel(figure: Figure, runs: Sequence[Run]) -> None:
@@ -106,8 +106,8 @@ def draw_panel(figure: Figure, runs: Sequence[Run]) -> None:
     )
     for axes, panel in zip(grid.flat, panels, strict=True):
         panel(axes, runs)
-        if axes is not grid[0, 1] and axes.get_legend() and len(runs) > 1:
-            axes.get_legend().remove()
+        if axes is not grid[0, 1] and len(runs) > 1:
+            _drop_legend(axes)
     for axes in grid[:-1].flat:
         axes.set_xlabel("")
 
@@ -163,6 +163,12 @@ def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: str) -> None:
     curves = [read_curve(run, command) for run in runs]
     low = min((float(curve.values.min()) for curve in curves if curve), default=0.0)
     axes.set_ylim(min(1.3 * low, -0.2 * limits[-1]), 1.3 * limits[-1])
+
+
+def _drop_legend(axes: Axes) -> None:
+    legend = axes.get_legend()
+    if legend is not None:
+        legend.remove()
 
 
 def _list_labels(axes: Axes) -> list[str]:
