@@ -67,14 +67,19 @@ if TYPE_CHECKING:
         restore_scenario,
     )
     from turtlelog.show import (
+        FIGURES,
         TABLE_FORMATS,
+        Page,
         describe_run,
         describe_runs,
+        draw_figure,
         format_table,
         open_viewer,
         write_comparison_rrd,
+        write_figures,
         write_run_rrd,
         write_snapshot,
+        write_tables,
     )
     from turtlelog.simulate import simulate_run
 
@@ -140,6 +145,11 @@ _ROOMS = {
         "restore_scenario",
     ),
     "show": (
+        "FIGURES",
+        "Page",
+        "draw_figure",
+        "write_figures",
+        "write_tables",
         "TABLE_FORMATS",
         "describe_run",
         "describe_runs",
@@ -154,6 +164,7 @@ _ROOMS = {
 _PLACES = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
+    "FIGURES",
     "METRICS",
     "PAPER_RUNS",
     "PRESETS",
@@ -167,6 +178,7 @@ __all__ = [
     "LawReplay",
     "LoopReplay",
     "Metric",
+    "Page",
     "PartialRecordingWarning",
     "Phase",
     "PlantReplay",
@@ -186,6 +198,7 @@ __all__ = [
     "complete_scenario",
     "describe_run",
     "describe_runs",
+    "draw_figure",
     "export_csv",
     "export_parquet",
     "export_rosbag2",
@@ -221,9 +234,11 @@ __all__ = [
     "tabulate_whole_runs",
     "write_columns",
     "write_comparison_rrd",
+    "write_figures",
     "write_recording",
     "write_run_rrd",
     "write_snapshot",
+    "write_tables",
 ]
 
 

@@ -16,6 +16,7 @@ from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
 from turtlelog.cli.metrics import metrics
+from turtlelog.cli.plot import plot
 from turtlelog.cli.recover import recover
 from turtlelog.cli.replay import replay
 from turtlelog.cli.run import run
@@ -47,6 +48,7 @@ for command in (
     metrics,
     compare,
     view,
+    plot,
     replay,
     import_,
     export,

@@ -5,6 +5,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from turtlelog.show.documents import describe_run, describe_runs
+    from turtlelog.show.figures import (
+        FIGURES,
+        Page,
+        draw_figure,
+        write_figures,
+        write_tables,
+    )
     from turtlelog.show.scene_comparison import write_comparison_rrd
     from turtlelog.show.scene_run import write_run_rrd
     from turtlelog.show.snapshot import ShownView, ViewReport, write_snapshot
@@ -12,19 +19,29 @@ if TYPE_CHECKING:
     from turtlelog.show.viewer import open_viewer
 
 __all__ = [
+    "FIGURES",
     "TABLE_FORMATS",
+    "Page",
     "ShownView",
     "ViewReport",
     "describe_run",
     "describe_runs",
+    "draw_figure",
     "format_table",
     "open_viewer",
     "write_comparison_rrd",
+    "write_figures",
     "write_run_rrd",
     "write_snapshot",
+    "write_tables",
 ]
 
 _MODULES: Final = {
+    "FIGURES": "figures",
+    "Page": "figures",
+    "draw_figure": "figures",
+    "write_figures": "figures",
+    "write_tables": "figures",
     "TABLE_FORMATS": "tables",
     "ShownView": "snapshot",
     "ViewReport": "snapshot",

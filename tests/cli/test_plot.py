@@ -1,0 +1,71 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from turtlelog.cli.app import main
+
+RECORDING = Path(__file__).parents[2] / "recordings" / "paper" / "kp4.mcap"
+
+
+def run_plot(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main(["plot", *words])
+    printed = capsys.readouterr()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code, printed.out, printed.err
+
+
+def test_plot_writes_what_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [str(RECORDING), "-o", str(tmp_path), "--only", "heading,plane", "--format", "svg"]
+    code, out, err = run_plot(capsys, *words)
+    assert (code, err) == (0, "")
+    assert out == f"wrote {tmp_path / 'heading.svg'}\nwrote {tmp_path / 'plane.svg'}\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["heading.svg", "plane.svg"]
+
+
+def test_json_names_files_titles_and_the_paper_s_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["-o", str(tmp_path), "--only", "plant", "--format", "pdf", "--json"]
+    answer = json.loads(run_plot(capsys, *words)[1])
+    (figure,) = answer["figures"]
+    assert figure == {
+        "file": str(tmp_path / "plant.pdf"),
+        "figure": "plant",
+        "title": "Impulse, step and ramp response of the plant 1/s",
+        "paper": "2",
+    }
+    assert (answer["files"], answer["tables"]) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (["--only", "headng"], "figure 'headng': expected one of heading"),
+        (["--only", "heading"], "figure heading: expected a recording, found none"),
+        (["--only", "plant,"], "--only: expected names with commas between, found 'plant,'"),
+        (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),
+        (["--format", ""], "--format: expected names"),
+        (["--columns", "3"], "--columns"),
+        (["--text-width", "nan"], "text width: expected 40 to 1000 mm, found nan"),
+        (["none.mcap"], "none.mcap"),
+    ],
+)
+def test_bad_words_are_one_line(
+    words: list[str], match: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run_plot(capsys, "-o", str(tmp_path / "new"), *words)
+    assert (code, out) == (2, "")
+    assert match in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_file_in_place_of_the_folder_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    code, _, err = run_plot(capsys, "-o", str(tmp_path / "file"))
+    assert code == 2
+    assert "file: expected a folder to write to, found a file" in err

@@ -1,0 +1,83 @@
+"""`turtlelog plot`: figures and tables for print."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import Json, TopicOptions, read_runs
+from turtlelog.cli.output import print_json, print_text
+from turtlelog.errors import UsageError
+
+
+def plot(  # noqa: PLR0913 (each is an option of the command)
+    files: Annotated[list[Path] | None, Parameter(name="FILE", negative="")] = None,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    only: str | None = None,
+    formats: Annotated[str, Parameter(name="--format")] = "pdf,png,svg",
+    columns: Literal[1, 2] = 1,
+    text_width: float = 181.0,
+    topics: TopicOptions | None = None,
+    json: Json = False,
+) -> None:
+    """Make the paper's figures from any recordings, as PDF, PNG and SVG, and tables as LaTeX.
+
+    Without recordings: the figures of the ideal loop. Figures and tables that are there already
+    are replaced.
+
+    Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane --format pdf
+
+    Args:
+        files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv); one is drawn in
+            detail, several over each other.
+        output: Write into this folder.
+        only: Figures by name, with commas: plant, step-responses, root-locus, heading, position,
+            heading-error, position-error, turn-rate, speed, wanted-speed, world-velocity,
+            error-log, plane, panel. Otherwise all that the recordings hold the data for.
+        formats: Some of pdf, png, svg, with commas.
+        columns: How many of two columns a figure spans; side-by-side panels always span both.
+        text_width: Width of the page's text [mm].
+        json: Print one JSON object instead of lines.
+    """
+    if output.exists() and not output.is_dir():
+        raise UsageError(f"{output}: expected a folder to write to, found a file")
+    page = tl.Page(text_width_mm=text_width, columns=columns)
+    runs = read_runs(files, topics) if files else []
+    figures = tl.write_figures(
+        runs,
+        output,
+        only=None if only is None else _split(only, "--only"),
+        formats=_split(formats, "--format"),
+        page=page,
+    )
+    tables = tl.write_tables(runs, output) if runs and only is None else []
+    if json:
+        print_json(_describe(files or [], figures, tables))
+    else:
+        print_text("\n".join(f"wrote {path}" for path in [*figures, *tables]))
+
+
+def _split(text: str, option: str) -> list[str]:
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise UsageError(f"{option}: expected names with commas between, found {text!r}")
+    return names
+
+
+def _describe(files: list[Path], figures: list[Path], tables: list[Path]) -> dict[str, Any]:
+    return {
+        "files": [str(path) for path in files],
+        "figures": [
+            {
+                "file": str(path),
+                "figure": path.stem,
+                "title": tl.FIGURES[path.stem].title,
+                "paper": tl.FIGURES[path.stem].paper or None,
+            }
+            for path in figures
+        ],
+        "tables": [str(path) for path in tables],
+    }

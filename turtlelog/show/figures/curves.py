@@ -1,0 +1,125 @@
+"""Curves of runs as figures draw them: in seconds from the first sample, in degrees, thinned."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from turtlelog.measure import read_signal
+from turtlelog.run import Phase, Run
+from turtlelog.show.thinning import choose_rows
+from turtlelog.theory import compute_step_response
+
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Curve:
+    """One line of a figure.
+
+    Attributes:
+        time_s: From the first sample of its run [s], shape (n,).
+        values: In the unit of its axis, shape (n,).
+        holds: Whether a value lasts until the next.
+    """
+
+    time_s: Values
+    values: Values
+    holds: bool = False
+
+
+def read_curve(run: Run, signal_name: str) -> Curve | None:
+    """Return a signal with headings in degrees, None where the run does not hold it."""
+    signal = read_signal(run, signal_name)
+    if signal is None or not len(signal.values):
+        return None
+    is_angle = signal.kind.unit == "rad"
+    return Curve(
+        time_s=(signal.time_ns - run.start_ns) / 1e9,
+        values=np.degrees(signal.values) if is_angle else signal.values,
+        holds=signal.kind.resampling == "hold",
+    )
+
+
+def read_applied(run: Run, command: str) -> Curve | None:
+    """Return what the plant applied of `speed` or `turn_rate`, None where not recorded."""
+    poses = run.poses
+    values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
+    if values is None:
+        return None
+    return Curve(time_s=(poses.time_ns - run.start_ns) / 1e9, values=values, holds=True)
+
+
+def read_world_velocity(run: Run, axis: int) -> Curve | None:
+    """Return a component of gain times error before projection, None without samples."""
+    if not len(run.samples):
+        return None
+    time_s = (run.samples.time_ns - run.start_ns) / 1e9
+    return Curve(time_s=time_s, values=run.samples.world_velocity_m_s[:, axis], holds=True)
+
+
+def compute_ideal(run: Run, signal_name: str) -> Curve | None:
+    """Return what the ideal loop of the same gain would do of `heading`, `x`, `y` or a track.
+
+    It starts where and when the phase that drives the signal starts. None where the phase, the
+    gain or the goal is not known.
+    """
+    phase = Phase.ROTATE if signal_name == "heading" else Phase.TRANSLATE
+    gain = run.parameters.get("law.kp_angular" if phase is Phase.ROTATE else "law.kp_linear")
+    measured, spans = read_curve(run, signal_name), run.find_phase_spans()
+    starts_ns = [span.start_ns for span in spans if span.phase is phase]
+    target = _find_target(run, signal_name)
+    if measured is None or target is None or not starts_ns:
+        return None
+    if not isinstance(gain, int | float) or not 0.0 < gain < np.inf:
+        return None
+    start_s = (starts_ns[0] - run.start_ns) / 1e9
+    after = measured.time_s >= start_s
+    if not after.any():
+        return None
+    time_s, initial = measured.time_s[after], float(measured.values[after][0])
+    values = compute_step_response(gain, time_s - start_s, initial=initial, reference=target)
+    return Curve(time_s=time_s, values=values)
+
+
+def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
+    """Draw a curve, as stairs where it holds; a note says where points were left out."""
+    rows = choose_rows(curve.values)
+    time_s, values = curve.time_s, curve.values
+    if rows is not None:
+        time_s, values = time_s[rows], values[rows]
+        _note_thinning(axes, len(curve.values), len(rows))
+    axes.plot(time_s, values, drawstyle="steps-post" if curve.holds else "default", **looks)
+
+
+def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
+    """Draw level lines under one name."""
+    for index, level in enumerate(levels):
+        shown = dict(looks)
+        if index:
+            shown.pop("label", None)
+        axes.axhline(level, zorder=1.5, **shown)
+
+
+def _find_target(run: Run, signal_name: str) -> float | None:
+    if signal_name == "heading":
+        bearings = run.samples.bearing_rad[:1]
+        return float(np.degrees(bearings[0])) if len(bearings) else None
+    if run.goal_xy_m is None:
+        return None
+    return run.goal_xy_m["xy".index(signal_name)]
+
+
+def _note_thinning(axes: Axes, rows: int, kept: int) -> None:
+    if not axes.texts:
+        axes.text(
+            0.01,
+            0.01,
+            f"{kept:,} of {rows:,} points drawn, extremes kept",
+            transform=axes.transAxes,
+            fontsize=5.0,
+            color="0.4",
+        )

@@ -1,0 +1,126 @@
+"""Figures as files."""
+
+from collections.abc import Collection, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Final
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+from turtlelog.compare import tabulate_metrics, tabulate_table1, tabulate_whole_runs
+from turtlelog.errors import ShowError
+from turtlelog.run import Run
+from turtlelog.show.figures.catalogue import FIGURES, FigureKind
+from turtlelog.show.figures.page import LOOKS, Page
+from turtlelog.show.files import replace_file
+from turtlelog.show.tables import format_table
+
+FIGURE_FORMATS: Final = ("pdf", "png", "svg")
+
+_DPI: Final = 300
+_WIDE: Final = frozenset({"plant", "plane", "panel"})
+_NO_DATE: Final = {
+    "pdf": {"CreationDate": None, "ModDate": None},
+    "svg": {"Date": None},
+    "png": {"Software": None},
+}
+"""Without these the same runs give the same bytes."""
+
+
+def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None) -> Figure:
+    """Return one figure, drawn; several panels side by side take the whole text width.
+
+    Raises:
+        ShowError: Where there is no such figure, or the runs do not hold what it needs.
+    """
+    kind, page = _find_kind(name, runs), page or Page()
+    if name in _WIDE:
+        page = Page(text_width_mm=page.text_width_mm, columns=2)
+    with mpl.rc_context(dict(LOOKS)):
+        size = (page.width_inch, page.width_inch * kind.height)
+        figure = Figure(figsize=size, layout="constrained")
+        kind.draw(figure, runs)
+    return figure
+
+
+def write_figures(
+    runs: Sequence[Run],
+    folder: str | Path,
+    *,
+    only: Collection[str] | None = None,
+    formats: Collection[str] = FIGURE_FORMATS,
+    page: Page | None = None,
+) -> list[Path]:
+    """Write figures as `<folder>/<name>.<format>` and return the files.
+
+    Args:
+        runs: What to draw; one in detail, several over each other. Theory needs none.
+        folder: Made where it is not there.
+        only: Names of `FIGURES`; otherwise all that the runs hold the data for.
+        formats: Some of `FIGURE_FORMATS`.
+        page: Where they will stand.
+
+    Raises:
+        ShowError: Where a name or format is unknown, the runs lack what a named figure needs, or
+            the folder cannot be written.
+    """
+    unknown = [form for form in formats if form not in FIGURE_FORMATS]
+    if unknown or not formats:
+        found = repr(unknown[0]) if unknown else "none"
+        raise ShowError(f"format: expected some of {', '.join(FIGURE_FORMATS)}, found {found}")
+    names = [name for name, kind in FIGURES.items() if not kind.find_lack(runs)]
+    for name in only or ():
+        _find_kind(name, runs)
+    folder = _make_folder(folder)
+    written = []
+    for name in names if only is None else dict.fromkeys(only):
+        figure = draw_figure(name, runs, page=page)
+        for form in formats:
+            path = folder / f"{name}.{form}"
+            with replace_file(path) as part, mpl.rc_context(dict(LOOKS)):
+                figure.savefig(part, format=form, dpi=_DPI, metadata=_NO_DATE[form])
+            written.append(path)
+    return written
+
+
+def _find_kind(name: str, runs: Sequence[Run]) -> FigureKind:
+    if name not in FIGURES:
+        near = get_close_matches(name, FIGURES, n=3) or list(FIGURES)
+        raise ShowError(f"figure {name!r}: expected one of {', '.join(near)}")
+    lack = FIGURES[name].find_lack(runs)
+    if lack:
+        raise ShowError(f"figure {name}: expected {lack}, found none")
+    return FIGURES[name]
+
+
+def _make_folder(folder: str | Path) -> Path:
+    folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as err:
+        raise ShowError(
+            f"{folder}: expected a folder to write to, found: {err.strerror or err}"
+        ) from err
+    return folder
+
+
+def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
+    """Write Table 1, the whole runs and all metrics as LaTeX with booktabs; return the files.
+
+    Raises:
+        ShowError: Where the folder cannot be written.
+    """
+    tables = {
+        "table1": tabulate_table1(runs),
+        "whole-runs": tabulate_whole_runs(runs),
+        "metrics": tabulate_metrics(runs),
+    }
+    folder = _make_folder(folder)
+    written = []
+    for name, table in tables.items():
+        path = folder / f"{name}.tex"
+        with replace_file(path) as part:
+            part.write_text(format_table(table, "tex"), "utf-8")
+        written.append(path)
+    return written

@@ -1,0 +1,73 @@
+"""What the theory can be asked about: gains, periods, dead times and levels in one sane range."""
+
+from numbers import Integral, Real
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from turtlelog.errors import TheoryError
+
+SMALLEST: Final = 1e-100
+LARGEST: Final = 1e100
+MAX_DEAD_TIME_TICKS: Final = 1000
+MAX_COUNT: Final = 100_000_000
+
+
+def require_gain(kp: Any) -> float:
+    """Return a gain [1/s] as float; refuse what is not a positive number."""
+    return _require_positive("kp", "a gain > 0", kp)
+
+
+def require_period(period_s: Any) -> float:
+    """Return a sampling period [s] as float; refuse what is not a positive number."""
+    return _require_positive("period_s", "a sampling period > 0", period_s)
+
+
+def require_dead_time(ticks: Any) -> int:
+    """Return a dead time [ticks]; refuse what is not a whole number from 0 to 1000."""
+    return _require_whole("dead_time_ticks", ticks, 0, MAX_DEAD_TIME_TICKS)
+
+
+def require_count(count: Any) -> int:
+    """Return a number of samples; refuse what is not a whole number from 1 to 1e8."""
+    return _require_whole("count", count, 1, MAX_COUNT)
+
+
+def require_level(name: str, value: Any) -> float:
+    """Return a level of a signal as float; refuse what is not a number within +-1e100."""
+    if not _is_real(value) or not abs(value) <= LARGEST:
+        raise TheoryError(f"{name}: expected a number, found {value!r}")
+    return float(value)
+
+
+def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
+    """Return times [s] as an array; refuse what is not finite."""
+    try:
+        times = np.asarray(time_s, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as err:
+        raise TheoryError(f"time_s: expected an array of times, found {err}") from err
+    if not np.isfinite(times).all():
+        raise TheoryError("time_s: expected finite times, found nan or inf")
+    return times
+
+
+def _require_positive(name: str, expected: str, value: Any) -> float:
+    if not _is_real(value) or not value > 0.0:
+        raise TheoryError(f"{name}: expected {expected}, found {value!r}")
+    if not SMALLEST <= value <= LARGEST:
+        raise TheoryError(f"{name}: expected {SMALLEST:g} to {LARGEST:g}, found {value!r}")
+    return float(value)
+
+
+def _require_whole(name: str, value: Any, lowest: int, highest: int) -> int:
+    is_whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if not is_whole or not lowest <= value <= highest:
+        raise TheoryError(
+            f"{name}: expected a whole number from {lowest} to {highest}, found {value!r}"
+        )
+    return int(value)
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
