@@ -80,8 +80,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         code = _fail("interrupted", EXIT_INTERRUPTED)
     except OSError as err:
-        _drop_stdout()
-        code = _fail(f"standard output: expected room to write, found: {err}", EXIT_BAD_INPUT)
+        code = _fail(_describe_os_error(err), EXIT_BAD_INPUT)
     except Exception:
         traceback.print_exc()
         code = _fail("this is a defect of turtlelog; please report it", EXIT_DEFECT)
@@ -126,6 +125,13 @@ def _prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+
+
+def _describe_os_error(err: OSError) -> str:
+    if err.filename is not None:
+        return f"{err.filename}: expected a file that can be used, found: {err.strerror}"
+    _drop_stdout()
+    return f"standard output: expected room to write, found: {err}"
 
 
 def _drop_stdout() -> None:

@@ -85,7 +85,11 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         **recording.notes,
     }
     width = max(map(len, facts))
-    lines = [str(path), *(f"  {key:<{width}}  {value}" for key, value in facts.items())]
+    shown = ((key, value.replace("\n", r"\n")) for key, value in facts.items())
+    lines = [
+        str(path).replace("\n", r"\n"),
+        *(f"  {key:<{width}}  {value}" for key, value in shown),
+    ]
     topics = tl.Table(
         title="topics",
         columns=tuple(tl.Column(title=title) for title in ("topic", "type", "messages")),

@@ -3,25 +3,31 @@
 import json
 import math
 import os
+import re
 import shutil
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from turtlelog import Metric
 
+_CONTROLS: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
 
 def print_text(text: str) -> None:
     """Print a result."""
-    sys.stdout.write(text.rstrip("\n") + "\n")
+    sys.stdout.write(_escape_controls(text.rstrip("\n")) + "\n")
 
 
 def print_note(text: str) -> None:
-    """Print progress or a note."""
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
+    """Print a note."""
+    # Where nobody can be told, the result and the exit code still tell.
+    with suppress(OSError):
+        sys.stderr.write(_escape_controls(text) + "\n")
+        sys.stderr.flush()
 
 
 def print_error(text: str) -> None:
@@ -58,6 +64,11 @@ def find_command_name() -> str:
     if python.is_relative_to(Path.cwd()):
         python = python.relative_to(Path.cwd())
     return f"{python} -m turtlelog"
+
+
+def _escape_controls(text: str) -> str:
+    """Return text in which names of files and runs cannot steer the terminal."""
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def _make_finite(value: Any) -> Any:
