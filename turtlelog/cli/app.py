@@ -44,6 +44,7 @@ app = App(
     ),
     version=f"turtlelog {__version__}",
     help_format="plaintext",
+    suppress_keyboard_interrupt=False,
 )
 for command in (
     demo,

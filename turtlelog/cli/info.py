@@ -1,6 +1,7 @@
 """`turtlelog info`: what a recording holds."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -44,11 +45,17 @@ def _read(files: Sequence[Path]) -> "tuple[list[tuple[Path, RecordingInfo]], lis
     errors: list[TurtlelogError] = []
     for path in iterate_files(files):
         try:
-            read = tl.read_bag_info if path.is_dir() else tl.read_info
-            found.append((path, read(path)))
+            found.append((path, (tl.read_bag_info if _is_folder(path) else tl.read_info)(path)))
         except TurtlelogError as err:
             errors.append(err)
     return found, errors
+
+
+def _is_folder(path: Path) -> bool:
+    """Return whether it is one; reading tells what is wrong with a name that cannot be asked."""
+    with suppress(OSError):
+        return path.is_dir()
+    return False
 
 
 def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:
