@@ -55,7 +55,7 @@ def attach(monkeypatch: pytest.MonkeyPatch) -> Attach:
 
 
 def work(seconds: float) -> None:
-    with show_progress("files", 4) as progress:
+    with show_progress("reading", 4, "files") as progress:
         progress.done = 3
         time.sleep(seconds)
 
@@ -65,7 +65,7 @@ def test_a_bar_shows_up_after_a_second_and_is_gone_at_the_end(attach: Attach) ->
     terminal = attach()
     work(1.4)
     shown = terminal.read()
-    assert "files 3/4" in shown
+    assert "reading 3/4 files" in shown
     assert shown.endswith("\x1b[2K")  # the line is erased
     assert shown.rindex("\x1b[?25h") > shown.rindex("\x1b[?25l")  # the cursor is back
 
@@ -106,7 +106,7 @@ def test_an_error_stands_on_a_line_of_its_own(
     answer = call("metrics", kp4, kp4, "missing.mcap")
     shown = terminal.read()
     assert (answer.code, answer.out) == (2, "")
-    assert "files 1/3" in shown
+    assert "reading 1/3 files" in shown
     assert "\x1b[2Kturtlelog: error: missing.mcap: expected" in shown
 
 

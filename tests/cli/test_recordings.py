@@ -169,3 +169,23 @@ def test_bad_input_is_one_line(
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err
     assert answer.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("columns", [80, 100])
+@pytest.mark.parametrize("command", ["metrics", "compare", "info"])
+def test_tables_fit_the_terminal(
+    call: Call,
+    kp4: Path,
+    kp10: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    columns: int,
+) -> None:
+    wide = call(command, kp4, kp10, kp4, kp10).out
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    answer = call(command, kp4, kp10, kp4, kp10)
+    tables = [line for line in answer.out.splitlines() if not line.startswith("/")]
+    assert max(map(len, tables)) <= columns
+    assert command == "info" or max(map(len, wide.splitlines())) > 80
+    assert "paper-kp4" in answer.out

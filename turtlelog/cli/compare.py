@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.output import format_table, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -59,7 +59,7 @@ def _format(runs: "Sequence[Run]", comparisons: "Sequence[Comparison]") -> str:
         tl.tabulate_whole_runs(runs),
         tl.tabulate_differences(comparisons, names=names, reference=reference),
     ]
-    return "\n".join(map(tl.format_table, tables))
+    return "\n".join(map(format_table, tables))
 
 
 def _describe(paths: Sequence[Path], comparisons: "Sequence[Comparison]") -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, iterate_files, require_files
-from turtlelog.cli.output import print_error, print_json, print_text
+from turtlelog.cli.output import format_table, print_error, print_json, print_text
 from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         columns=tuple(tl.Column(title=title) for title in ("topic", "type", "messages")),
         rows=tuple((topic.topic, topic.type, topic.count) for topic in recording.topics),
     )
-    lines += ["", _indent(tl.format_table(topics))]
+    lines += ["", _indent(format_table(topics, indent=2))]
     if recording.parameters:
         known = "scenario" if recording.scenario else "known of the scenario"
         lines += ["", f"  {known}"]

@@ -2,7 +2,7 @@
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, TopicOptions, iterate_runs
-from turtlelog.cli.output import describe_metrics, print_json, print_text
+from turtlelog.cli.output import describe_metrics, format_table, print_json, print_text
 
 
 def metrics(files: Files, /, *, topics: TopicOptions | None = None, json: Json = False) -> None:
@@ -27,4 +27,4 @@ def metrics(files: Files, /, *, topics: TopicOptions | None = None, json: Json =
             ]
         )
         return
-    print_text(tl.format_table(tl.tabulate_metrics(list(runs))))
+    print_text(format_table(tl.tabulate_metrics(list(runs))))

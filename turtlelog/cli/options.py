@@ -82,7 +82,9 @@ def iterate_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "
 
 def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
     """Yield files and show how many of them are done."""
-    with show_progress("files", len(paths)) as progress:
+    # Of one file alone there is no share to tell.
+    total = len(paths) if len(paths) > 1 else None
+    with show_progress("reading", total, "files") as progress:
         for number, path in enumerate(paths, start=1):
             yield path
             progress.done = number

@@ -11,8 +11,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import turtlelog as tl
+
 if TYPE_CHECKING:
-    from turtlelog import Metric
+    from turtlelog import Metric, Table
 
 _CONTROLS: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
@@ -20,6 +22,12 @@ _CONTROLS: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 def print_text(text: str) -> None:
     """Print a result."""
     sys.stdout.write(_escape_controls(text.rstrip("\n")) + "\n")
+
+
+def format_table(table: "Table", *, indent: int = 0) -> str:
+    """Return a table that fits the terminal; as wide as it needs where a file or program reads."""
+    room = shutil.get_terminal_size().columns - indent if sys.stdout.isatty() else None
+    return tl.format_table(table, width=room)
 
 
 def print_note(text: str) -> None:

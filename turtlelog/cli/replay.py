@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import format_table, print_json, print_text
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def _format(run: "Run", found: "PlantReplay") -> str:
         ),
         notes=tuple(notes),
     )
-    return "\n".join([tl.format_table(stretches), *_list_breaks(run, found)])
+    return "\n".join([format_table(stretches), *_list_breaks(run, found)])
 
 
 def _list_breaks(run: "Run", found: "PlantReplay") -> list[str]:

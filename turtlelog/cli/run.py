@@ -11,6 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.options import Json, Output, ScenarioOptions, load_changed_scenario
 from turtlelog.cli.output import (
     describe_metrics,
+    format_table,
     print_json,
     print_note,
     print_text,
@@ -77,7 +78,7 @@ def run(
         )
         return code
     print_text(f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n")
-    print_text(tl.format_table(tl.tabulate_metrics([result])))
+    print_text(format_table(tl.tabulate_metrics([result])))
     return code
 
 
