@@ -1,14 +1,9 @@
 import os
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.cli.conftest import Call
-
-needs_permissions = pytest.mark.skipif(
-    sys.platform == "win32" or os.geteuid() == 0, reason="who may do all is refused nothing"
-)
 
 
 @pytest.fixture
@@ -69,12 +64,14 @@ def test_a_bad_target_is_refused_before_anything_is_done(
     assert sorted(map(str, folder.rglob("*"))) == before
 
 
-@needs_permissions
 @pytest.mark.parametrize("mode", ["folder", "file"])
 def test_what_is_write_protected_stays(call: Call, folder: Path, mode: str) -> None:
     target = folder / "full" / "mine.mcap"
     target.write_bytes(b"mine")
-    (target if mode == "file" else target.parent).chmod(0o555)
+    protected = target if mode == "file" else target.parent
+    protected.chmod(0o555)
+    if os.access(protected, os.W_OK):
+        pytest.skip("who may do all is refused nothing")
     answer = call("recover", "run.mcap", "-o", target)
     target.parent.chmod(0o755)
     assert answer.code == 2
