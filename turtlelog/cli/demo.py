@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.output import find_command_name, print_note, print_text
+from turtlelog.cli.output import find_command_name, format_table, print_note, print_text
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def demo(*, output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("
         with replace_when_complete(output / f"table1.{kind}") as path:
             path.write_text(tl.format_table(table1, kind), encoding="utf-8")
     print_note(f"wrote {output / 'table1'}.{{{','.join(tl.TABLE_FORMATS)}}}\n")
-    tables = [tl.format_table(table) for table in (table1, tl.tabulate_whole_runs(runs))]
+    tables = [format_table(table) for table in (table1, tl.tabulate_whole_runs(runs))]
     print_text("\n".join([*tables, _tell_next(output)]))
 
 

@@ -1,18 +1,26 @@
 """`turtlelog info`: what a recording holds."""
 
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, require_files
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.options import Files, Json, iterate_files, require_files
+from turtlelog.cli.output import format_table, print_error, print_json, print_text
+from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
     from turtlelog import RecordingInfo
 
+EXIT_FINE: Final = 0
+EXIT_BAD_INPUT: Final = 2
 
-def info(files: Files, /, *, json: Json = False) -> None:
+
+def info(files: Files, /, *, json: Json = False) -> int:
     """Say what recordings hold: source, length, topics, scenario, and what is absent.
+
+    A file that cannot be read is told on stderr; the others are described, and the exit code is 2.
 
     Example: turtlelog info kp1.mcap
 
@@ -21,13 +29,33 @@ def info(files: Files, /, *, json: Json = False) -> None:
         json: Print one JSON list instead of text.
     """
     require_files(files)
-    found = [
-        (path, tl.read_bag_info(path) if path.is_dir() else tl.read_info(path)) for path in files
-    ]
+    found, errors = _read(files)
+    for err in errors:
+        print_error(str(err))
     if json:
         print_json([_describe(path, recording) for path, recording in found])
-    else:
+    elif found:
         print_text("\n\n".join(_format(path, recording) for path, recording in found))
+    return EXIT_BAD_INPUT if errors else EXIT_FINE
+
+
+def _read(files: Sequence[Path]) -> "tuple[list[tuple[Path, RecordingInfo]], list[TurtlelogError]]":
+    """Return what is found and what is wrong."""
+    found: list[tuple[Path, RecordingInfo]] = []
+    errors: list[TurtlelogError] = []
+    for path in iterate_files(files):
+        try:
+            found.append((path, (tl.read_bag_info if _is_folder(path) else tl.read_info)(path)))
+        except TurtlelogError as err:
+            errors.append(err)
+    return found, errors
+
+
+def _is_folder(path: Path) -> bool:
+    """Return whether it is one; reading tells what is wrong with a name that cannot be asked."""
+    with suppress(OSError):
+        return path.is_dir()
+    return False
 
 
 def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:
@@ -64,13 +92,17 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         **recording.notes,
     }
     width = max(map(len, facts))
-    lines = [str(path), *(f"  {key:<{width}}  {value}" for key, value in facts.items())]
+    shown = ((key, value.replace("\n", r"\n")) for key, value in facts.items())
+    lines = [
+        str(path).replace("\n", r"\n"),
+        *(f"  {key:<{width}}  {value}" for key, value in shown),
+    ]
     topics = tl.Table(
         title="topics",
         columns=tuple(tl.Column(title=title) for title in ("topic", "type", "messages")),
         rows=tuple((topic.topic, topic.type, topic.count) for topic in recording.topics),
     )
-    lines += ["", _indent(tl.format_table(topics))]
+    lines += ["", _indent(format_table(topics, indent=2))]
     if recording.parameters:
         known = "scenario" if recording.scenario else "known of the scenario"
         lines += ["", f"  {known}"]

@@ -3,27 +3,44 @@
 import json
 import math
 import os
+import re
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from turtlelog.errors import UsageError
+import turtlelog as tl
 
 if TYPE_CHECKING:
-    from turtlelog import Metric
+    from turtlelog import Metric, Table
+
+_CONTROLS: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 def print_text(text: str) -> None:
     """Print a result."""
-    sys.stdout.write(text.rstrip("\n") + "\n")
+    sys.stdout.write(_escape_controls(text.rstrip("\n")) + "\n")
+
+
+def format_table(table: "Table", *, indent: int = 0) -> str:
+    """Return a table that fits the terminal; as wide as it needs where a file or program reads."""
+    room = shutil.get_terminal_size().columns - indent if sys.stdout.isatty() else None
+    return tl.format_table(table, width=room)
 
 
 def print_note(text: str) -> None:
-    """Print progress or a note."""
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
+    """Print a note."""
+    # Where nobody can be told, the result and the exit code still tell.
+    with suppress(OSError):
+        sys.stderr.write(_escape_controls(text) + "\n")
+        sys.stderr.flush()
+
+
+def print_error(text: str) -> None:
+    """Print an error in one line."""
+    print_note(f"turtlelog: error: {' '.join(text.split())}")
 
 
 def print_json(value: Any) -> None:
@@ -45,19 +62,6 @@ def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
     ]
 
 
-def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
-    """Refuse an output that is one of the inputs, or whose name says that it is something else."""
-    if target is None:
-        return
-    if target.suffix.lower() != suffix:
-        raise UsageError(f"{target}: expected a name that ends in {suffix}, found another")
-    if not target.absolute().parent.is_dir():
-        raise UsageError(f"{target}: expected a place that can be written, found no such folder")
-    for path in inputs:
-        if target.exists() and path.exists() and target.samefile(path):
-            raise UsageError(f"{target}: expected another file to write to, found the input itself")
-
-
 def find_command_name() -> str:
     """Return how a user calls turtlelog again from here."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:
@@ -68,6 +72,11 @@ def find_command_name() -> str:
     if python.is_relative_to(Path.cwd()):
         python = python.relative_to(Path.cwd())
     return f"{python} -m turtlelog"
+
+
+def _escape_controls(text: str) -> str:
+    """Return text in which names of files and runs cannot steer the terminal."""
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def _make_finite(value: Any) -> Any:

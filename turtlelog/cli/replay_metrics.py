@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.cli.output import format_table
 
 if TYPE_CHECKING:
     from turtlelog import Metric, Run
@@ -34,7 +35,7 @@ def describe_changes(recorded: "Run", replayed: "Run") -> list[dict[str, Any]]:
 def format_changes(recorded: "Run", replayed: "Run") -> str:
     """Return the essential metrics of both, and the difference."""
     was, now = tl.measure_run(recorded), tl.measure_run(replayed)
-    return tl.format_table(
+    return format_table(
         tl.Table(
             title=f"{recorded.name}, and what became of it: {replayed.name}",
             columns=tuple(

@@ -5,6 +5,7 @@ from math import degrees
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
+from turtlelog.cli.output import format_table
 from turtlelog.cli.replay_signals import describe_difference, describe_pose_error
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
         ),
         notes=tuple(notes),
     )
-    return "\n".join([tl.format_table(stretches), *_list_breaks(run, found)])
+    return "\n".join([format_table(stretches), *_list_breaks(run, found)])
 
 
 def _list_breaks(run: "Run", found: "PlantReplay") -> list[str]:

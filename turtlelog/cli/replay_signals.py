@@ -5,6 +5,7 @@ from math import degrees
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.cli.output import format_table
 
 if TYPE_CHECKING:
     from turtlelog import LawReplay, LoopReplay, Run, Table
@@ -83,7 +84,7 @@ def format_law(run: "Run", found: "LawReplay") -> str:
     notes = _describe_rest(found.signals, found.absent)
     if found.missing_samples:
         notes += (f"{found.missing_samples} samples are lost: the law did not see their poses.",)
-    lines = [tl.format_table(_tabulate(run, found.signals, title, notes))]
+    lines = [format_table(_tabulate(run, found.signals, title, notes))]
     if found.first_difference is None:
         sentence = "On the recorded poses the law commands what was recorded"
         return "\n".join([*lines, f"{sentence}{_describe_slack(found.signals)}."])
@@ -103,7 +104,7 @@ def format_loop(run: "Run", found: "LoopReplay") -> str:
     rows = "tick by tick" if found.by_tick else "sample by sample"
     title = f"{found.run.name} simulated again, against {run.name}, {rows}"
     lines = [
-        tl.format_table(
+        format_table(
             _tabulate(run, found.signals, title, _describe_rest(found.signals, found.absent))
         ),
         _format_counts(run, found),

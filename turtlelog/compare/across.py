@@ -104,7 +104,7 @@ def tabulate_differences(
     found = [{signal.signal: signal for signal in run.signals} for run in comparisons]
     columns = [Column(title="signal"), Column(title="unit")]
     for name in names:
-        columns += [Column(title=name), Column(title="at", unit="s", digits=2)]
+        columns += [Column(title=name), Column(title="at", unit="s", digits=2, joined=True)]
     rows = []
     for name, kind in SIGNALS.items():
         cells: list[Cell] = []

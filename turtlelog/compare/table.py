@@ -13,11 +13,13 @@ class Column:
         title: Head of the column.
         unit: Of its figures, empty where they have none.
         digits: Decimals of its figures; None: five significant digits.
+        joined: Whether it makes sense only beside the column before it.
     """
 
     title: str
     unit: str = ""
     digits: int | None = None
+    joined: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

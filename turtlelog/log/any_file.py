@@ -32,7 +32,9 @@ def read_run(
         LogError: One line with the file and the place.
     """
     path = Path(path)
-    if not path.is_dir():
+    with name_file(path, expected="a recording, a bag or a log"):
+        is_folder = path.is_dir()
+    if not is_folder:
         start = _read_start(path)
         if start.startswith(_SQLITE_MAGIC):
             raise LogError(

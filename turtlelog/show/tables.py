@@ -2,45 +2,13 @@
 
 import csv
 import io
-import textwrap
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
 from turtlelog.compare import Column, Table, format_cell
 from turtlelog.errors import ShowError
-
-_WIDTH: Final = 96
-
-
-def format_text(table: Table) -> str:
-    """Return a table for a terminal: aligned columns, units in the second line, notes below."""
-    heads = [
-        [column.title for column in table.columns],
-        [f"[{column.unit}]" if column.unit else "" for column in table.columns],
-    ]
-    rows = _format_rows(table)
-    widths = [max(map(len, cells)) for cells in zip(*heads, *rows, strict=True)]
-    numeric = [_is_numeric(table, index) for index in range(len(widths))]
-
-    def join(cells: list[str]) -> str:
-        placed = zip(cells, widths, numeric, strict=True)
-        padded = [
-            f"{cell:>{width}}" if right else f"{cell:<{width}}" for cell, width, right in placed
-        ]
-        return "  ".join(padded).rstrip()
-
-    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    lines = [table.title, "", *map(join, filter(any, heads)), rule, *map(join, rows)]
-    notes = [
-        "",
-        *(
-            line
-            for note in table.notes
-            for line in textwrap.wrap(note, _WIDTH, break_on_hyphens=False)
-        ),
-    ]
-    return "\n".join(lines + (notes if table.notes else [])) + "\n"
+from turtlelog.show.text_tables import format_text
 
 
 def format_markdown(table: Table) -> str:
@@ -95,15 +63,21 @@ TABLE_FORMATS: Final = tuple(_FORMATS)
 """The formats of tables, named as the suffixes of their files."""
 
 
-def format_table(table: Table, kind: str = "txt") -> str:
+def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -> str:
     """Return a table as `txt`, `md` (Markdown), `csv` or `tex` (LaTeX).
+
+    Args:
+        table: What to format.
+        kind: The format.
+        width: Room for `txt` [characters]: names are broken into lines, and columns put below each
+            other in blocks, where it is too wide; None: as wide as it needs.
 
     Raises:
         ShowError: Where there is no such format.
     """
     if kind not in _FORMATS:
         raise ShowError(f"format: expected one of {', '.join(_FORMATS)}, found {kind!r}")
-    return _FORMATS[kind](table)
+    return format_text(table, width) if kind == "txt" else _FORMATS[kind](table)
 
 
 def _format_rows(table: Table) -> list[list[str]]:

@@ -1,3 +1,4 @@
+import re
 from contextlib import suppress
 from io import StringIO
 from typing import Any
@@ -68,3 +69,64 @@ def test_any_text_is_read_or_refused(lines: list[str]) -> None:
     with suppress(LogError):
         found = parse_bag_metadata(f"{text}\n  relative_file_paths:\n  - a.mcap\n")
         assert found.files[-1] == "a.mcap"
+
+
+PLAIN = """\
+rosbag2_bagfile_information:
+  version: 5
+  storage_identifier: mcap
+  duration:
+    nanoseconds: 32000000
+  relative_file_paths:
+    - a.mcap
+  compression_mode: ""
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("mcap\n", "mcap  # a comment\n"),
+        ("rosbag2_bagfile_information:", "# first\nrosbag2_bagfile_information: # why"),
+        ("32000000", "32000000 # ns"),
+        ("- a.mcap", '- "a.mcap"  # the only one'),
+        ("- a.mcap", "- 'a.mcap'"),
+        ("version: 5", "version: 9\n  custom_data: {}\n  topics_with_message_count: []"),
+        ("version: 5", "version: 5\n  custom_data:\n    relative_file_paths:\n      - b.mcap"),
+        ("\n", "\r\n"),
+    ],
+)
+def test_what_yaml_allows_is_read_as_a_library_reads_it(old: str, new: str) -> None:
+    text = PLAIN.replace(old, new)
+    found = parse_bag_metadata(text)
+    assert found == parse_bag_metadata(PLAIN)
+    assert list(found.files) == load(text)["relative_file_paths"]
+    assert found.duration_ns == load(text)["duration"]["nanoseconds"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("- a.mcap", "- &x a.mcap", "line 7: relative_file_paths: expected plain text, found '&x"),
+        ("- a.mcap", "- ''", "relative_file_paths: expected the name of a file, found \"''\""),
+        ("- a.mcap", "- ~", "relative_file_paths: expected the name of a file, found '~'"),
+        ("- a.mcap", "- path: a.mcap", "expected the name of a file, found 'path: a.mcap'"),
+        ("- a.mcap", "- 'a", 'relative_file_paths: expected text in quotes, found "\'a"'),
+        ("    - a.mcap\n", "", "relative_file_paths: expected a list of files, found none"),
+        ("\n    - a.mcap", " a.mcap", "expected a list of files, found a.mcap"),
+        ("\n    - a.mcap", " []", "relative_file_paths: expected a list of files, found none"),
+        ("mcap\n", "\n    - mcap\n", "storage_identifier: expected text, found 'mcap'"),
+        ("  storage_identifier: mcap\n", "", "storage_identifier: expected mcap, found none"),
+        ('""', "\n    a: b", "compression_mode: expected text, found 'a: b'"),
+        ("32000000", "9" * 5000, "duration: expected whole nanoseconds below 2^63, found 999"),
+        ("32000000", str(2**63), "duration: expected whole nanoseconds below 2^63, found 922"),
+        ("32000000", "-5", "duration: expected whole nanoseconds below 2^63, found -5"),
+        ("32000000", ".nan", "duration: expected whole nanoseconds below 2^63, found .nan"),
+        ("nanoseconds: 32000000", "- 5", "duration: expected nanoseconds, found '5'"),
+        ("version: 5", "storage_identifier: a", "storage_identifier: expected once, found again"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_key(old: str, new: str, line: str) -> None:
+    with pytest.raises(LogError, match=re.escape(line)) as caught:
+        parse_bag_metadata(PLAIN.replace(old, new))
+    assert len(str(caught.value)) < 160

@@ -236,9 +236,9 @@ def test_the_topics_of_a_bag_are_listed_together(tmp_path: Path) -> None:
     ("storage", "mode", "line"),
     [
         ("sqlite3", '""', "storage_identifier: expected mcap, found sqlite3: ros2 bag convert"),
-        ("mcap", "FILE", "compression_mode: expected none, found file: ros2 bag convert"),
+        ("mcap", "FILE", "compression_mode: expected none, found file, which turtlelog does not"),
         ("mcap", "NONE", "relative_file_paths: expected the file a.mcap, found none"),
-        ("mcap", "[file]", r"line 9: expected plain text, found '\[file\]'"),
+        ("mcap", "[file]", r"line 9: compression_mode: expected plain text, found '\[file\]'"),
     ],
 )
 def test_a_bag_that_cannot_be_read_says_why(

@@ -30,6 +30,9 @@ def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
     name = f"{path.resolve().name}_0.mcap"
     if len(name.encode(errors="replace")) > _LONGEST_NAME:
         raise LogError(f"{path}: expected a shorter name")
+    if not name.isprintable():
+        # Its metadata.yaml holds the name, in UTF-8 and on one line.
+        raise LogError(f"{path}: expected a name of printable characters, found {name!a}")
     with create_folder(path) as folder:
         try:
             write_recording(run, folder / name)

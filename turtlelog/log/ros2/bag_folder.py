@@ -1,6 +1,6 @@
 """The files of a bag."""
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Final
 
 from turtlelog.errors import LogError
@@ -22,11 +22,12 @@ def list_bag_files(path: str | Path) -> tuple[Path, ...]:
     metadata = read_bag_metadata(path)
     with name_file(path / METADATA_FILE, expected="the description of a bag"):
         _require_plain_mcap(metadata)
-        # Early versions put the folder's name in front.
-        files = tuple(path / Path(name.replace("\\", "/")).name for name in metadata.files)
-        for file in files:
-            if not file.is_file():
-                raise LogError(f"relative_file_paths: expected the file {file.name}, found none")
+        files = tuple(_find_file(path, name) for name in metadata.files)
+        for number, file in enumerate(files):
+            if file in files[:number]:
+                raise LogError(
+                    f"relative_file_paths: expected each file once, found {file.name} twice"
+                )
     return files
 
 
@@ -40,14 +41,45 @@ def read_bag_metadata(path: str | Path) -> BagMetadata:
     if not place.is_file():
         raise LogError(f"{path}: expected a bag, found a folder without {METADATA_FILE}")
     with name_file(place, expected="the description of a bag"):
-        return parse_bag_metadata(place.read_text("utf-8"))
+        return parse_bag_metadata(_decode(place.read_bytes()))
+
+
+def _decode(content: bytes) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        found = f"byte {content[err.start]:#04x} at {err.start}"
+        raise LogError(f"expected text in UTF-8, found {found}") from err
+
+
+def _find_file(folder: Path, name: str) -> Path:
+    """Return a file of a bag; early versions put the folder's name in front.
+
+    Raises:
+        LogError: Where there is none, or it lies elsewhere: what is read is what was named.
+    """
+    place = PurePosixPath(name.replace("\\", "/"))
+    within = place.relative_to(folder.resolve().as_posix()) if _is_within(place, folder) else place
+    if within.is_absolute() or PureWindowsPath(name).drive or ".." in within.parts:
+        raise LogError(f"relative_file_paths: expected a file in the bag's folder, found {name}")
+    for file in (folder / within, folder / within.name):
+        if within.name and file.is_file():
+            return file
+    raise LogError(f"relative_file_paths: expected the file {name}, found none")
+
+
+def _is_within(place: PurePosixPath, folder: Path) -> bool:
+    return place.is_relative_to(folder.resolve().as_posix())
 
 
 def _require_plain_mcap(metadata: BagMetadata) -> None:
-    advice = "ros2 bag convert makes MCAP of it"
     if metadata.storage != "mcap":
+        found = metadata.storage or "none"
         raise LogError(
-            f"storage_identifier: expected mcap, found {metadata.storage or 'none'}: {advice}"
+            f"storage_identifier: expected mcap, found {found}: ros2 bag convert makes MCAP of it"
         )
     if metadata.compression:
-        raise LogError(f"compression_mode: expected none, found {metadata.compression}: {advice}")
+        raise LogError(
+            f"compression_mode: expected none, found {metadata.compression}, which turtlelog does"
+            " not understand: ros2 bag convert makes a plain bag of it"
+        )

@@ -6,16 +6,18 @@ understand (flow lists, anchors) it refuses by line; neither rosbag2 nor rosbags
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
+from turtlelog.log.ros2.yaml_lines import ENTRY, iterate_entries, unquote
 
 ROOT: Final = "rosbag2_bagfile_information"
 
-_LINE: Final = re.compile(r"^(?P<indent> *)(?P<item>- +)?(?P<text>.*?)\s*$")
-_ENTRY: Final = re.compile(r"^(?P<key>[\w.]+):(?: +(?P<value>.*))?$")
+_TEXTS: Final = ("storage_identifier", "compression_mode")
+_FILES: Final = "relative_file_paths"
+_DURATION: Final = "duration"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,24 +57,23 @@ def parse_bag_metadata(text: str) -> BagMetadata:
     values: dict[str, str] = {}
     files: list[str] = []
     under = ""
-    for number, key, value in _iterate_entries(text):
+    for number, key, value in iterate_entries(text, ROOT):
+        if key in values:
+            raise LogError(f"line {number}: {key}: expected once, found again")
         if key:
             under = key
-            values[key] = value
-        elif under == "relative_file_paths":
-            files.append(_unquote(number, value))
-        elif under == "duration":
-            values[under] = value.removeprefix("nanoseconds: ")
-    if not files:
-        raise LogError("relative_file_paths: expected a list of files, found none")
-    if "storage_identifier" not in values:
-        raise LogError("storage_identifier: expected mcap, found none")
+            values[key] = unquote(number, key, value) if key in (*_TEXTS, _DURATION) else value
+        elif under == _FILES and value != "[]":
+            files.append(_read_file_name(number, value))
+        else:
+            values |= _read_below(number, under, value)
+    _require_entries(values, files)
     mode = values.get("compression_mode", "").lower()
     return BagMetadata(
         storage=values["storage_identifier"],
         compression="" if mode == "none" else mode,
         files=tuple(files),
-        duration_ns=int(duration) if (duration := values.get("duration", "")).isdecimal() else None,
+        duration_ns=_parse_duration(values.get(_DURATION, "")),
     )
 
 
@@ -111,50 +112,43 @@ def format_bag_metadata(
     return "\n".join([f"{ROOT}:", *(f"  {line}" for line in lines), ""])
 
 
-def _iterate_entries(text: str) -> Iterator[tuple[int, str, str]]:
-    """Yield line, key and value of the entries right below the root.
-
-    What stands below an entry, list items or keys of its own, comes as text without a key.
-    """
-    depth: int | None = None
-    for number, indent, item, content in _iterate_body(text):
-        depth = indent if depth is None else depth
-        if item or indent > depth:
-            yield number, "", content
-        else:
-            entry = _ENTRY.match(content)
-            if entry is None:
-                raise LogError(f"line {number}: expected key: value, found {content[:60]!r}")
-            yield number, entry["key"], _unquote(number, entry["value"] or "")
-    if depth is None:
-        raise LogError(f"expected an entry {ROOT}, found none")
-
-
-def _iterate_body(text: str) -> Iterator[tuple[int, int, bool, str]]:
-    """Yield the lines below the root: number, indent, whether a list item begins, content."""
-    is_inside = False
-    for number, line in enumerate(text.splitlines(), start=1):
-        found = _LINE.match(line)
-        if found is None or not found["text"] or found["text"].startswith(("#", "---")):
-            continue
-        if not found["indent"] and not found["item"]:
-            is_inside = found["text"] == f"{ROOT}:"
-        elif is_inside:
-            yield number, len(found["indent"]), bool(found["item"]), found["text"]
-
-
 def _quote(value: str) -> str:
     """Return text as YAML that cannot be taken for anything else."""
     return "'" + value.replace("'", "''") + "'"
 
 
-def _unquote(number: int, value: str) -> str:
-    mark = value[:1]
-    if mark in {'"', "'"}:
-        inner = value[1:-1].replace(2 * mark, "") if mark == "'" else value[1:-1]
-        if len(value) < 2 or value[-1] != mark or mark in inner or (mark == '"' and "\\" in inner):
-            raise LogError(f"line {number}: expected text in quotes, found {value[:60]!r}")
-        return value[1:-1].replace("''", "'") if mark == "'" else inner
-    if mark in {"[", "{", "&", "*", "|", ">", "!"}:
-        raise LogError(f"line {number}: expected plain text, found {value[:60]!r}")
-    return "" if value in {"~", "null"} else value
+def _read_file_name(number: int, value: str) -> str:
+    name = unquote(number, _FILES, value)
+    if not name or (value[:1] not in {'"', "'"} and re.search(r":(\s|$)", name)):
+        raise LogError(
+            f"line {number}: {_FILES}: expected the name of a file, found {value[:60]!r}"
+        )
+    return name
+
+
+def _read_below(number: int, under: str, value: str) -> dict[str, str]:
+    """Return what a line below an entry adds to it; of the entries that are not needed, nothing."""
+    if under in _TEXTS:
+        raise LogError(f"line {number}: {under}: expected text, found {value[:60]!r}")
+    if under != _DURATION:
+        return {}
+    entry = ENTRY.match(value)
+    if entry is None or entry["key"] != "nanoseconds":
+        raise LogError(f"line {number}: {_DURATION}: expected nanoseconds, found {value[:60]!r}")
+    return {_DURATION: unquote(number, _DURATION, entry["value"] or "")}
+
+
+def _require_entries(values: Mapping[str, str], files: Sequence[str]) -> None:
+    if not files:
+        found = values.get(_FILES, "")[:60].replace("[]", "")
+        raise LogError(f"{_FILES}: expected a list of files, found {found or 'none'}")
+    if "storage_identifier" not in values:
+        raise LogError("storage_identifier: expected mcap, found none")
+
+
+def _parse_duration(text: str) -> int | None:
+    if not text:
+        return None
+    if not re.fullmatch(r"[0-9]{1,19}", text) or int(text) >= 2**63:
+        raise LogError(f"{_DURATION}: expected whole nanoseconds below 2^63, found {text[:60]}")
+    return int(text)

@@ -1,0 +1,109 @@
+"""Bags that others left, in every command that reads them."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Call
+from tests.log.ros2.bags import make_command, make_poses, write_mcap, write_metadata
+
+MakeBag = Callable[..., Path]
+COMMANDS = [["info"], ["metrics"], ["replay", "--plant"], ["export", "--csv", "out"]]
+commands = pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
+
+
+@pytest.fixture
+def make_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeBag:
+    """Return a bag whose description names some files."""
+    monkeypatch.chdir(tmp_path)
+
+    def make(*files: str, storage: str = "mcap", mode: str = '""') -> Path:
+        for folder in (Path("bag"), Path("other")):
+            folder.mkdir()
+            write_mcap(folder / "a.mcap", [*make_poses(), make_command()])
+        return write_metadata(Path("bag"), files, storage=storage, mode=mode)
+
+    return make
+
+
+def refuse(call: Call, command: list[str], bag: Path) -> str:
+    """Return the one line that a command says of a bag."""
+    answer = call(command[0], bag, *command[1:])
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert not Path("out").exists()
+    return answer.err.removeprefix("turtlelog: error: ").rstrip("\n")
+
+
+@commands
+@pytest.mark.parametrize("name", ["a.mcap", "bag/a.mcap", "old_name/a.mcap", "bag\\\\a.mcap"])
+def test_a_file_is_found_in_the_folder(
+    call: Call, make_bag: MakeBag, command: list[str], name: str
+) -> None:
+    assert call(command[0], make_bag(name), *command[1:]).code == 0
+
+
+def test_a_file_may_lie_in_a_folder_of_the_bag(call: Call, make_bag: MakeBag) -> None:
+    bag = make_bag("more/a.mcap")
+    (bag / "more").mkdir()
+    write_mcap(bag / "more" / "a.mcap", make_poses(7))
+    (answer,) = call("info", bag, "--json").json
+    assert [topic["count"] for topic in answer["topics"]] == [7]
+
+
+@commands
+@pytest.mark.parametrize(
+    "name", ["../other/a.mcap", "/nosuch/a.mcap", "C:\\\\a.mcap", "x/../a.mcap"]
+)
+def test_a_file_elsewhere_is_not_read(
+    call: Call, make_bag: MakeBag, command: list[str], name: str
+) -> None:
+    line = refuse(call, command, make_bag(name))
+    assert line.startswith(
+        f"{Path('bag', 'metadata.yaml')}: relative_file_paths: expected a file in the bag's folder"
+    )
+
+
+@commands
+def test_a_file_named_twice_is_not_counted_twice(
+    call: Call, make_bag: MakeBag, command: list[str]
+) -> None:
+    line = refuse(call, command, make_bag("a.mcap", "bag/a.mcap"))
+    assert line.endswith("relative_file_paths: expected each file once, found a.mcap twice")
+
+
+@commands
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE", "file"])
+def test_a_compressed_bag_is_named_as_not_understood(
+    call: Call, make_bag: MakeBag, command: list[str], mode: str
+) -> None:
+    line = refuse(call, command, make_bag("a.mcap", mode=mode))
+    assert (
+        f"compression_mode: expected none, found {mode.lower()}, which turtlelog does not" in line
+    )
+
+
+@commands
+def test_a_description_that_is_no_text_is_named(
+    call: Call, make_bag: MakeBag, command: list[str]
+) -> None:
+    bag = make_bag("a.mcap")
+    (bag / "metadata.yaml").write_bytes(b"rosbag2_bagfile_information:\n  \xff")
+    line = refuse(call, command, bag)
+    assert line.endswith("metadata.yaml: expected text in UTF-8, found byte 0xff at 31")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(call: Call, make_bag: MakeBag) -> None:
+    place = make_bag("a.mcap") / "metadata.yaml"
+    place.write_bytes(b"\xef\xbb\xbf" + place.read_bytes())
+    assert call("info", "bag").code == 0
+
+
+@pytest.mark.parametrize("command", COMMANDS[1:], ids=lambda command: command[0])
+def test_an_empty_bag_holds_no_run_but_is_described(
+    call: Call, make_bag: MakeBag, command: list[str]
+) -> None:
+    bag = make_bag("a.mcap")
+    write_mcap(bag / "a.mcap", [])
+    assert "expected poses" in refuse(call, command, bag)
+    assert call("info", bag, "--json").json[0]["topics"] == []

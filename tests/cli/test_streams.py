@@ -1,0 +1,148 @@
+"""What a command does when the world around it is hostile: streams, signals, names."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Call
+
+ROOT = Path(__file__).parents[2]
+COMMAND = [sys.executable, "-m", "turtlelog"]
+LONG = "n" * 300
+needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such thing")
+
+
+@needs_full
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["info", "missing.mcap"], 2),
+        (["--nosuch"], 2),
+        (["run", "textbook", "-o", "a.mcap"], 0),
+    ],
+    ids=["bad input", "bad usage", "fine"],
+)
+def test_a_full_stderr_changes_no_exit_code(tmp_path: Path, words: list[str], code: int) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*COMMAND, *words],
+            stdout=subprocess.DEVNULL,
+            stderr=full,
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            check=False,
+        )
+    assert done.returncode == code
+
+
+@needs_posix
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
+def test_closed_streams_are_no_error(kp4: Path, closed: str) -> None:
+    script = f"{sys.executable} -m turtlelog info {kp4} {closed}"
+    done = subprocess.run(["sh", "-c", script], cwd=ROOT, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+SLOW = """
+import sys, time
+import turtlelog as tl
+from turtlelog.cli.app import main
+from turtlelog.log import replace_when_complete
+def write_slowly(run, path):
+    with replace_when_complete(path) as part:
+        part.write_text("half")
+        print("writing", flush=True)
+        time.sleep(30)
+tl.write_recording = write_slowly
+main(["run", "textbook", "-o", "a.mcap"])
+"""
+
+
+@needs_posix
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_command_that_is_told_to_end_leaves_nothing_half_done(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"mine")
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLOW],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "writing\n"
+    start = time.monotonic()
+    process.send_signal(getattr(signal, name))
+    _, err = process.communicate(timeout=20)
+    assert (process.returncode, err) == (130, "turtlelog: error: interrupted\n")
+    assert time.monotonic() - start < 10.0
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
+
+
+NAMES = ["a\nb", "a\x1b[31mb", "a\tb", os.fsdecode(b"a\xffb"), "-a", "a b", "a\x9bb"]
+
+
+@needs_posix
+@pytest.mark.parametrize("name", NAMES, ids=ascii)
+@pytest.mark.parametrize(
+    "words",
+    [["info"], ["metrics"], ["replay", "--plant"], ["recover", "-o", "b.mcap"]],
+    ids=lambda words: words[0],
+)
+def test_any_name_is_read_and_steers_no_terminal(
+    call: Call,
+    kp4: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    words: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(f"{name}.mcap").write_bytes(kp4.read_bytes())
+    answer = call(words[0], f"./{name}.mcap", *words[1:])
+    assert (answer.code, answer.err) == (0, "")
+    assert not {"\x1b", "\x9b"} & set(answer.out)
+    missing = call(words[0], f"./{name}.json", *words[1:])
+    assert (missing.code, missing.err.count("\n")) == (2, 1)
+    assert not {"\x1b", "\x9b"} & set(missing.err)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info", LONG],
+        ["metrics", LONG],
+        ["import", LONG, "-o", "a.mcap"],
+        ["recover", LONG, "-o", "a.mcap"],
+        ["scenario", LONG],
+        ["view", LONG],
+        ["demo", "-o", LONG],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_name_that_is_too_long_is_what_the_error_names(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = call(*words)
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert f"turtlelog: error: {LONG}: expected" in answer.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", [os.fsdecode(b"a\xff"), "a\nb"], ids=ascii)
+def test_a_bag_is_refused_a_name_that_its_description_cannot_hold(
+    call: Call, kp4: Path, tmp_path: Path, name: str
+) -> None:
+    answer = call("export", kp4, "--rosbag2", tmp_path / name)
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert "expected a name of printable characters, found 'a" in answer.err
+    assert list(tmp_path.iterdir()) == []
