@@ -19,7 +19,14 @@ if TYPE_CHECKING:
         tabulate_table1,
         tabulate_whole_runs,
     )
-    from turtlelog.errors import TurtlelogError
+    from turtlelog.errors import ExpressionError, TurtlelogError
+    from turtlelog.expressions import (
+        Expression,
+        draw_caret,
+        evaluate_expression,
+        format_expression,
+        parse_expression,
+    )
     from turtlelog.laws import Decision, Goal, Law, Pose
     from turtlelog.log import (
         PartialRecordingWarning,
@@ -83,7 +90,14 @@ _ROOMS = {
         "tabulate_table1",
         "tabulate_whole_runs",
     ),
-    "errors": ("TurtlelogError",),
+    "errors": ("ExpressionError", "TurtlelogError"),
+    "expressions": (
+        "Expression",
+        "draw_caret",
+        "evaluate_expression",
+        "format_expression",
+        "parse_expression",
+    ),
     "laws": ("Decision", "Goal", "Law", "Pose"),
     "log": (
         "PartialRecordingWarning",
@@ -94,6 +108,7 @@ _ROOMS = {
         "export_csv",
         "export_parquet",
         "export_rosbag2",
+        "format_expression",
         "import_log",
         "iter_columns",
         "read_bag",
@@ -118,6 +133,7 @@ _ROOMS = {
         "load_scenario",
         "override_scenario",
         "parse_assignments",
+        "parse_expression",
         "parse_scenario",
         "restore_scenario",
     ),
@@ -125,6 +141,7 @@ _ROOMS = {
         "TABLE_FORMATS",
         "describe_run",
         "describe_runs",
+        "draw_caret",
         "format_table",
         "open_viewer",
         "write_comparison_rrd",
@@ -144,6 +161,8 @@ __all__ = [
     "Column",
     "Comparison",
     "Decision",
+    "Expression",
+    "ExpressionError",
     "Goal",
     "Law",
     "Metric",
@@ -165,9 +184,12 @@ __all__ = [
     "compare_runs",
     "describe_run",
     "describe_runs",
+    "draw_caret",
+    "evaluate_expression",
     "export_csv",
     "export_parquet",
     "export_rosbag2",
+    "format_expression",
     "format_scenario",
     "format_table",
     "import_log",
@@ -178,6 +200,7 @@ __all__ = [
     "open_viewer",
     "override_scenario",
     "parse_assignments",
+    "parse_expression",
     "parse_scenario",
     "read_bag",
     "read_bag_info",
