@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from turtlelog.check import Finding, check_formula, check_run, compute_robustness
     from turtlelog.compare import (
         Column,
         Comparison,
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
         tabulate_table1,
         tabulate_whole_runs,
     )
-    from turtlelog.errors import ExpressionError, TurtlelogError
+    from turtlelog.errors import CheckError, ExpressionError, TurtlelogError
     from turtlelog.expressions import (
         Expression,
         draw_caret,
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _ROOMS = {
+    "check": ("Finding", "check_formula", "check_run", "compute_robustness"),
     "compare": (
         "Column",
         "Comparison",
@@ -90,7 +92,7 @@ _ROOMS = {
         "tabulate_table1",
         "tabulate_whole_runs",
     ),
-    "errors": ("ExpressionError", "TurtlelogError"),
+    "errors": ("CheckError", "ExpressionError", "TurtlelogError"),
     "expressions": (
         "Expression",
         "draw_caret",
@@ -155,11 +157,13 @@ __all__ = [
     "PRESETS",
     "SIGNALS",
     "TABLE_FORMATS",
+    "CheckError",
     "Column",
     "Comparison",
     "Decision",
     "Expression",
     "ExpressionError",
+    "Finding",
     "Goal",
     "Law",
     "Metric",
@@ -178,7 +182,10 @@ __all__ = [
     "TopicColumns",
     "TurtlelogError",
     "__version__",
+    "check_formula",
+    "check_run",
     "compare_runs",
+    "compute_robustness",
     "describe_run",
     "describe_runs",
     "draw_caret",

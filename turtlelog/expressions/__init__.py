@@ -10,7 +10,7 @@ from turtlelog.expressions.evaluation import (
     require_kind,
 )
 from turtlelog.expressions.functions import ARGUMENTS
-from turtlelog.expressions.operands import Kind, Operand, make_operand
+from turtlelog.expressions.operands import Kind, Operand, compare_operands, make_operand
 from turtlelog.expressions.parser import PRECEDENCE, parse_expression
 from turtlelog.expressions.place import draw_caret
 from turtlelog.expressions.printing import format_expression
@@ -51,6 +51,7 @@ __all__ = [
     "Until",
     "Values",
     "check_comparison",
+    "compare_operands",
     "describe_unknown_name",
     "draw_caret",
     "evaluate_expression",
