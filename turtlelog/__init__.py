@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from turtlelog.check import Finding, check_formula, check_run, compute_robustness
     from turtlelog.compare import (
         Column,
         Comparison,
@@ -19,7 +20,14 @@ if TYPE_CHECKING:
         tabulate_table1,
         tabulate_whole_runs,
     )
-    from turtlelog.errors import TurtlelogError
+    from turtlelog.errors import CheckError, ExpressionError, TurtlelogError
+    from turtlelog.expressions import (
+        Expression,
+        draw_caret,
+        evaluate_expression,
+        format_expression,
+        parse_expression,
+    )
     from turtlelog.laws import Decision, Goal, Law, Pose
     from turtlelog.log import (
         PartialRecordingWarning,
@@ -86,6 +94,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _ROOMS = {
+    "check": ("Finding", "check_formula", "check_run", "compute_robustness"),
     "compare": (
         "Column",
         "Comparison",
@@ -97,7 +106,14 @@ _ROOMS = {
         "tabulate_table1",
         "tabulate_whole_runs",
     ),
-    "errors": ("TurtlelogError",),
+    "errors": ("CheckError", "ExpressionError", "TurtlelogError"),
+    "expressions": (
+        "Expression",
+        "draw_caret",
+        "evaluate_expression",
+        "format_expression",
+        "parse_expression",
+    ),
     "laws": ("Decision", "Goal", "Law", "Pose"),
     "log": (
         "PartialRecordingWarning",
@@ -170,9 +186,13 @@ __all__ = [
     "PRESETS",
     "SIGNALS",
     "TABLE_FORMATS",
+    "CheckError",
     "Column",
     "Comparison",
     "Decision",
+    "Expression",
+    "ExpressionError",
+    "Finding",
     "Goal",
     "Law",
     "LawReplay",
@@ -194,6 +214,8 @@ __all__ = [
     "TopicColumns",
     "TurtlelogError",
     "__version__",
+    "check_formula",
+    "check_run",
     "compare_runs",
     "complete_scenario",
     "describe_run",
@@ -203,6 +225,15 @@ __all__ = [
     "export_parquet",
     "export_rosbag2",
     "flatten_scenario",
+    "compute_robustness",
+    "describe_run",
+    "describe_runs",
+    "draw_caret",
+    "evaluate_expression",
+    "export_csv",
+    "export_parquet",
+    "export_rosbag2",
+    "format_expression",
     "format_scenario",
     "format_table",
     "import_log",
@@ -213,6 +244,7 @@ __all__ = [
     "open_viewer",
     "override_scenario",
     "parse_assignments",
+    "parse_expression",
     "parse_scenario",
     "read_bag",
     "read_bag_info",

@@ -1,0 +1,133 @@
+"""Formula and signals -> finding: does it hold, by what margin, and where is that decided."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from turtlelog.check.robustness import Margins
+from turtlelog.check.signals import Signals, Trace, check_names, read_signals
+from turtlelog.check.violation import find_first_violation, find_margin_time
+from turtlelog.expressions import Expression, Node, Temporal, Until
+from turtlelog.measure import METRICS, SIGNALS
+from turtlelog.run import Run
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What a formula comes to at the beginning of a trace. Times count from there.
+
+    Attributes:
+        formula: As it was written.
+        holds: The verdict; None where it is unknown.
+        margin: By how much every number may change before the verdict does, in the unit of the
+            comparison that decides: positive where it holds. inf or -inf where nothing with a
+            distance decides; None where it is unknown.
+        margin_s: Time from which the margin comes [s]; None where it is unknown.
+        first_violation_s: First time at which it is violated [s]; None where it is not.
+        values: What every name stands for at the first violation, or else at `margin_s`, or else
+            at the beginning; None for no value.
+        is_covered: Whether the trace is long enough for all that the formula looks ahead. Where
+            not, the last values are taken to hold.
+        reason: One clause where the verdict is unknown, else empty.
+    """
+
+    formula: str
+    holds: bool | None
+    margin: float | None
+    margin_s: float | None
+    first_violation_s: float | None
+    values: Mapping[str, Any]
+    is_covered: bool
+    reason: str = ""
+
+
+def check_formula(
+    signals: Signals, expression: Expression, *, window_ns: tuple[int, int] | None = None
+) -> Finding:
+    """Check a formula at the beginning of a trace.
+
+    Args:
+        signals: By name: (time_ns, values) of a signal, or a constant, None for no value. Times
+            do not decrease; of values at one time the last one holds.
+        expression: A formula, temporal or not.
+        window_ns: First and last time [ns] of the trace; by default from the first moment at
+            which every signal used has a value to the last time of any.
+
+    Raises:
+        ExpressionError: Where a name is not there or the kinds do not go together.
+        CheckError: Where a signal is no signal, or has no value at the first time.
+    """
+    trace = Trace.open(signals, expression, window_ns=window_ns)
+    holds, margins = _decide(expression, trace)
+    failed_ns = find_first_violation(expression, trace) if holds is False else None
+    at_ns = trace.start_ns
+    if holds is not None:
+        at_ns = find_margin_time(margins, expression.root, trace)
+    return Finding(
+        formula=expression.text,
+        holds=holds,
+        margin=None if holds is None else _read_first(margins, expression) + 0.0,
+        margin_s=None if holds is None else (at_ns - trace.start_ns) / 1e9,
+        first_violation_s=None if failed_ns is None else (failed_ns - trace.start_ns) / 1e9,
+        values=trace.read_values(at_ns if failed_ns is None else failed_ns),
+        is_covered=_is_covered(expression, trace),
+        reason=_explain_unknown(trace) if holds is None else "",
+    )
+
+
+def check_run(
+    run: Run, expression: Expression, *, window_ns: tuple[int, int] | None = None
+) -> Finding:
+    """Check a formula over a run's signals, metrics and parameters.
+
+    Args:
+        run: Time zero is its first sample.
+        expression: A formula over the names of `SIGNALS`, `METRICS` and `run.parameters`.
+        window_ns: First and last time [ns]; by default from time zero to the run's end.
+
+    Raises:
+        ExpressionError: Where a name is not there or the kinds do not go together.
+        CheckError: Where a signal has no value at the first time.
+    """
+    check_names(expression, {**SIGNALS, **METRICS, **run.parameters})
+    signals = read_signals(run, expression.names)
+    return check_formula(signals, expression, window_ns=window_ns or (run.start_ns, run.end_ns))
+
+
+def _decide(expression: Expression, trace: Trace) -> tuple[bool | None, Margins]:
+    """Return the verdict, and the margins that it comes from.
+
+    Where part is unknown, the whole may still be decided: by the margins in which the unknown
+    counts as badly, or as well, as it can.
+    """
+    margins = Margins(expression, trace)
+    margin = _read_first(margins, expression)
+    if not (math.isnan(margin) or margin == 0):
+        return margin > 0, margins
+    for holds, unknown in ((True, -math.inf), (False, math.inf)):
+        truths = Margins(expression, trace, exact=True, unknown=unknown)
+        if (_read_first(truths, expression) > 0) is holds:
+            return holds, Margins(expression, trace, unknown=unknown)
+    return None, margins
+
+
+def _read_first(margins: Margins, expression: Expression) -> float:
+    return float(margins.compute(expression.root).values[0])
+
+
+def _explain_unknown(trace: Trace) -> str:
+    missing = [name for name, value in trace.constants.items() if value is None]
+    return f"no value: {', '.join(missing)}" if missing else "a number has no value"
+
+
+def _is_covered(expression: Expression, trace: Trace) -> bool:
+    return trace.start_ns + _measure_reach(expression.root) * 1e9 <= trace.end_ns
+
+
+def _measure_reach(node: Node) -> float:
+    """Return how far a formula looks ahead [s]; windows without an end count to their start."""
+    below = max(map(_measure_reach, node.list_children()), default=0.0)
+    if not isinstance(node, Temporal | Until):
+        return below
+    return below + (node.start_s if math.isinf(node.end_s) else node.end_s)

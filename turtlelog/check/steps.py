@@ -1,0 +1,247 @@
+"""Functions of time that are constant between steps, and what temporal logic does with them.
+
+A function holds each value from its step to the next (it is right-continuous) and the last one
+for ever. The operations below are exact on such functions and give such functions again: a window
+that slides over one meets a new value only where one of its ends meets a step. Unknown values are
+nan and make what they touch unknown. Times are integers, so that no step is moved by rounding.
+
+Definitions of the window operators and of `until`: A. Donzé, T. Ferrère, O. Maler, "Efficient
+Robust Monitoring for STL", CAV 2013; all windows are closed.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Times = NDArray[np.int64]
+Values = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Steps:
+    """A function of time from its first step on.
+
+    Attributes:
+        time_ns: Times of the steps [ns], shape (n,), strictly increasing, n > 0.
+        values: Value from each step to the next, shape (n,).
+    """
+
+    time_ns: Times
+    values: Values
+
+    def find_piece(self, time_ns: int) -> int:
+        """Return the index of the value at a time, the first one's before the first step."""
+        return max(0, int(np.searchsorted(self.time_ns, time_ns, side="right")) - 1)
+
+
+def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) -> Steps:
+    """Return columns as a function from start to end; of rows at one time the last one holds.
+
+    Args:
+        time_ns: Not decreasing [ns], shape (n,), the first not after start_ns.
+        values: Shape (n,).
+        start_ns: Where the function begins [ns].
+        end_ns: Steps after this are left out [ns]; the value there is held.
+    """
+    first = int(np.searchsorted(time_ns, start_ns, side="right")) - 1
+    after = int(np.searchsorted(time_ns, end_ns, side="right"))
+    time_ns, values = time_ns[first:after], values[first:after]
+    same = time_ns[1:] == time_ns[:-1]
+    if same.any():
+        last = np.append(~same, True)
+        time_ns, values = time_ns[last], values[last]
+    if time_ns[0] != start_ns:
+        time_ns = np.concatenate(([start_ns], time_ns[1:]))
+    return Steps(time_ns=time_ns, values=values)
+
+
+def align_steps(functions: list[Steps]) -> tuple[Times, list[Values]]:
+    """Return the steps of all functions together, and the values of each at them."""
+    times = [function.time_ns for function in functions]
+    if all(np.array_equal(time_ns, times[0]) for time_ns in times[1:]):
+        return times[0], [function.values for function in functions]
+    merged = np.concatenate(times)
+    merged.sort(kind="stable")  # merges sorted runs
+    union = merged[np.append(merged[1:] != merged[:-1], True)]
+    return union, [_spread(function, union) for function in functions]
+
+
+def combine_steps(combine: Callable[[Values, Values], Values], functions: list[Steps]) -> Steps:
+    """Return functions joined value by value, from left to right."""
+    time_ns, values = align_steps(functions)
+    joined = values[0]
+    for other in values[1:]:
+        joined = combine(joined, other)
+    return Steps(time_ns=time_ns, values=joined)
+
+
+def negate_steps(function: Steps) -> Steps:
+    """Return minus a function."""
+    return Steps(time_ns=function.time_ns, values=-function.values)
+
+
+def slide_minimum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
+    """Return at each time t the smallest value on [t + first_ns, t + last_ns].
+
+    Args:
+        function: Any.
+        first_ns: Not negative [ns].
+        last_ns: At least first_ns [ns]; None: without end.
+    """
+    return negate_steps(slide_maximum(negate_steps(function), first_ns, last_ns))
+
+
+def slide_maximum(function: Steps, first_ns: int, last_ns: int | None) -> Steps:
+    """Return at each time t the largest value on [t + first_ns, t + last_ns].
+
+    Args:
+        function: Any.
+        first_ns: Not negative [ns].
+        last_ns: At least first_ns [ns]; None: without end.
+    """
+    function = _drop_repeats(function)
+    span_ns = int(function.time_ns[-1] - function.time_ns[0])
+    first_ns = min(first_ns, span_ns)  # beyond it there is nothing but the last value
+    if last_ns is None or last_ns >= span_ns:
+        return _shift(_accumulate_maximum(function), first_ns)
+    if first_ns == last_ns:
+        return _shift(function, first_ns)
+    return _slide_window(function, first_ns, last_ns)
+
+
+def compute_until(
+    left: Steps, right: Steps, first_ns: int = 0, last_ns: int | None = None
+) -> Steps:
+    """Return the largest, over t' in [t + first, t + last], of right(t') and of left on [t, t'].
+
+    By the identity of Donzé et al.: the right comes within the window, and at every time up to
+    its beginning the left holds until some right.
+
+    Args:
+        left: What is to hold meanwhile.
+        right: What is to come.
+        first_ns: Not negative [ns].
+        last_ns: At least first_ns [ns]; None: without end.
+    """
+    time_ns, (held, coming) = align_steps([left, right])
+    unbounded = Steps(time_ns=time_ns, values=_scan_until(held, coming))
+    if first_ns:
+        unbounded = slide_minimum(unbounded, 0, first_ns)
+    if last_ns is None:
+        return unbounded
+    return combine_steps(np.minimum, [slide_maximum(right, first_ns, last_ns), unbounded])
+
+
+def _spread(function: Steps, time_ns: Times) -> Values:
+    pieces = np.searchsorted(function.time_ns, time_ns, side="right") - 1
+    return function.values[pieces]
+
+
+def _drop_repeats(function: Steps) -> Steps:
+    """Leave out steps that change nothing, where they are many."""
+    changes = function.values[1:] != function.values[:-1]
+    if 2 * np.count_nonzero(changes) > len(changes):
+        return function
+    kept = np.concatenate(([True], changes))
+    return Steps(time_ns=function.time_ns[kept], values=function.values[kept])
+
+
+def _accumulate_maximum(function: Steps) -> Steps:
+    values = np.maximum.accumulate(function.values[::-1])[::-1]
+    return Steps(time_ns=function.time_ns, values=values)
+
+
+def _shift(function: Steps, earlier_ns: int) -> Steps:
+    """Return at each time t the value at t + earlier_ns."""
+    if not earlier_ns:
+        return function
+    start_ns = function.time_ns[0]
+    piece = function.find_piece(int(start_ns) + earlier_ns)
+    time_ns = function.time_ns[piece:] - earlier_ns
+    time_ns[0] = start_ns
+    return Steps(time_ns=time_ns, values=function.values[piece:])
+
+
+def _slide_window(function: Steps, first_ns: int, last_ns: int) -> Steps:
+    times, start_ns = function.time_ns, int(function.time_ns[0])
+    first, last = (function.find_piece(start_ns + edge_ns) for edge_ns in (first_ns, last_ns))
+    leaving_ns, entering_ns = times[first + 1 :] - first_ns, times[last + 1 :] - last_ns
+    time_ns = np.concatenate(([start_ns], leaving_ns, entering_ns))
+    order = np.argsort(time_ns, kind="stable")  # merges sorted runs
+    time_ns = time_ns[order]
+    left = (order > 0) & (order <= len(leaving_ns))
+    firsts: Times = np.cumsum(left, dtype=np.int64)
+    lasts = np.arange(last, last + len(order)) - firsts
+    firsts += first
+    same = time_ns[1:] == time_ns[:-1]
+    if same.any():
+        kept = np.append(~same, True)
+        time_ns, firsts, lasts = time_ns[kept], firsts[kept], lasts[kept]
+    values = _find_range_maxima(function.values, firsts, lasts)
+    return Steps(time_ns=time_ns, values=values)
+
+
+def _find_range_maxima(values: Values, firsts: Times, lasts: Times) -> Values:
+    """Return the largest of values[first] to values[last], each.
+
+    Ranges that reach the end are read from maxima of the rest; the others from two overlapping
+    maxima of 2^k in a row. Firsts and lasts do not decrease.
+    """
+    inner = int(np.searchsorted(lasts, len(values) - 1))
+    found = np.empty(len(firsts))
+    found[inner:] = np.maximum.accumulate(values[::-1])[::-1][firsts[inner:]]
+    firsts, lasts = firsts[:inner], lasts[:inner]
+    levels = _find_levels(lasts - firsts + 1)
+    maxima, level = values, 0
+    for target in np.flatnonzero(np.bincount(levels)):
+        while level < target:
+            maxima = np.maximum(maxima[: -(1 << level)], maxima[1 << level :])
+            level += 1
+        rows = slice(None) if levels.size == 1 else np.flatnonzero(levels == target)
+        ends = lasts[rows] - ((1 << level) - 1)
+        found[:inner][rows] = np.maximum(maxima[firsts[rows]], maxima[ends])
+    return found
+
+
+def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
+    """Return the largest k of each with 2^k <= count; one for all where it is the same."""
+    if not len(counts):
+        return np.empty(0, np.int64)
+    extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
+    if extremes[0] == extremes[1]:
+        return extremes[:1]
+    return np.frexp(counts.astype(np.float64))[1] - 1
+
+
+def _scan_until(held: Values, coming: Values) -> Values:
+    """Return u[i] = min(held[i], max(coming[i], u[i + 1])), from the last to the first.
+
+    Each step clamps what follows between min(held, coming) and held, and clamps of clamps are
+    clamps: blocks of the columns are scanned side by side, then joined.
+    """
+    count = len(held)
+    size = max(1, int(np.sqrt(count)))
+    blocks = -(-count // size)
+    low = _fold(np.minimum(held, coming), blocks, size, fill=-np.inf)
+    high = _fold(held, blocks, size, fill=np.inf)
+    for row in range(size - 2, -1, -1):
+        own_low, own_high = low[row].copy(), high[row].copy()
+        low[row] = np.minimum(own_high, np.maximum(own_low, low[row + 1]))
+        high[row] = np.minimum(own_high, np.maximum(own_low, high[row + 1]))
+    after = np.empty(blocks)
+    after[-1] = -np.inf
+    for block in range(blocks - 1, 0, -1):
+        later = np.maximum(low[0, block], after[block])
+        after[block - 1] = np.minimum(high[0, block], later)
+    joined = np.minimum(high, np.maximum(low, after))
+    return joined.T.reshape(-1)[:count]
+
+
+def _fold(values: Values, blocks: int, size: int, *, fill: float) -> Values:
+    """Return a column as blocks side by side, shape (size, blocks), filled up at the end."""
+    padded = np.full(blocks * size, fill)
+    padded[: len(values)] = values
+    return np.ascontiguousarray(padded.reshape(blocks, size).T)
