@@ -8,7 +8,12 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from turtlelog.check import Finding, check_formula, check_run, compute_robustness
+    from turtlelog.check import (
+        Finding,
+        check_formula,
+        check_run,
+        compute_robustness,
+    )
     from turtlelog.compare import (
         Column,
         Comparison,
@@ -20,7 +25,11 @@ if TYPE_CHECKING:
         tabulate_table1,
         tabulate_whole_runs,
     )
-    from turtlelog.errors import CheckError, ExpressionError, TurtlelogError
+    from turtlelog.errors import (
+        CheckError,
+        ExpressionError,
+        TurtlelogError,
+    )
     from turtlelog.expressions import (
         Expression,
         draw_caret,
@@ -28,7 +37,12 @@ if TYPE_CHECKING:
         format_expression,
         parse_expression,
     )
-    from turtlelog.laws import Decision, Goal, Law, Pose
+    from turtlelog.laws import (
+        Decision,
+        Goal,
+        Law,
+        Pose,
+    )
     from turtlelog.log import (
         PartialRecordingWarning,
         Recorder,
@@ -50,7 +64,15 @@ if TYPE_CHECKING:
         write_columns,
         write_recording,
     )
-    from turtlelog.measure import METRICS, SIGNALS, Metric, Signal, Status, measure_run, read_signal
+    from turtlelog.measure import (
+        METRICS,
+        SIGNALS,
+        Metric,
+        Signal,
+        Status,
+        measure_run,
+        read_signal,
+    )
     from turtlelog.replay import (
         LawReplay,
         LoopReplay,
@@ -59,8 +81,13 @@ if TYPE_CHECKING:
         replay_loop,
         replay_plant,
     )
-    from turtlelog.run import Phase, Run
-    from turtlelog.runner import run_live
+    from turtlelog.run import (
+        Phase,
+        Run,
+    )
+    from turtlelog.runner import (
+        run_live,
+    )
     from turtlelog.scenario import (
         PAPER_RUNS,
         PRESETS,
@@ -89,12 +116,19 @@ if TYPE_CHECKING:
         write_snapshot,
         write_tables,
     )
-    from turtlelog.simulate import simulate_run
+    from turtlelog.simulate import (
+        simulate_run,
+    )
 
 __version__ = "0.1.0"
 
 _ROOMS = {
-    "check": ("Finding", "check_formula", "check_run", "compute_robustness"),
+    "check": (
+        "Finding",
+        "check_formula",
+        "check_run",
+        "compute_robustness",
+    ),
     "compare": (
         "Column",
         "Comparison",
@@ -106,7 +140,11 @@ _ROOMS = {
         "tabulate_table1",
         "tabulate_whole_runs",
     ),
-    "errors": ("CheckError", "ExpressionError", "TurtlelogError"),
+    "errors": (
+        "CheckError",
+        "ExpressionError",
+        "TurtlelogError",
+    ),
     "expressions": (
         "Expression",
         "draw_caret",
@@ -114,7 +152,12 @@ _ROOMS = {
         "format_expression",
         "parse_expression",
     ),
-    "laws": ("Decision", "Goal", "Law", "Pose"),
+    "laws": (
+        "Decision",
+        "Goal",
+        "Law",
+        "Pose",
+    ),
     "log": (
         "PartialRecordingWarning",
         "Recorder",
@@ -136,7 +179,15 @@ _ROOMS = {
         "write_columns",
         "write_recording",
     ),
-    "measure": ("METRICS", "SIGNALS", "Metric", "Signal", "Status", "measure_run", "read_signal"),
+    "measure": (
+        "METRICS",
+        "SIGNALS",
+        "Metric",
+        "Signal",
+        "Status",
+        "measure_run",
+        "read_signal",
+    ),
     "replay": (
         "LawReplay",
         "LoopReplay",
@@ -145,7 +196,10 @@ _ROOMS = {
         "replay_loop",
         "replay_plant",
     ),
-    "run": ("Phase", "Run"),
+    "run": (
+        "Phase",
+        "Run",
+    ),
     "runner": ("run_live",),
     "scenario": (
         "PAPER_RUNS",
@@ -162,18 +216,18 @@ _ROOMS = {
     ),
     "show": (
         "FIGURES",
-        "Page",
-        "draw_figure",
-        "write_figures",
-        "write_tables",
         "TABLE_FORMATS",
+        "Page",
         "describe_run",
         "describe_runs",
+        "draw_figure",
         "format_table",
         "open_viewer",
         "write_comparison_rrd",
+        "write_figures",
         "write_run_rrd",
         "write_snapshot",
+        "write_tables",
     ),
     "simulate": ("simulate_run",),
 }
@@ -218,21 +272,16 @@ __all__ = [
     "check_run",
     "compare_runs",
     "complete_scenario",
-    "describe_run",
-    "describe_runs",
-    "draw_figure",
-    "export_csv",
-    "export_parquet",
-    "export_rosbag2",
-    "flatten_scenario",
     "compute_robustness",
     "describe_run",
     "describe_runs",
     "draw_caret",
+    "draw_figure",
     "evaluate_expression",
     "export_csv",
     "export_parquet",
     "export_rosbag2",
+    "flatten_scenario",
     "format_expression",
     "format_scenario",
     "format_table",

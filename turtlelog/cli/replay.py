@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, Output, ScenarioOptions, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text, require_new_target
+from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.replay_choice import (
     ReplayOptions,
     choose_scenario,
@@ -17,6 +17,7 @@ from turtlelog.cli.replay_choice import (
 from turtlelog.cli.replay_metrics import describe_changes, format_changes
 from turtlelog.cli.replay_plant import describe_plant, format_plant
 from turtlelog.cli.replay_signals import describe_law, describe_loop, format_law, format_loop
+from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
