@@ -71,7 +71,7 @@ class Progress:
     def _describe(self) -> str:
         if self._total is None:
             return self._label
-        return f"{self._label} {self.done:.0f}/{self._total:g} {self._unit}"
+        return f"{self._label} {int(self.done)}/{self._total:g} {self._unit}"
 
 
 _live: Final[list[Progress]] = []

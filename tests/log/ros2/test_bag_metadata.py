@@ -4,7 +4,7 @@ from io import StringIO
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
@@ -27,6 +27,7 @@ def format_one(file: str) -> str:
     return format_bag_metadata(file, [topic], start_ns=5, duration_ns=7)
 
 
+@settings(deadline=None)  # the library takes as long as it takes
 @given(name=NAMES)
 def test_any_file_name_comes_back_and_a_yaml_library_agrees(name: str) -> None:
     text = format_one(name)
