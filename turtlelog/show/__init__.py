@@ -12,11 +12,11 @@ if TYPE_CHECKING:
         write_figures,
         write_tables,
     )
-    from turtlelog.show.scene_comparison import write_comparison_rrd
-    from turtlelog.show.scene_run import write_run_rrd
-    from turtlelog.show.snapshot import ShownView, ViewReport, write_snapshot
+    from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
+    from turtlelog.show.rerun.scene_run import write_run_rrd
+    from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
+    from turtlelog.show.rerun.viewer import open_viewer
     from turtlelog.show.tables import TABLE_FORMATS, format_table
-    from turtlelog.show.viewer import open_viewer
 
 __all__ = [
     "FIGURES",
@@ -43,15 +43,15 @@ _MODULES: Final = {
     "write_figures": "figures",
     "write_tables": "figures",
     "TABLE_FORMATS": "tables",
-    "ShownView": "snapshot",
-    "ViewReport": "snapshot",
+    "ShownView": "rerun.snapshot",
+    "ViewReport": "rerun.snapshot",
     "describe_run": "documents",
     "describe_runs": "documents",
     "format_table": "tables",
-    "open_viewer": "viewer",
-    "write_comparison_rrd": "scene_comparison",
-    "write_run_rrd": "scene_run",
-    "write_snapshot": "snapshot",
+    "open_viewer": "rerun.viewer",
+    "write_comparison_rrd": "rerun.scene_comparison",
+    "write_run_rrd": "rerun.scene_run",
+    "write_snapshot": "rerun.snapshot",
 }
 
 

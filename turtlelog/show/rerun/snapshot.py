@@ -9,9 +9,9 @@ from typing import Final
 from rerun.experimental import ViewerClient
 
 from turtlelog.errors import ShowError
-from turtlelog.show.entities import TIMELINE
 from turtlelog.show.files import replace_file
-from turtlelog.show.viewer import ViewerProcess, require_recordings, start_viewer
+from turtlelog.show.rerun.entities import TIMELINE
+from turtlelog.show.rerun.viewer import ViewerProcess, require_recordings, start_viewer
 
 _START_S: Final = 30.0
 _LOAD_S: Final = 60.0

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.show.rrds import (
+from tests.show.rerun.rrds import (
     list_entities,
     list_timelines,
     make_foreign_run,

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 import rerun as rr
 
-from tests.show.rrds import make_foreign_run
+from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.errors import ShowError
-from turtlelog.show import recording, write_run_rrd
+from turtlelog.show import write_run_rrd
+from turtlelog.show.rerun import recording
 
 RUN = make_foreign_run(3)
 

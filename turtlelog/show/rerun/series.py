@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show import entities, palette
+from turtlelog.show.rerun import entities, palette
 
 _LINE_WIDTH: Final = 1.5
 _COMMANDED_WIDTH: Final = 3.0

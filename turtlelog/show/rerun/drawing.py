@@ -6,11 +6,11 @@ import numpy as np
 import rerun as rr
 
 from turtlelog.run import Phase, Run
-from turtlelog.show import entities, palette
-from turtlelog.show.entities import join_path
-from turtlelog.show.recording import build_index
-from turtlelog.show.series import Reference, Series
-from turtlelog.show.surroundings import UPWARD, Bounds
+from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.recording import build_index
+from turtlelog.show.rerun.series import Reference, Series
+from turtlelog.show.rerun.surroundings import UPWARD, Bounds
 
 _SHARE_BEYOND = 16
 _REFERENCE_WIDTH = 1.0  # [points], as are the radii

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.show.conftest import DOCUMENTS
-from tests.show.rrds import (
+from tests.show.rerun.conftest import DOCUMENTS
+from tests.show.rerun.rrds import (
     list_entities,
     list_timelines,
     make_foreign_run,

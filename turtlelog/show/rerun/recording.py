@@ -11,8 +11,8 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from turtlelog.errors import ShowError
-from turtlelog.show.entities import APPLICATION_ID, TIMELINE
 from turtlelog.show.files import replace_file
+from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE
 
 
 @contextmanager

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from turtlelog.run import Run
-from turtlelog.show import drawing, palette
-from turtlelog.show.content import describe_content
 from turtlelog.show.documents import describe_run
-from turtlelog.show.layout import build_run_layout
-from turtlelog.show.properties import collect_run_properties
-from turtlelog.show.recording import open_recording
-from turtlelog.show.series import list_references, list_series
-from turtlelog.show.surroundings import draw_surroundings
+from turtlelog.show.rerun import drawing, palette
+from turtlelog.show.rerun.content import describe_content
+from turtlelog.show.rerun.layout import build_run_layout
+from turtlelog.show.rerun.properties import collect_run_properties
+from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.series import list_references, list_series
+from turtlelog.show.rerun.surroundings import draw_surroundings
 
 
 def write_run_rrd(

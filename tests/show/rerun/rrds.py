@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset
-from turtlelog.show.viewer import find_viewer
+from turtlelog.show.rerun.viewer import find_viewer
 from turtlelog.simulate import simulate_run
 
 NOTHING_NS = np.zeros(0, dtype=np.int64)

@@ -9,8 +9,8 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
-from turtlelog.show import entities, palette
-from turtlelog.show.entities import join_path
+from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun.entities import join_path
 from turtlelog.turtlesim import WORLD_SIZE_M
 
 _WORLD_MARGIN = 0.03

@@ -3,9 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.show.rrds import list_entities, make_foreign_run
+from tests.show.rerun.rrds import list_entities, make_foreign_run
 from turtlelog.errors import ShowError
-from turtlelog.show import ViewReport, open_viewer, viewer, write_run_rrd, write_snapshot
+from turtlelog.show import ViewReport, open_viewer, write_run_rrd, write_snapshot
+from turtlelog.show.rerun import viewer
 
 NO_GRAPHICS = "expected a graphics adapter"
 

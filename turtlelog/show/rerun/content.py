@@ -7,10 +7,10 @@ import numpy as np
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Phase, Run
-from turtlelog.show import entities
-from turtlelog.show.entities import join_path
-from turtlelog.show.series import Reference, Series
-from turtlelog.show.surroundings import Bounds, find_goal_bounds, find_plane_bounds
+from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.series import Reference, Series
+from turtlelog.show.rerun.surroundings import Bounds, find_goal_bounds, find_plane_bounds
 
 _HEADROOM = 1.25
 _LEAST_SIDE = 0.15

@@ -6,9 +6,9 @@ from typing import Final
 
 import rerun.blueprint as rrb
 
-from turtlelog.show import entities, views
-from turtlelog.show.content import Content
-from turtlelog.show.entities import TIMELINE
+from turtlelog.show.rerun import entities, views
+from turtlelog.show.rerun.content import Content
+from turtlelog.show.rerun.entities import TIMELINE
 
 Legends = Mapping[str, rrb.Corner2D]
 

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.show.conftest import DOCUMENTS
-from tests.show.rrds import list_entities, read_layout
+from tests.show.rerun.conftest import DOCUMENTS
+from tests.show.rerun.rrds import list_entities, read_layout
 
-TEXT = (Path(__file__).parents[2] / "docs" / "rerun.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).parents[3] / "docs" / "rerun.md").read_text(encoding="utf-8")
 
 
 def test_snippets_run_as_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,17 +8,17 @@ import rerun as rr
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
-from turtlelog.show import drawing
-from turtlelog.show.content import describe_content
 from turtlelog.show.documents import describe_runs
-from turtlelog.show.entities import RUNS, join_path
-from turtlelog.show.layout import build_comparison_layout
-from turtlelog.show.legend import draw_legend
-from turtlelog.show.palette import choose_run_colors
-from turtlelog.show.properties import collect_comparison_properties
-from turtlelog.show.recording import open_recording
-from turtlelog.show.series import list_compared_series, list_references
-from turtlelog.show.surroundings import draw_surroundings
+from turtlelog.show.rerun import drawing
+from turtlelog.show.rerun.content import describe_content
+from turtlelog.show.rerun.entities import RUNS, join_path
+from turtlelog.show.rerun.layout import build_comparison_layout
+from turtlelog.show.rerun.legend import draw_legend
+from turtlelog.show.rerun.palette import choose_run_colors
+from turtlelog.show.rerun.properties import collect_comparison_properties
+from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.series import list_compared_series, list_references
+from turtlelog.show.rerun.surroundings import draw_surroundings
 
 
 def write_comparison_rrd(

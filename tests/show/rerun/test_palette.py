@@ -1,6 +1,6 @@
 import pytest
 
-from turtlelog.show.palette import choose_run_colors
+from turtlelog.show.rerun.palette import choose_run_colors
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 20, 50])

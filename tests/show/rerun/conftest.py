@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.show.rrds import simulate_preset
+from tests.show.rerun.rrds import simulate_preset
 from turtlelog.scenario import PAPER_RUNS
 from turtlelog.show import write_comparison_rrd, write_run_rrd
 

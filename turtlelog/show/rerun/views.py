@@ -6,12 +6,12 @@ from typing import Final
 
 import rerun.blueprint as rrb
 
-from turtlelog.show import entities
-from turtlelog.show.content import Content
-from turtlelog.show.drawing import name_document
-from turtlelog.show.entities import TIMELINE, join_path
-from turtlelog.show.legend import arrange_names
-from turtlelog.show.surroundings import Bounds
+from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.content import Content
+from turtlelog.show.rerun.drawing import name_document
+from turtlelog.show.rerun.entities import TIMELINE, join_path
+from turtlelog.show.rerun.legend import arrange_names
+from turtlelog.show.rerun.surroundings import Bounds
 
 _TITLES: Final[Mapping[str, str]] = MappingProxyType(
     {

@@ -8,8 +8,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.show import entities, palette
-from turtlelog.show.entities import join_path
+from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun.entities import join_path
 
 _WIDTH: Final = 12.0  # in heights of a row
 _LETTERS: Final = 48

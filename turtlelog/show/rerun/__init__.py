@@ -1,0 +1,1 @@
+"""Rerun recordings, their layouts, and the viewer that shows them."""
