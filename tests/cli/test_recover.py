@@ -12,20 +12,39 @@ def cut(kp4: Path, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def headless(kp4: Path, tmp_path: Path) -> Path:
+    """A recording that lacks its end: nothing says how many messages there were."""
+    data = kp4.read_bytes()
+    path = tmp_path / "headless.mcap"
+    path.write_bytes(data[: data.rindex(b"\x0f\x04" + bytes(7))])
+    return path
+
+
 def test_recover_says_how_much_and_what_was_lost(call: Call, cut: Path, tmp_path: Path) -> None:
     answer = call("recover", cut, "-o", tmp_path / "whole.mcap")
     assert (answer.code, answer.err) == (0, "")
     assert f"{tmp_path / 'whole.mcap'}: " in answer.out
     assert "messages from 0.000 s to 11.264 s" in answer.out
-    assert "messages lost: not known" in answer.out
+    assert "messages lost: none" in answer.out
     assert "lost: bytes " in answer.out
+    assert "expected a sound summary, found none: no message is missing" in answer.out
+
+
+def test_recover_says_where_nobody_knows_what_was_lost(
+    call: Call, headless: Path, tmp_path: Path
+) -> None:
+    answer = call("recover", headless, "-o", tmp_path / "whole.mcap")
+    assert (answer.code, answer.err) == (0, "")
+    assert "messages lost: not known" in answer.out
+    assert "cut short, or not finished" in answer.out
 
 
 def test_recover_answers_in_json(call: Call, cut: Path, tmp_path: Path) -> None:
     report = call("recover", cut, "-o", tmp_path / "whole.mcap", "--json").json
     assert (report["file"], report["complete"]) == (str(cut), False)
     assert report["recovered"]["/turtle1/cmd_vel"] == 681
-    assert (report["from_s"], report["to_s"], report["missing"]) == (0.0, 11.264, None)
+    assert (report["from_s"], report["to_s"], report["missing"]) == (0.0, 11.264, {})
     assert {"start", "end", "reason"} == set(report["lost"][0])
     assert call("metrics", tmp_path / "whole.mcap").code == 0
 

@@ -27,8 +27,11 @@ def recover(data: bytes, folder: Path) -> tuple[RecoveryReport, bytes]:
 
 
 def find_chunk(data: bytes, number: int) -> tuple[int, int]:
-    places = [(at, at + HEAD + size) for kind, at, size in list_records(data) if kind == CHUNK]
-    return places[number]
+    return list_places(data)[number]
+
+
+def list_places(data: bytes) -> list[tuple[int, int]]:
+    return [(at, at + HEAD + size) for kind, at, size in list_records(data) if kind == CHUNK]
 
 
 def damage(data: bytes, *places: int) -> bytes:
@@ -152,8 +155,65 @@ def test_a_recovered_file_says_what_it_lost(sound: bytes, tmp_path: Path) -> Non
 def test_a_damaged_summary_alone_loses_no_message(sound: bytes, tmp_path: Path) -> None:
     report, recovered = recover(damage(sound, len(sound) - 100), tmp_path)
     assert list_messages(recovered) == list_messages(sound)
+    assert (report.complete, report.missing) == (False, {})
+    (loss,) = report.lost
+    assert loss.reason == "expected a sound summary, found none: no message is missing"
+
+
+def test_a_wrong_checksum_of_the_data_alone_loses_no_message(sound: bytes, tmp_path: Path) -> None:
+    ((place, _),) = [(at, size) for kind, at, size in list_records(sound) if kind == DATA_END]
+    report, recovered = recover(damage(sound, place + HEAD), tmp_path)
+    assert list_messages(recovered) == list_messages(sound)
+    assert (report.complete, report.missing) == (False, {})
+    (loss,) = report.lost
+    assert (loss.start, loss.end) == (place, place)
+    assert loss.reason.startswith("expected data with the checksum 0x")
+    assert loss.reason.endswith(": no message is missing")
+
+
+def test_a_hidden_chunk_is_missed_though_all_others_are_sound(sound: bytes, tmp_path: Path) -> None:
+    place, _ = find_chunk(sound, 1)
+    hidden = bytearray(sound)
+    hidden[place] = 0x86  # a record of somebody's own, which every reader steps over
+    report, recovered = recover(bytes(hidden), tmp_path)
+    assert len(list_messages(recovered)) < len(list_messages(sound))
+    assert report.missing
+    assert "no message is missing" not in str(report.lost)
+
+
+def test_without_a_sound_checksum_nobody_says_that_nothing_is_missing(
+    sound: bytes, tmp_path: Path
+) -> None:
+    ((place, _),) = [(at, size) for kind, at, size in list_records(sound) if kind == DATA_END]
+    report, _ = recover(damage(sound, place + HEAD, len(sound) - 100), tmp_path)
     assert (report.complete, report.missing) == (False, None)
-    assert report.lost[0].reason == "expected a sound summary, found none"
+    assert "no message is missing" not in str(report.lost)
+
+
+def test_a_channel_described_behind_its_messages_is_found(sound: bytes, tmp_path: Path) -> None:
+    """The summary is lost, and so is the first chunk; a later one describes the channel again."""
+    second = recover(sound, tmp_path)[1]
+    place, end = find_chunk(sound, 0)
+    later, after = find_chunk(second, len(list_places(second)) - 1)
+    joined = sound[:place] + sound[end : find_chunk(sound, 2)[1]] + second[later:after]
+    report, recovered = recover(joined, tmp_path)
+    assert set(list_messages(recovered)) <= set(list_messages(sound))
+    assert report.recovered["/turtle1/cmd_vel"] > 5
+
+
+def test_channels_without_messages_are_kept(tmp_path: Path) -> None:
+    output = BytesIO()
+    writer = Writer(output)
+    writer.start()
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    writer.register_channel("/silent", "cdr", schema)
+    writer.add_message(writer.register_channel("/heard", "json", 0), 7, b"{}", 7)
+    writer.finish()  # type: ignore[no-untyped-call]
+    recover(output.getvalue(), tmp_path)
+    topics = [
+        (topic.topic, topic.type, topic.count) for topic in read_info(tmp_path / "out.mcap").topics
+    ]
+    assert topics == [("/heard", "", 1), ("/silent", "std_msgs/msg/String", 0)]
 
 
 @pytest.mark.parametrize("folder", ["conformance", "ros2"])

@@ -9,7 +9,6 @@ from contextlib import suppress
 
 from cyclopts import App, CycloptsError
 
-from turtlelog import __version__
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
 from turtlelog.cli.export import export
@@ -22,6 +21,7 @@ from turtlelog.cli.run import run
 from turtlelog.cli.scenario import scenario
 from turtlelog.cli.view import view
 from turtlelog.errors import TurtlelogError
+from turtlelog.version import __version__
 
 EXIT_FINE = 0
 EXIT_FAILED = 1

@@ -9,10 +9,10 @@ from typing import Any, Final
 import msgspec
 import tomli_w
 
-from turtlelog import __version__
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, nest_parameters
+from turtlelog.version import __version__
 
 HEAD: Final = "turtlelog"
 """Name of the metadata record."""

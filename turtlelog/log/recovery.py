@@ -2,9 +2,8 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -13,10 +12,11 @@ from mcap.opcode import Opcode
 from turtlelog.errors import LogError
 from turtlelog.log.atomic import replace_when_complete
 from turtlelog.log.border import name_file
-from turtlelog.log.engine.ending import read_ending
+from turtlelog.log.engine.ending import Ending, read_ending
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
-from turtlelog.log.rewriting import Descriptions, Rewriter
-from turtlelog.log.single_records import iterate_records
+from turtlelog.log.numbering import Numbering
+from turtlelog.log.rewriting import Rewriter
+from turtlelog.log.stretches import take_apart
 
 RECOVERY: Final = "turtlelog_recovery"
 """Name of the metadata record that tells a recovered file from one that was always whole."""
@@ -47,8 +47,8 @@ class RecoveryReport:
         recovered: Messages by topic.
         unchecked: Those of them that no checksum vouches for, by topic; a bit of them may have
             changed unnoticed.
-        missing: Messages by topic that the source's summary counts and that did not come; None
-            where it counts none, or is lost itself.
+        missing: Messages by topic that the source's summary counts and that did not come; empty
+            too where it is lost, but the checksum of all data holds; None where nothing tells.
         from_s: Log time of the earliest message recovered [s].
         to_s: Of the latest [s].
         lost: In the order of the file.
@@ -76,100 +76,115 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
             where the target is the source, or cannot be written.
     """
     source, target = Path(source), Path(target)
-    survey = _survey_file(source, target)
+    with name_file(source, expected="an MCAP file"), source.open("rb") as stream:
+        if target.exists() and source.samefile(target):
+            raise LogError(f"expected another file to write to, found the same: {target}")
+        ending = read_ending(stream)
     with replace_when_complete(target) as temporary, temporary.open("wb") as output:
-        rewriter = Rewriter(output, survey.described, has_notes=bool(survey.lost))
-        for section, opcode, body in _iterate_records(source, []):
-            with suppress(LogError):  # told by the survey
-                is_checked = section.is_checked or survey.is_vouched
-                rewriter.take_record(opcode, body, section.start, is_checked=is_checked)
-        report = _build_report(str(source), survey, rewriter)
-        rewriter.finish({} if report.complete else {RECOVERY: _format_notes(report)})
+        numbering = Numbering(ending.schemas, ending.channels)
+        copied = _copy_records(source, Rewriter(output, numbering), ending)
+        if copied.is_described_late:
+            # Behind its messages, by a later chunk: now it is known from the start.
+            output.seek(0)
+            output.truncate()
+            numbering = Numbering(numbering.first_schemas, numbering.first_channels)
+            copied = _copy_records(source, Rewriter(output, numbering), ending)
+        report = _build_report(str(source), copied, ending)
+        copied.rewriter.finish({} if report.complete else {RECOVERY: _format_notes(report)})
     return report
 
 
 @dataclass(slots=True, kw_only=True)
-class _Survey:
-    """What a first pass over the source found.
+class _Copied:
+    """What came of a pass over the source.
 
     Attributes:
-        described: Schemas, channels and the rest that must be known before messages are written.
-        counts: Messages by channel as the summary counts them, if it does.
+        rewriter: What took the records.
         lost: What could not be read.
         is_vouched: Whether the checksum of the whole data section holds.
+        mismatch: Where it does not; its place is that of the checksum.
+        summary: Where the summary is not sound; its place.
     """
 
-    described: Descriptions
-    counts: Mapping[int, int] | None
-    lost: list[Loss]
+    rewriter: Rewriter
+    lost: list[Loss] = field(default_factory=list)
     is_vouched: bool = False
+    mismatch: Loss | None = None
+    summary: Loss | None = None
+
+    @property
+    def is_described_late(self) -> bool:
+        numbering = self.rewriter.numbering
+        unknown = self.rewriter.unknown.keys()
+        return numbering.has_late_schemas or not unknown.isdisjoint(numbering.channels)
 
 
-def _survey_file(source: Path, target: Path) -> _Survey:
-    with name_file(source, expected="an MCAP file"), source.open("rb") as stream:
-        if target.exists() and source.samefile(target):
-            raise LogError(f"expected another file to write to, found the same: {target}")
-        ending, size = read_ending(stream), stream.seek(0, 2)
-    survey = _Survey(described=Descriptions(), counts=ending.counts, lost=[])
-    for section, opcode, body in _iterate_records(source, survey.lost):
-        try:
-            survey.described.take_record(opcode, body)
-        except LogError as err:
-            survey.lost.append(Loss(start=section.start, end=section.start, reason=str(err)))
-        if opcode == Opcode.DATA_END and not section.is_chunk:
-            survey.is_vouched = section.is_checked
+def _copy_records(source: Path, rewriter: Rewriter, ending: Ending) -> _Copied:
+    copied, is_at_end = _Copied(rewriter=rewriter), False
+    for found in _walk(source):
+        if isinstance(found, Damage):
+            loss = Loss(start=found.start, end=found.end, reason=found.reason)
+            if is_at_end:  # all that is told there is that the checksum of the data fails
+                copied.mismatch = loss
+            else:
+                copied.lost.append(loss)
+            continue
+        is_checked, place = found.is_checked, found.start
+        for reason in rewriter.take_stretch(take_apart(found.data), place, is_checked=is_checked):
+            copied.lost.append(Loss(start=place, end=place, reason=reason))
+        if not found.is_chunk and found.data[0] == Opcode.DATA_END:
+            is_at_end, copied.is_vouched = True, is_checked
             if not ending.is_sound:
-                reason = "expected a sound summary, found none"
-                survey.lost.append(Loss(start=section.start + 13, end=size, reason=reason))
-    survey.described.take_ending(ending)
-    if not survey.described.opcodes[Opcode.MESSAGE]:
-        reason = f", found: {survey.lost[0].reason}" if survey.lost else ", found none"
-        raise LogError(f"{source}: expected messages to recover{reason}")
-    return survey
+                start, reason = place + len(found.data), "expected a sound summary, found none"
+                copied.summary = Loss(start=start, end=source.stat().st_size, reason=reason)
+    return copied
 
 
-def _iterate_records(path: Path, lost: list[Loss]) -> Iterator[tuple[Section, int, bytes]]:
-    """Yield every record of the data section with where it stands; what is damaged joins `lost`."""
+def _walk(path: Path) -> Iterator[Section | Damage]:
+    # Errors of writing what comes are not this file's.
     with name_file(path, expected="an MCAP file"), path.open("rb") as stream:
-        for found in walk_sections(stream):
-            if isinstance(found, Damage):
-                lost.append(Loss(start=found.start, end=found.end, reason=found.reason))
-                continue
-            try:
-                for opcode, body in iterate_records(found.data):
-                    yield found, opcode, body
-            except LogError as err:
-                lost.append(Loss(start=found.start, end=found.start, reason=str(err)))
+        yield from walk_sections(stream)
 
 
-def _build_report(file: str, survey: _Survey, rewriter: Rewriter) -> RecoveryReport:
-    if rewriter.span_ns is None:
-        raise LogError(
-            f"{file}: expected messages to recover, found {rewriter.unknown.total()} of channels"
-            " that nothing describes"
-        )
-    missing = _count_missing(survey, rewriter)
-    lost = [*survey.lost, *(_describe_unknown(rewriter, number) for number in rewriter.unknown)]
+def _build_report(file: str, copied: _Copied, ending: Ending) -> RecoveryReport:
+    rewriter, span_ns = copied.rewriter, copied.rewriter.span_ns
+    lost = [*copied.lost, *(_describe_unknown(rewriter, number) for number in rewriter.unknown)]
+    missing = _count_missing(copied, ending, is_whole=not lost)
+    if span_ns is None:
+        raise _describe_nothing(file, rewriter, lost)
+    for loss in (copied.mismatch, copied.summary):
+        if loss is not None:
+            is_harmless = not lost and missing == {}
+            text = f"{loss.reason}: no message is missing" if is_harmless else loss.reason
+            lost.append(replace(loss, reason=text))
     return RecoveryReport(
         file=file,
         complete=not lost and not missing,
         recovered=dict(sorted(rewriter.recovered.items())),
-        unchecked=dict(sorted(rewriter.unchecked.items())),
+        unchecked={} if copied.is_vouched else dict(sorted(rewriter.unchecked.items())),
         missing=missing,
-        from_s=rewriter.span_ns[0] / 1e9,
-        to_s=rewriter.span_ns[1] / 1e9,
+        from_s=span_ns[0] / 1e9,
+        to_s=span_ns[1] / 1e9,
         lost=tuple(sorted(lost, key=lambda loss: loss.start)),
     )
 
 
-def _count_missing(survey: _Survey, rewriter: Rewriter) -> dict[str, int] | None:
-    if survey.counts is None:
-        return None
-    channels, expected = survey.described.channels, Counter[str]()
-    for number, count in survey.counts.items():
+def _count_missing(copied: _Copied, ending: Ending, *, is_whole: bool) -> dict[str, int] | None:
+    if ending.counts is None:
+        return {} if is_whole and copied.is_vouched else None
+    channels, expected = copied.rewriter.numbering.first_channels, Counter[str]()
+    for number, count in ending.counts.items():
         known = channels.get(number)
         expected[f"channel {number}" if known is None else known.topic] += count
-    return dict(sorted((expected - rewriter.recovered).items()))
+    return dict(sorted((expected - copied.rewriter.recovered).items()))
+
+
+def _describe_nothing(file: str, rewriter: Rewriter, lost: Sequence[Loss]) -> LogError:
+    if rewriter.unknown:
+        found = f", found {rewriter.unknown.total()} of channels that nothing describes"
+    else:
+        found = f", found: {lost[0].reason}" if lost else ", found none"
+    return LogError(f"{file}: expected messages to recover{found}")
 
 
 def _describe_unknown(rewriter: Rewriter, number: int) -> Loss:
