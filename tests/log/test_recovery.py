@@ -2,6 +2,7 @@ import json
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
@@ -9,8 +10,9 @@ from mcap.writer import CompressionType, Writer
 from tests.log.runs import find_shared
 from tests.torture.recordings import list_messages, list_records, make_recording, pack_again
 from turtlelog.errors import LogError
-from turtlelog.log import read_info, read_recording
-from turtlelog.log.recovery import RECOVERY, RecoveryReport, recover_recording
+from turtlelog.log import read_info, read_recording, read_run
+from turtlelog.log.recovery import RecoveryReport, recover_recording
+from turtlelog.log.recovery_note import RECOVERY
 
 CHUNK, DATA_END, HEAD = 6, 15, 9
 
@@ -150,6 +152,55 @@ def test_a_recovered_file_says_what_it_lost(sound: bytes, tmp_path: Path) -> Non
     )
     assert json.loads(note["missing"]) == report.missing
     assert json.loads(note["lost"])[0]["start"] == report.lost[0].start
+    text = read_info(tmp_path / "out.mcap").notes["recovered"]
+    assert read_recording(tmp_path / "out.mcap").notes["recovered"].startswith(text)
+    assert text.startswith("from a damaged or unfinished file: lost ")
+    assert f"of /turtle1/pose (byte {report.lost[0].start}: expected " in text
+
+
+def test_samples_whose_pose_is_lost_leave_a_recovered_run(tmp_path: Path) -> None:
+    sound = make_recording(tmp_path, "zstd", seconds=3.0)
+    whole = read_recording(tmp_path / "whole.mcap")
+    recover(damage(sound, *(find_chunk(sound, number)[1] - 9 for number in (0, 9))), tmp_path)
+    run = read_recording(tmp_path / "out.mcap")
+    assert 0 < len(whole.samples) - len(run.samples) < 30
+    read = (
+        run.poses.xy_m[run.samples.pose_sequence],
+        run.poses.heading_rad[run.samples.pose_sequence],
+    )
+    rows = whole.samples.pose_sequence[np.isin(whole.samples.sequence, run.samples.sequence)]
+    np.testing.assert_array_equal(read[0], whole.poses.xy_m[rows])
+    np.testing.assert_array_equal(read[1], whole.poses.heading_rad[rows])
+
+
+def test_a_file_recovered_twice_says_it_once(sound: bytes, tmp_path: Path) -> None:
+    _, recovered = recover(damage(sound, find_chunk(sound, 1)[1] - 9), tmp_path)
+    note = read_info(tmp_path / "out.mcap").notes
+    report, again = recover(recovered, tmp_path)
+    assert (report.complete, again) == (True, recovered)
+    assert read_info(tmp_path / "out.mcap").notes == note
+
+
+def test_a_file_that_was_whole_says_nothing(sound: bytes, tmp_path: Path) -> None:
+    recover(sound, tmp_path)
+    assert "recovered" not in read_info(tmp_path / "out.mcap").notes
+    assert "recovered" not in read_recording(tmp_path / "out.mcap").notes
+
+
+def test_a_changed_note_is_told_by_its_checksum(sound: bytes, tmp_path: Path) -> None:
+    _, recovered = recover(damage(sound, find_chunk(sound, 1)[1] - 9), tmp_path)
+    path = tmp_path / "changed.mcap"
+    path.write_bytes(recovered.replace(b'"start":', b'"stArt":', 1))
+    with pytest.raises(LogError, match="metadata turtlelog_recovery: expected its checksum"):
+        read_info(path)
+
+
+def test_a_recovered_bag_by_others_says_so(tmp_path: Path) -> None:
+    data = find_shared("ros2", "turtlesim_jazzy", "subset_0.mcap").read_bytes()
+    recover(data[:-200], tmp_path)
+    info, run = read_info(tmp_path / "out.mcap"), read_run(tmp_path / "out.mcap")
+    assert info.notes["recovered"] == run.notes["recovered"]
+    assert "expected a sound summary, found none" in run.notes["recovered"]
 
 
 def test_a_damaged_summary_alone_loses_no_message(sound: bytes, tmp_path: Path) -> None:

@@ -4,25 +4,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, require_files
+from turtlelog.cli.options import Files, Json, Partial, require_files
 from turtlelog.cli.output import print_json, print_text
 
 if TYPE_CHECKING:
     from turtlelog import RecordingInfo
 
 
-def info(files: Files, /, *, json: Json = False) -> None:
+def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> None:
     """Say what recordings hold: source, length, topics, scenario, and what is absent.
 
     Example: turtlelog info kp1.mcap
 
     Args:
         files: MCAP recordings, turtlelog's or other people's.
+        partial: Say what a damaged recording still holds.
         json: Print one JSON list instead of text.
     """
     require_files(files)
     found = [
-        (path, tl.read_bag_info(path) if path.is_dir() else tl.read_info(path)) for path in files
+        (
+            path,
+            tl.read_bag_info(path) if path.is_dir() else tl.read_info(path, allow_partial=partial),
+        )
+        for path in files
     ]
     if json:
         print_json([_describe(path, recording) for path, recording in found])

@@ -9,7 +9,8 @@ from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
 from turtlelog.log.partial import PartialRecordingWarning
 from turtlelog.log.reader import read_recording
 from turtlelog.log.recorder import Recorder
-from turtlelog.log.recovery import Loss, RecoveryReport, recover_recording
+from turtlelog.log.recovery import RecoveryReport, recover_recording
+from turtlelog.log.recovery_note import Loss
 from turtlelog.log.ros2 import read_bag, read_bag_info
 from turtlelog.log.writer import write_columns, write_recording
 

@@ -1,11 +1,9 @@
 """Unfinished or damaged file -> complete file with whatever it still holds."""
 
-import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
 
 from mcap.opcode import Opcode
 
@@ -15,26 +13,9 @@ from turtlelog.log.border import name_file
 from turtlelog.log.engine.ending import Ending, read_ending
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
 from turtlelog.log.numbering import Numbering
+from turtlelog.log.recovery_note import RECOVERY, Loss, format_recovery
 from turtlelog.log.rewriting import Rewriter
 from turtlelog.log.stretches import take_apart
-
-RECOVERY: Final = "turtlelog_recovery"
-"""Name of the metadata record that tells a recovered file from one that was always whole."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Loss:
-    """A stretch of a file that could not be recovered.
-
-    Attributes:
-        start: First byte in the file.
-        end: Byte after the last one; where it equals `start`, something is missing there.
-        reason: One clause: what was expected, what was found.
-    """
-
-    start: int
-    end: int
-    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +71,8 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
             numbering = Numbering(numbering.first_schemas, numbering.first_channels)
             copied = _copy_records(source, Rewriter(output, numbering), ending)
         report = _build_report(str(source), copied, ending)
-        copied.rewriter.finish({} if report.complete else {RECOVERY: _format_notes(report)})
+        note = format_recovery(report.lost, report.missing, report.unchecked)
+        copied.rewriter.finish({} if report.complete else {RECOVERY: note})
     return report
 
 
@@ -191,11 +173,3 @@ def _describe_unknown(rewriter: Rewriter, number: int) -> Loss:
     place, count = rewriter.first_unknown[number], rewriter.unknown[number]
     reason = f"expected a description of channel {number}, found only its messages: {count}"
     return Loss(start=place, end=place, reason=reason)
-
-
-def _format_notes(report: RecoveryReport) -> dict[str, str]:
-    return {
-        "lost": json.dumps([asdict(loss) for loss in report.lost]),
-        "missing": json.dumps(report.missing),
-        "unchecked": json.dumps(report.unchecked),
-    }

@@ -36,4 +36,5 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
             TopicInfo(topic=topic, type=kind, count=count)
             for (topic, kind), count in sorted(counts.items())
         ),
+        notes={name: text for info in infos for name, text in info.notes.items()},
     )
