@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 import turtlelog as tl
 from tests.cli.conftest import Call
@@ -159,3 +160,17 @@ def test_bad_input_is_one_line(
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err
     assert answer.err.count("\n") == 1
+
+
+def test_info_names_what_it_does_not_understand(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "odd.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("pkg/msg/Wide", "ros2msg", b"wstring text\n")
+        writer.add_message(writer.register_channel("/wide", "cdr", schema), 0, b"\0\1\0\0", 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    reason = "/wide: schema pkg/Wide: wstring: ROS's middlewares do not agree on its bytes"
+    assert f"  not understood\n    {reason}\n" in call("info", path).out
+    (told,) = call("info", path, "--json").json
+    assert told["not_understood"] == [reason]

@@ -51,6 +51,7 @@ def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:
             for topic in recording.topics
         ],
         "absent": list(recording.absent),
+        "not_understood": list(recording.not_understood),
         "notes": dict(recording.notes),
     }
 
@@ -76,6 +77,8 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         rows=tuple((topic.topic, topic.type, topic.count) for topic in recording.topics),
     )
     lines += ["", _indent(tl.format_table(topics))]
+    if recording.not_understood:
+        lines += ["", "  not understood", *(f"    {text}" for text in recording.not_understood)]
     if recording.parameters:
         known = "scenario" if recording.scenario else "known of the scenario"
         lines += ["", f"  {known}"]

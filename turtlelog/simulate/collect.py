@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from turtlelog.errors import SimulationError
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario
-from turtlelog.simulate.controller import Sample
 from turtlelog.simulate.loop import Tick, iterate_ticks
 
 # Rows are packed as they come: 8 bytes a value, whole numbers first.
@@ -43,7 +42,7 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
             tick.time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
         )
         for sample in tick.computed:
-            samples += _pack_sample(sample)
+            samples += _SAMPLE_ROW.pack(sample.time_ns, *sample.row)
         for sample in tick.published:
             commands += _COMMAND_ROW.pack(tick.time_ns, sample.speed_m_s, sample.turn_rate_rad_s)
         events += tick.events
@@ -66,27 +65,6 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
         scenario_is_complete=True,
         stop_reason=stop_reason,
         events=tuple(events),
-    )
-
-
-def _pack_sample(sample: Sample) -> bytes:
-    decision = sample.decision
-    return _SAMPLE_ROW.pack(
-        sample.time_ns,
-        sample.sequence,
-        sample.pose_sequence,
-        decision.phase,
-        decision.bearing_rad,
-        decision.heading_error_rad,
-        decision.error_x_m,
-        decision.error_y_m,
-        sample.distance_m,
-        decision.speed_m_s,
-        decision.turn_rate_rad_s,
-        sample.speed_m_s,
-        sample.turn_rate_rad_s,
-        decision.world_v_x_m_s,
-        decision.world_v_y_m_s,
     )
 
 
