@@ -9,9 +9,9 @@ from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import read_info
-from turtlelog.log.reader import read_recording
+from turtlelog.log.recording.reader import read_recording
+from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag
-from turtlelog.log.topics import COMMAND, POSE
 from turtlelog.run import Run
 
 _SQLITE_MAGIC: Final = b"SQLite format 3\0"

@@ -10,9 +10,9 @@ from mcap.records import Attachment, Metadata
 
 from turtlelog.log.border import name_file
 from turtlelog.log.engine.survey import Survey, survey_file
-from turtlelog.log.head import HEAD, parse_head, parse_scenario_file
-from turtlelog.log.partial import describe_damages
-from turtlelog.log.recovery_note import describe_recovery
+from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
+from turtlelog.log.recording.partial import describe_damages
+from turtlelog.log.recording.recovery_note import describe_recovery
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
 

@@ -14,9 +14,9 @@ from turtlelog.log.container import LIBRARY, ChunkRows, McapFile, pack_chunk
 from turtlelog.log.engine.blocks import MESSAGE_HEAD
 from turtlelog.log.engine.gather import gather_bytes
 from turtlelog.log.engine.rows import LOG_TIME, MESSAGE_HEADER
-from turtlelog.log.numbering import Numbering
-from turtlelog.log.single_records import parse_record
-from turtlelog.log.stretches import Stretch
+from turtlelog.log.recovery.numbering import Numbering
+from turtlelog.log.recovery.single_records import parse_record
+from turtlelog.log.recovery.stretches import Stretch
 
 _CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.contents import Contents
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.walk import Damage
-from turtlelog.log.topics import CONTROL, POSE, POSE64, VELOCITY64
+from turtlelog.log.recording.contents import Contents
+from turtlelog.log.recording.topics import CONTROL, POSE, POSE64, VELOCITY64
 
 
 class PartialRecordingWarning(UserWarning):

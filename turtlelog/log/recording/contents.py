@@ -19,10 +19,10 @@ from turtlelog.log.engine.schema import parse_schema
 from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
 from turtlelog.log.engine.source import Source, walk_blocks
 from turtlelog.log.engine.walk import Damage
-from turtlelog.log.head import HEAD, Head, parse_head
-from turtlelog.log.recovery_note import describe_recovery
-from turtlelog.log.schemas import SCHEMAS
-from turtlelog.log.topics import TOPICS, Topic
+from turtlelog.log.recording.head import HEAD, Head, parse_head
+from turtlelog.log.recording.recovery_note import describe_recovery
+from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.topics import TOPICS, Topic
 
 _EVERYTHING = Selection()
 

@@ -12,10 +12,10 @@ from turtlelog.log.atomic import replace_when_complete
 from turtlelog.log.border import name_file
 from turtlelog.log.engine.ending import Ending, read_ending
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
-from turtlelog.log.numbering import Numbering
-from turtlelog.log.recovery_note import RECOVERY, Loss, format_recovery
-from turtlelog.log.rewriting import Rewriter
-from turtlelog.log.stretches import take_apart
+from turtlelog.log.recording.recovery_note import RECOVERY, Loss, format_recovery
+from turtlelog.log.recovery.numbering import Numbering
+from turtlelog.log.recovery.rewriting import Rewriter
+from turtlelog.log.recovery.stretches import take_apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

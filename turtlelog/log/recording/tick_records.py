@@ -11,10 +11,20 @@ from mcap.opcode import Opcode
 from turtlelog.log.channels import describe_topics
 from turtlelog.log.container import ChunkRows
 from turtlelog.log.encode import CODES, encode_fields
-from turtlelog.log.messages import describe_event, describe_goal
+from turtlelog.log.recording.messages import describe_event, describe_goal
+from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.topics import (
+    COMMAND,
+    CONTROL,
+    EVENT,
+    GOAL,
+    PHASE,
+    POSE,
+    POSE64,
+    TOPICS,
+    Topic,
+)
 from turtlelog.log.records import ENCAPSULATION, HEAD, UNCOUNTED, read_type
-from turtlelog.log.schemas import SCHEMAS
-from turtlelog.log.topics import COMMAND, CONTROL, EVENT, GOAL, PHASE, POSE, POSE64, TOPICS, Topic
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import Tick

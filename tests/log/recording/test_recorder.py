@@ -22,7 +22,7 @@ from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import read_recording, replace_when_complete, write_recording
 from turtlelog.log.engine.columns import read_columns
-from turtlelog.log.recorder import Recorder, create_file
+from turtlelog.log.recording.recorder import Recorder, create_file
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import Tick, iterate_ticks, simulate_run
@@ -342,7 +342,7 @@ def test_a_kill_loses_at_most_the_last_second(after_s: float, tmp_path: Path) ->
 
 OWN_LOOP = """
 import sys, time
-from turtlelog.log.recorder import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import iterate_ticks
 

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
-from turtlelog.log.contents import Contents, read_contents, salvage_contents
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.layout import Column
-from turtlelog.log.head import Head, parse_scenario_file
-from turtlelog.log.partial import PartialRecordingWarning, describe_damages, reconcile_contents
-from turtlelog.log.topics import COMMAND, CONTROL, EVENT, GOAL, POSE, POSE64, VELOCITY64
+from turtlelog.log.recording.contents import Contents, read_contents, salvage_contents
+from turtlelog.log.recording.head import Head, parse_scenario_file
+from turtlelog.log.recording.partial import (
+    PartialRecordingWarning,
+    describe_damages,
+    reconcile_contents,
+)
+from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE, POSE64, VELOCITY64
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import flatten_tables
 

@@ -8,7 +8,7 @@ import msgspec
 from mcap.records import Metadata
 
 from turtlelog.errors import LogError
-from turtlelog.log.head import CHECKSUM, sum_up
+from turtlelog.log.recording.head import CHECKSUM, sum_up
 
 RECOVERY: Final = "turtlelog_recovery"
 """Name of the metadata record that tells a recovered file from one that was always whole."""
