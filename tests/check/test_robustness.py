@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.check.formulas import HALF_NS, Column, Definition, formulas, signals
@@ -29,6 +29,7 @@ def list_steps(function: Steps) -> list[tuple[float, float]]:
     return list(zip(function.time_ns / 1e9, function.values, strict=True))
 
 
+@settings(deadline=None)
 @given(formulas, signals)
 def test_margins_are_those_of_the_definitions_at_every_moment(tree: Node, trace: Trace) -> None:
     expression = parse_expression(format_expression(tree))
@@ -113,6 +114,7 @@ def test_margins_of_comparisons(text: str, margin: float) -> None:
     assert found.values[0] == pytest.approx(margin, nan_ok=True)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=1), st.integers(0, 20), st.integers(0, 20))
 def test_margins_do_not_depend_on_where_the_clock_begins(
     gaps: list[int], first: int, length: int
