@@ -137,8 +137,8 @@ def _find_window(columns: Mapping[str, Column]) -> tuple[int, int]:
 def _check_column(name: str, column: Column) -> None:
     place = f"signal {name!r}"
     time_ns, values = column
-    if time_ns.dtype.kind not in "iu":
-        raise CheckError(f"{place}: expected times in whole nanoseconds, found {time_ns.dtype}")
+    if time_ns.dtype != np.int64:
+        raise CheckError(f"{place}: expected times as int64 nanoseconds, found {time_ns.dtype}")
     if time_ns.ndim != 1 or time_ns.shape != values.shape:
         found = f"{time_ns.shape} and {values.shape}"
         raise CheckError(f"{place}: expected as many times as values in one row, found {found}")
