@@ -1,9 +1,10 @@
-"""Reading a million messages as columns, against the disk's bound and against row-by-row readers.
+"""Reading a million messages as columns, and recovering them, against bounds and other readers.
 
 The file has four topics, three of fixed size (24 to 52 bytes) and one of rare text, in chunks of
 1 MiB, zstd. All times are the best of several on one machine in one run.
 """
 
+import shutil
 import struct
 import subprocess
 import sys
@@ -25,8 +26,8 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from turtlelog.log import read_columns
-from turtlelog.log.schemas import SCHEMAS
+from turtlelog.log import read_columns, recover_recording
+from turtlelog.log.recording.schemas import SCHEMAS
 
 MESSAGES = 1_000_000
 PART = 40_000  # messages that the row-by-row readers are measured on
@@ -216,6 +217,20 @@ def measure_large(path: Path, messages: int) -> None:
     print(f"  read_info           {float(info):.3f} s (up to 0.2)")
 
 
+def measure_recovery(path: Path, columns_s: float) -> None:
+    """Recover a file without its end, and one with a damaged chunk, and print the times."""
+    copy, output = path.with_name("copy.mcap"), path.with_name("recovered.mcap")
+    copied = measure(lambda: shutil.copyfile(path, copy))
+    data = bytearray(path.read_bytes())
+    place, length = find_chunks(path)[5]
+    data[place + length // 2] ^= 1
+    for title, harmed in (("cut", data[: -len(data) // 100]), ("damaged", data)):
+        copy.write_bytes(harmed)
+        took = measure(lambda: recover_recording(copy, output), 3)
+        ratios = f"{took / copied:.0f} times a copy, {took / columns_s:.1f} times read_columns"
+        print(f"recover, {title:<12} {took:7.3f} s (up to 1.5), {ratios}")
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         path, part = Path(name) / "million.mcap", Path(name) / "part.mcap"
@@ -233,6 +248,7 @@ def main() -> None:
         for title, time_s, least in (("mcap_ros2 decoder", decoder, 60), ("rosbags", rosbags, 15)):
             ratio = f"{time_s / ours:.0f} times as long (at least {least})"
             print(f"{title:<20}  {time_s:7.2f} s, {ratio}; measured on {PART:,}, scaled")
+        measure_recovery(path, ours)
         large = Path(name) / "large.mcap"
         measure_large(large, write_large_file(large, path, LARGE))
 

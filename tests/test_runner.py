@@ -13,7 +13,7 @@ from tests.log.runs import assert_same
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError, SimulationError
 from turtlelog.log import read_recording
-from turtlelog.log.recorder import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.run import Run
 from turtlelog.runner import Sink, run_live
 from turtlelog.scenario import Scenario, get_preset, override_scenario

@@ -7,6 +7,8 @@ on first use: importing the package costs neither numpy nor rerun.
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from turtlelog.version import __version__
+
 if TYPE_CHECKING:
     from turtlelog.check import (
         Finding,
@@ -120,7 +122,6 @@ if TYPE_CHECKING:
         simulate_run,
     )
 
-__version__ = "0.1.0"
 
 _ROOMS = {
     "check": (

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 import msgspec
 
-from turtlelog.log.recorder import INTERRUPTED
+from turtlelog.log.recording.recorder import INTERRUPTED
 from turtlelog.log.signals import StopRequest, catch_stop
 from turtlelog.run import Event, Run
 from turtlelog.scenario import Scenario

@@ -42,7 +42,7 @@ comparisons = st.builds(
     operands=st.tuples(numbers, numbers | constants),
 )
 windows = st.one_of(
-    st.tuples(st.integers(0, 8), st.integers(0, 30)).map(lambda pair: (pair[0], sum(pair))),
+    st.tuples(st.integers(0, 8), st.integers(0, 15)).map(lambda pair: (pair[0], sum(pair))),
     st.tuples(st.integers(0, 8), st.just(math.inf)),
 )
 
@@ -76,7 +76,7 @@ formulas = st.recursive(comparisons, build_formulas, max_leaves=5)
 @st.composite
 def columns(draw: st.DrawFn) -> Column:
     """A signal from time 0 on, at uneven times."""
-    gaps = draw(st.lists(st.integers(1, 6), max_size=10))
+    gaps = draw(st.lists(st.integers(1, 5), max_size=8))
     times = np.cumsum([0, *gaps]).astype(np.int64) * HALF_NS
     values = draw(st.lists(small, min_size=len(times), max_size=len(times)))
     return times, np.array(values)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 
 from tests.check.formulas import HALF_NS, Column, Definition, formulas, signals
 from turtlelog.check import Finding, check_formula, check_run
@@ -32,6 +32,7 @@ def check_paper(text: str) -> Finding:
     return check_run(simulate_paper(), parse_expression(text))
 
 
+@settings(deadline=None)
 @given(formulas, signals)
 def test_verdicts_are_those_of_the_definitions(tree: Node, trace: dict[str, Column]) -> None:
     found = check_formula(trace, parse_expression(format_expression(tree)), window_ns=(0, 10**11))
@@ -40,6 +41,7 @@ def test_verdicts_are_those_of_the_definitions(tree: Node, trace: dict[str, Colu
     assert (found.first_violation_s is None) == found.holds
 
 
+@settings(deadline=None)
 @given(formulas, signals)
 def test_what_always_holds_is_first_violated_where_its_body_is(
     tree: Node, trace: dict[str, Column]
@@ -51,6 +53,7 @@ def test_what_always_holds_is_first_violated_where_its_body_is(
     assert found.first_violation_s == (failed[0] if failed else None)
 
 
+@settings(deadline=None)
 @given(formulas, signals)
 def test_the_margin_of_always_is_found_where_it_comes_from(
     tree: Node, trace: dict[str, Column]

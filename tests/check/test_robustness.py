@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.check.formulas import HALF_NS, Column, Definition, formulas, signals
@@ -29,6 +29,7 @@ def list_steps(function: Steps) -> list[tuple[float, float]]:
     return list(zip(function.time_ns / 1e9, function.values, strict=True))
 
 
+@settings(deadline=None)
 @given(formulas, signals)
 def test_margins_are_those_of_the_definitions_at_every_moment(tree: Node, trace: Trace) -> None:
     expression = parse_expression(format_expression(tree))
@@ -113,6 +114,7 @@ def test_margins_of_comparisons(text: str, margin: float) -> None:
     assert found.values[0] == pytest.approx(margin, nan_ok=True)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=1), st.integers(0, 20), st.integers(0, 20))
 def test_margins_do_not_depend_on_where_the_clock_begins(
     gaps: list[int], first: int, length: int
@@ -145,7 +147,8 @@ def test_errors_point_at_the_column_of_the_formula(text: str, problem: str) -> N
 @pytest.mark.parametrize(
     ("column", "problem"),
     [
-        ((np.array([0.0, 1.0]), np.zeros(2)), "expected times in whole nanoseconds, found float64"),
+        ((np.array([0.0, 1.0]), np.zeros(2)), "expected times as int64 nanoseconds, found float64"),
+        ((np.array([0], np.uint64), np.zeros(1)), "int64 nanoseconds, found uint64"),
         ((np.array([0, 1]), np.zeros(3)), r"expected as many times .* found \(2,\) and \(3,\)"),
         ((np.array([], np.int64), np.zeros(0)), "expected at least one value, found none"),
         ((np.array([0, 2, 1]), np.zeros(3)), "do not decrease, found 1 after 2 at row 2"),

@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 import turtlelog as tl
 from tests.cli.conftest import Call
@@ -189,3 +190,17 @@ def test_tables_fit_the_terminal(
     assert max(map(len, tables)) <= columns
     assert command == "info" or max(map(len, wide.splitlines())) > 80
     assert "paper-kp4" in answer.out
+
+
+def test_info_names_what_it_does_not_understand(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "odd.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("pkg/msg/Wide", "ros2msg", b"wstring text\n")
+        writer.add_message(writer.register_channel("/wide", "cdr", schema), 0, b"\0\1\0\0", 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    reason = "/wide: schema pkg/Wide: wstring: ROS's middlewares do not agree on its bytes"
+    assert f"  not understood\n    {reason}\n" in call("info", path).out
+    (told,) = call("info", path, "--json").json
+    assert told["not_understood"] == [reason]

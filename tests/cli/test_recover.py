@@ -12,20 +12,39 @@ def cut(kp4: Path, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def headless(kp4: Path, tmp_path: Path) -> Path:
+    """A recording that lacks its end: nothing says how many messages there were."""
+    data = kp4.read_bytes()
+    path = tmp_path / "headless.mcap"
+    path.write_bytes(data[: data.rindex(b"\x0f\x04" + bytes(7))])
+    return path
+
+
 def test_recover_says_how_much_and_what_was_lost(call: Call, cut: Path, tmp_path: Path) -> None:
     answer = call("recover", cut, "-o", tmp_path / "whole.mcap")
     assert (answer.code, answer.err) == (0, "")
     assert f"{tmp_path / 'whole.mcap'}: " in answer.out
     assert "messages from 0.000 s to 11.264 s" in answer.out
-    assert "messages lost: not known" in answer.out
+    assert "messages lost: none" in answer.out
     assert "lost: bytes " in answer.out
+    assert "expected a sound summary, found none: no message is missing" in answer.out
+
+
+def test_recover_says_where_nobody_knows_what_was_lost(
+    call: Call, headless: Path, tmp_path: Path
+) -> None:
+    answer = call("recover", headless, "-o", tmp_path / "whole.mcap")
+    assert (answer.code, answer.err) == (0, "")
+    assert "messages lost: not known" in answer.out
+    assert "cut short, or not finished" in answer.out
 
 
 def test_recover_answers_in_json(call: Call, cut: Path, tmp_path: Path) -> None:
     report = call("recover", cut, "-o", tmp_path / "whole.mcap", "--json").json
     assert (report["file"], report["complete"]) == (str(cut), False)
     assert report["recovered"]["/turtle1/cmd_vel"] == 681
-    assert (report["from_s"], report["to_s"], report["missing"]) == (0.0, 11.264, None)
+    assert (report["from_s"], report["to_s"], report["missing"]) == (0.0, 11.264, {})
     assert {"start", "end", "reason"} == set(report["lost"][0])
     assert call("metrics", tmp_path / "whole.mcap").code == 0
 
@@ -72,3 +91,44 @@ def test_a_name_that_is_no_recording_is_not_overwritten(call: Call, tmp_path: Pa
     assert answer.code == 2
     assert "thesis.txt: expected a name that ends in .mcap" in answer.err
     assert (tmp_path / "thesis.txt").read_text() == "precious"
+
+
+def test_a_recovered_recording_is_told_by_info_and_metrics(
+    call: Call, headless: Path, tmp_path: Path
+) -> None:
+    whole = tmp_path / "whole.mcap"
+    assert call("recover", headless, "-o", whole).code == 0
+    line = "recovered: from a damaged or unfinished file: nobody knows how many messages are lost"
+    answer = call("metrics", whole)
+    assert (answer.code, answer.err.count("\n")) == (0, 1)
+    assert answer.err.startswith(f"{whole}: {line} (byte ")
+    assert "recovered  from a damaged or unfinished file: " in call("info", whole).out
+    (told,) = call("info", whole, "--json").json
+    assert told["notes"]["recovered"].startswith("from a damaged or unfinished file: ")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["metrics", "FILE"],
+        ["compare", "FILE", "FILE"],
+        ["export", "FILE", "--csv", "poses.csv"],
+        ["view", "FILE", "--save", "run.rrd"],
+        ["info", "FILE"],
+    ],
+)
+def test_partial_reads_what_is_refused_otherwise(
+    call: Call, kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    data = kp4.read_bytes()
+    Path("FILE").with_suffix(".mcap").write_bytes(data[:-100] + b"\xa5" + data[-99:])
+    named = ["FILE.mcap" if word == "FILE" else word for word in words]
+    refused = call(*named)
+    assert (refused.code, refused.out) == (2, "")
+    answer = call(*named, "--partial")
+    assert answer.code == 0
+    assert "no data is lost, only the summary is damaged" in (
+        answer.out if words[0] == "info" else answer.err
+    )
+    assert "Warning" not in answer.err

@@ -3,7 +3,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.expressions.trees import (
@@ -37,6 +37,7 @@ def agree(found: float | None, expected: float | None) -> bool:
     return found == expected or math.isclose(found, expected, rel_tol=1e-12, abs_tol=1e-15)
 
 
+@settings(deadline=None)
 @given(exact_numbers | truths, VALUES)
 def test_arithmetic_and_logic_are_those_of_python(tree: Node, values: dict[str, Any]) -> None:
     found = evaluate_expression(parse_expression(format_expression(tree)), values)
@@ -45,24 +46,28 @@ def test_arithmetic_and_logic_are_those_of_python(tree: Node, values: dict[str, 
     assert (found is None) == (expected is None)
 
 
+@settings(deadline=None)
 @given(st.sampled_from(["sin", "cos", "deg", "rad", "log"]), SOME_NUMBER)
 def test_functions_are_those_of_python(name: str, value: float) -> None:
     expected = apply(FUNCTIONS[name], value)
     assert agree(evaluate(f"{name}(x)", x=value), expected)
 
 
+@settings(deadline=None)
 @given(st.sampled_from(["atan2", "hypot"]), SOME_NUMBER, SOME_NUMBER)
 def test_functions_of_two_are_those_of_python(name: str, left: float, right: float) -> None:
     expected = apply(FUNCTIONS[name], left, right)
     assert agree(evaluate(f"{name}(x, y)", x=left, y=right), expected)
 
 
+@settings(deadline=None)
 @given(st.floats(-50, 50), st.integers(-400, 400).map(float))
 def test_powers_are_those_of_python(base: float, exponent: float) -> None:
     expected = apply(math.pow, base, exponent)
     assert agree(evaluate("x**y", x=base, y=exponent), expected)
 
 
+@settings(deadline=None)
 @given(truths | exact_numbers, ROWS)
 def test_columns_give_what_their_rows_give(tree: Node, rows: list[dict[str, Any]]) -> None:
     expression = parse_expression(format_expression(tree))

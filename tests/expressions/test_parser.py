@@ -2,7 +2,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.expressions.trees import numbers, temporal
@@ -22,6 +22,7 @@ def catch_error(text: str) -> ExpressionError:
     return caught.value
 
 
+@settings(deadline=None)
 @given(temporal | numbers)
 def test_printed_expressions_parse_to_the_same_tree(tree: Node) -> None:
     text = format_expression(tree)
@@ -30,6 +31,7 @@ def test_printed_expressions_parse_to_the_same_tree(tree: Node) -> None:
     assert format_expression(parsed) == text
 
 
+@settings(deadline=None)
 @given(st.text(max_size=40) | st.text("0123456789.xe+-*/<>=!()[], 'andotrimplsuwy\n", max_size=60))
 def test_any_text_parses_or_says_in_one_line_where_it_does_not(text: str) -> None:
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import turtlelog as tl
 from tests.torture.kills import ENTRY
-from turtlelog.log.recorder import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.simulate import iterate_ticks
 
 

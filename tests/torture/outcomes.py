@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import turtlelog as tl
-from tests.torture.recordings import Record, list_files, list_messages
+from tests.torture.recordings import Record, list_contents
 from turtlelog.errors import LogError
 from turtlelog.log.recovery import recover_recording
 
@@ -91,7 +91,7 @@ class Readers:
 
     def __init__(self, sound: bytes, folder: Path) -> None:
         self._path, self._output = folder / "damaged.mcap", folder / "recovered.mcap"
-        self._messages, self._files = list_messages(sound), list_files(sound)
+        self._messages, self._files = list_contents(sound)
         self._path.write_bytes(sound)
         self._reads: dict[str, Callable[[], Any]] = {
             "read_recording": lambda: tl.read_recording(self._path),
@@ -128,12 +128,10 @@ class Readers:
 
     def _recover(self) -> tuple[Outcome, str]:
         report = recover_recording(self._path, self._output)
-        recovered = self._output.read_bytes()
-        found = list_messages(recovered)
+        found, files = list_contents(self._output.read_bytes())
         if not is_part(found, self._messages):
             return Outcome.SILENT, f"messages that were never written: {report}"
-        is_equal = len(found) == len(self._messages) and list_files(recovered) == self._files
-        if is_equal:
+        if len(found) == len(self._messages) and files == self._files:
             return Outcome.EQUAL, ""
         return (Outcome.SILENT if report.complete else Outcome.PART), str(report)
 

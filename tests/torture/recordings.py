@@ -91,11 +91,26 @@ def list_messages(data: bytes) -> list[Record]:
     ]
 
 
-def list_files(data: bytes) -> list[object]:
-    """Return the metadata and attachments of a sound file, but for what recovery adds."""
-    records = StreamReader(BytesIO(data)).records
-    files = [record for record in records if isinstance(record, Metadata | Attachment)]
-    return [record for record in files if record.name != "turtlelog_recovery"]
+def list_contents(data: bytes) -> tuple[list[Record], list[object]]:
+    """Return the messages of a sound file, every checksum held, and its metadata and attachments.
+
+    What recovery adds is left out. One pass: the torture reads every recovered file this way.
+    """
+    types, channels = {0: ""}, dict[int, tuple[str, str]]()
+    messages: list[Record] = []
+    files: list[object] = []
+    for record in StreamReader(BytesIO(data), validate_crcs=True).records:
+        match record:
+            case Message(channel_id=number, log_time=time_ns, publish_time=sent_ns):
+                stamps = time_ns, sent_ns, record.sequence
+                messages.append((*channels[number], *stamps, record.data))
+            case Schema():
+                types[record.id] = record.name
+            case Channel():
+                channels[record.id] = record.topic, types[record.schema_id]
+            case Metadata(name=name) | Attachment(name=name) if name != "turtlelog_recovery":
+                files.append(record)
+    return messages, files
 
 
 def list_records(data: bytes) -> list[tuple[int, int, int]]:

@@ -27,12 +27,14 @@ class Trace:
     Attributes:
         start_ns: First time [ns].
         end_ns: Last time [ns]; beyond it the last values hold.
+        names: In order of first use.
         signals: As functions of time.
         constants: What does not change; None for no value.
     """
 
     start_ns: int
     end_ns: int
+    names: tuple[str, ...]
     signals: Mapping[str, Steps]
     constants: Mapping[str, Any]
 
@@ -65,6 +67,7 @@ class Trace:
         return cls(
             start_ns=start_ns,
             end_ns=end_ns,
+            names=expression.names,
             signals={
                 name: make_steps(*column, start_ns=start_ns, end_ns=end_ns)
                 for name, column in columns.items()
@@ -74,11 +77,14 @@ class Trace:
 
     def read_values(self, time_ns: int) -> dict[str, Any]:
         """Return what every name stands for at a time: float, bool, str or None."""
-        found = dict(self.constants)
-        for name, steps in self.signals.items():
-            value = steps.values[steps.find_piece(time_ns)].item()
-            found[name] = None if isinstance(value, float) and math.isnan(value) else value
-        return found
+        return {name: self._read_value(name, time_ns) for name in self.names}
+
+    def _read_value(self, name: str, time_ns: int) -> Any:
+        if name in self.constants:
+            return self.constants[name]
+        steps = self.signals[name]
+        value = steps.values[steps.find_piece(time_ns)].item()
+        return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def check_names(expression: Expression, known: Mapping[str, object]) -> None:
@@ -131,8 +137,8 @@ def _find_window(columns: Mapping[str, Column]) -> tuple[int, int]:
 def _check_column(name: str, column: Column) -> None:
     place = f"signal {name!r}"
     time_ns, values = column
-    if time_ns.dtype.kind not in "iu":
-        raise CheckError(f"{place}: expected times in whole nanoseconds, found {time_ns.dtype}")
+    if time_ns.dtype != np.int64:
+        raise CheckError(f"{place}: expected times as int64 nanoseconds, found {time_ns.dtype}")
     if time_ns.ndim != 1 or time_ns.shape != values.shape:
         found = f"{time_ns.shape} and {values.shape}"
         raise CheckError(f"{place}: expected as many times as values in one row, found {found}")

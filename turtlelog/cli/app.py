@@ -13,7 +13,6 @@ from typing import Any
 
 from cyclopts import App, CycloptsError
 
-from turtlelog import __version__
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
 from turtlelog.cli.export import export
@@ -29,6 +28,7 @@ from turtlelog.cli.run import run
 from turtlelog.cli.scenario import scenario
 from turtlelog.cli.view import view
 from turtlelog.errors import TurtlelogError
+from turtlelog.version import __version__
 
 EXIT_FINE = 0
 EXIT_FAILED = 1

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, iterate_files, require_files
+from turtlelog.cli.options import Files, Json, Partial, iterate_files, require_files
 from turtlelog.cli.output import format_table, print_error, print_json, print_text
 from turtlelog.errors import TurtlelogError
 
@@ -17,7 +17,7 @@ EXIT_FINE: Final = 0
 EXIT_BAD_INPUT: Final = 2
 
 
-def info(files: Files, /, *, json: Json = False) -> int:
+def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> int:
     """Say what recordings hold: source, length, topics, scenario, and what is absent.
 
     A file that cannot be read is told on stderr; the others are described, and the exit code is 2.
@@ -26,10 +26,11 @@ def info(files: Files, /, *, json: Json = False) -> int:
 
     Args:
         files: MCAP recordings, turtlelog's or other people's.
+        partial: Say what a damaged recording still holds.
         json: Print one JSON list instead of text.
     """
     require_files(files)
-    found, errors = _read(files)
+    found, errors = _read(files, partial=partial)
     for err in errors:
         print_error(str(err))
     if json:
@@ -39,13 +40,18 @@ def info(files: Files, /, *, json: Json = False) -> int:
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
-def _read(files: Sequence[Path]) -> "tuple[list[tuple[Path, RecordingInfo]], list[TurtlelogError]]":
+def _read(
+    files: Sequence[Path], *, partial: bool
+) -> "tuple[list[tuple[Path, RecordingInfo]], list[TurtlelogError]]":
     """Return what is found and what is wrong."""
     found: list[tuple[Path, RecordingInfo]] = []
     errors: list[TurtlelogError] = []
     for path in iterate_files(files):
         try:
-            found.append((path, (tl.read_bag_info if _is_folder(path) else tl.read_info)(path)))
+            if _is_folder(path):
+                found.append((path, tl.read_bag_info(path)))
+            else:
+                found.append((path, tl.read_info(path, allow_partial=partial)))
         except TurtlelogError as err:
             errors.append(err)
     return found, errors
@@ -74,6 +80,7 @@ def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:
             for topic in recording.topics
         ],
         "absent": list(recording.absent),
+        "not_understood": list(recording.not_understood),
         "notes": dict(recording.notes),
     }
 
@@ -103,6 +110,8 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         rows=tuple((topic.topic, topic.type, topic.count) for topic in recording.topics),
     )
     lines += ["", _indent(format_table(topics, indent=2))]
+    if recording.not_understood:
+        lines += ["", "  not understood", *(f"    {text}" for text in recording.not_understood)]
     if recording.parameters:
         known = "scenario" if recording.scenario else "known of the scenario"
         lines += ["", f"  {known}"]

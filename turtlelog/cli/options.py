@@ -1,5 +1,6 @@
 """Options that several commands share, and what they stand for."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
 Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
+Partial = Annotated[bool, Parameter(name="--partial", negative="")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
 
 
@@ -39,15 +42,17 @@ class ScenarioOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicOptions:
-    """Which topics of somebody else's bag to read, where more than one can be meant.
+    """How recordings are read: which topics of somebody else's bag, and damaged ones.
 
     Attributes:
         pose_topic: Poses: turtlesim's, Odometry or PoseStamped.
         command_topic: Commands: Twist or TwistStamped.
+        partial: Read what an unfinished or damaged recording still holds.
     """
 
     pose_topic: str | None = None
     command_topic: str | None = None
+    partial: Partial = False
 
 
 def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
@@ -81,7 +86,7 @@ def iterate_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "
     require_files(paths)
     topics = topics or TopicOptions()
     for path in iterate_files(paths):
-        yield tl.read_run(path, pose_topic=topics.pose_topic, command_topic=topics.command_topic)
+        yield _read_run(path, topics)
 
 
 def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
@@ -92,6 +97,22 @@ def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
         for number, path in enumerate(paths, start=1):
             yield path
             progress.done = number
+
+
+def _read_run(path: Path, topics: TopicOptions) -> "Run":
+    with warnings.catch_warnings():
+        # The run's note says the same.
+        warnings.simplefilter("ignore", tl.PartialRecordingWarning)
+        run = tl.read_run(
+            path,
+            pose_topic=topics.pose_topic,
+            command_topic=topics.command_topic,
+            allow_partial=topics.partial,
+        )
+    for name in ("recovered", "partial"):
+        if name in run.notes:
+            print_note(f"{path}: {name}: {run.notes[name]}")
+    return run
 
 
 def require_files(paths: Sequence[Path]) -> None:

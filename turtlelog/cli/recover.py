@@ -59,6 +59,8 @@ def _format(report: "RecoveryReport", output: Path) -> list[str]:
         lines.append(f"messages lost: {sum(report.missing.values())} ({lost})")
     elif report.missing is None:
         lines.append("messages lost: not known, for the file has no sound summary that counts them")
+    else:
+        lines.append("messages lost: none")
     if report.unchecked:
         unchecked = sum(report.unchecked.values())
         lines.append(f"messages that no checksum vouches for: {unchecked}")

@@ -6,12 +6,13 @@ from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
 from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
-from turtlelog.log.partial import PartialRecordingWarning
-from turtlelog.log.reader import read_recording
-from turtlelog.log.recorder import Recorder
-from turtlelog.log.recovery import Loss, RecoveryReport, recover_recording
+from turtlelog.log.recording.partial import PartialRecordingWarning
+from turtlelog.log.recording.reader import read_recording
+from turtlelog.log.recording.recorder import Recorder
+from turtlelog.log.recording.recovery_note import Loss
+from turtlelog.log.recording.writer import write_columns, write_recording
+from turtlelog.log.recovery import RecoveryReport, recover_recording
 from turtlelog.log.ros2 import read_bag, read_bag_info
-from turtlelog.log.writer import write_columns, write_recording
 
 __all__ = [
     "Loss",

@@ -9,9 +9,9 @@ from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import read_info
-from turtlelog.log.reader import read_recording
+from turtlelog.log.recording.reader import read_recording
+from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag
-from turtlelog.log.topics import COMMAND, POSE
 from turtlelog.run import Run
 
 _SQLITE_MAGIC: Final = b"SQLite format 3\0"
@@ -19,7 +19,11 @@ _LOG_SUFFIXES: Final = frozenset({".json", ".csv"})
 
 
 def read_run(
-    path: str | Path, *, pose_topic: str | None = None, command_topic: str | None = None
+    path: str | Path,
+    *,
+    pose_topic: str | None = None,
+    command_topic: str | None = None,
+    allow_partial: bool = False,
 ) -> Run:
     """Return the run in a recording of turtlelog's, somebody's bag or .mcap, or a paper's log.
 
@@ -27,6 +31,7 @@ def read_run(
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
         pose_topic: As in `read_bag`; turtlelog's own recordings have but one.
         command_topic: The same.
+        allow_partial: As in `read_recording`; other people's files must be whole.
 
     Raises:
         LogError: One line with the file and the place.
@@ -48,7 +53,7 @@ def read_run(
     is_usual = pose_topic in {None, POSE.name} and command_topic in {None, COMMAND.name}
     own = _find_own_recording(path) if is_usual else None
     if own is not None:
-        return read_recording(own)
+        return read_recording(own, allow_partial=allow_partial)
     return read_bag(path, pose_topic=pose_topic, command_topic=command_topic)
 
 

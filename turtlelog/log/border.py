@@ -6,16 +6,21 @@ from pathlib import Path
 
 from turtlelog.errors import LogError, TurtlelogError, describe_error
 
+_DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
+
 
 @contextmanager
 def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
     """Turn whatever goes wrong while a file is read into one LogError line that names it.
 
     On damaged files the libraries raise nearly everything: struct.error, KeyError, MemoryError,
-    OverflowError, UnicodeDecodeError, RecursionError and their own.
+    OverflowError, UnicodeDecodeError, RecursionError and their own. What no bytes can cause is a
+    defect of turtlelog, and stays what it is.
     """
     try:
         yield
+    except _DEFECTS:
+        raise
     except OSError as err:
         raise LogError(f"{path}: expected {expected}, found: {err.strerror or err}") from err
     except TurtlelogError as err:

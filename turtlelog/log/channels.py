@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.schemas import SCHEMAS
-from turtlelog.log.type_hashes import TYPE_HASHES
+from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.type_hashes import TYPE_HASHES
 
 
 def describe_topics(

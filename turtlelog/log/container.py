@@ -5,7 +5,7 @@ alone.
 """
 
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import PurePath
 from struct import Struct
@@ -34,7 +34,10 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from turtlelog import __version__
+from turtlelog.version import __version__
+
+LIBRARY: Final = f"turtlelog/{__version__}"
+"""What wrote a file, as its header names it."""
 
 _COMPRESSION: Final = "zstd"
 _INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries
@@ -47,7 +50,7 @@ class ChunkRows:
     """The messages of one chunk.
 
     Attributes:
-        channels: Their channels, each with its schema.
+        channels: Their channels, each with its schema, if it has one.
         records: Message records, one after the other.
         index: By channel number: log time [ns] and place in `records` of each of its messages,
             shape (n, 2).
@@ -55,7 +58,7 @@ class ChunkRows:
         end_ns: Greatest log time [ns].
     """
 
-    channels: Sequence[tuple[Schema, Channel]]
+    channels: Sequence[tuple[Schema | None, Channel]]
     records: bytes | bytearray
     index: Mapping[int, NDArray[np.uint64]]
     start_ns: int
@@ -79,7 +82,8 @@ class PackedChunk:
 
 def pack_chunk(rows: ChunkRows) -> PackedChunk:
     """Compress a chunk; may run in any thread."""
-    front = _join_records([record for pair in rows.channels for record in pair])
+    described = [record for pair in rows.channels for record in pair if record is not None]
+    front = _join_records(described)
     data = b"".join((front, rows.records))
     chunk = Chunk(
         compression=_COMPRESSION,
@@ -113,9 +117,9 @@ class McapFile:
         self.end = 0
         self._stream, self._checksum, self._summary = stream, 0, _Summary()
 
-    def begin(self) -> None:
+    def begin(self, *, profile: str = "ros2", library: str = LIBRARY) -> None:
         """Write the magic bytes and the header."""
-        header = Header(profile="ros2", library=f"turtlelog/{__version__}")
+        header = Header(profile=profile, library=library)
         self._write(MCAP0_MAGIC + _join_records([header]))
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
@@ -127,22 +131,34 @@ class McapFile:
 
     def add_attachment(self, name: str, data: bytes) -> None:
         """Write an attachment, without a time."""
-        start = self.end
         media_type = _MEDIA_TYPES.get(PurePath(name).suffix, "application/octet-stream")
-        attachment = Attachment(
-            create_time=0, log_time=0, name=name, media_type=media_type, data=data
+        self.add_attachment_record(
+            Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
         )
+
+    def add_attachment_record(self, attachment: Attachment) -> None:
+        """Write an attachment as it is."""
+        start = self.end
         self._write(_join_records([attachment]))
         index = AttachmentIndex(
             offset=start,
             length=self.end - start,
-            log_time=0,
-            create_time=0,
-            data_size=len(data),
-            name=name,
-            media_type=media_type,
+            log_time=attachment.log_time,
+            create_time=attachment.create_time,
+            data_size=len(attachment.data),
+            name=attachment.name,
+            media_type=attachment.media_type,
         )
         self._summary.attachments.append(index)
+
+    def describe(self, schemas: Iterable[Schema], channels: Iterable[Channel]) -> None:
+        """Write those schemas and channels that no chunk has brought."""
+        known = self._summary
+        new_schemas = [schema for schema in schemas if schema.id not in known.schemas]
+        new_channels = [channel for channel in channels if channel.id not in known.channels]
+        self._write(_join_records([*new_schemas, *new_channels]))
+        known.schemas |= {schema.id: schema for schema in new_schemas}
+        known.channels |= {channel.id: channel for channel in new_channels}
 
     def add_chunk(self, packed: PackedChunk) -> None:
         """Write a chunk and its message indexes."""
@@ -166,7 +182,8 @@ class McapFile:
         )
         self._summary.chunks.append(index)
         for schema, channel in rows.channels:
-            self._summary.schemas[schema.id] = schema
+            if schema is not None:
+                self._summary.schemas[schema.id] = schema
             self._summary.channels[channel.id] = channel
         for number, entries in rows.index.items():
             self._summary.counts[number] = self._summary.counts.get(number, 0) + len(entries)

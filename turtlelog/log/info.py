@@ -10,7 +10,9 @@ from mcap.records import Attachment, Metadata
 
 from turtlelog.log.border import name_file
 from turtlelog.log.engine.survey import Survey, survey_file
-from turtlelog.log.head import HEAD, parse_head, parse_scenario_file
+from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
+from turtlelog.log.recording.partial import describe_damages
+from turtlelog.log.recording.recovery_note import describe_recovery
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
 
@@ -40,7 +42,7 @@ class RecordingInfo:
         parameters: What is known of the scenario, by dotted key.
         topics: By name.
         absent: As in `Run`.
-        notes: As in `Run`.
+        notes: As in `Run`; of a recovered file `recovered`, of a damaged one `partial`.
         not_understood: Topics whose messages cannot become columns, each with the reason.
     """
 
@@ -59,15 +61,20 @@ class RecordingInfo:
     not_understood: tuple[str, ...] = ()
 
 
-def read_info(path: str | Path) -> RecordingInfo:
+def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:
     """Return what is in an MCAP file, whoever wrote it, from its summary where it has one.
+
+    Args:
+        path: The file.
+        allow_partial: Say what a damaged file still holds; one that was never finished is
+            described in any case. The note `partial` says what is lost.
 
     Raises:
         LogError: Where it cannot be read, is no MCAP file, or is damaged.
     """
     with name_file(path, expected="an MCAP file"):
         with Path(path).open("rb") as stream:
-            survey = survey_file(stream)
+            survey = survey_file(stream, allow_partial=allow_partial)
         span_ns = survey.span_ns
         plans = survey.catalogue.iterate_plans()
         info = RecordingInfo(
@@ -79,6 +86,7 @@ def read_info(path: str | Path) -> RecordingInfo:
             duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
             topics=_list_topics(survey),
             not_understood=tuple(f"{plan.topic}: {plan.reason}" for plan in plans if plan.reason),
+            notes=_describe_losses(survey),
         )
         return _add_head(info, survey)
 
@@ -102,8 +110,15 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         scenario=tables if is_complete else None,
         parameters=flatten_tables(tables),
         absent=head.absent,
-        notes=head.notes,
+        notes={**head.notes, **info.notes},
     )
+
+
+def _describe_losses(survey: Survey) -> dict[str, str]:
+    notes = describe_recovery(survey.records)
+    if not survey.is_finished:
+        notes["partial"] = describe_damages(survey.damages)
+    return notes
 
 
 def _list_topics(survey: Survey) -> tuple[TopicInfo, ...]:

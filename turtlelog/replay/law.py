@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError
 from turtlelog.laws import Pose
-from turtlelog.log.topics import CONTROL
+from turtlelog.log.recording.topics import CONTROL
 from turtlelog.replay.difference import (
     Difference,
     Pairing,

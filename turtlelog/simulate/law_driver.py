@@ -38,6 +38,27 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
     turn_rate_rad_s: float
     distance_m: float
 
+    @property
+    def row(self) -> tuple[float, ...]:
+        """What is recorded of it, in the order of a ControlSample's fields."""
+        decision = self.decision
+        return (
+            self.sequence,
+            self.pose_sequence,
+            decision.phase,
+            decision.bearing_rad,
+            decision.heading_error_rad,
+            decision.error_x_m,
+            decision.error_y_m,
+            self.distance_m,
+            decision.speed_m_s,
+            decision.turn_rate_rad_s,
+            self.speed_m_s,
+            self.turn_rate_rad_s,
+            decision.world_v_x_m_s,
+            decision.world_v_y_m_s,
+        )
+
 
 Samples = tuple[Sample, ...]
 

@@ -14,24 +14,7 @@ _SAMPLE_ROW: Final = Struct("<4q11d")
 
 def pack_sample(sample: Sample) -> bytes:
     """Return a sample as one row, 8 bytes a value, whole numbers first."""
-    decision = sample.decision
-    return _SAMPLE_ROW.pack(
-        sample.time_ns,
-        sample.sequence,
-        sample.pose_sequence,
-        decision.phase,
-        decision.bearing_rad,
-        decision.heading_error_rad,
-        decision.error_x_m,
-        decision.error_y_m,
-        sample.distance_m,
-        decision.speed_m_s,
-        decision.turn_rate_rad_s,
-        sample.speed_m_s,
-        sample.turn_rate_rad_s,
-        decision.world_v_x_m_s,
-        decision.world_v_y_m_s,
-    )
+    return _SAMPLE_ROW.pack(sample.time_ns, *sample.row)
 
 
 def build_samples(packed: bytearray) -> SampleColumns:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 
 
-def gather_bytes(data: bytes, starts: NDArray[np.int64], size: int) -> NDArray[Any]:
+def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) -> NDArray[Any]:
     """Return `size` bytes from each of the places in `data`, as an array of V-size rows.
 
     The view lets every byte start a row; indexed with the places it costs a sixth of a copy field

@@ -2,17 +2,18 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, BinaryIO, Final
 
 from mcap.opcode import Opcode
 
 from turtlelog.log.engine.blocks import MESSAGE_HEAD, Block
 from turtlelog.log.engine.catalogue import Catalogue
-from turtlelog.log.engine.ends import UnfinishedError
+from turtlelog.log.engine.ends import DamageError, UnfinishedError
 from turtlelog.log.engine.gather import gather_bytes
 from turtlelog.log.engine.rows import LOG_TIME, MESSAGE_HEADER
 from turtlelog.log.engine.source import Source, walk_blocks
+from turtlelog.log.engine.walk import Damage
 
 _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
 
@@ -26,7 +27,8 @@ class Survey:
         counts: Messages by channel.
         span_ns: Least and greatest log time, None where there is no message.
         records: Its metadata and attachments, among others.
-        is_finished: Whether its writer came to its end.
+        is_finished: Whether its writer came to its end, and it is not damaged.
+        damages: What could not be read, where the file was walked in spite of that.
     """
 
     catalogue: Catalogue
@@ -34,6 +36,7 @@ class Survey:
     span_ns: tuple[int, int] | None
     records: tuple[Any, ...]
     is_finished: bool
+    damages: tuple[Damage, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,19 +46,36 @@ class _Tally:
     records: tuple[Any, ...]
 
 
-def survey_file(stream: BinaryIO) -> Survey:
+def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
     """Return what an MCAP file holds; one that was never finished is walked as far as it goes.
+
+    Args:
+        stream: The file.
+        allow_partial: Walk a damaged one too.
 
     Raises:
         LogError: Where it is no MCAP.
         DamageError: Where it is finished but damaged, as far as it is read.
     """
     try:
-        source = Source(stream)
+        return _survey_source(stream)
     except UnfinishedError:
-        catalogue = Catalogue()
-        blocks = walk_blocks(stream, catalogue, damages=[])
-        return _add_up(catalogue, map(_tally_block, blocks), (), is_finished=False)
+        return _survey_damaged(stream)
+    except DamageError:
+        if not allow_partial:
+            raise
+        return _survey_damaged(stream)
+
+
+def _survey_damaged(stream: BinaryIO) -> Survey:
+    catalogue, damages = Catalogue(), list[Damage]()
+    blocks = walk_blocks(stream, catalogue, damages=damages)
+    survey = _add_up(catalogue, map(_tally_block, blocks), (), is_finished=False)
+    return replace(survey, damages=tuple(damages))
+
+
+def _survey_source(stream: BinaryIO) -> Survey:
+    source = Source(stream)
     lone = () if source.index is None else tuple(source.read_lone(_LONE))
     statistics = source.statistics
     if (

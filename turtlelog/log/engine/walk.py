@@ -90,7 +90,7 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Damage]:
         if isinstance(found, Damage):
             damaged = True
         elif not damaged and not found.is_chunk and found.data[0] == Opcode.DATA_END:
-            yield _check_data(window, found)
+            yield from _check_data(window, found)
             continue
         yield found
 
@@ -217,14 +217,12 @@ def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
         raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
 
 
-def _check_data(window: FileWindow, end: Section) -> Section | Damage:
+def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Damage]:
     """Hold the checksum of the data section, where there is one, against the file."""
     expected, found = int.from_bytes(end.data[-4:], "little"), 0
-    if not expected:
-        return end
-    for place in range(0, end.start, _BATCH):
+    for place in range(0, end.start if expected else 0, _BATCH):
         found = zlib.crc32(window.read(place, min(_BATCH, end.start - place)), found)
-    if found == expected:
-        return replace(end, is_checked=True)
-    reason = f"expected data with the checksum {expected:#010x}, found {found:#010x}"
-    return Damage(start=0, end=end.start, reason=reason)
+    yield replace(end, is_checked=expected != 0 and found == expected)
+    if found != expected:
+        reason = f"expected data with the checksum {expected:#010x}, found {found:#010x}"
+        yield Damage(start=end.start, end=end.start, reason=reason)

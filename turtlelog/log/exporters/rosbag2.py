@@ -8,9 +8,9 @@ from mcap.summary import Summary
 
 from turtlelog.errors import LogError
 from turtlelog.log.exporters.folder import create_folder
+from turtlelog.log.recording.type_hashes import TYPE_HASHES
+from turtlelog.log.recording.writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
-from turtlelog.log.type_hashes import TYPE_HASHES
-from turtlelog.log.writer import write_recording
 from turtlelog.run import Run
 
 _LONGEST_NAME: Final = 255  # bytes; what file systems take

@@ -36,4 +36,6 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
             TopicInfo(topic=topic, type=kind, count=count)
             for (topic, kind), count in sorted(counts.items())
         ),
+        not_understood=tuple(dict.fromkeys(text for info in infos for text in info.not_understood)),
+        notes={name: text for info in infos for name, text in info.notes.items()},
     )

@@ -1,6 +1,7 @@
 """Bag -> Run."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,7 @@ import numpy as np
 from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
 from turtlelog.log.engine.columns import TopicColumns, read_columns
-from turtlelog.log.info import TopicInfo, read_info
+from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
 from turtlelog.log.ros2.bag_folder import list_bag_files
 from turtlelog.log.ros2.columns_of_types import (
     Fields,
@@ -57,7 +58,8 @@ def read_bag(
     """
     path = Path(path)
     files = list_bag_files(path)
-    topics = {file: read_info(file).topics for file in files}
+    infos = {file: read_info(file) for file in files}
+    topics = {file: info.topics for file, info in infos.items()}
     distinct = _merge([topic for of_file in topics.values() for topic in of_file])
     with name_file(path, expected="a bag"):
         poses = choose_pose_topic(distinct, pose_topic)
@@ -68,7 +70,13 @@ def read_bag(
         for file in files
     ]
     with name_file(path, expected="a bag"):
-        return _build_run(path, found, poses, commands)
+        run = _build_run(path, found, poses, commands)
+    return replace(run, notes={**run.notes, **_join_notes(infos.values())})
+
+
+def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
+    """Return what the files say of themselves: that they were recovered."""
+    return {name: text for info in infos for name, text in info.notes.items()}
 
 
 def _merge(topics: Sequence[TopicInfo]) -> list[TopicInfo]:

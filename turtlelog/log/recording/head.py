@@ -9,10 +9,10 @@ from typing import Any, Final
 import msgspec
 import tomli_w
 
-from turtlelog import __version__
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, nest_parameters
+from turtlelog.version import __version__
 
 HEAD: Final = "turtlelog"
 """Name of the metadata record."""
@@ -99,7 +99,7 @@ def format_head(head: Head) -> dict[str, str]:
     if head.goal_heading_rad is not None:
         record["goal_heading_rad"] = repr(float(head.goal_heading_rad))
     # MCAP has no checksum for a metadata record that is read without the rest of the file.
-    return {**record, CHECKSUM: _sum_up(record)}
+    return {**record, CHECKSUM: sum_up(record)}
 
 
 def parse_head(record: Mapping[str, str]) -> Head:
@@ -114,7 +114,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
         raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
     if version < 1:
         raise LogError(f"format version {version}: expected 1 to {FORMAT_VERSION}")
-    if _get(record, CHECKSUM) != _sum_up(record):
+    if _get(record, CHECKSUM) != sum_up(record):
         raise LogError(f"metadata {HEAD}: expected checksum {record[CHECKSUM]}: it is damaged")
     heading = _decode(record, "goal_heading_rad", float) if "goal_heading_rad" in record else None
     return Head(
@@ -165,7 +165,8 @@ def _list_nan_columns(run: Run) -> list[str]:
     return [name for name, values in columns.items() if values is None]
 
 
-def _sum_up(record: Mapping[str, str]) -> str:
+def sum_up(record: Mapping[str, str]) -> str:
+    """Return the checksum of the entries, that of `CHECKSUM` left out."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
     return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
 

@@ -1,6 +1,6 @@
 """Recordings of which something is lost: which rows still belong together."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.contents import Contents
 from turtlelog.log.engine.columns import TopicColumns
-from turtlelog.log.topics import CONTROL, POSE, POSE64, VELOCITY64
+from turtlelog.log.engine.walk import Damage
+from turtlelog.log.recording.contents import Contents
+from turtlelog.log.recording.topics import CONTROL, POSE, POSE64, VELOCITY64
 
 
 class PartialRecordingWarning(UserWarning):
@@ -18,7 +19,7 @@ class PartialRecordingWarning(UserWarning):
 
 
 def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
-    """Return contents whose rows belong together, and one line that says what is lost.
+    """Return contents whose rows belong together, and a clause on what that took; empty if nothing.
 
     The poses of a recording are numbered from 0, and a sample names the number of its own. Poses
     of which a column is lost, and samples whose pose is, are dropped; the rest are numbered anew.
@@ -38,7 +39,7 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
     fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
     topics[CONTROL.name] = replace(kept, fields=fields)
-    return replace(contents, topics=topics), _describe(contents, len(samples) - len(kept))
+    return replace(contents, topics=topics), _describe_dropped(len(samples) - len(kept))
 
 
 def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
@@ -60,11 +61,14 @@ def _take(columns: TopicColumns, rows: NDArray[np.bool_]) -> TopicColumns:
     )
 
 
-def _describe(contents: Contents, dropped: int) -> str:
-    """Say how much is lost; the first place stands for all."""
-    lost = sum(damage.end - damage.start for damage in contents.damages)
-    places = len(contents.damages)
-    first = f": byte {contents.damages[0].start}: {contents.damages[0].reason}" if places else ""
+def describe_damages(damages: Sequence[Damage]) -> str:
+    """Say in one line how much is lost; the first place stands for all."""
+    if not damages:
+        return "no data is lost, only the summary is damaged"
+    lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
     times = "1 place" if places == 1 else f"{places} places"
-    samples = f"; {dropped} samples without their pose are dropped" if dropped else ""
-    return f"{lost} bytes are lost in {times}{first}{samples}"
+    return f"{lost} bytes are lost in {times}: byte {damages[0].start}: {damages[0].reason}"
+
+
+def _describe_dropped(samples: int) -> str:
+    return f"; {samples} samples without their pose are dropped" if samples else ""

@@ -11,10 +11,10 @@ from turtlelog.log.channels import describe_topics
 from turtlelog.log.chunks import ChannelRecords, cut_chunks
 from turtlelog.log.container import McapFile, pack_chunk
 from turtlelog.log.engine.columns import TopicColumns
-from turtlelog.log.head import HEAD, describe_run, format_head, format_scenario_file
-from turtlelog.log.messages import build_messages
+from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
+from turtlelog.log.recording.messages import build_messages
+from turtlelog.log.recording.schemas import SCHEMAS
 from turtlelog.log.records import encode_records
-from turtlelog.log.schemas import SCHEMAS
 from turtlelog.run import Run
 
 _NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})

@@ -1,7 +1,7 @@
 """File -> what a recording of ours consists of: its head, attachments, columns of its topics."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, BinaryIO
 
@@ -19,9 +19,10 @@ from turtlelog.log.engine.schema import parse_schema
 from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
 from turtlelog.log.engine.source import Source, walk_blocks
 from turtlelog.log.engine.walk import Damage
-from turtlelog.log.head import HEAD, Head, parse_head
-from turtlelog.log.schemas import SCHEMAS
-from turtlelog.log.topics import TOPICS, Topic
+from turtlelog.log.recording.head import HEAD, Head, parse_head
+from turtlelog.log.recording.recovery_note import describe_recovery
+from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.topics import TOPICS, Topic
 
 _EVERYTHING = Selection()
 
@@ -35,12 +36,14 @@ class Contents:
         attachments: Bytes by name.
         topics: The columns of every topic in `TOPICS` by its name; empty ones without messages.
         damages: What could not be read; empty where the file is whole.
+        recovered: A note of what was lost before, where the file is one that was recovered.
     """
 
     head: Head
     attachments: Mapping[str, bytes]
     topics: Mapping[str, TopicColumns]
     damages: tuple[Damage, ...] = ()
+    recovered: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_contents(stream: BinaryIO) -> Contents:
@@ -122,6 +125,7 @@ def _build_contents(
         attachments={found.name: found.data for found in records if isinstance(found, Attachment)},
         topics={name: columns[name] for name, columns in topics.items()},
         damages=tuple(damages),
+        recovered=describe_recovery(records),
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.layout import Column
-from turtlelog.log.topics import (
+from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
     EVENT,

@@ -11,13 +11,23 @@ from mcap.opcode import Opcode
 from turtlelog.log.channels import describe_topics
 from turtlelog.log.container import ChunkRows
 from turtlelog.log.encode import CODES, encode_fields
-from turtlelog.log.messages import describe_event, describe_goal
+from turtlelog.log.recording.messages import describe_event, describe_goal
+from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.topics import (
+    COMMAND,
+    CONTROL,
+    EVENT,
+    GOAL,
+    PHASE,
+    POSE,
+    POSE64,
+    TOPICS,
+    Topic,
+)
 from turtlelog.log.records import ENCAPSULATION, HEAD, UNCOUNTED, read_type
-from turtlelog.log.schemas import SCHEMAS
-from turtlelog.log.topics import COMMAND, CONTROL, EVENT, GOAL, PHASE, POSE, POSE64, TOPICS, Topic
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import Sample, Tick
+from turtlelog.simulate import Tick
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _CUT_SHORT: Final = frozenset({None, "max_duration", "interrupted"})
@@ -97,7 +107,7 @@ class TickRecords:
             time_ns = tick.time_ns
             self._add_pose(time_ns, tick)
             for sample in tick.computed:
-                self._add_sample(time_ns, sample)
+                self._add(self._control, time_ns, sample.sequence, *sample.row)
             for sample in tick.published:
                 values = sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.turn_rate_rad_s
                 self._add(self._command, time_ns, sample.sequence, *values)
@@ -120,28 +130,6 @@ class TickRecords:
         self._add(self._pose, time_ns, number, *values, tick.speed_m_s, tick.turn_rate_rad_s)
         if self._is_exact:
             self._add(self._pose64, time_ns, number, *values)
-
-    def _add_sample(self, time_ns: int, sample: Sample) -> None:
-        decision = sample.decision
-        self._add(
-            self._control,
-            time_ns,
-            sample.sequence,
-            sample.sequence,
-            sample.pose_sequence,
-            decision.phase,
-            decision.bearing_rad,
-            decision.heading_error_rad,
-            decision.error_x_m,
-            decision.error_y_m,
-            sample.distance_m,
-            decision.speed_m_s,
-            decision.turn_rate_rad_s,
-            sample.speed_m_s,
-            sample.turn_rate_rad_s,
-            decision.world_v_x_m_s,
-            decision.world_v_y_m_s,
-        )
 
     def _change_phase(self, time_ns: int, phase: Phase) -> None:
         if self._phase is Phase.ROTATE:

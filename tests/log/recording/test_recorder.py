@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,9 +20,9 @@ from tests.log.live import read_messages, read_rest, start_recording, wait_for_t
 from tests.log.runs import assert_same
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
-from turtlelog.log import read_recording, write_recording
+from turtlelog.log import read_recording, replace_when_complete, write_recording
 from turtlelog.log.engine.columns import read_columns
-from turtlelog.log.recorder import Recorder, create_file
+from turtlelog.log.recording.recorder import Recorder, create_file
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import Tick, iterate_ticks, simulate_run
@@ -341,7 +342,7 @@ def test_a_kill_loses_at_most_the_last_second(after_s: float, tmp_path: Path) ->
 
 OWN_LOOP = """
 import sys, time
-from turtlelog.log.recorder import Recorder
+from turtlelog.log.recording.recorder import Recorder
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import iterate_ticks
 
@@ -396,6 +397,56 @@ def test_a_file_that_another_program_replaced_is_told(tmp_path: Path) -> None:
     recorder = Recorder(path, scenario)
     for tick in iterate_ticks(scenario):
         recorder.receive(tick)
+    path.unlink()  # as somebody does who knows no lock
     write_recording(simulate_run(scenario), path)
     with pytest.raises(LogError, match="expected it to stay, found it replaced meanwhile"):
         recorder.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows replaces no file that is open")
+def test_what_writes_at_once_leaves_a_recording_in_progress_alone(tmp_path: Path) -> None:
+    path, scenario = tmp_path / "a.mcap", make_scenario(max_duration_s=0.5)
+    whole = simulate_run(scenario)
+    with Recorder(path, scenario) as recorder:
+        for tick in iterate_ticks(scenario):
+            recorder.receive(tick)
+        for write in (write_recording, export_poses):
+            with pytest.raises(
+                LogError, match=r"a\.mcap: expected .*, found a live recording of it"
+            ):
+                write(whole, path)
+    assert len(read_recording(path).poses) == len(whole.poses)
+    assert [found.name for found in tmp_path.iterdir()] == ["a.mcap"]
+    write_recording(whole, path)  # it has come to its end
+
+
+def export_poses(_run: Run, path: Path) -> None:
+    with replace_when_complete(path) as temporary:
+        temporary.write_bytes(b"poses")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows replaces no file that is open")
+def test_a_recording_that_begins_while_another_is_written_is_not_replaced(tmp_path: Path) -> None:
+    path, scenario = tmp_path / "a.mcap", make_scenario(max_duration_s=0.5)
+
+    def write_late(recorders: ExitStack) -> None:
+        with replace_when_complete(path) as temporary:
+            temporary.write_bytes(b"late")
+            recorders.enter_context(Recorder(path, scenario))
+
+    with ExitStack() as recorders, pytest.raises(LogError, match="found a live recording of it"):
+        write_late(recorders)
+    assert path.read_bytes().startswith(b"\x89MCAP")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows replaces no file that is open")
+def test_a_killed_recorder_blocks_nobody(tmp_path: Path) -> None:
+    path, whole = tmp_path / "a.mcap", simulate_run(make_scenario(max_duration_s=0.5))
+    process = start_recording(path)
+    wait_for_tick(process, 0.3)
+    with pytest.raises(LogError, match="found a live recording of it"):
+        write_recording(whole, path)
+    process.kill()
+    read_rest(process)
+    write_recording(whole, path)
+    assert len(read_recording(path).poses) == len(whole.poses)

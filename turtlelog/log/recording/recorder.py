@@ -13,9 +13,10 @@ from typing import BinaryIO, Final, Self
 
 from turtlelog.errors import LogError
 from turtlelog.log.container import McapFile, pack_chunk
-from turtlelog.log.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
+from turtlelog.log.live_lock import mark_live
+from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
+from turtlelog.log.recording.tick_records import TickRecords, measure_tick
 from turtlelog.log.signals import exit_on_terminate, hold_stop
-from turtlelog.log.tick_records import TickRecords, measure_tick
 from turtlelog.scenario import Scenario, format_scenario
 from turtlelog.simulate import Tick
 
@@ -75,6 +76,7 @@ class Recorder:
         self._stop_reason: str | None = None
         self._exits = ExitStack()
         self._stream = self._create(create)
+        mark_live(self._stream)
         self._file = McapFile(self._stream)
         self._is_open = True
         try:

@@ -58,9 +58,9 @@ def list_chunks(data: bytes, folder: Path) -> list[ChunkIndex]:
     return summary.chunk_indexes
 
 
-def read_partial(path: Path, data: bytes) -> Run:
+def read_partial(path: Path, data: bytes, lost: str = r"\d+ bytes are lost in") -> Run:
     path.write_bytes(data)
-    with pytest.warns(PartialRecordingWarning, match=r"run\.mcap: \d+ bytes are lost in") as caught:
+    with pytest.warns(PartialRecordingWarning, match=rf"run\.mcap: {lost}") as caught:
         run = read_recording(path, allow_partial=True)
     assert len(caught) == 1
     assert str(caught[0].message) == f"{path}: {run.notes['partial']}"
@@ -114,7 +114,7 @@ def test_samples_keep_their_poses_where_a_chunk_is_lost(
 
 
 def test_a_lost_summary_costs_no_row(sound: bytes, run: Run, tmp_path: Path) -> None:
-    found = read_partial(tmp_path / "run.mcap", sound[:-40])
+    found = read_partial(tmp_path / "run.mcap", sound[:-40], "no data is lost, only the summary")
     assert_same(found.samples, run.samples)
     assert_same(found.poses, run.poses)
     assert found.parameters == run.parameters
@@ -136,3 +136,18 @@ def test_info_of_an_unfinished_recording_lists_what_it_holds(
     counts = {topic.topic: topic.count for topic in info.topics}
     assert counts["/turtle1/pose"] == len(read_partial(path, path.read_bytes()).poses)
     assert 0 < info.duration_s < (run.end_ns - run.poses.time_ns[0]) / 1e9  # type: ignore[operator]
+
+
+def test_info_says_what_a_damaged_file_still_holds(sound: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "damaged.mcap"
+    (tmp_path / "sound.mcap").write_bytes(sound)
+    path.write_bytes(sound[:-60] + b"\xa5" + sound[-59:])
+    with pytest.raises(LogError, match="expected a summary of checksum"):
+        read_info(path)
+    found, whole = read_info(path, allow_partial=True), read_info(tmp_path / "sound.mcap")
+    assert (found.complete, found.topics, found.stop_reason) == (
+        False,
+        whole.topics,
+        whole.stop_reason,
+    )
+    assert found.notes["partial"] == "no data is lost, only the summary is damaged"

@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
-from turtlelog.log.contents import Contents, read_contents, salvage_contents
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.layout import Column
-from turtlelog.log.head import Head, parse_scenario_file
-from turtlelog.log.partial import PartialRecordingWarning, reconcile_contents
-from turtlelog.log.topics import COMMAND, CONTROL, EVENT, GOAL, POSE, POSE64, VELOCITY64
+from turtlelog.log.recording.contents import Contents, read_contents, salvage_contents
+from turtlelog.log.recording.head import Head, parse_scenario_file
+from turtlelog.log.recording.partial import (
+    PartialRecordingWarning,
+    describe_damages,
+    reconcile_contents,
+)
+from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE, POSE64, VELOCITY64
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import flatten_tables
 
@@ -40,14 +44,23 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
     """
     with name_file(path, expected="a turtlelog recording"), Path(path).open("rb") as stream:
         try:
-            return _build_run(read_contents(stream))
+            return _build_whole_run(read_contents(stream))
         except DamageError as err:
             if not allow_partial:
                 raise LogError(f"{err}: {_ADVICE}") from err
-        contents, lost = reconcile_contents(salvage_contents(stream))
-        run = _build_run(contents)
+        contents, dropped = reconcile_contents(salvage_contents(stream))
+        run, lost = _build_run(contents), describe_damages(contents.damages) + dropped
     warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=2)
     return replace(run, notes={**run.notes, "partial": lost})
+
+
+def _build_whole_run(contents: Contents) -> Run:
+    """Return the run of a file that is whole; one that was recovered may lack rows, and says so."""
+    if not contents.recovered:
+        return _build_run(contents)
+    reconciled, dropped = reconcile_contents(contents)
+    notes = {name: text + dropped for name, text in contents.recovered.items()}
+    return _build_run(replace(reconciled, recovered=notes))
 
 
 def _build_run(contents: Contents) -> Run:
@@ -70,7 +83,7 @@ def _build_run(contents: Contents) -> Run:
         stop_reason=head.stop_reason,
         events=_build_events(columns[EVENT.name]),
         absent=head.absent,
-        notes=head.notes,
+        notes={**head.notes, **contents.recovered},
     )
 
 

@@ -15,8 +15,8 @@ from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import write_recording
 from turtlelog.log.engine.columns import TopicColumns, read_columns
-from turtlelog.log.schemas import SCHEMAS
-from turtlelog.log.writer import write_columns
+from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.writer import write_columns
 
 MIXED = "mine_msgs/msg/Mixed"
 DEFINITIONS = {

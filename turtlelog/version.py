@@ -1,0 +1,3 @@
+"""The version of turtlelog, which recordings name."""
+
+__version__ = "0.1.0"
