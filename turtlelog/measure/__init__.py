@@ -1,19 +1,25 @@
 """Run -> metrics."""
 
 from turtlelog.measure.metric import Metric, Status
-from turtlelog.measure.metrics import METRICS, PAPER_WINDOW_S, MetricKind, measure_run
+from turtlelog.measure.metrics import ESSENTIAL_METRICS, METRICS, choose_metrics, measure_run
+from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, read_signal
 from turtlelog.measure.step import find_overshoot, find_settling_time
+from turtlelog.measure.table.end import PAPER_WINDOW_S
+from turtlelog.measure.table.kinds import MetricKind
 
 __all__ = [
+    "ESSENTIAL_METRICS",
     "METRICS",
     "PAPER_WINDOW_S",
     "SIGNALS",
+    "MeasureSettings",
     "Metric",
     "MetricKind",
     "Signal",
     "SignalKind",
     "Status",
+    "choose_metrics",
     "find_overshoot",
     "find_settling_time",
     "measure_run",
