@@ -18,6 +18,8 @@ class Status(enum.StrEnum):
     """Too few rows, or a run that was cut before the time asked for."""
     ABSENT = "absent"
     """The recording does not hold what it is computed from."""
+    UNDETERMINED = "undetermined"
+    """The recording fits several values alike, or none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
