@@ -1,6 +1,7 @@
 """Run -> metrics."""
 
-from turtlelog.measure.metric import Metric, Status
+from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
+from turtlelog.measure.metric import Metric, Missing, Status
 from turtlelog.measure.metrics import ESSENTIAL_METRICS, METRICS, choose_metrics, measure_run
 from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, read_signal
@@ -13,13 +14,17 @@ __all__ = [
     "METRICS",
     "PAPER_WINDOW_S",
     "SIGNALS",
+    "DeadTime",
+    "DeadTimeChange",
     "MeasureSettings",
     "Metric",
     "MetricKind",
+    "Missing",
     "Signal",
     "SignalKind",
     "Status",
     "choose_metrics",
+    "find_dead_time",
     "find_overshoot",
     "find_settling_time",
     "measure_run",

@@ -22,6 +22,8 @@ class Status(enum.StrEnum):
     """Beyond the largest number that a computer holds."""
     ABSENT = "absent"
     """The recording does not hold what it is computed from."""
+    UNDETERMINED = "undetermined"
+    """The recording fits several values alike, or none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
