@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Hashable
 from functools import cached_property
-from typing import TypeVar, cast
+from typing import Final, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.beginning import take_beginning
+from turtlelog.measure.dead_time import DeadTime, find_dead_time
+from turtlelog.measure.metric import Missing
 from turtlelog.measure.path import compute_path_distances
 from turtlelog.measure.phases import Response, find_response
 from turtlelog.measure.settings import MeasureSettings
@@ -16,6 +18,9 @@ from turtlelog.run import Phase, Run
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
+
+_MOST_SAMPLES: Final = 20_000
+"""As much of a phase as its dead time is looked for in: five minutes of ticks."""
 
 
 class RunContext:
@@ -103,4 +108,8 @@ class RunContext:
 
     def find_dead_time_ticks(self, phase: Phase) -> int | Missing:
         """Return the dead time of a phase's commands [ticks], or why it cannot be found."""
-        return Missing(status=Status.ABSENT, reason="not yet")
+        found = self.recall(("dead_time", phase), lambda: self._find_dead_time(phase))
+        return found if isinstance(found, Missing) else found.ticks
+
+    def _find_dead_time(self, phase: Phase) -> DeadTime | Missing:
+        return find_dead_time(take_beginning(self.run, phase, _MOST_SAMPLES), phase)
