@@ -36,6 +36,7 @@ class PhaseMotion:
         rounding: What the rounding of the two poses can make of it [rad or m], shape (n,).
         step_s: Length of a step [s].
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
+        apart: Usual distance of these [ticks], at least 1.
         command: Of each sample [rad/s or m/s], shape (m,).
     """
 
@@ -45,6 +46,7 @@ class PhaseMotion:
     rounding: Values
     step_s: float
     sample_tick: NDArray[np.int64]
+    apart: float
     command: Values
 
     def predict(self, dead_time_ticks: int) -> tuple[Values, NDArray[np.bool_]]:
@@ -55,8 +57,7 @@ class PhaseMotion:
         """
         answered = self.tick - dead_time_ticks
         latest = np.searchsorted(self.sample_tick, answered, side="right") - 1
-        apart = np.median(np.diff(self.sample_tick)) if len(self.sample_tick) > 1 else 1.0
-        is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < max(apart, 1.0))
+        is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < self.apart)
         return np.where(latest >= 0, self.command[latest], 0.0) * self.step_s, is_sure
 
 
@@ -91,6 +92,7 @@ def read_phase_motion(run: Run, phase: Phase) -> PhaseMotion | None:
         rounding=rounding,
         step_s=step_s,
         sample_tick=sample_tick,
+        apart=max(float(np.median(np.diff(sample_tick))), 1.0) if len(sample_tick) > 1 else 1.0,
         command=command,
     )
 

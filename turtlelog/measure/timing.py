@@ -18,6 +18,12 @@ def compute_rate(periods_s: Values) -> float | None:
     return len(periods_s) / length_s if length_s > 0.0 else None
 
 
+def compute_spread(periods_s: Values) -> float:
+    """Return the standard deviation of the periods around their mean [s]."""
+    # From the first period on, so that equal ones leave exactly 0.
+    return float((periods_s - periods_s[0]).std())
+
+
 def compute_jitter(periods_s: Values) -> float | None:
     """Return the root mean square of the change from one period to the next [s].
 

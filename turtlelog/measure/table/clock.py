@@ -111,7 +111,7 @@ TIMING_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
         ),
         "run.sample_period_std": MetricKind(
             unit="s",
-            compute=_on_periods("sample", lambda periods_s: float(periods_s.std())),
+            compute=_on_periods("sample", timing.compute_spread),
             meaning="Standard deviation of that time.",
         ),
         **{
@@ -153,7 +153,7 @@ TIMING_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
         ),
         "run.pose_period_std": MetricKind(
             unit="s",
-            compute=_on_periods("pose", lambda periods_s: float(periods_s.std())),
+            compute=_on_periods("pose", timing.compute_spread),
             meaning="Standard deviation of the time from one pose to the next.",
         ),
         "run.largest_pose_gap": MetricKind(
