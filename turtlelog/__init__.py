@@ -9,10 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from turtlelog.compare import (
+        ALIGNMENTS,
         Column,
         Comparison,
+        Finding,
         Table,
+        Tolerance,
+        Tolerances,
         compare_runs,
+        iter_comparisons,
+        load_tolerances,
         name_runs,
         tabulate_differences,
         tabulate_metrics,
@@ -73,10 +79,16 @@ __version__ = "0.1.0"
 
 _ROOMS = {
     "compare": (
+        "ALIGNMENTS",
         "Column",
         "Comparison",
+        "Finding",
         "Table",
+        "Tolerance",
+        "Tolerances",
         "compare_runs",
+        "iter_comparisons",
+        "load_tolerances",
         "name_runs",
         "tabulate_differences",
         "tabulate_metrics",
@@ -136,6 +148,7 @@ _ROOMS = {
 _PLACES = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
+    "ALIGNMENTS",
     "METRICS",
     "PAPER_RUNS",
     "PRESETS",
@@ -144,6 +157,7 @@ __all__ = [
     "Column",
     "Comparison",
     "Decision",
+    "Finding",
     "Goal",
     "Law",
     "Metric",
@@ -159,6 +173,8 @@ __all__ = [
     "Signal",
     "Status",
     "Table",
+    "Tolerance",
+    "Tolerances",
     "TopicColumns",
     "TurtlelogError",
     "__version__",
@@ -172,7 +188,9 @@ __all__ = [
     "format_table",
     "import_log",
     "iter_columns",
+    "iter_comparisons",
     "load_scenario",
+    "load_tolerances",
     "measure_run",
     "name_runs",
     "open_viewer",
