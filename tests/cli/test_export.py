@@ -41,7 +41,8 @@ def test_export_writes_every_table_into_a_folder(call: Call, kp4: Path, tmp_path
     [
         (["run.mcap"], "expected --rosbag2, --csv or --parquet, found none"),
         (["run.mcap", "--rosbag2", "a", "--table", "poses"], "--table: expected together with"),
-        (["run.mcap", "--csv", "run.mcap"], "expected another file to write to, found the input"),
+        (["run.mcap", "--csv", "run.mcap"], "expected the name of a new folder, found a name that"),
+        (["in.csv", "--csv", "in.csv"], "expected another file to write to, found the input"),
         (["run.mcap", "--rosbag2", "full"], "full: expected the name of a new folder, found a"),
         (["run.mcap", "--csv", "no/such/a.csv"], "expected a place that can be written"),
         (["run.mcap", "--csv", "a.csv", "--table", "pose"], "pose"),
@@ -59,10 +60,11 @@ def test_bad_exports_are_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("run.mcap").write_bytes(kp4.read_bytes())
+    Path("in.csv").touch()
     Path("full").mkdir()
     Path("full", "mine").touch()
     answer = call("export", *words)
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err
     assert answer.err.count("\n") == 1
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["full", "run.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["full", "in.csv", "run.mcap"]

@@ -42,6 +42,16 @@ def test_info_lists_other_peoples_recordings(call: Call) -> None:
     assert all(answer["topics"] and answer["scenario"] is None for answer in answers)
 
 
+@pytest.mark.parametrize("words", [[], ["--json"]], ids=["text", "json"])
+def test_info_goes_on_after_a_bad_file(call: Call, kp4: Path, words: list[str]) -> None:
+    answer = call("info", "missing.mcap", kp4, "also-missing", *words)
+    assert answer.code == 2
+    assert answer.out == call("info", kp4, *words).out
+    first, second = answer.err.splitlines()
+    assert first.startswith("turtlelog: error: missing.mcap: expected an MCAP file")
+    assert second.startswith("turtlelog: error: also-missing: ")
+
+
 def test_metrics_puts_runs_side_by_side(call: Call, kp4: Path, kp10: Path) -> None:
     answer = call("metrics", kp4, kp10)
     assert answer.code == 0

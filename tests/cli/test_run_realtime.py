@@ -1,9 +1,7 @@
-import os
 import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -76,22 +74,3 @@ def test_an_interrupt_finishes_the_file_and_says_so_in_a_line(
     lines = err.splitlines()
     assert lines[0] == f"interrupted at {run.end_ns / 1e9:.3f} s"
     assert lines[-1] == f"wrote {path}"
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
-def test_progress_is_shown_on_a_terminal_only() -> None:
-    import pty
-
-    command = [sys.executable, "-m", "turtlelog", "run", "paper", *SHORT, "--realtime"]
-    outer, inner = pty.openpty()
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=inner, cwd=ROOT, check=True)
-    os.close(inner)
-    shown = b""
-    with suppress(OSError):  # how a terminal says that nobody writes to it any more
-        while found := os.read(outer, 1000):
-            shown += found
-    os.close(outer)
-    assert b"\r0 s (at most 0.6 s)" in shown
-    assert b"samples" in done.stdout
-    quiet = subprocess.run(command, capture_output=True, cwd=ROOT, check=True)
-    assert b"at most" not in quiet.stderr

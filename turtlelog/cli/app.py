@@ -2,10 +2,14 @@
 
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
 
 from cyclopts import App, CycloptsError
 
@@ -16,6 +20,8 @@ from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
 from turtlelog.cli.metrics import metrics
+from turtlelog.cli.output import print_error
+from turtlelog.cli.progress import end_progress
 from turtlelog.cli.recover import recover
 from turtlelog.cli.replay import replay
 from turtlelog.cli.run import run
@@ -62,8 +68,7 @@ def main(tokens: Sequence[str] | None = None) -> None:
     """Run a command and exit: 0 fine, 1 a comparison failed, 2 bad usage or unreadable input."""
     _prepare_streams()
     try:
-        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
-        sys.stdout.flush()
+        code = _call(tokens)
     except (TurtlelogError, CycloptsError) as err:
         if isinstance(err, CycloptsError):
             err.verbose = False
@@ -83,6 +88,36 @@ def main(tokens: Sequence[str] | None = None) -> None:
     sys.exit(code if isinstance(code, int) else EXIT_FINE)
 
 
+def _call(tokens: Sequence[str] | None) -> Any:
+    with _stop_on_request():
+        try:
+            code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        finally:
+            end_progress()
+        sys.stdout.flush()
+    return code
+
+
+@contextmanager
+def _stop_on_request() -> Iterator[None]:
+    """Let a request to end, or a terminal that closes, act as Ctrl-C: nothing half done is left."""
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]
+    is_main = threading.current_thread() is threading.main_thread()
+    # What somebody has set already stays, as nohup's wish to ignore the terminal's end.
+    known = [number for number in numbers if number and signal.getsignal(number) == signal.SIG_DFL]
+    for number in known if is_main else ():
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in known if is_main else ():
+            signal.signal(number, signal.SIG_DFL)
+
+
 def _prepare_streams() -> None:
     """Make both streams take any text, also where they are closed or know ASCII only."""
     for name in ("stdout", "stderr"):
@@ -100,5 +135,5 @@ def _drop_stdout() -> None:
 
 
 def _fail(text: str, code: int) -> int:
-    sys.stderr.write(f"turtlelog: error: {' '.join(text.split())}\n")
+    print_error(text)
     return code

@@ -8,7 +8,9 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text, require_new_target
+from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
@@ -41,7 +43,8 @@ def compare(
     runs = read_runs(paths, topics)
     comparisons = [tl.compare_runs(runs[0], run) for run in runs[1:]]
     if rrd is not None:
-        tl.write_comparison_rrd(runs, rrd)
+        with show_progress("drawing"):
+            tl.write_comparison_rrd(runs, rrd)
         print_note(f"wrote {rrd}")
     if json:
         print_json(_describe(paths, comparisons))

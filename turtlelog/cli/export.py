@@ -2,18 +2,21 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
 
+_FILE_SUFFIXES: Final = (".csv", ".parquet", ".mcap", ".db3", ".json", ".rrd", ".yaml", ".zip")
 _TableName = Literal["poses", "commands", "samples", "events"]
 
 
@@ -54,14 +57,7 @@ def export(
         json: Print one JSON object instead of lines.
     """
     options = options or ExportOptions()
-    tables = [path for path in (options.csv, options.parquet) if path is not None]
-    if options.rosbag2 is None and not tables:
-        raise UsageError("export: expected --rosbag2, --csv or --parquet, found none")
-    if options.table is not None and not tables:
-        raise UsageError("--table: expected together with --csv or --parquet, found alone")
-    for target in tables:
-        if target.exists() and file.exists() and target.samefile(file):
-            raise UsageError(f"{target}: expected another file to write to, found the input itself")
+    _require_targets(options, file)
     (run,) = read_runs([file], topics)
     written = [str(path) for path in _write(run, options)]
     if json:
@@ -70,12 +66,31 @@ def export(
         print_text("\n".join(f"wrote {path}" for path in written))
 
 
+def _require_targets(options: ExportOptions, file: Path) -> None:
+    """Refuse any target before the first is written."""
+    tables = {".csv": options.csv, ".parquet": options.parquet}
+    targets = [path for path in (options.rosbag2, *tables.values()) if path is not None]
+    if not targets:
+        raise UsageError("export: expected --rosbag2, --csv or --parquet, found none")
+    if options.table is not None and targets == [options.rosbag2]:
+        raise UsageError("--table: expected together with --csv or --parquet, found alone")
+    if options.rosbag2 is not None:
+        require_new_folder(options.rosbag2, file_suffixes=_FILE_SUFFIXES)
+    for suffix, path in tables.items():
+        if path is not None and path.suffix.lower() == suffix:
+            require_new_target(path, [file], suffix=suffix)
+        elif path is not None:
+            require_new_folder(path, file_suffixes=_FILE_SUFFIXES)
+    require_apart(targets)
+
+
 def _write(run: "Run", options: ExportOptions) -> list[Path]:
     written: list[Path] = []
-    if options.rosbag2 is not None:
-        written += tl.export_rosbag2(run, options.rosbag2)
-    if options.csv is not None:
-        written += tl.export_csv(run, options.csv, table=options.table)
-    if options.parquet is not None:
-        written += tl.export_parquet(run, options.parquet, table=options.table)
+    with show_progress("writing"):
+        if options.rosbag2 is not None:
+            written += tl.export_rosbag2(run, options.rosbag2)
+        if options.csv is not None:
+            written += tl.export_csv(run, options.csv, table=options.table)
+        if options.parquet is not None:
+            written += tl.export_parquet(run, options.parquet, table=options.table)
     return written

@@ -7,7 +7,10 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, Output
-from turtlelog.cli.output import print_json, print_text, require_new_target
+from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
+from turtlelog.errors import UsageError
 
 
 def import_(
@@ -28,10 +31,13 @@ def import_(
         sort: Sort rows by time and drop exact duplicates, and count both, instead of refusing them.
         json: Print one JSON object instead of a line.
     """
+    if log.is_dir():
+        raise UsageError(f"{log}: expected the name of a log, found a folder")
     path = log.with_suffix(".mcap") if output is None else output
     require_new_target(path, [log], suffix=".mcap")
-    run = tl.import_log(log, sort=sort)
-    tl.write_recording(run, path)
+    with show_progress("importing"):
+        run = tl.import_log(log, sort=sort)
+        tl.write_recording(run, path)
     if json:
         print_json(
             {

@@ -1,18 +1,25 @@
 """`turtlelog info`: what a recording holds."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, require_files
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.options import Files, Json, iterate_files, require_files
+from turtlelog.cli.output import print_error, print_json, print_text
+from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
     from turtlelog import RecordingInfo
 
+EXIT_FINE: Final = 0
+EXIT_BAD_INPUT: Final = 2
 
-def info(files: Files, /, *, json: Json = False) -> None:
+
+def info(files: Files, /, *, json: Json = False) -> int:
     """Say what recordings hold: source, length, topics, scenario, and what is absent.
+
+    A file that cannot be read is told on stderr; the others are described, and the exit code is 2.
 
     Example: turtlelog info kp1.mcap
 
@@ -21,13 +28,27 @@ def info(files: Files, /, *, json: Json = False) -> None:
         json: Print one JSON list instead of text.
     """
     require_files(files)
-    found = [
-        (path, tl.read_bag_info(path) if path.is_dir() else tl.read_info(path)) for path in files
-    ]
+    found, errors = _read(files)
+    for err in errors:
+        print_error(str(err))
     if json:
         print_json([_describe(path, recording) for path, recording in found])
-    else:
+    elif found:
         print_text("\n\n".join(_format(path, recording) for path, recording in found))
+    return EXIT_BAD_INPUT if errors else EXIT_FINE
+
+
+def _read(files: Sequence[Path]) -> "tuple[list[tuple[Path, RecordingInfo]], list[TurtlelogError]]":
+    """Return what is found and what is wrong."""
+    found: list[tuple[Path, RecordingInfo]] = []
+    errors: list[TurtlelogError] = []
+    for path in iterate_files(files):
+        try:
+            read = tl.read_bag_info if path.is_dir() else tl.read_info
+            found.append((path, read(path)))
+        except TurtlelogError as err:
+            errors.append(err)
+    return found, errors
 
 
 def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:

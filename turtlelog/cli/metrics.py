@@ -1,7 +1,7 @@
 """`turtlelog metrics`: measure recordings."""
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
+from turtlelog.cli.options import Files, Json, TopicOptions, iterate_runs
 from turtlelog.cli.output import describe_metrics, print_json, print_text
 
 
@@ -14,7 +14,7 @@ def metrics(files: Files, /, *, topics: TopicOptions | None = None, json: Json =
         files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
         json: Print one JSON list instead of a table.
     """
-    runs = read_runs(files, topics)
+    runs = iterate_runs(files, topics)
     if json:
         print_json(
             [
@@ -27,4 +27,4 @@ def metrics(files: Files, /, *, topics: TopicOptions | None = None, json: Json =
             ]
         )
         return
-    print_text(tl.format_table(tl.tabulate_metrics(runs)))
+    print_text(tl.format_table(tl.tabulate_metrics(list(runs))))

@@ -1,6 +1,6 @@
 """Options that several commands share, and what they stand for."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
@@ -68,12 +69,23 @@ def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) ->
 
 def read_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "list[Run]":
     """Return the runs of recordings, bags, other recorders' files and the paper's logs."""
+    return list(iterate_runs(paths, topics))
+
+
+def iterate_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "Iterator[Run]":
+    """Yield runs as `read_runs` returns them, one by one: none is kept here."""
     require_files(paths)
     topics = topics or TopicOptions()
-    return [
-        tl.read_run(path, pose_topic=topics.pose_topic, command_topic=topics.command_topic)
-        for path in paths
-    ]
+    for path in iterate_files(paths):
+        yield tl.read_run(path, pose_topic=topics.pose_topic, command_topic=topics.command_topic)
+
+
+def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
+    """Yield files and show how many of them are done."""
+    with show_progress("files", len(paths)) as progress:
+        for number, path in enumerate(paths, start=1):
+            yield path
+            progress.done = number
 
 
 def require_files(paths: Sequence[Path]) -> None:

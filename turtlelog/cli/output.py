@@ -5,11 +5,9 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Metric
@@ -24,6 +22,11 @@ def print_note(text: str) -> None:
     """Print progress or a note."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
+
+
+def print_error(text: str) -> None:
+    """Print an error in one line."""
+    print_note(f"turtlelog: error: {' '.join(text.split())}")
 
 
 def print_json(value: Any) -> None:
@@ -43,19 +46,6 @@ def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
         }
         for metric in metrics.values()
     ]
-
-
-def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
-    """Refuse an output that is one of the inputs, or whose name says that it is something else."""
-    if target is None:
-        return
-    if target.suffix.lower() != suffix:
-        raise UsageError(f"{target}: expected a name that ends in {suffix}, found another")
-    if not target.absolute().parent.is_dir():
-        raise UsageError(f"{target}: expected a place that can be written, found no such folder")
-    for path in inputs:
-        if target.exists() and path.exists() and target.samefile(path):
-            raise UsageError(f"{target}: expected another file to write to, found the input itself")
 
 
 def find_command_name() -> str:

@@ -8,7 +8,9 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json
-from turtlelog.cli.output import print_json, print_text, require_new_target
+from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
     from turtlelog import RecoveryReport
@@ -36,7 +38,8 @@ def recover(
         json: Print one JSON object instead of text.
     """
     require_new_target(output, [file], suffix=".mcap")
-    report = tl.recover_recording(file, output)
+    with show_progress("recovering"):
+        report = tl.recover_recording(file, output)
     if json:
         print_json({**asdict(report), "output": str(output)})
         return

@@ -1,7 +1,7 @@
 """`turtlelog run`: simulate a scenario."""
 
-import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -14,8 +14,9 @@ from turtlelog.cli.output import (
     print_json,
     print_note,
     print_text,
-    require_new_target,
 )
+from turtlelog.cli.progress import Progress, show_progress, watch_ticks
+from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
@@ -51,22 +52,18 @@ def run(
         rrd: Write a Rerun recording to this .rrd file.
         json: Print one JSON object instead of tables.
     """
-    require_new_target(output, [rrd] if rrd else [], suffix=".mcap")
-    require_new_target(rrd, [], suffix=".rrd")
+    require_new_target(output, [Path(scenario)], suffix=".mcap")
+    require_new_target(rrd, [Path(scenario)], suffix=".rrd")
     chosen = load_changed_scenario(scenario, options)
-    result = _run_realtime(chosen, output) if realtime else tl.simulate_run(chosen)
+    result = _run_realtime(chosen, output) if realtime else _simulate(chosen)
     code = EXIT_INTERRUPTED if result.stop_reason == "interrupted" else EXIT_FINE
     if code:
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
         print_note(f"{name.replace('_', ' ')}: {note}")
-    if output is not None:
-        if not realtime:
-            tl.write_recording(result, output)
-        print_note(f"wrote {output}")
-    if rrd is not None:
-        tl.write_run_rrd(result, rrd)
-        print_note(f"wrote {rrd}")
+    _write(result, None if realtime else output, rrd)
+    for path in filter(None, (output, rrd)):
+        print_note(f"wrote {path}")
     if json:
         print_json(
             {
@@ -84,28 +81,38 @@ def run(
     return code
 
 
+def _write(run: "Run", output: Path | None, rrd: Path | None) -> None:
+    with show_progress("writing"):
+        if output is not None:
+            tl.write_recording(run, output)
+        if rrd is not None:
+            tl.write_run_rrd(run, rrd)
+
+
+def _simulate(scenario: "Scenario") -> "Run":
+    from turtlelog.simulate import collect_run, iterate_ticks
+
+    return collect_run(scenario, watch_ticks(iterate_ticks(scenario), scenario.max_duration_s))
+
+
 def _run_realtime(scenario: "Scenario", output: Path | None) -> "Run":
-    progress = [_Progress(scenario.max_duration_s)] if sys.stderr.isatty() else []
-    if output is None:
-        return tl.run_live(scenario, progress, realtime=True)
-    with tl.Recorder(output, scenario) as recorder:
-        return tl.run_live(scenario, [recorder, *progress], realtime=True)
+    with ExitStack() as closing:
+        progress = show_progress("simulated", scenario.max_duration_s, "s at most")
+        watcher = _Watcher(closing.enter_context(progress))
+        if output is None:
+            return tl.run_live(scenario, [watcher], realtime=True)
+        recorder = closing.enter_context(tl.Recorder(output, scenario))
+        return tl.run_live(scenario, [recorder, watcher], realtime=True)
 
 
-class _Progress:
-    """Counts the seconds of a run on one line of a terminal."""
+class _Watcher:
+    """Shows how far a live run is."""
 
-    def __init__(self, most_s: float) -> None:
-        self._most_s = most_s
-        self._shown = -1
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
 
     def receive(self, tick: "Tick") -> None:
-        seconds = tick.time_ns // 1_000_000_000
-        if seconds != self._shown:
-            self._shown = seconds
-            sys.stderr.write(f"\r{seconds} s (at most {self._most_s:g} s)")
-            sys.stderr.flush()
+        self._progress.done = tick.time_ns / 1e9
 
     def close(self, notes: Mapping[str, str]) -> None:  # noqa: ARG002
-        sys.stderr.write("\r\x1b[K")
-        sys.stderr.flush()
+        self._progress.close()

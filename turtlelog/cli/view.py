@@ -6,7 +6,9 @@ from pathlib import Path
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, TopicOptions, read_runs, require_files
-from turtlelog.cli.output import print_note, require_new_target
+from turtlelog.cli.output import print_note
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 
 _LONGEST_S = 1e9
@@ -44,7 +46,8 @@ def view(
         if save is not None:
             print_note(f"wrote {save}")
         if snapshot is not None:
-            tl.write_snapshot(rrds[0], snapshot, at_s=at, size=width_and_height)
+            with show_progress("taking the picture"):
+                tl.write_snapshot(rrds[0], snapshot, at_s=at, size=width_and_height)
             print_note(f"wrote {snapshot}")
         if save is None and snapshot is None:
             tl.open_viewer(rrds)
@@ -73,8 +76,9 @@ def _prepare_rrds(
         return ready
     runs = read_runs(files, topics)
     rrd = save or folder / "view.rrd"
-    if len(runs) == 1:
-        tl.write_run_rrd(runs[0], rrd)
-    else:
-        tl.write_comparison_rrd(runs, rrd)
+    with show_progress("drawing"):
+        if len(runs) == 1:
+            tl.write_run_rrd(runs[0], rrd)
+        else:
+            tl.write_comparison_rrd(runs, rrd)
     return [rrd]

@@ -1,0 +1,107 @@
+"""How far a command has come: a bar on stderr, where that is a terminal, after a second."""
+
+import os
+import sys
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from turtlelog.simulate import Tick
+
+_DELAY_S: Final = 1.0
+_REFRESH_S: Final = 0.1
+
+
+class Progress:
+    """How much is done; a thread of its own draws it, so that one long step is seen as well.
+
+    Attributes:
+        done: How much, in the unit of `total`; set by whoever does the work.
+    """
+
+    def __init__(self, label: str, total: float | None, unit: str) -> None:
+        """Begin to wait for the moment to show up.
+
+        Args:
+            label: What is being done.
+            total: How much there is to do; None where that is not known.
+            unit: Of both.
+        """
+        self.done = 0.0
+        self._label, self._total, self._unit = label, total, unit
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._draw, name="progress", daemon=True)
+        if _is_terminal():
+            self._thread.start()
+
+    def close(self) -> None:
+        """Leave the terminal as it was; a second call does nothing."""
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def _draw(self) -> None:
+        # A terminal that goes away takes the bar with it, and nothing else.
+        with suppress(OSError, ValueError):
+            if not self._ended.wait(_DELAY_S):
+                self._animate()
+
+    def _animate(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+
+        columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn()
+        with Bar(
+            *columns,
+            console=Console(file=sys.stderr, force_terminal=True, highlight=False),
+            auto_refresh=False,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        ) as bar:
+            task = bar.add_task(self._describe(), total=self._total)
+            while True:
+                bar.update(task, completed=self.done, description=self._describe(), refresh=True)
+                if self._ended.wait(_REFRESH_S):
+                    return
+
+    def _describe(self) -> str:
+        if self._total is None:
+            return self._label
+        return f"{self._label} {self.done:.0f}/{self._total:g} {self._unit}"
+
+
+_live: Final[list[Progress]] = []
+
+
+@contextmanager
+def show_progress(label: str, total: float | None = None, unit: str = "") -> Iterator[Progress]:
+    """Show on the way what the block does, where it takes more than a second."""
+    progress = Progress(label, total, unit)
+    _live.append(progress)
+    try:
+        yield progress
+    finally:
+        progress.close()
+        _live.remove(progress)
+
+
+def end_progress() -> None:
+    """Take every bar away, also of an iteration that an error left hanging half way."""
+    for progress in _live:
+        progress.close()
+
+
+def watch_ticks(ticks: "Iterable[Tick]", most_s: float) -> "Iterator[Tick]":
+    """Yield ticks as they come and show how many of at most so many seconds are simulated."""
+    with show_progress("simulated", most_s, "s at most") as progress:
+        for tick in ticks:
+            progress.done = tick.time_ns / 1e9
+            yield tick
+
+
+def _is_terminal() -> bool:
+    return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"

@@ -1,0 +1,87 @@
+"""Outputs, refused before any work is done where they could not be written at its end."""
+
+import os
+import secrets
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from turtlelog.errors import UsageError
+
+
+def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
+    """Refuse a file that could not be written, is an input, or is named as something else.
+
+    A file that is there is fine: it is replaced when the new one is complete.
+    """
+    if target is None:
+        return
+    with _name_target(target):
+        if target.suffix.lower() != suffix:
+            raise UsageError(f"expected a name that ends in {suffix}, found another")
+        _require_place(target)
+        if target.exists():
+            _require_replaceable(target, inputs)
+
+
+def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> None:
+    """Refuse a folder that could not be made, has files in it, or is named as a file."""
+    with _name_target(target):
+        if target.suffix.lower() in file_suffixes:
+            raise UsageError(
+                f"expected the name of a new folder, found a name that ends in {target.suffix}"
+            )
+        _require_place(target.resolve())
+        if target.is_dir():
+            if any(target.iterdir()):
+                raise UsageError("expected the name of a new folder, found a folder with files")
+        elif target.exists() or target.is_symlink():
+            raise UsageError("expected the name of a new folder, found a file")
+
+
+def require_apart(targets: Sequence[Path]) -> None:
+    """Refuse outputs that are the same, or of which one would lie in another."""
+    places = [target.resolve() for target in targets]
+    for number, place in enumerate(places):
+        for other in places[:number]:
+            if place == other or place in other.parents or other in place.parents:
+                raise UsageError(
+                    f"{targets[number]}: expected a place of its own, found that of another output"
+                )
+
+
+def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
+    if not target.is_file():
+        kind = "folder" if target.is_dir() else "device"
+        raise UsageError(f"expected the name of a file to write, found a {kind}")
+    if not os.access(target, os.W_OK):
+        raise UsageError("expected a file that may be replaced, found it write-protected")
+    for path in inputs:
+        with suppress(OSError):  # an input that is not there is told when it is read
+            if target.samefile(path):
+                raise UsageError("expected another file to write to, found the input itself")
+
+
+def _require_place(target: Path) -> None:
+    """Refuse what the folder does not take, found out with a file that is gone at once."""
+    folder = target.absolute().parent
+    if not folder.is_dir():
+        raise UsageError("expected a place that can be written, found no such folder")
+    probe = folder / f".turtlelog-{secrets.token_hex(6)}.part"
+    # Permissions alone do not tell: the disk may be read-only, or the name too long for it.
+    probe.touch(exist_ok=False)
+    probe.unlink()
+    with suppress(FileNotFoundError):
+        target.lstat()
+
+
+@contextmanager
+def _name_target(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except UsageError as err:
+        raise UsageError(f"{target}: {err}") from err
+    except OSError as err:
+        raise UsageError(
+            f"{target}: expected a place that can be written, found: {err.strerror or err}"
+        ) from err
