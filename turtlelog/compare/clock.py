@@ -62,18 +62,6 @@ def align_runs(reference: Run, run: Run, alignment: str) -> Clock:
     return _align_by_time((reference, run), zeros_ns, 0)
 
 
-def resample_signal(signal: Signal, at: Times) -> NDArray[np.float64]:
-    """Return a placed signal at units of its clock, shape of `at`.
-
-    By line between rows, or by holding the last one, as fits the signal; outside, the ends hold.
-    Rows that share one time: the last of them holds.
-    """
-    if signal.kind.resampling == "line":
-        return np.interp(at, signal.time_ns, signal.values)
-    row = np.searchsorted(signal.time_ns, at, side="right") - 1
-    return signal.values[np.maximum(row, 0)]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TimeClock:
     """Nanoseconds from each run's own zero."""

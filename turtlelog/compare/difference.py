@@ -6,7 +6,7 @@ from typing import Literal
 
 from turtlelog.compare.clock import Clock, align_runs
 from turtlelog.compare.tolerances import Tolerance, Tolerances
-from turtlelog.compare.tube import Rows, collect_rows, find_nearest, measure_distance
+from turtlelog.compare.tube import Grid, Rows, find_nearest, lay_grid, measure_distance, read_rows
 from turtlelog.compare.verdict import Finding, judge_metric, judge_signal, miss_signal
 from turtlelog.measure import SIGNALS, Metric, Signal, measure_run, read_signal
 from turtlelog.run import Run
@@ -136,7 +136,8 @@ def _compare_signals(
     reference: Run, run: Run, clock: Clock, tolerances: Mapping[str, Tolerance]
 ) -> tuple[tuple[SignalDifference, ...], tuple[Finding, ...]]:
     differences, findings = [], {}
-    for name in SIGNALS:
+    grids: dict[str, Grid] = {}
+    for name, kind in SIGNALS.items():
         theirs, ours = read_signal(reference, name), read_signal(run, name)
         if theirs is None or ours is None:
             if name in tolerances:
@@ -146,7 +147,10 @@ def _compare_signals(
                 findings[name] = miss_signal(name, tolerances[name], lacking)
             continue
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
-        rows = collect_rows(*placed, clock.span)
+        times = (placed[0].time_ns, placed[1].time_ns)
+        if kind.source not in grids:
+            grids[kind.source] = lay_grid(*times, clock.span)
+        rows = read_rows(placed[1], grids[kind.source])
         differences.append(_find_largest(placed[0], rows, clock))
         if name in tolerances:
             findings[name] = judge_signal(placed[0], rows, tolerances[name], clock)
@@ -160,7 +164,7 @@ def _find_largest(reference: Signal, rows: Rows, clock: Clock) -> SignalDifferen
         signal=reference.name,
         unit=reference.kind.unit,
         largest=float(off[row]),
-        at_s=clock.read_seconds(int(rows.at[row])),
+        at_s=clock.read_seconds(int(rows.grid.at[row])),
     )
 
 

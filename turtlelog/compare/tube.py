@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
-from turtlelog.compare.clock import resample_signal
 from turtlelog.compare.tolerances import Tolerance
 from turtlelog.compare.windows import find_neighbours, find_ranges
 from turtlelog.measure import Signal
@@ -24,40 +23,52 @@ Times = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rows:
-    """A run's values on the common clock.
+class Grid:
+    """Where a run is compared: its rows, and the times of the reference's rows between them.
+
+    Without the latter a run with few rows would be compared in few places only.
 
     Attributes:
         at: Units of the clock, shape (n,), not decreasing.
-        values: Shape (n,).
+        run_row: The run's row that holds there, shape (n,); before its first one, that.
         later: How many further rows of the run share the row's time, shape (n,).
     """
 
     at: Times
-    values: Values
+    run_row: Times
     later: Times
 
 
-def collect_rows(reference: Signal, run: Signal, span: tuple[int, int]) -> Rows:
-    """Return the run's rows in the span, and the run's values at the times of the reference's.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """A run's values on a grid, shape (n,)."""
 
-    Without the latter a run with few rows would be compared in few places only.
-    """
-    at = _merge_times(reference.time_ns, run.time_ns)
+    grid: Grid
+    values: Values
+
+
+def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
+    """Return the grid of two runs' rows in a span of their clock, both ends included."""
+    at = _merge_times(reference_at, run_at)
     at = at[(at >= span[0]) & (at <= span[1])]
-    values = resample_signal(run, at)
-    last = np.searchsorted(run.time_ns, run.time_ns, side="right") - 1
-    later = last - np.arange(len(last))
-    early = np.flatnonzero((later > 0) & (run.time_ns >= span[0]) & (run.time_ns <= span[1]))
+    run_row = np.maximum(np.searchsorted(run_at, at, side="right") - 1, 0)
+    shares = run_at[1:] == run_at[:-1]
+    early = np.flatnonzero(shares & (run_at[:-1] >= span[0]) & (run_at[:-1] <= span[1]))
     if not len(early):
-        return Rows(at=at, values=values, later=np.zeros(len(at), dtype=np.int64))
-    at = np.concatenate([run.time_ns[early], at])
+        return Grid(at=at, run_row=run_row, later=np.zeros(len(at), dtype=np.int64))
+    at = np.concatenate([run_at[early], at])
     order = np.argsort(at, kind="stable")
-    return Rows(
-        at=at[order],
-        values=np.concatenate([run.values[early], values])[order],
-        later=np.concatenate([later[early], np.zeros(len(values), dtype=np.int64)])[order],
-    )
+    run_row = np.concatenate([early, run_row])[order]
+    at = at[order]
+    last = np.searchsorted(run_at, run_at[run_row], side="right") - 1
+    return Grid(at=at, run_row=run_row, later=last - run_row)
+
+
+def read_rows(run: Signal, grid: Grid) -> Rows:
+    """Return a placed signal's values on a grid, by line or held as fits the signal."""
+    if run.kind.resampling == "line":
+        return Rows(grid=grid, values=np.interp(grid.at, run.time_ns, run.values))
+    return Rows(grid=grid, values=run.values[grid.run_row])
 
 
 def find_nearest(
@@ -92,8 +103,8 @@ def find_limit(reference: Signal, nearest: Values, tolerance: Tolerance) -> Valu
 
 def _find_nearest_on_line(reference: Signal, rows: Rows, half_width: int) -> Values:
     if not half_width:
-        return np.interp(rows.at, reference.time_ns, reference.values)
-    start, end = rows.at - half_width, rows.at + half_width
+        return np.interp(rows.grid.at, reference.time_ns, reference.values)
+    start, end = rows.grid.at - half_width, rows.grid.at + half_width
     ends = [np.interp(side, reference.time_ns, reference.values) for side in (start, end)]
     low, high = np.minimum(*ends), np.maximum(*ends)
     first = np.searchsorted(reference.time_ns, start, side="left")
@@ -115,10 +126,10 @@ def _find_held(reference: Signal, rows: Rows) -> Values:
 
     Rows that share one time are matched from the last one backwards.
     """
-    last = np.maximum(np.searchsorted(reference.time_ns, rows.at, side="right") - 1, 0)
+    last = np.maximum(np.searchsorted(reference.time_ns, rows.grid.at, side="right") - 1, 0)
     same = np.searchsorted(reference.time_ns, reference.time_ns[last], side="left")
-    is_there = reference.time_ns[last] == rows.at
-    return reference.values[np.where(is_there, np.maximum(last - rows.later, same), last)]
+    is_there = reference.time_ns[last] == rows.grid.at
+    return reference.values[np.where(is_there, np.maximum(last - rows.grid.later, same), last)]
 
 
 def _find_nearest_held(
@@ -130,7 +141,7 @@ def _find_nearest_held(
     a gap; rows are searched for it only where the held value does not say already that the row
     passes with more to spare than another.
     """
-    start, end = rows.at - half_width, rows.at + half_width
+    start, end = rows.grid.at - half_width, rows.grid.at + half_width
     first = np.maximum(np.searchsorted(reference.time_ns, start, side="right") - 1, 0)
     after = np.maximum(np.searchsorted(reference.time_ns, end, side="right"), first + 1)
     low, high = find_ranges(reference.values, first, after)

@@ -61,7 +61,7 @@ def judge_signal(reference: Signal, rows: Rows, tolerance: Tolerance, clock: Clo
     row = int((off - limit).argmax())
     if not outside[row] and outside.any():
         row = int(outside.argmax())
-    first = clock.read_seconds(int(rows.at[outside.argmax()])) if outside.any() else None
+    first = clock.read_seconds(int(rows.grid.at[outside.argmax()])) if outside.any() else None
     return Finding(
         kind="signal",
         name=reference.name,
@@ -72,7 +72,7 @@ def judge_signal(reference: Signal, rows: Rows, tolerance: Tolerance, clock: Clo
         reference=float(nearest[row]),
         off=float(off[row]),
         limit=float(limit[row]),
-        at_s=clock.read_seconds(int(rows.at[row])),
+        at_s=clock.read_seconds(int(rows.grid.at[row])),
         first_outside_s=first,
     )
 
