@@ -25,7 +25,14 @@ if TYPE_CHECKING:
         tabulate_table1,
         tabulate_whole_runs,
     )
-    from turtlelog.errors import TurtlelogError
+    from turtlelog.errors import ExpressionError, TurtlelogError
+    from turtlelog.expressions import (
+        Expression,
+        draw_caret,
+        evaluate_expression,
+        format_expression,
+        parse_expression,
+    )
     from turtlelog.laws import Decision, Goal, Law, Pose
     from turtlelog.log import (
         PartialRecordingWarning,
@@ -95,7 +102,14 @@ _ROOMS = {
         "tabulate_table1",
         "tabulate_whole_runs",
     ),
-    "errors": ("TurtlelogError",),
+    "errors": ("ExpressionError", "TurtlelogError"),
+    "expressions": (
+        "Expression",
+        "draw_caret",
+        "evaluate_expression",
+        "format_expression",
+        "parse_expression",
+    ),
     "laws": ("Decision", "Goal", "Law", "Pose"),
     "log": (
         "PartialRecordingWarning",
@@ -106,6 +120,7 @@ _ROOMS = {
         "export_csv",
         "export_parquet",
         "export_rosbag2",
+        "format_expression",
         "import_log",
         "iter_columns",
         "read_bag",
@@ -130,6 +145,7 @@ _ROOMS = {
         "load_scenario",
         "override_scenario",
         "parse_assignments",
+        "parse_expression",
         "parse_scenario",
         "restore_scenario",
     ),
@@ -137,6 +153,7 @@ _ROOMS = {
         "TABLE_FORMATS",
         "describe_run",
         "describe_runs",
+        "draw_caret",
         "format_table",
         "open_viewer",
         "write_comparison_rrd",
@@ -157,6 +174,8 @@ __all__ = [
     "Column",
     "Comparison",
     "Decision",
+    "Expression",
+    "ExpressionError",
     "Finding",
     "Goal",
     "Law",
@@ -181,9 +200,12 @@ __all__ = [
     "compare_runs",
     "describe_run",
     "describe_runs",
+    "draw_caret",
+    "evaluate_expression",
     "export_csv",
     "export_parquet",
     "export_rosbag2",
+    "format_expression",
     "format_scenario",
     "format_table",
     "import_log",
@@ -196,6 +218,7 @@ __all__ = [
     "open_viewer",
     "override_scenario",
     "parse_assignments",
+    "parse_expression",
     "parse_scenario",
     "read_bag",
     "read_bag_info",
