@@ -14,7 +14,15 @@ def describe_error(err: BaseException) -> str:
 
 
 class ExpressionError(TurtlelogError):
-    """An expression that does not parse, or names what is not there."""
+    """An expression that does not parse, or names what is not there.
+
+    Attributes:
+        column: Where in its text, counted from 1; None where no place is to blame.
+    """
+
+    def __init__(self, message: str, *, column: int | None = None) -> None:
+        super().__init__(message)
+        self.column = column
 
 
 class FrameError(TurtlelogError):

@@ -7,6 +7,7 @@ from typing import Final
 from turtlelog.compare.difference import Comparison
 from turtlelog.compare.names import name_runs
 from turtlelog.compare.table import Cell, Column, Table
+from turtlelog.compare.verdict_table import describe_alignment
 from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.theory import compute_settling_time, compute_time_constant
@@ -113,10 +114,12 @@ def tabulate_differences(
             cells += [known.largest, known.at_s] if known else [None, None]
         if any(cell is not None for cell in cells):
             rows.append((name, kind.unit, *cells))
+    alignments = dict.fromkeys(describe_alignment(found.alignment) for found in comparisons)
     return Table(
-        title=f"Largest differences from {reference}, from the first samples on",
+        title=f"Largest differences from {reference}, {', '.join(alignments)}",
         columns=tuple(columns),
         rows=tuple(rows),
+        notes=_list_overlaps(comparisons, names),
     )
 
 
@@ -134,6 +137,17 @@ _WHOLE_RUN: Final = (
     ("final.position_error", Column(title="position", unit="m", digits=6)),
     ("run.duration", Column(title="length", unit="s", digits=2)),
 )
+
+
+def _list_overlaps(comparisons: Sequence[Comparison], names: Sequence[str]) -> tuple[str, ...]:
+    """Return over which stretch the runs were compared, where that is the same in one sentence."""
+    stretches: dict[str, list[str]] = {}
+    for name, found in zip(names, comparisons, strict=True):
+        end_s = found.overlap_from_s + found.overlap_s
+        stretches.setdefault(f"{found.overlap_from_s:.2f} to {end_s:.2f} s", []).append(name)
+    compared = "; ".join(f"{', '.join(runs)}: {stretch}" for stretch, runs in stretches.items())
+    notes = dict.fromkeys(note for found in comparisons for note in found.notes)
+    return f"Compared over {compared}.", *notes
 
 
 def _describe_run(name: str, run: Run) -> tuple[Cell, ...]:

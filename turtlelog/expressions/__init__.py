@@ -1,1 +1,64 @@
 """The one expression language: parsed by us, never run as Python."""
+
+from turtlelog.expressions.evaluation import (
+    Values,
+    check_comparison,
+    describe_unknown_name,
+    evaluate_expression,
+    evaluate_node,
+    fail_at,
+    require_kind,
+)
+from turtlelog.expressions.functions import ARGUMENTS
+from turtlelog.expressions.operands import Kind, Operand, make_operand
+from turtlelog.expressions.parser import PRECEDENCE, parse_expression
+from turtlelog.expressions.place import draw_caret
+from turtlelog.expressions.printing import format_expression
+from turtlelog.expressions.tree import (
+    Arithmetic,
+    Call,
+    Comparison,
+    Expression,
+    Logic,
+    Name,
+    Node,
+    Number,
+    Prefix,
+    Temporal,
+    Text,
+    Truth,
+    Until,
+    iterate_nodes,
+)
+
+__all__ = [
+    "ARGUMENTS",
+    "PRECEDENCE",
+    "Arithmetic",
+    "Call",
+    "Comparison",
+    "Expression",
+    "Kind",
+    "Logic",
+    "Name",
+    "Node",
+    "Number",
+    "Operand",
+    "Prefix",
+    "Temporal",
+    "Text",
+    "Truth",
+    "Until",
+    "Values",
+    "check_comparison",
+    "describe_unknown_name",
+    "draw_caret",
+    "evaluate_expression",
+    "evaluate_node",
+    "fail_at",
+    "format_expression",
+    "iterate_nodes",
+    "make_operand",
+    "parse_expression",
+    "require_kind",
+]

@@ -7,19 +7,21 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare import Column, Table, format_cell
+from turtlelog.compare import Column, Mark, Table, format_cell
 from turtlelog.errors import ShowError
 
 _WIDTH: Final = 96
 
 
 def format_text(table: Table) -> str:
-    """Return a table for a terminal: aligned columns, units in the second line, notes below."""
-    heads = [
-        [column.title for column in table.columns],
-        [f"[{column.unit}]" if column.unit else "" for column in table.columns],
-    ]
-    rows = _format_rows(table)
+    """Return a table for a terminal: aligned columns, units below the titles, notes below."""
+    units = [f"[{column.unit}]" if column.unit else "" for column in table.columns]
+    heads, rows = [*_stack_titles(table), units], _format_rows(table, "txt")
+    for column in {column for _, column in table.marks}:
+        # Figures stand below figures and marks below marks.
+        for row, cells in enumerate([*heads, *rows]):
+            is_marked = (row - len(heads), column) in table.marks
+            cells[column] += "" if is_marked else " "
     widths = [max(map(len, cells)) for cells in zip(*heads, *rows, strict=True)]
     numeric = [_is_numeric(table, index) for index in range(len(widths))]
 
@@ -31,30 +33,27 @@ def format_text(table: Table) -> str:
         return "  ".join(padded).rstrip()
 
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    lines = [table.title, "", *map(join, filter(any, heads)), rule, *map(join, rows)]
+    lines = [table.title, "", *map(join, filter(_has_text, heads)), rule, *map(join, rows)]
     notes = [
-        "",
-        *(
-            line
-            for note in table.notes
-            for line in textwrap.wrap(note, _WIDTH, break_on_hyphens=False)
-        ),
+        line
+        for note in _list_notes(table, "txt")
+        for line in textwrap.wrap(note, _WIDTH, break_on_hyphens=False)
     ]
-    return "\n".join(lines + (notes if table.notes else [])) + "\n"
+    return "\n".join([*lines, *(["", *notes] if notes else [])]) + "\n"
 
 
 def format_markdown(table: Table) -> str:
     """Return a table as GitHub-flavoured Markdown."""
     titles = [_escape_markdown(_join_title(column)) for column in table.columns]
     rules = [" ---: " if _is_numeric(table, i) else " --- " for i in range(len(titles))]
-    rows = [[_escape_markdown(cell) for cell in row] for row in _format_rows(table)]
+    rows = _format_rows(table, "md")
     lines = [
         f"**{table.title}**",
         "",
         "| " + " | ".join(titles) + " |",
         "|" + "|".join(rules) + "|",
         *("| " + " | ".join(row) + " |" for row in rows),
-        *(line for note in table.notes for line in ("", note)),
+        *(line for note in _list_notes(table, "md") for line in ("", note)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -78,10 +77,10 @@ def format_latex(table: Table) -> str:
         r"    \toprule",
         "    " + _join_latex([_join_title(column) for column in table.columns]),
         r"    \midrule",
-        *("    " + _join_latex(row) for row in _format_rows(table)),
+        *("    " + " & ".join(row) + r" \\" for row in _format_rows(table, "tex")),
         r"    \bottomrule",
         r"  \end{tabular}",
-        *(rf"  \par\footnotesize {_escape_latex(note)}" for note in table.notes),
+        *(rf"  \par\footnotesize {note}" for note in _list_notes(table, "tex")),
         r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
@@ -106,11 +105,38 @@ def format_table(table: Table, kind: str = "txt") -> str:
     return _FORMATS[kind](table)
 
 
-def _format_rows(table: Table) -> list[list[str]]:
+def _format_rows(table: Table, kind: str) -> list[list[str]]:
+    """Return the cells as a format writes them, escaped and marked."""
+    escape, marks = _ESCAPES[kind], _MARKS[kind]
     return [
-        [format_cell(cell, column) for cell, column in zip(row, table.columns, strict=True)]
-        for row in table.rows
+        [
+            marks.get(table.marks.get((row, index)), "{}").format(escape(format_cell(cell, column)))
+            for index, (cell, column) in enumerate(zip(cells, table.columns, strict=True))
+        ]
+        for row, cells in enumerate(table.rows)
     ]
+
+
+def _list_notes(table: Table, kind: str) -> list[str]:
+    """Return the notes below a table, the legend of its marks first."""
+    marks, escape = _MARKS[kind], _ESCAPES[kind]
+    words = [marks[mark].format(mark) for mark in ("best", "worst") if mark in marks]
+    legend = [f"{' and '.join(words)} of a column."] if table.marks else []
+    return [*legend, *map(escape, table.notes)]
+
+
+def _stack_titles(table: Table) -> list[list[str]]:
+    """Return the lines of the titles, which end in the same line."""
+    stacks = [column.lines or (column.title,) for column in table.columns]
+    height = max(map(len, stacks))
+    return [
+        [(("",) * (height - len(stack)) + stack)[line] for stack in stacks]
+        for line in range(height)
+    ]
+
+
+def _has_text(cells: list[str]) -> bool:
+    return any(cell.strip() for cell in cells)
 
 
 def _is_numeric(table: Table, index: int) -> bool:
@@ -133,3 +159,17 @@ def _escape_latex(text: str) -> str:
     special = {character: f"\\{character}" for character in "&%$#_{}"}
     special |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     return "".join(special.get(character, character) for character in text)
+
+
+_MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = MappingProxyType(
+    {
+        "txt": {"best": "{}*", "worst": "{}!"},
+        "md": {"best": "**{}**", "worst": "*{}*"},
+        "tex": {"best": r"\textbf{{{}}}", "worst": r"\textit{{{}}}"},
+    }
+)
+"""How the best and the worst of a column are marked."""
+
+_ESCAPES: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
+    {"txt": str, "md": _escape_markdown, "tex": _escape_latex}
+)

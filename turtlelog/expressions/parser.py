@@ -1,0 +1,263 @@
+"""Text -> tree, by precedence climbing. Nothing here runs text as Python.
+
+From loosest to tightest: implies (to the right), or, and, until (to the right), not,
+comparisons (chained), + -, * /, unary -, ** (to the right).
+"""
+
+import difflib
+import math
+from typing import Any, Final, NoReturn, cast
+
+from turtlelog.expressions.functions import ARGUMENTS, describe_arguments
+from turtlelog.expressions.place import build_error
+from turtlelog.expressions.tokens import Token, split_tokens
+from turtlelog.expressions.tree import (
+    Arithmetic,
+    Call,
+    Comparison,
+    Expression,
+    Logic,
+    Name,
+    Node,
+    Number,
+    Prefix,
+    Temporal,
+    Text,
+    Truth,
+    Until,
+)
+
+DEEPEST: Final = 100  # levels of nesting, so that no caller meets Python's recursion limit
+
+COMPARISONS: Final = ("<", "<=", ">", ">=", "==", "!=")
+
+PRECEDENCE: Final = {
+    "implies": 1,
+    "or": 2,
+    "and": 3,
+    "until": 4,
+    "not": 5,
+    **dict.fromkeys(COMPARISONS, 6),
+    "+": 7,
+    "-": 7,
+    "*": 8,
+    "/": 8,
+    "unary -": 9,
+    "**": 10,
+}
+"""The higher, the tighter. `unary -` is the minus of -x."""
+
+_INFIX: Final = frozenset(PRECEDENCE) - {"not", "unary -"}
+
+
+def parse_expression(text: str, *, source: str = "expression") -> Expression:
+    """Return the tree of an expression.
+
+    Args:
+        text: In the language of docs/expressions.md.
+        source: Where it was written, for messages: an option, or a file and key.
+
+    Raises:
+        ExpressionError: Where it does not parse, with the column.
+    """
+    return Expression(text=text, source=source, root=_Parser(text, source).parse())
+
+
+class _Parser:
+    def __init__(self, text: str, source: str) -> None:
+        self._text = text
+        self._source = source
+        self._tokens = split_tokens(text, source=source)
+        self._place = 0
+        self._open = 0
+        self._heights: dict[int, int] = {}
+
+    def parse(self) -> Node:
+        root = self._parse_level(1)
+        if self._next.kind != "end":
+            self._fail(self._next, "expected an operator or the end")
+        return root
+
+    @property
+    def _next(self) -> Token:
+        return self._tokens[self._place]
+
+    def _take(self) -> Token:
+        token = self._next
+        self._place += token.kind != "end"
+        return token
+
+    def _takes(self, operator: str) -> bool:
+        """Take the next token if it is this operator."""
+        found = self._next.kind == "operator" and self._next.text == operator
+        self._place += found
+        return found
+
+    def _expect(self, operator: str) -> None:
+        if not self._takes(operator):
+            self._fail(self._next, f"expected {operator!r}")
+
+    def _fail(self, token: Token, expected: str) -> NoReturn:
+        raise build_error(self._source, self._text, token.column, f"{expected}, found {token}")
+
+    def _parse_level(self, loosest: int) -> Node:
+        """Parse operands and the operators between them that bind at least so tightly."""
+        self._open += 1
+        self._check_depth(self._open, self._next)
+        node = self._parse_prefix()
+        while (binding := self._find_binding()) >= loosest:
+            node = self._parse_infix(node, self._take(), binding)
+        self._open -= 1
+        return node
+
+    def _find_binding(self) -> int:
+        token = self._next
+        is_infix = token.kind == "operator" and token.text in _INFIX
+        return PRECEDENCE[token.text] if is_infix else 0
+
+    def _parse_infix(self, left: Node, token: Token, binding: int) -> Node:
+        if binding == PRECEDENCE["<"]:
+            return self._parse_comparison(left, token)
+        if token.text in {"and", "or"}:
+            return self._parse_joined(left, token, binding)
+        window = self._parse_window() if token.text == "until" else (0.0, math.inf)
+        to_the_right = token.text in {"implies", "until", "**"}
+        if token.text == "**":  # its exponent may be negative: 10**-3
+            right = self._parse_level(PRECEDENCE["unary -"])
+        else:
+            right = self._parse_level(binding if to_the_right else binding + 1)
+        at = token.column
+        if token.text == "until":
+            return self._grow(
+                Until(left=left, right=right, start_s=window[0], end_s=window[1], column=at), token
+            )
+        if token.text == "implies":
+            return self._grow(Logic(operator="implies", operands=(left, right), column=at), token)
+        operator = cast("Any", token.text)
+        return self._grow(Arithmetic(operator=operator, left=left, right=right, column=at), token)
+
+    def _parse_comparison(self, left: Node, first: Token) -> Node:
+        operators, operands = [first], [left, self._parse_level(PRECEDENCE["<"] + 1)]
+        while self._find_binding() == PRECEDENCE["<"]:
+            operators.append(self._take())
+            operands.append(self._parse_level(PRECEDENCE["<"] + 1))
+        node = Comparison(
+            operators=tuple(cast("Any", token.text) for token in operators),
+            operands=tuple(operands),
+            columns=tuple(token.column for token in operators),
+            column=first.column,
+        )
+        return self._grow(node, first)
+
+    def _parse_joined(self, left: Node, first: Token, binding: int) -> Node:
+        operands = [left, self._parse_level(binding + 1)]
+        while self._takes(first.text):
+            operands.append(self._parse_level(binding + 1))
+        operator = cast("Any", first.text)
+        node = Logic(operator=operator, operands=tuple(operands), column=first.column)
+        return self._grow(node, first)
+
+    def _parse_prefix(self) -> Node:
+        token = self._take()
+        if token.kind == "operator":
+            return self._parse_operator(token)
+        if token.kind == "number":
+            return self._make_number(token)
+        if token.kind == "text":
+            return self._grow(Text(value=token.text, column=token.column), token)
+        if token.kind == "end":
+            self._fail(token, "expected a number or name")
+        if self._takes("("):
+            return self._parse_call(token)
+        return self._grow(Name(name=token.text, column=token.column), token)
+
+    def _parse_operator(self, token: Token) -> Node:
+        if token.text == "(":
+            inside = self._parse_level(1)
+            self._expect(")")
+            return inside
+        if token.text in {"-", "not"}:
+            binding = PRECEDENCE["not" if token.text == "not" else "unary -"]
+            operator, operand = cast("Any", token.text), self._parse_level(binding)
+            return self._grow(
+                Prefix(operator=operator, operand=operand, column=token.column), token
+            )
+        if token.text in {"always", "eventually"}:
+            return self._parse_temporal(token)
+        if token.text in {"true", "false"}:
+            return self._grow(Truth(value=token.text == "true", column=token.column), token)
+        if token.text == "inf":
+            return self._grow(Number(value=math.inf, column=token.column), token)
+        return self._fail(token, "expected a number or name")
+
+    def _parse_temporal(self, token: Token) -> Node:
+        start_s, end_s = self._parse_window()
+        self._expect("(")
+        operand = self._parse_level(1)
+        self._expect(")")
+        operator = cast("Any", token.text)
+        node = Temporal(
+            operator=operator, start_s=start_s, end_s=end_s, operand=operand, column=token.column
+        )
+        return self._grow(node, token)
+
+    def _parse_window(self) -> tuple[float, float]:
+        """Parse `[a, b]` in seconds; without it, all of the time that follows."""
+        if not self._takes("["):
+            return 0.0, math.inf
+        start_s = self._parse_bound()
+        if math.isinf(start_s):
+            self._fail(self._tokens[self._place - 1], "expected a finite first bound [s]")
+        self._expect(",")
+        end = self._next
+        end_s = self._parse_bound()
+        if end_s < start_s:
+            self._fail(end, f"expected a second bound of at least {start_s:g} s")
+        self._expect("]")
+        return start_s, end_s
+
+    def _parse_bound(self) -> float:
+        token = self._take()
+        if token.text == "inf" and token.kind == "operator":
+            return math.inf
+        if token.kind != "number":
+            self._fail(token, "expected a bound in seconds, 0 or more")
+        return self._make_number(token).value
+
+    def _parse_call(self, token: Token) -> Node:
+        if token.text not in ARGUMENTS:
+            known = difflib.get_close_matches(token.text, ARGUMENTS, n=3) or list(ARGUMENTS)
+            self._fail(token, f"expected a function like {', '.join(known)}")
+        arguments = [] if self._is_next(")") else [self._parse_level(1)]
+        while self._takes(","):
+            arguments.append(self._parse_level(1))
+        self._expect(")")
+        least, most = ARGUMENTS[token.text]
+        if not least <= len(arguments) <= most:
+            problem = f"expected {describe_arguments(token.text)}, found {len(arguments)}"
+            raise build_error(self._source, self._text, token.column, problem)
+        node = Call(function=token.text, arguments=tuple(arguments), column=token.column)
+        return self._grow(node, token)
+
+    def _is_next(self, operator: str) -> bool:
+        return self._next.kind == "operator" and self._next.text == operator
+
+    def _make_number(self, token: Token) -> Number:
+        value = float(token.text)
+        if math.isinf(value):
+            self._fail(token, "expected a number below 1.8e308, or inf")
+        node = Number(value=value, column=token.column)
+        self._grow(node, token)
+        return node
+
+    def _grow(self, node: Node, token: Token) -> Node:
+        """Note how high the tree below a node is, and refuse one that is too high."""
+        below = (self._heights[id(child)] for child in node.list_children())
+        self._heights[id(node)] = 1 + max(below, default=0)
+        self._check_depth(self._heights[id(node)], token)
+        return node
+
+    def _check_depth(self, depth: int, token: Token) -> None:
+        if depth > DEEPEST:
+            problem = f"expected at most {DEEPEST} levels of nesting, found more"
+            raise build_error(self._source, self._text, token.column, problem)

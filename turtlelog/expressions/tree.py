@@ -1,0 +1,190 @@
+"""What an expression is once parsed: a frozen tree of nodes that know their column."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+ArithmeticOperator = Literal["+", "-", "*", "/", "**"]
+ComparisonOperator = Literal["<", "<=", ">", ">=", "==", "!="]
+LogicOperator = Literal["and", "or", "implies"]
+TemporalOperator = Literal["always", "eventually"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Node:
+    """Part of an expression.
+
+    Attributes:
+        column: Where it stands, or its operator, counted from 1. Not compared.
+    """
+
+    column: int = field(default=1, compare=False)
+
+    def list_children(self) -> tuple["Node", ...]:
+        """Return the parts of this part, in order of the text."""
+        return ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number(Node):
+    """A number as written; not negative, may be `inf`."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Text(Node):
+    """A text in quotes."""
+
+    value: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth(Node):
+    """`true` or `false`."""
+
+    value: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Name(Node):
+    """A signal, metric or parameter by its dotted name."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call(Node):
+    """A function of numbers."""
+
+    function: str
+    arguments: tuple[Node, ...]
+
+    def list_children(self) -> tuple[Node, ...]:
+        """Return the arguments."""
+        return self.arguments
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prefix(Node):
+    """`-` before a number, or `not` before a truth."""
+
+    operator: Literal["-", "not"]
+    operand: Node
+
+    def list_children(self) -> tuple[Node, ...]:
+        """Return the operand."""
+        return (self.operand,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Arithmetic(Node):
+    """Two numbers and an operator between them, at whose column it stands."""
+
+    operator: ArithmeticOperator
+    left: Node
+    right: Node
+
+    def list_children(self) -> tuple[Node, ...]:
+        """Return left and right."""
+        return self.left, self.right
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison(Node):
+    """A chain as in mathematics: `a < b <= c` is `a < b and b <= c`.
+
+    Attributes:
+        operators: At least one.
+        operands: One more than operators.
+        columns: Of the operators. Not compared.
+    """
+
+    operators: tuple[ComparisonOperator, ...]
+    operands: tuple[Node, ...]
+    columns: tuple[int, ...] = field(default=(), compare=False)
+
+    def list_children(self) -> tuple[Node, ...]:
+        """Return the operands."""
+        return self.operands
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Logic(Node):
+    """Truths joined by one operator: two or more by `and` and `or`, two by `implies`."""
+
+    operator: LogicOperator
+    operands: tuple[Node, ...]
+
+    def list_children(self) -> tuple[Node, ...]:
+        """Return the operands."""
+        return self.operands
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Temporal(Node):
+    """A truth at all times, or at some time, of a window after each moment.
+
+    Attributes:
+        operator: `always` or `eventually`.
+        start_s: First end of the window after the moment [s], finite, not negative.
+        end_s: Second end [s], may be inf.
+        operand: What is to hold.
+    """
+
+    operator: TemporalOperator
+    start_s: float = 0.0
+    end_s: float = math.inf
+    operand: Node
+
+    def list_children(self) -> tuple[Node, ...]:
+        """Return the operand."""
+        return (self.operand,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Until(Node):
+    """`right` comes true within the window, and `left` holds from the moment to that instant."""
+
+    start_s: float = 0.0
+    end_s: float = math.inf
+    left: Node
+    right: Node
+
+    def list_children(self) -> tuple[Node, ...]:
+        """Return left and right."""
+        return self.left, self.right
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Expression:
+    """A parsed expression.
+
+    Attributes:
+        text: As it was written.
+        source: Where it was written, for messages: an option, or a file and key.
+        root: The whole tree.
+    """
+
+    text: str
+    source: str
+    root: Node
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Signals, metrics and parameters in order of first use."""
+        found = (node.name for node in iterate_nodes(self.root) if isinstance(node, Name))
+        return tuple(dict.fromkeys(found))
+
+    @property
+    def is_temporal(self) -> bool:
+        """Whether it holds `always`, `eventually` or `until`, and so needs signals over time."""
+        return any(isinstance(node, Temporal | Until) for node in iterate_nodes(self.root))
+
+
+def iterate_nodes(node: Node) -> Iterator[Node]:
+    """Yield a node and all below it, in order of the text."""
+    yield node
+    for child in node.list_children():
+        yield from iterate_nodes(child)
