@@ -5,12 +5,17 @@ import math
 import os
 import shutil
 import sys
-from collections.abc import Mapping
+import tempfile
+import textwrap
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from turtlelog import Metric
+
+_SPOOLED: Final = 16 * 2**20
+"""Bytes of a long answer that are kept in memory."""
 
 
 def print_text(text: str) -> None:
@@ -34,6 +39,22 @@ def print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(_make_finite(value), indent=2, allow_nan=False) + "\n")
 
 
+def print_json_list(values: Iterable[Any]) -> None:
+    """Print one JSON list as `print_json` does, item by item, so that it need not fit into memory.
+
+    Nothing is printed before the last item is there.
+    """
+    with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8") as spool:
+        before = "[\n"
+        for value in values:
+            text = json.dumps(_make_finite(value), indent=2, allow_nan=False)
+            spool.write(before + textwrap.indent(text, "  "))
+            before = ",\n"
+        spool.write("[]\n" if before == "[\n" else "\n]\n")
+        spool.seek(0)
+        shutil.copyfileobj(spool, sys.stdout)
+
+
 def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
     """Return metrics as the `metrics` list of JSON answers."""
     return [
@@ -43,6 +64,7 @@ def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
             "unit": metric.unit,
             "status": metric.status.value,
             "reason": metric.reason or None,
+            "at_s": metric.at_s,
         }
         for metric in metrics.values()
     ]

@@ -2,7 +2,6 @@
 
 from turtlelog.compare.across import (
     tabulate_differences,
-    tabulate_metrics,
     tabulate_table1,
     tabulate_whole_runs,
 )
@@ -14,7 +13,9 @@ from turtlelog.compare.difference import (
     compare_runs,
     iter_comparisons,
 )
+from turtlelog.compare.files import TopicChoice, summarise_files
 from turtlelog.compare.gains import USUAL_METRICS, mark_metric, tabulate_runs
+from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
 from turtlelog.compare.names import name_runs
 from turtlelog.compare.summary import (
     RunSummary,
@@ -43,6 +44,7 @@ __all__ = [
     "Table",
     "Tolerance",
     "Tolerances",
+    "TopicChoice",
     "choose_columns",
     "compare_runs",
     "format_cell",
@@ -54,10 +56,12 @@ __all__ = [
     "read_tables",
     "select_runs",
     "sort_runs",
+    "summarise_files",
     "summarise_run",
     "tabulate_all_findings",
     "tabulate_differences",
     "tabulate_findings",
+    "tabulate_measured",
     "tabulate_metrics",
     "tabulate_runs",
     "tabulate_table1",

@@ -1,5 +1,6 @@
 """The table across gains: rows runs, columns metrics, the best and the worst marked."""
 
+import math
 from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Final
@@ -74,11 +75,14 @@ def tabulate_runs(
 
 def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:
     """Return which runs are the best and the worst in a metric; none where all are alike."""
-    better = METRICS[name].better if name in METRICS else None
+    kind = METRICS.get(name)
+    better = kind.better if kind else None
     values = (
         {row: found.metrics[name].value for row, found in enumerate(summaries)} if better else {}
     )
-    known = {row: value for row, value in values.items() if value is not None}
+    # Values below the floor of a metric are equally good.
+    floor = -math.inf if kind is None or kind.floor is None else kind.floor
+    known = {row: max(value, floor) for row, value in values.items() if value is not None}
     low, high = min(known.values(), default=0.0), max(known.values(), default=0.0)
     if low == high:
         return {}

@@ -35,6 +35,7 @@ class Table:
         columns: At least one.
         rows: Each as long as `columns`; None: there is no such value.
         notes: Sentences to stand below.
+        breaks: Rows with which a new group begins; a terminal leaves a line before them.
         marks: Which cells are the best and the worst of their column, by row and column.
     """
 
@@ -42,6 +43,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[str, ...] = ()
+    breaks: tuple[int, ...] = ()
     marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
 
 

@@ -93,9 +93,7 @@ def judge_metric(metric: Metric, reference: Metric, tolerance: Tolerance) -> Fin
     """Return the verdict on a metric: it fails in its bad direction, or by another status."""
     if metric.value is None or reference.value is None:
         return _judge_status(metric, reference, tolerance)
-    off = metric.value - reference.value
-    better = METRICS[metric.id].better
-    off = {"lower": off, "higher": -off}.get(better or "", abs(off))
+    off = METRICS[metric.id].compute_loss(metric.value, reference.value)
     limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
     return Finding(
         kind="metric",

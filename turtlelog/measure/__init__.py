@@ -3,6 +3,7 @@
 from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
 from turtlelog.measure.metric import Metric, Missing, Status
 from turtlelog.measure.metrics import ESSENTIAL_METRICS, METRICS, choose_metrics, measure_run
+from turtlelog.measure.path_file import read_reference_path
 from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, read_signal
 from turtlelog.measure.step import find_overshoot, find_settling_time
@@ -28,5 +29,6 @@ __all__ = [
     "find_overshoot",
     "find_settling_time",
     "measure_run",
+    "read_reference_path",
     "read_signal",
 ]

@@ -33,7 +33,9 @@ def format_text(table: Table) -> str:
         return "  ".join(padded).rstrip()
 
     rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
-    lines = [table.title, "", *map(join, filter(_has_text, heads)), rule, *map(join, rows)]
+    lines = [table.title, "", *map(join, filter(_has_text, heads)), rule]
+    for row, cells in enumerate(rows):
+        lines += ["", join(cells)] if row in table.breaks else [join(cells)]
     notes = [
         line
         for note in _list_notes(table, "txt")
@@ -77,7 +79,11 @@ def format_latex(table: Table) -> str:
         r"    \toprule",
         "    " + _join_latex([_join_title(column) for column in table.columns]),
         r"    \midrule",
-        *("    " + " & ".join(row) + r" \\" for row in _format_rows(table, "tex")),
+        *(
+            (r"    \addlinespace" "\n" if row in table.breaks else "")
+            + f"    {' & '.join(cells)} \\\\"
+            for row, cells in enumerate(_format_rows(table, "tex"))
+        ),
         r"    \bottomrule",
         r"  \end{tabular}",
         *(rf"  \par\footnotesize {note}" for note in _list_notes(table, "tex")),

@@ -30,11 +30,11 @@ class MetricKind:
     def compute_loss(self, value: float, reference: float) -> float:
         """Return by how much a value is worse than a reference, in the metric's unit.
 
-        Negative where it is better, 0 where neither is: equal, both under the floor, or of a metric
-        that has no better direction.
+        Negative where it is better, 0 where both are equal or under the floor. Of a metric that has
+        no better direction every change is a loss.
         """
         if self.better is None:
-            return 0.0
+            return abs(value - reference)
         if self.floor is not None:
             value, reference = max(value, self.floor), max(reference, self.floor)
         return value - reference if self.better == "lower" else reference - value
