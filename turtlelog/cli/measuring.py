@@ -20,15 +20,12 @@ class MeasureOptions:
     """How to measure; a value of a phase is in rad for rotate and in m for translate.
 
     Attributes:
-        only: Metrics by id or pattern, separated by commas, as in rotate.overshoot,final.*
+        only: Ids or patterns, as in rotate.overshoot,final.*
         band: Half-width of the settling band, as a share of the step (0.02).
-        initial: What the steps of the phases start from: a number, or numbers by phase as in
-            translate=0 (their first values).
-        final: What they lead to: reference, last, a number, or these by phase as in
-            rotate=last,translate=5.7 (reference).
-        reference_path: A CSV file with x,y in metres: the path that cross-track errors are taken
-            from (the line from start to goal).
-        dead_time: Samples of dead time in the delayed ideal loop (as found in the recording).
+        initial: Where steps start: NUMBER or PHASE=NUMBER (first value).
+        final: Where they lead: reference, last, NUMBER, or PHASE=... (reference).
+        reference_path: CSV of x,y in m, for cross-track errors (line to the goal).
+        dead_time: Samples of dead time in the delayed ideal loop (as found).
     """
 
     only: str | None = None

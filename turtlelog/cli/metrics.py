@@ -36,13 +36,13 @@ def metrics(
 ) -> int:
     """Measure recordings: the essential metrics as a table, a status where there is no value.
 
-    Up to six runs stand side by side; of more, each has a row. JSON and CSV hold every metric, CSV
-    in one row per file. A file that cannot be read is told on stderr; the others are measured, and
-    the exit code is 2.
+    Up to six runs stand side by side; of more, each has a row. JSON and CSV
+    hold every metric, CSV in one row per file. A file that cannot be read is
+    told on stderr; the others are measured, and the exit code is 2.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 
-    Example: turtlelog metrics kp4.mcap --only "translate.*,final.position_error" --band 0.05
+    Example: turtlelog metrics kp4.mcap --only "translate.*" --band 0.05
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
