@@ -14,7 +14,7 @@ GOAL_M = 5.0
 
 
 def make_straight_run(along_m: Values, speed_m_s: Values | None = None, **changes: Any) -> Run:
-    """Return a run that translates along +x to a goal 5 m away, a sample at every pose."""
+    """Return a run that translates along +x to a goal at (6, 5), 5 m away, a sample a pose."""
     rows = len(along_m)
     time_ns = np.arange(rows) * PERIOD_NS
     speed = np.zeros(rows) if speed_m_s is None else speed_m_s
@@ -25,7 +25,7 @@ def make_straight_run(along_m: Values, speed_m_s: Values | None = None, **change
         source="test",
         poses=PoseColumns(
             time_ns=time_ns,
-            xy_m=np.column_stack([along_m, zeros]),
+            xy_m=np.column_stack([1.0 + along_m, zeros + 5.0]),
             heading_rad=zeros.copy(),
         ),
         commands=CommandColumns(
@@ -47,7 +47,7 @@ def make_straight_run(along_m: Values, speed_m_s: Values | None = None, **change
             turn_rate_rad_s=zeros.copy(),
             world_velocity_m_s=np.zeros((rows, 2)),
         ),
-        goal_xy_m=(GOAL_M, 0.0),
+        goal_xy_m=(1.0 + GOAL_M, 5.0),
         parameters={"law.kp_linear": 1.0, "limits.speed_m_s": 1.0},
         stop_reason="standstill",
     )
