@@ -75,6 +75,7 @@ def test_metrics_answers_in_json_with_null_where_there_is_no_value(
         "unit": "s",
         "status": "ok",
         "reason": None,
+        "at_s": None,
     }
 
 
