@@ -89,6 +89,7 @@ def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:
 
 _MOST_DIFFERING: Final = 2
 _GAINS: Final = ("law.kp_angular", "law.kp_linear")
+_SHOWN: Final = frozenset({*_GAINS, "name"})
 
 
 def _find_gains(summaries: Sequence[RunSummary]) -> dict[str, str]:
@@ -102,14 +103,12 @@ def _find_gains(summaries: Sequence[RunSummary]) -> dict[str, str]:
 
 
 def _find_differing(summaries: Sequence[RunSummary]) -> list[str]:
-    """Return the other parameters in which the runs differ."""
-    keys = dict.fromkeys(key for found in summaries for key in found.parameters)
-    return [
-        key
-        for key in keys
-        if key not in {*_GAINS, "name"}
-        and len({repr(found.parameters.get(key)) for found in summaries}) > 1
-    ]
+    """Return the other parameters in which the runs differ; one that is not known does not."""
+    values: dict[str, set[str]] = {}
+    for summary in summaries:
+        for key, value in summary.parameters.items():
+            values.setdefault(key, set()).add(repr(value))
+    return [key for key, found in values.items() if len(found) > 1 and key not in _SHOWN]
 
 
 def _head_column(name: str) -> Column:
