@@ -12,7 +12,6 @@ from turtlelog.measure import METRICS
 USUAL_METRICS: Final = (
     "rotate.settling_time",
     "rotate.overshoot",
-    "translate.settling_time",
     "final.heading_error",
     "final.position_error",
     "run.duration",
@@ -121,5 +120,5 @@ def _get_cell(summary: RunSummary, name: str) -> Cell:
     metric = summary.metrics.get(name)
     if metric is None:
         value = summary.parameters.get(name)
-        return str(value) if isinstance(value, bool | list) else value
+        return str(value).lower() if isinstance(value, bool | list) else value
     return metric.status.value if metric.value is None else metric.value
