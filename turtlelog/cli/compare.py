@@ -46,12 +46,12 @@ class ChoiceOptions:
     Attributes:
         only: Columns, separated by commas: metrics, patterns (translate.*), parameters.
         sort: What to sort by: a metric or parameter, or name; falling with a minus before it, as in
-            --sort=-run.duration.
+            -run.duration.
         where: Which runs, as in "law.kp_linear >= 2 and run.duration < 20".
     """
 
     only: str | None = None
-    sort: str | None = None
+    sort: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     where: str | None = None
 
 
@@ -118,12 +118,18 @@ def _compare_across(
         title = f"{len(summaries)} of {count} runs, where {choice.where}"
     if choice.sort is not None:
         summaries = tl.sort_runs(summaries, choice.sort, source="--sort")
-    only = [] if choice.only is None else [name.strip() for name in choice.only.split(",")]
+    only: tuple[str, ...] = ()
+    if choice.only is not None:
+        names = [name.strip() for name in choice.only.split(",")]
+        only = tl.choose_columns(summaries, names, source="--only")
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
     if kind == "json":
         print_json(describe_across(summaries, only=only, notes=notes))
-    else:
-        print_tables([table], kind)
+        return
+    print_tables([table], kind)
+    for note in notes if kind == "csv" else ():
+        # A file of figures has no room for notes.
+        print_note(note)
 
 
 def _compare_against(

@@ -13,7 +13,6 @@ from turtlelog.measure import METRICS
 USUAL_METRICS: Final = (
     "rotate.settling_time",
     "rotate.overshoot",
-    "translate.settling_time",
     "final.heading_error",
     "final.position_error",
     "run.duration",
@@ -93,6 +92,7 @@ def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:
 
 _MOST_DIFFERING: Final = 2
 _GAINS: Final = ("law.kp_angular", "law.kp_linear")
+_SHOWN: Final = frozenset({*_GAINS, "name"})
 
 
 def _find_gains(summaries: Sequence[RunSummary]) -> dict[str, str]:
@@ -106,14 +106,12 @@ def _find_gains(summaries: Sequence[RunSummary]) -> dict[str, str]:
 
 
 def _find_differing(summaries: Sequence[RunSummary]) -> list[str]:
-    """Return the other parameters in which the runs differ."""
-    keys = dict.fromkeys(key for found in summaries for key in found.parameters)
-    return [
-        key
-        for key in keys
-        if key not in {*_GAINS, "name"}
-        and len({repr(found.parameters.get(key)) for found in summaries}) > 1
-    ]
+    """Return the other parameters in which the runs differ; one that is not known does not."""
+    values: dict[str, set[str]] = {}
+    for summary in summaries:
+        for key, value in summary.parameters.items():
+            values.setdefault(key, set()).add(repr(value))
+    return [key for key, found in values.items() if len(found) > 1 and key not in _SHOWN]
 
 
 def _head_column(name: str) -> Column:
@@ -126,5 +124,5 @@ def _get_cell(summary: RunSummary, name: str) -> Cell:
     metric = summary.metrics.get(name)
     if metric is None:
         value = summary.parameters.get(name)
-        return str(value) if isinstance(value, bool | list) else value
+        return str(value).lower() if isinstance(value, bool | list) else value
     return metric.status.value if metric.value is None else metric.value

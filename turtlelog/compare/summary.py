@@ -116,7 +116,9 @@ def sort_runs(
     return (*valued, *rest)
 
 
-def choose_columns(summaries: Sequence[RunSummary], only: Sequence[str]) -> tuple[str, ...]:
+def choose_columns(
+    summaries: Sequence[RunSummary], only: Sequence[str], *, source: str = "only"
+) -> tuple[str, ...]:
     """Return the metrics and parameters that names and patterns (`translate.*`) stand for.
 
     Raises:
@@ -128,7 +130,7 @@ def choose_columns(summaries: Sequence[RunSummary], only: Sequence[str]) -> tupl
         found = [name for name in METRICS if fnmatchcase(name, pattern)]
         found += [pattern] if pattern in parameters else []
         if not found:
-            _require_name(pattern, [*METRICS, *parameters], "only")
+            _require_name(pattern, [*METRICS, *parameters], source)
         chosen |= dict.fromkeys(found)
     return tuple(chosen)
 

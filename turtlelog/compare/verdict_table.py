@@ -20,6 +20,8 @@ _COLUMNS: Final = (
     Column(title="outside from", unit="s", digits=2, lines=("outside", "from")),
 )
 
+_ALWAYS: Final = ("value", "reference", "off", "limit")
+
 _ALIGNMENT_WORDS: Final = {
     "first_sample": "from the first samples on",
     "recorded": "by recorded time",
@@ -43,14 +45,21 @@ def tabulate_findings(comparison: Comparison, *, name: str, reference: str) -> T
     """
     findings = sorted(comparison.findings, key=lambda finding: finding.within)
     start_s, length_s = comparison.overlap_from_s, comparison.overlap_s
+    rows = [_list_cells(finding) for finding in findings]
+    # Where nothing fails, nothing is too much, and nowhere.
+    used = [
+        index
+        for index, column in enumerate(_COLUMNS)
+        if column.title in _ALWAYS or any(row[index] is not None for row in rows)
+    ]
     return Table(
         title=(
             f"{(comparison.verdict or 'not judged').upper()}: {name} against {reference},"
             f" {describe_alignment(comparison.alignment)},"
             f" {start_s:.2f} to {start_s + length_s:.2f} s"
         ),
-        columns=_COLUMNS,
-        rows=tuple(_list_cells(finding) for finding in findings),
+        columns=tuple(_COLUMNS[index] for index in used),
+        rows=tuple(tuple(row[index] for index in used) for row in rows),
         notes=(*_list_notes(findings), *comparison.notes),
     )
 

@@ -125,10 +125,8 @@ def _format_rows(table: Table, kind: str) -> list[list[str]]:
 
 def _list_notes(table: Table, kind: str) -> list[str]:
     """Return the notes below a table, the legend of its marks first."""
-    marks, escape = _MARKS[kind], _ESCAPES[kind]
-    words = [marks[mark].format(mark) for mark in ("best", "worst") if mark in marks]
-    legend = [f"{' and '.join(words)} of a column."] if table.marks else []
-    return [*legend, *map(escape, table.notes)]
+    legend = [_LEGENDS[kind]] if table.marks else []
+    return [*legend, *map(_ESCAPES[kind], table.notes)]
 
 
 def _stack_titles(table: Table) -> list[list[str]]:
@@ -175,6 +173,14 @@ _MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = MappingProxyType(
     }
 )
 """How the best and the worst of a column are marked."""
+
+_LEGENDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "txt": "* best, ! worst of a column.",
+        "md": "**best**, *worst* of a column.",
+        "tex": r"\textbf{best}, \textit{worst} of a column.",
+    }
+)
 
 _ESCAPES: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
     {"txt": str, "md": _escape_markdown, "tex": _escape_latex}
