@@ -47,7 +47,7 @@ def test_tables_of_other_stages_are_left_to_them(tmp_path: Path) -> None:
         ("format = 1\n[signals]\nx = 3", "signals.x: expected a table, found 3"),
         ("format = 1\n[signals.headin]", "signals.headin: expected heading"),
         ("format = 1\n[signals.'']", "signals.: expected x or y"),
-        ("format = 1\n[metrics.'run.time']", "metrics.run.time: expected .*run.duration"),
+        ("format = 1\n[metrics.'run.durations']", "metrics.run.durations: expected .*run.duration"),
         (
             "format = 1\n[metrics.rotate.overshoot]",
             'metrics.rotate: expected quotes around the id, as in metrics."rotate.overshoot"',

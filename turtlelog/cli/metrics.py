@@ -65,7 +65,8 @@ def metrics(
     if kind == "json":
         print_json_list(map(_describe, summaries))
     else:
-        _print_tables(list(summaries), chosen, kind)
+        has_more = measuring.only is None and len(chosen) < len(tl.METRICS)
+        _print_tables(list(summaries), chosen, kind, tell_more=kind == "txt" and has_more)
     for err in errors:
         print_error(str(err))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
@@ -98,7 +99,9 @@ def _watch(
             progress.done = number
 
 
-def _print_tables(summaries: "Sequence[RunSummary]", chosen: Sequence[str], kind: str) -> None:
+def _print_tables(
+    summaries: "Sequence[RunSummary]", chosen: Sequence[str], kind: str, *, tell_more: bool
+) -> None:
     if not summaries:
         return
     if kind == "csv":
@@ -108,7 +111,7 @@ def _print_tables(summaries: "Sequence[RunSummary]", chosen: Sequence[str], kind
     else:
         names = tl.name_runs(summaries)
         table = tl.tabulate_measured(names, [summary.metrics for summary in summaries])
-    if kind == "txt" and len(chosen) < len(tl.METRICS):
+    if tell_more:
         more = f"{len(chosen)} of {len(tl.METRICS)} metrics: --all shows every one, --only chooses."
         table = replace(table, notes=(more, *table.notes))
     print_tables([table], kind)
