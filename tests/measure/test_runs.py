@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -349,3 +351,13 @@ def test_every_metric_says_what_it_is() -> None:
     assert all(meaning.endswith(".") and "{" not in meaning for meaning in meanings)
     assert set(tl.ESSENTIAL_METRICS) <= set(tl.METRICS)
     assert all(kind.better in {"lower", "higher", None} for kind in tl.METRICS.values())
+
+
+def test_measuring_loads_neither_scipy_nor_control_nor_matplotlib() -> None:
+    code = (
+        "import sys, turtlelog as tl\n"
+        "tl.measure_run(tl.simulate_run(tl.load_scenario('paper-kp4')))\n"
+        "print(sorted({'scipy', 'control', 'matplotlib'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
