@@ -323,6 +323,14 @@ def test_a_turtle_that_stands_has_no_step_and_no_straightness() -> None:
     assert read(run, "translate.crossings") == 0.0
 
 
+def test_a_step_within_the_rounding_of_poses_is_none() -> None:
+    # The bearing of a goal straight ahead, but for the rounding of the first pose.
+    ahead = {"goal.x_m": 9.0, "goal.y_m": 5.544444}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), ahead))
+    assert 0.0 < abs(run.samples.bearing_rad[0]) < 1e-6
+    assert find_statuses(run, "rotate.overshoot", "rotate.rise_time") == {tl.Status.NO_STEP}
+
+
 def test_figures_beyond_the_largest_float_are_told_so() -> None:
     assert find_statuses(make_huge_run(), "translate.ise", "run.ise", "run.speed_effort") == {
         tl.Status.TOO_LARGE

@@ -6,6 +6,9 @@ from turtlelog.measure import step
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.phases import Response
 
+SMALLEST_STEP: Final = 1e-6
+"""What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
+
 _NO_STEP: Final = Missing(status=Status.NO_STEP, reason="the phase begins at its reference")
 
 
@@ -113,7 +116,7 @@ def compute_decay_ratio(response: Response) -> Result:
 
 
 def _has_no_step(response: Response) -> bool:
-    return response.reference == response.initial
+    return abs(response.reference - response.initial) <= SMALLEST_STEP
 
 
 def _find_peak_row(response: Response) -> int:
