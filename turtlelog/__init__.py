@@ -162,7 +162,6 @@ _ROOMS = {
         "load_scenario",
         "override_scenario",
         "parse_assignments",
-        "parse_expression",
         "parse_scenario",
         "restore_scenario",
     ),
