@@ -202,3 +202,12 @@ def test_recorded_times_that_do_not_overlap_are_refused() -> None:
     runs = [make_run(time_s=(start, start + 1.0), name=f"at-{start}") for start in (0, 5)]
     with pytest.raises(CompareError, match="at-0 and at-5: expected runs that overlap"):
         tl.compare_runs(*runs, alignment="recorded")
+
+
+@pytest.mark.parametrize("alignment", ["first_sample", "recorded", "sample"])
+def test_runs_of_one_sample_can_be_compared(alignment: str) -> None:
+    run = make_run(sample_time_s=[0.0], speed_m_s=[0.5])
+    other = make_run(sample_time_s=[0.0], speed_m_s=[0.25])
+    tolerances = tl.Tolerances(signals={"speed": tl.Tolerance(abs=0.2, time_s=0.5)})
+    comparison = tl.compare_runs(run, other, alignment=alignment, tolerances=tolerances)
+    assert comparison.findings[0].margin == pytest.approx(-0.05)

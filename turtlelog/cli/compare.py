@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -18,6 +18,9 @@ from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Comparison, Run, RunSummary, Table
+
+
+_RUNS_ABREAST: Final = 3
 
 
 @Parameter(name="*")
@@ -159,8 +162,17 @@ def _tabulate_unjudged(
     summaries: "Sequence[RunSummary]", comparisons: "Sequence[Comparison]", kind: str
 ) -> "list[Table]":
     reference, *names = tl.name_runs(summaries)
-    differences = tl.tabulate_differences(comparisons, names=names, reference=reference)
-    return [differences] if kind == "csv" else [tl.tabulate_runs(summaries), differences]
+    # As many runs as a terminal has room for; a file has room for all.
+    step = _RUNS_ABREAST if kind == "txt" else len(names)
+    differences = [
+        tl.tabulate_differences(
+            comparisons[first : first + step],
+            names=names[first : first + step],
+            reference=reference,
+        )
+        for first in range(0, len(names), step)
+    ]
+    return differences if kind == "csv" else [tl.tabulate_runs(summaries), *differences]
 
 
 def _print_verdicts(
