@@ -16,12 +16,12 @@ MAX_COUNT: Final = 100_000_000
 
 def require_gain(kp: Any) -> float:
     """Return a gain [1/s] as float; refuse what is not a positive number."""
-    return _require_between("kp", "a gain > 0", kp)
+    return _require_between("kp", "a gain", kp)
 
 
 def require_period(period_s: Any) -> float:
     """Return a sampling period [s] as float; refuse what is not a positive number."""
-    return _require_between("period_s", "a sampling period > 0", period_s)
+    return _require_between("period_s", "a sampling period", period_s)
 
 
 def require_dead_time(ticks: Any) -> int:
@@ -43,7 +43,7 @@ def require_level(name: str, value: Any) -> float:
 
 def require_positive(name: str, value: Any) -> float:
     """Return a magnitude as float; refuse what is not a positive number."""
-    return _require_between(name, "a number > 0", value)
+    return _require_between(name, "a number", value)
 
 
 def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
@@ -70,9 +70,11 @@ def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
 
 def _require_between(name: str, expected: str, value: Any) -> float:
     if not _is_real(value) or not value > 0.0:
-        raise TheoryError(f"{name}: expected {expected}, found {value!r}")
+        raise TheoryError(f"{name}: expected {expected} > 0, found {value!r}")
     if not SMALLEST <= value <= LARGEST:
-        raise TheoryError(f"{name}: expected {SMALLEST:g} to {LARGEST:g}, found {value!r}")
+        raise TheoryError(
+            f"{name}: expected {expected} from {SMALLEST:g} to {LARGEST:g}, found {value!r}"
+        )
     return float(value)
 
 
