@@ -26,6 +26,7 @@ from turtlelog.cli.recover import recover
 from turtlelog.cli.replay import replay
 from turtlelog.cli.run import run
 from turtlelog.cli.scenario import scenario
+from turtlelog.cli.theory import theory
 from turtlelog.cli.view import view
 from turtlelog.errors import TurtlelogError
 from turtlelog.version import __version__
@@ -54,6 +55,7 @@ for command in (
     info,
     metrics,
     compare,
+    theory,
     view,
     plot,
     replay,
