@@ -7,7 +7,7 @@ from cyclopts import Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.options import Json
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import format_table, print_json, print_text
 from turtlelog.cli.theory_tables import compute_limits, list_dead_times, tabulate_theory
 from turtlelog.errors import UsageError
 
@@ -55,7 +55,7 @@ def theory(
     if json:
         print_json(_describe(loops))
         return
-    print_text("\n".join(map(tl.format_table, tabulate_theory(loops))))
+    print_text("\n".join(map(format_table, tabulate_theory(loops))))
 
 
 def _parse_gains(text: str) -> list[float]:

@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from types import MappingProxyType
 from typing import Any, Final
@@ -36,7 +36,7 @@ class RunSummary:
     parameters: Mapping[str, Parameter]
     metrics: Mapping[str, Metric]
     file: str = ""
-    notes: Mapping[str, str] = MappingProxyType({})
+    notes: Mapping[str, str] = field(default_factory=dict)
 
     def find_value(self, name: str) -> Parameter | None:
         """Return a parameter, a metric's value, `name`, `source` or `stop_reason`; None: none."""
