@@ -103,7 +103,7 @@ def test_an_error_stands_on_a_line_of_its_own(
 
     monkeypatch.setattr(tl, "read_run", read_slowly)
     terminal = attach()
-    answer = call("metrics", kp4, kp4, "missing.mcap")
+    answer = call("compare", kp4, kp4, "missing.mcap")
     shown = terminal.read()
     assert (answer.code, answer.out) == (2, "")
     assert "reading 1/3 files" in shown
