@@ -111,6 +111,20 @@ def test_an_error_stands_on_a_line_of_its_own(
 
 
 @on_terminals
+def test_measuring_shows_how_many_files_are_done(
+    attach: Attach, call: Call, kp4: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_slowly(path: str, **topics: str | None) -> tl.Run:
+        time.sleep(0.7)
+        return tl.read_recording(path)
+
+    monkeypatch.setattr("turtlelog.compare.files.read_run", read_slowly)
+    terminal = attach()
+    assert call("metrics", kp4, kp4, kp4).code == 0
+    assert "files 1/3" in terminal.read()
+
+
+@on_terminals
 def test_a_live_run_shows_its_seconds_on_a_terminal_and_nothing_elsewhere() -> None:
     words = ("run", "paper", "--set", "max_duration_s=1.7", "--realtime")
     command = [sys.executable, "-m", "turtlelog", *words]

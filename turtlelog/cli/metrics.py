@@ -11,12 +11,18 @@ import turtlelog as tl
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.measuring import MeasureOptions
 from turtlelog.cli.options import Files, TopicOptions, require_files
-from turtlelog.cli.output import describe_metrics, print_error, print_json_list, print_run_notes
+from turtlelog.cli.output import (
+    describe_metrics,
+    print_csv,
+    print_error,
+    print_json_list,
+    print_run_notes,
+)
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
-    from turtlelog import RunSummary, Table
+    from turtlelog import RunSummary
 
 EXIT_FINE: Final = 0
 EXIT_BAD_INPUT: Final = 2
@@ -68,6 +74,9 @@ def metrics(
     summaries = _watch(found, len(files), errors)
     if kind == "json":
         print_json_list(map(_describe, summaries))
+    elif kind == "csv":
+        units = [f"{name} [{tl.METRICS[name].unit}]" for name in chosen]
+        print_csv(["file", "run", *units], map(_list_cells, summaries))
     else:
         has_more = measuring.only is None and len(chosen) < len(tl.METRICS)
         _print_tables(list(summaries), chosen, kind, tell_more=kind == "txt" and has_more)
@@ -109,9 +118,7 @@ def _print_tables(
 ) -> None:
     if not summaries:
         return
-    if kind == "csv":
-        table = _tabulate_files(summaries, chosen)
-    elif len(summaries) > _MOST_COLUMNS:
+    if len(summaries) > _MOST_COLUMNS:
         table = tl.tabulate_runs(_name_apart(summaries), only=chosen)
     else:
         names = tl.name_runs(summaries)
@@ -122,28 +129,6 @@ def _print_tables(
     print_tables([table], kind)
 
 
-def _tabulate_files(summaries: "Sequence[RunSummary]", chosen: Sequence[str]) -> "Table":
-    """Return a row per file, a column per metric."""
-    return tl.Table(
-        title="Metrics",
-        columns=(
-            *(tl.Column(title=title) for title in ("file", "run")),
-            *(tl.Column(title=name, unit=tl.METRICS[name].unit) for name in chosen),
-        ),
-        rows=tuple(
-            (
-                summary.file,
-                summary.name,
-                *(
-                    found.status.value if found.value is None else found.value
-                    for found in summary.metrics.values()
-                ),
-            )
-            for summary in summaries
-        ),
-    )
-
-
 def _name_apart(summaries: "Sequence[RunSummary]") -> "list[RunSummary]":
     """Return the runs by their names, by their files where names are shared."""
     counts = Counter(summary.name for summary in summaries)
@@ -151,6 +136,15 @@ def _name_apart(summaries: "Sequence[RunSummary]") -> "list[RunSummary]":
         replace(summary, name=summary.file) if counts[summary.name] > 1 else summary
         for summary in summaries
     ]
+
+
+def _list_cells(summary: "RunSummary") -> list[str | float]:
+    """Return the row of a run: a status where there is no value."""
+    cells = (
+        found.status.value if found.value is None else found.value
+        for found in summary.metrics.values()
+    )
+    return [summary.file, summary.name, *cells]
 
 
 def _describe(summary: "RunSummary") -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """What commands print: results to stdout, notes to stderr."""
 
+import csv
 import json
 import math
 import os
@@ -8,10 +9,10 @@ import shutil
 import sys
 import tempfile
 import textwrap
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 
@@ -65,13 +66,31 @@ def print_json_list(values: Iterable[Any]) -> None:
 
     Nothing is printed before the last item is there.
     """
-    with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8") as spool:
+    with _spool() as spool:
         before = "[\n"
         for value in values:
             text = json.dumps(_make_finite(value), indent=2, allow_nan=False)
             spool.write(before + textwrap.indent(text, "  "))
             before = ",\n"
         spool.write("[]\n" if before == "[\n" else "\n]\n")
+
+
+def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Print a CSV table row by row, so that it need not fit into memory; nothing before the last.
+
+    Without rows nothing is printed.
+    """
+    with _spool() as spool:
+        writer = csv.writer(spool, lineterminator="\n")
+        for number, row in enumerate(rows):
+            writer.writerows([row] if number else [head, row])
+
+
+@contextmanager
+def _spool() -> Iterator[IO[str]]:
+    """Yield a stream whose text goes to stdout at the end of the block."""
+    with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8", newline="") as spool:
+        yield spool
         spool.seek(0)
         shutil.copyfileobj(spool, sys.stdout)
 
