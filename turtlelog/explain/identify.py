@@ -178,8 +178,10 @@ def _collect(findings: Mapping[str, Finding]) -> dict[str, Any]:
 
 def _describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
     findings = {key: _describe_setting(trace, fits, key) for key in LOOP_KEYS}
-    if not trace.ended_rotation:
-        findings["law.pause_ticks"] = miss("the log does not show the end of a rotation", 0)
+    if not trace.shows_pause:
+        assumed = fits.guesses[0]["law.pause_ticks"]
+        seen = f": at least {assumed - 1} ticks" if assumed else ""
+        findings["law.pause_ticks"] = miss(f"the log does not show the end of it{seen}", assumed)
     return findings
 
 

@@ -26,6 +26,8 @@ _BEYOND: Final = 1.02
 _CERTAIN: Final = 10.0
 """Difference of log-likelihoods from which the better of two models counts as found."""
 
+_TINY: Final = 1e-9
+
 _DEFAULT_TOLERANCE: Final = 0.001
 
 
@@ -34,14 +36,16 @@ class CommandFit:
     """One command's gain and limit.
 
     Attributes:
-        gain: None where no command says anything.
+        gain: None where all commands are clipped, or the error never changes.
         limit: Where the commands are clipped, None where none is.
+        least: The least gain that explains every command, where there is none.
         largest: The largest magnitude published.
         rows: Commands in the phase.
     """
 
     gain: GainFit | None
     limit: float | None
+    least: float = 0.0
     largest: float
     rows: int
 
@@ -131,7 +135,14 @@ def _fit_command(command: Values, reproduce: Reproduce) -> CommandFit:
     if whole.is_exact and np.ptp(reproduce(1.0)) > 0.0:
         return CommandFit(gain=whole, limit=None, largest=largest, rows=len(command))
     if not below.any():
-        return CommandFit(gain=None, limit=largest, largest=largest, rows=len(command))
+        per_unit = np.abs(reproduce(1.0))
+        return CommandFit(
+            gain=None,
+            limit=largest if np.ptp(per_unit) > 0.0 else None,
+            least=largest / max(float(per_unit.min()), _TINY),
+            largest=largest,
+            rows=len(command),
+        )
     fit = _fit_rows(command, reproduce, below)
     wanted = np.abs(reproduce(fit.value))[~below]
     is_clipped = wanted.min() >= largest if fit.is_exact else wanted.max() > _BEYOND * largest
@@ -145,8 +156,15 @@ def _fit_rows(command: Values, reproduce: Reproduce, rows: NDArray[np.bool_]) ->
 
 
 def _describe_gain(fit: CommandFit) -> Finding:
+    if fit.gain is None and fit.limit is None:
+        return miss("the error never changes", fit.least)
     if fit.gain is None:
-        return miss(f"all {fit.rows} commands stand at {fit.largest:g}", 1.0)
+        return Finding(
+            certainty=Certainty.UNKNOWN,
+            evidence=f"all {fit.rows} commands stand at {fit.largest:g}: at least {fit.least:.4g}",
+            interval=(fit.least, math.inf),
+            assumed=max(1.0, math.ceil(fit.least * 1.001)),
+        )
     found = fit.gain
     if not fit.is_proportional:
         share = found.residual / fit.largest if fit.largest else math.inf
@@ -178,16 +196,19 @@ def _choose_wrapping(command: Values, error: Values) -> tuple[bool, Finding]:
     plain, wrapped = (
         _fit_command(command, partial(np.multiply, values)) for values in (error, wrap_angle(error))
     )
-    worse, better = (
-        math.inf if fit.gain is None or fit.gain.value <= 0.0 else fit.gain.residual
-        for fit in (plain, wrapped)
+    wraps = _compute_misfit(wrapped, command, wrap_angle(error)) < _compute_misfit(
+        plain, command, error
     )
-    if plain.gain is None and wrapped.gain is None:
-        # Clipped throughout: the sign still tells which way it turns.
-        wraps = bool((np.sign(command) == np.sign(wrap_angle(error))).all())
-    else:
-        wraps = better < worse
     return wraps, find_exactly(wraps, "the heading error exceeds half a turn")
+
+
+def _compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:
+    """Return the root mean square of what a fit leaves, clipped commands included."""
+    gain = math.inf if fit.gain is None else max(fit.gain.value, 0.0)
+    limit = math.inf if fit.limit is None else fit.limit
+    with np.errstate(invalid="ignore"):
+        wanted = np.clip(np.nan_to_num(gain * error), -limit, limit)
+    return float(np.sqrt(np.mean((wanted - command) ** 2)))
 
 
 def _choose_projection(fits: dict[str, CommandFit]) -> Finding:

@@ -16,7 +16,8 @@ Guess = Mapping[str, Any]
 """Values by key of the scenario."""
 
 _LARGEST_BACKLOG: Final = 12
-_PAUSE_SLACK_TICKS: Final = 2
+_LARGEST_DELAY: Final = 8
+_PAUSE_SLACK_TICKS: Final = 2.5
 _JITTER_TICKS: Final = 0.75
 _QUICK: Final = 0.5
 """Answers closer than this share of their usual distance belong to a burst."""
@@ -48,8 +49,8 @@ def read_hints(trace: Trace) -> Hints:
     step_ns = np.diff(trace.time_ns)
     quick = step_ns < _QUICK * trace.period_ticks * TICK_NS
     ended = trace.rotating - 1
-    burst = 1 + _count_leading(quick[ended + 1 :]) if trace.ended_rotation else 0
-    pause_s = float(step_ns[ended]) / 1e9 if trace.ended_rotation else None
+    burst = 1 + _count_leading(quick[ended + 1 :]) if trace.shows_pause else 0
+    pause_s = float(step_ns[ended]) / 1e9 if trace.shows_pause else None
     return Hints(
         backlogs=_list_backlogs(trace, 1 + _count_leading(quick)),
         pauses=_list_pauses(trace, pause_s),
@@ -74,17 +75,21 @@ def _list_backlogs(trace: Trace, answered: int) -> tuple[int, ...]:
 
 
 def _list_pauses(trace: Trace, pause_s: float | None) -> tuple[int, ...]:
-    if pause_s is None:
-        return (0,)
     ended, run = trace.rotating - 1, trace.run
+    if pause_s is None:
+        silent_ns = int(run.end_ns - trace.time_ns[ended]) if trace.ended_rotation else 0
+        return (silent_ns // TICK_NS + 1 if silent_ns else 0,)
     if trace.has_exact_clock and len(run.commands) == len(trace):
         held_ns = run.commands.time_ns[ended] - trace.time_ns[ended]
         if trace.has_ticks or held_ns:
             return (int(held_ns) // TICK_NS,)
     silence = pause_s * 1e9 / TICK_NS
-    near = range(max(round(silence) - _PAUSE_SLACK_TICKS, 0), round(silence) + 3)
-    ticks = [pause for pause in near if abs(max(pause, trace.period_ticks) - silence) < 2.5]
-    return tuple(sorted(ticks, key=lambda pause: abs(max(pause, 1) - silence)))
+    # A pause shorter than the usual distance of answers does not show.
+    apart = {
+        pause: abs(max(pause, trace.period_ticks) - silence) for pause in range(round(silence) + 4)
+    }
+    near = [pause for pause, ticks in apart.items() if ticks <= _PAUSE_SLACK_TICKS]
+    return tuple(sorted(near, key=apart.__getitem__)) or (round(silence),)
 
 
 def agrees_with_clock(pause_ticks: int, hints: Hints, trace: Trace) -> bool:
@@ -99,7 +104,7 @@ def _find_pose_queue(trace: Trace, burst: int) -> int | None:
     if not trace.has_ticks:
         return None
     read = trace.run.samples.pose_sequence
-    if trace.ended_rotation and trace.has_exact_clock:
+    if trace.shows_pause and trace.has_exact_clock:
         first = trace.rotating
         if read[first] - read[first - 1] > trace.period_ticks:
             return burst
@@ -111,37 +116,41 @@ def list_queues(
 ) -> list[list[Guess]]:
     """Return the settings of backlog and queues that agree with the dead times, in tiers.
 
-    The first tier has the usual depths and no transport delay; in each the likeliest come first.
+    The first tier has the usual depths of the queues; in each, those without a transport delay come
+    first.
     """
     before = rotate.ticks if isinstance(rotate, DeadTime) else None
     after = translate.ticks if isinstance(translate, DeadTime) else None
     depth, pose_queue = _DEFAULTS.command_queue, hints.pose_queue or _DEFAULTS.pose_queue
-    delays = _list_unique(0, before, after)
     depths = _list_unique(depth, *(d + 1 for d in (after, before) if d))
     pose_queues = _list_unique(pose_queue, *(d for d in (hints.burst, hints.burst - 1) if d > 1))
-    tiers = [
-        [(0, depth, pose_queue)],
-        [(0, *rest) for rest in product(depths, pose_queues)][1:],
-        [*product(delays[1:], depths, pose_queues)],
-    ]
-    guesses = [_list_guesses(trace, hints, before, tier) for tier in tiers]
+    usual, *rarer = product(depths, pose_queues)
+    tiers = [[*_list_guesses(trace, hints, (before, after), depths)] for depths in ([usual], rarer)]
     # Where noise or a change hides what the dead time really is, everything is tried.
-    return guesses if any(guesses) else [_list_guesses(trace, hints, None, tiers[0])]
+    return tiers if any(tiers) else [[*_list_guesses(trace, hints, (None, None), [usual])]]
 
 
 def _list_guesses(
-    trace: Trace, hints: Hints, before: int | None, tier: list[tuple[int, int, int]]
+    trace: Trace,
+    hints: Hints,
+    dead_times: tuple[int | None, int | None],
+    depths: list[tuple[int, int]],
 ) -> list[Guess]:
+    before, after = dead_times
     backlogs = _list_unique(*hints.backlogs, *((before + 1,) if before is not None else ()))
     if before is None and not (trace.has_ticks and trace.has_exact_clock):
         backlogs = _list_unique(*backlogs, *range(1, _LARGEST_BACKLOG + 1))
     policies = ("newest", "one-per-tick") if not before else ("one-per-tick", "newest")
     guesses: list[Guess] = []
-    for (delay, depth, pose_queue), policy, backlog in product(tier, policies, backlogs):
-        waiting = 0 if policy == "newest" else min(backlog, pose_queue, depth) - 1
-        if trace.period_ticks == 1 and before not in {None, delay + waiting}:
-            continue
-        guesses.append(
+    for (depth, pose_queue), policy, backlog in product(depths, policies, backlogs):
+        # With answers further apart than a tick the backlog drains.
+        drains = policy == "newest" or trace.period_ticks > 1
+        waiting = 0 if drains else min(backlog, pose_queue, depth) - 1
+        if before is not None:
+            delays = [before - waiting]
+        else:
+            delays = _list_unique(0, after, *range(1, _LARGEST_DELAY + 1))
+        guesses += [
             {
                 "loop.period_ticks": trace.period_ticks,
                 "loop.start_backlog": backlog,
@@ -150,8 +159,10 @@ def _list_guesses(
                 "loop.queue_policy": policy,
                 "loop.transport_delay_ticks": delay,
             }
-        )
-    return guesses
+            for delay in delays
+            if delay >= 0
+        ]
+    return sorted(guesses, key=lambda guess: bool(guess["loop.transport_delay_ticks"]))
 
 
 def _list_unique(*values: int | None) -> list[int]:

@@ -16,6 +16,10 @@ _DIGITS: Final = 17
 _ROUNDING: Final = 1e-13
 """What another platform's cosine may make of a command, as a share of the largest."""
 
+_TYPED_DIGITS: Final = 8
+_NEIGHBOURS: Final = 16
+"""Doubles on either side of a ratio that rounding may have come from."""
+
 _LEADING: Final = "1528346790"
 """First digits, the more usual first."""
 
@@ -71,12 +75,14 @@ def _find_exact_gain(
     slack = _ROUNDING * float(np.abs(command).max())
     if (np.abs(reproduce(ratio) - command) > slack).any():
         return None
-    decimals = [float(f"{ratio:.{digits}g}") for digits in range(1, _DIGITS + 1)]
-    near = [*decimals, math.nextafter(ratio, math.inf), math.nextafter(ratio, -math.inf)]
-    for gain in near:
+    # Two commands any gain could fit; one that somebody typed has few digits.
+    digits = _DIGITS if len(np.unique(per_unit)) > 2 else _TYPED_DIGITS
+    decimals = [float(f"{ratio:.{count}g}") for count in range(1, digits + 1)]
+    steps = sorted(range(-_NEIGHBOURS, _NEIGHBOURS + 1), key=abs) if digits == _DIGITS else []
+    for gain in (*decimals, *(ratio + step * math.ulp(ratio) for step in steps)):
         if np.array_equal(reproduce(gain), command):
             return gain
-    return next(gain for gain in near if (np.abs(reproduce(gain) - command) <= slack).all())
+    return ratio if steps else None
 
 
 def find_round_number(low: float, high: float) -> float:

@@ -68,7 +68,7 @@ def search_loop(
 ) -> Fits:
     """Return the settings of the loop that reproduce a log, with `known` for all others.
 
-    The usual depths and no transport delay are tried first, rarer ones only where those do not fit.
+    The usual depths of the queues are tried first, others only where those do not fit.
     Where nothing is exact the settings that leave the least are returned.
     """
     search = _Search(trace, known, hints)

@@ -55,7 +55,12 @@ class Trace:
     @property
     def ended_rotation(self) -> bool:
         """Whether the rotation came to its end, with a command of 0."""
-        return self.rotating > 1 and self.translating > 0
+        return self.rotating > 1 and float(self.turn_rate_rad_s[self.rotating - 1]) == 0.0
+
+    @property
+    def shows_pause(self) -> bool:
+        """Whether there is a sample after the rotation's end."""
+        return self.ended_rotation and self.translating > 0
 
     @property
     def bearing_rad(self) -> float:

@@ -152,9 +152,11 @@ def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missin
     way = np.cumsum(motion.moved)
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
-    rows = rows[~_find_after_gaps(motion.tick)[rows]]
+    rows = rows[~_find_after_gaps(motion)[rows]]
     drift = np.cumsum(errors, axis=1)[:, rows]
-    size = np.sqrt(np.mean(_remove_offsets(drift, motion.tick[rows]) ** 2, axis=1))
+    size = np.sqrt(
+        np.mean(_remove_offsets(drift, motion.tick[rows], motion.step_ticks) ** 2, axis=1)
+    )
     best, second = np.argsort(size, kind="stable")[:2].tolist()
     margin = _compute_margin(size, best)
     if size[best] > _EXPLAINED * span:
@@ -168,18 +170,19 @@ def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missin
     )
 
 
-def _find_after_gaps(tick: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_after_gaps(motion: PhaseMotion) -> NDArray[np.bool_]:
     """Return which steps come so soon after a gap that lost commands may still be acting."""
-    gaps = np.flatnonzero(np.diff(tick) > 1) + 1
+    tick = motion.tick
+    gaps = np.flatnonzero(np.diff(tick) > motion.step_ticks) + 1
     since = np.full(len(tick), LARGEST_TICKS)
     for first, after in pairwise([*gaps.tolist(), len(tick)]):
         since[first:after] = tick[first:after] - tick[first]
     return since < LARGEST_TICKS
 
 
-def _remove_offsets(drift: Values, tick: NDArray[np.int64]) -> Values:
+def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
     """Subtract the mean of each stretch without a gap; where it begins is not known exactly."""
-    bounds = np.flatnonzero(np.diff(tick) > 1) + 1
+    bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
     parts = np.split(drift, bounds, axis=1)
     return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)
 
