@@ -82,7 +82,7 @@ def identify_run(run: Run) -> Identification:
         f"dead_time.{phase.label}": _describe_dead_time(found)
         for phase, found in dead_times.items()
     }
-    findings |= _identify_start(trace)
+    findings |= _identify_start(trace, findings["dead_time.rotate"].value or 0)
     findings |= identify_rotation(trace)
     findings |= identify_translation(trace)
     obstacle = _find_obstacle(trace, findings)
@@ -91,6 +91,9 @@ def identify_run(run: Run) -> Identification:
     hints = read_hints(trace)
     fits = search_loop(trace, _collect(findings), hints, dead_times)
     findings |= _describe_loop(trace, fits)
+    if not fits.is_exact and findings["loop.pose_precision"].value == "float64":
+        reason = "poses have more than 32 bits, which noise may have added"
+        findings["loop.pose_precision"] = miss(reason, "float64")
     findings |= find_pause(trace, hints)
     findings["stop_reason"] = find_stop_reason(trace)
     resimulation = compare_samples(trace, simulate_run(fits.scenario))
@@ -104,8 +107,7 @@ def identify_run(run: Run) -> Identification:
     )
 
 
-def _identify_start(trace: Trace) -> dict[str, Finding]:
-    x_m, y_m = trace.xy_m[0].tolist()
+def _identify_start(trace: Trace, dead_time_ticks: int) -> dict[str, Finding]:
     poses = trace.run.poses
     values = np.column_stack([poses.xy_m, poses.heading_rad])
     single = bool((values == values.astype(np.float32)).all())
@@ -113,9 +115,7 @@ def _identify_start(trace: Trace) -> dict[str, Finding]:
     goal = trace.goal_xy_m or (None, None)
     goal_evidence = "as logged" if trace.run.goal_xy_m else "position plus error, as logged"
     return {
-        "start.x_m": find_exactly(x_m, "first pose read"),
-        "start.y_m": find_exactly(y_m, "first pose read"),
-        "start.heading_rad": find_exactly(float(trace.heading_rad[0]), "first pose read"),
+        **_find_start(trace, dead_time_ticks),
         **{
             f"goal.{axis}_m": miss("the log does not hold the goal")
             if value is None
@@ -126,6 +126,24 @@ def _identify_start(trace: Trace) -> dict[str, Finding]:
             precision,
             "every pose is a 32-bit float" if single else "poses have more than 32 bits",
         ),
+    }
+
+
+def _find_start(trace: Trace, dead_time_ticks: int) -> dict[str, Finding]:
+    """Return the first pose read, or the mean of those before the first command acts."""
+    standing = slice(0, dead_time_ticks // trace.period_ticks + 1)
+    poses = np.column_stack([trace.xy_m, trace.heading_rad])[standing]
+    names = ("start.x_m", "start.y_m", "start.heading_rad")
+    if (poses == poses[0]).all():
+        found = poses[0].tolist()
+        return {
+            name: find_exactly(value, "first pose read")
+            for name, value in zip(names, found, strict=True)
+        }
+    evidence = f"mean of {len(poses)} poses before the first command acts"
+    return {
+        name: Finding(value=value, certainty=Certainty.FITTED, evidence=evidence)
+        for name, value in zip(names, poses.mean(axis=0).tolist(), strict=True)
     }
 
 

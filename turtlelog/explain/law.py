@@ -74,10 +74,14 @@ def identify_rotation(trace: Trace) -> dict[str, Finding]:
     if wraps:
         error = wrap_angle(error)
     fit = _fit_command(command, partial(np.multiply, error[rows]))
+    if fit.gain and not fit.gain.is_exact and fit.is_proportional:
+        tolerance = _bound_heading_tolerance(float(np.abs(command).min()) / fit.gain.value)
+    else:
+        tolerance = _bracket_heading_tolerance(trace, error)
     return {
         "law.kp_angular": _describe_gain(fit),
         "limits.turn_rate_rad_s": _describe_limit(fit),
-        **_bracket_heading_tolerance(trace, error),
+        **tolerance,
         "law.wrap_error": wrap_finding,
     }
 
@@ -248,6 +252,11 @@ def _bracket_heading_tolerance(trace: Trace, error: Values) -> dict[str, Finding
     ended = float(abs(error[trace.rotating - 1]))
     high = float(moving.min()) if len(moving) else math.inf
     return {key: _bracket(ended, high, "the error that ended the rotation, and the last before it")}
+
+
+def _bound_heading_tolerance(high: float) -> dict[str, Finding]:
+    """The commands tell the error that the law saw, the poses one with noise."""
+    return {"law.heading_tolerance_rad": _bracket(0.0, high, "noise; the last command and gain")}
 
 
 def _bracket_position_tolerance(errors: Values, command: Values) -> Finding:

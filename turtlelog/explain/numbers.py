@@ -50,7 +50,7 @@ def fit_gain(command: Values, reproduce: Callable[[float], Values]) -> GainFit:
     fitted = float(per_unit @ command) / square if square > 0.0 else 0.0
     left = command - fitted * per_unit
     residual = float(np.sqrt(np.mean(left**2)))
-    exact = _find_exact_gain(command, reproduce, per_unit)
+    exact = _find_exact_gain(command, reproduce, per_unit, fitted)
     if exact is not None:
         return GainFit(
             value=exact, is_exact=True, standard_error=0.0, residual=0.0, rows=len(command)
@@ -66,7 +66,7 @@ def fit_gain(command: Values, reproduce: Callable[[float], Values]) -> GainFit:
 
 
 def _find_exact_gain(
-    command: Values, reproduce: Callable[[float], Values], per_unit: Values
+    command: Values, reproduce: Callable[[float], Values], per_unit: Values, fitted: float
 ) -> float | None:
     largest = int(np.abs(per_unit).argmax())
     if per_unit[largest] == 0.0:
@@ -79,10 +79,11 @@ def _find_exact_gain(
     digits = _DIGITS if len(np.unique(per_unit)) > 2 else _TYPED_DIGITS
     decimals = [float(f"{ratio:.{count}g}") for count in range(1, digits + 1)]
     steps = sorted(range(-_NEIGHBOURS, _NEIGHBOURS + 1), key=abs) if digits == _DIGITS else []
-    for gain in (*decimals, *(ratio + step * math.ulp(ratio) for step in steps)):
+    near = [base + step * math.ulp(base) for step in steps for base in (ratio, fitted)]
+    for gain in (*decimals, *near):
         if np.array_equal(reproduce(gain), command):
             return gain
-    return ratio if steps else None
+    return fitted if steps else None
 
 
 def find_round_number(low: float, high: float) -> float:

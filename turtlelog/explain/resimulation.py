@@ -52,20 +52,29 @@ def list_rows(trace: Trace) -> list[Row]:
     return [*zip(*(column.tolist() for column in columns), strict=True)]
 
 
-def count_equal(scenario: Scenario, rows: list[Row]) -> int:
+def count_equal(scenario: Scenario, rows: list[Row], *, to_rounding: bool = False) -> int:
     """Return how many samples from the first on a simulation reproduces bit for bit.
 
-    One more than there are, where all are reproduced and the simulation goes on.
+    One more than there are, where all are reproduced and the simulation goes on. `to_rounding`
+    allows poses 1e-6 and commands 1e-9, as between platforms.
     """
     width = len(rows[0])
     equal = 0
     for sample, pose in _iterate_samples(scenario):
         if equal == len(rows):
             return equal + 1
-        if (*pose, *_describe(sample))[:width] != rows[equal]:
+        again = (*pose, *_describe(sample))[:width]
+        if again != rows[equal] and not (to_rounding and _agrees(again, rows[equal])):
             return equal
         equal += 1
     return equal
+
+
+def _agrees(again: Row, recorded: Row) -> bool:
+    x, y, heading, *commands = (
+        abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)
+    )
+    return max(x, y, heading) < 1e-6 and max(commands) < 1e-9 and again[5:] == recorded[5:]
 
 
 def _describe(sample: Sample) -> Row:

@@ -19,7 +19,7 @@ from turtlelog.simulate import iterate_ticks, simulate_run
 _CERTAIN: Final = 10.0
 """Difference of log-likelihoods from which a setting is worse than another."""
 
-_MOST_SIMULATED: Final = 40
+_MOST_SIMULATED: Final = 24
 """Settings that are simulated to their end where none is exact."""
 
 _SPARE_S: Final = 3.0
@@ -39,7 +39,7 @@ class Fits:
     Attributes:
         guesses: Values by key of the scenario, the likeliest first; at least one.
         scenarios: The same as whole scenarios.
-        is_exact: Whether they reproduce every sample.
+        is_exact: Whether they reproduce every sample, bit for bit or else to rounding.
         tried: How many were simulated.
         hidden: Keys whose value makes no difference in this run.
     """
@@ -73,21 +73,26 @@ def search_loop(
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[Phase.ROTATE], dead_times[Phase.TRANSLATE])
-    for tier in tiers:
+    for search.to_rounding, tier in product((False, True), tiers):
         exact = search.find_exact(tier)
         if exact:
             return search.build_exact_fits(exact)
-    return search.find_likeliest([guess for tier in tiers for guess in tier])
+    return search.find_likeliest(next(filter(None, tiers)))
 
 
 class _Search:
-    """Builds and simulates scenarios; counts them."""
+    """Builds and simulates scenarios; counts them.
+
+    Attributes:
+        to_rounding: Whether samples need to be reproduced to rounding only.
+    """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
         self._trace, self._known, self._hints = trace, known, hints
         self._rows = list_rows(trace)
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = 0
+        self.to_rounding = False
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
         """Return the scenario of a guess."""
@@ -106,8 +111,7 @@ class _Search:
         guesses = [_pause(guess, pause) for pause, guess in product(self._hints.pauses, alike)]
         counted = [(guess, self._count(guess, self._rows)) for guess in guesses]
         exact = [(guess, count) for guess, count in counted if count >= len(self._rows)]
-        pauses = [guess["law.pause_ticks"] for guess, _ in exact]
-        near = {pause for pause in pauses if agrees_with_clock(pause, self._hints, self._trace)}
+        near = self._list_by_clock()
         return [found for found in exact if found[0]["law.pause_ticks"] in near] or exact
 
     def build_exact_fits(self, exact: Sequence[tuple[Guess, int]]) -> Fits:
@@ -130,9 +134,10 @@ class _Search:
         )
 
     def find_likeliest(self, queues: Sequence[Guess]) -> Fits:
-        """Return the settings that leave the least."""
-        pairs = product(queues, self._hints.pauses)
-        guesses = [_pause(guess, pause) for guess, pause in pairs][:_MOST_SIMULATED]
+        """Return the settings that leave the least; the clock tells the pause."""
+        pauses = self._list_by_clock()
+        guesses = [_pause(guess, pause) for guess, pause in product(queues, pauses)]
+        guesses = guesses[:_MOST_SIMULATED]
         scenarios = [self.build(guess) for guess in guesses]
         misfits = [compute_misfit(self._trace, simulate_run(found)) for found in scenarios]
         order = np.argsort(misfits, kind="stable").tolist()
@@ -144,9 +149,14 @@ class _Search:
             tried=self._tried + len(guesses),
         )
 
+    def _list_by_clock(self) -> tuple[int, ...]:
+        pauses = self._hints.pauses
+        near = [pause for pause in pauses if agrees_with_clock(pause, self._hints, self._trace)]
+        return tuple(near) or pauses
+
     def _count(self, guess: Guess, rows: list[Row]) -> int:
         self._tried += 1
-        return count_equal(self.build(guess), rows)
+        return count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
 
     def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:
         """Let a scenario end with the log where the log was cut, else leave it the usual time."""

@@ -122,7 +122,9 @@ def _has_ticks(run: Run) -> bool:
     """Tell a recording, with a pose per tick, from a log with a pose per sample."""
     if not np.array_equal(run.samples.pose_sequence, np.arange(len(run.poses))):
         return True
-    return bool((np.diff(run.poses.time_ns) == TICK_NS).all())
+    # What the plant itself publishes holds the applied velocity; a controller does not see it.
+    is_plants = run.poses.speed_m_s is not None
+    return is_plants and bool((np.diff(run.poses.time_ns) == TICK_NS).all())
 
 
 def _find_period(run: Run) -> int:
