@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         tabulate_whole_runs,
     )
     from turtlelog.errors import TurtlelogError
+    from turtlelog.explain import Identification, identify_run
     from turtlelog.laws import Decision, Goal, Law, Pose
     from turtlelog.log import (
         PartialRecordingWarning,
@@ -84,6 +85,7 @@ _ROOMS = {
         "tabulate_whole_runs",
     ),
     "errors": ("TurtlelogError",),
+    "explain": ("Identification", "identify_run"),
     "laws": ("Decision", "Goal", "Law", "Pose"),
     "log": (
         "PartialRecordingWarning",
@@ -145,6 +147,7 @@ __all__ = [
     "Comparison",
     "Decision",
     "Goal",
+    "Identification",
     "Law",
     "Metric",
     "PartialRecordingWarning",
@@ -170,6 +173,7 @@ __all__ = [
     "export_rosbag2",
     "format_scenario",
     "format_table",
+    "identify_run",
     "import_log",
     "iter_columns",
     "load_scenario",

@@ -12,6 +12,7 @@ from cyclopts import App, CycloptsError
 from turtlelog import __version__
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
+from turtlelog.cli.explain import explain
 from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
@@ -48,6 +49,7 @@ for command in (
     compare,
     view,
     replay,
+    explain,
     import_,
     export,
     recover,

@@ -32,7 +32,7 @@ def find_pause(trace: Trace, hints: Hints) -> dict[str, Finding]:
             float(trace.turn_rate_rad_s[ended - 1]), "the last command before the rotation's end"
         ),
         "pause.turned_rad": find_exactly(
-            float(turned), "heading at the end of the run, less that which ended the rotation"
+            float(turned), "heading at the end, less at the rotation's"
         ),
         "pause.burst": find_exactly(hints.burst, "poses answered at once after it"),
     }

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.errors import ExplainError
+from turtlelog.errors import ExplainError, ReplayError
 from turtlelog.explain.ending import find_pause, find_stop_reason
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.law import identify_rotation, identify_translation
@@ -16,9 +16,21 @@ from turtlelog.explain.resimulation import Resimulation, compare_samples, count_
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.trace import Trace, trace_run
 from turtlelog.measure import DeadTime, Missing, find_dead_time
+from turtlelog.replay import replay_plant
 from turtlelog.run import Phase, Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
+
+_LAW_KEYS: Final = (
+    "law.kp_angular",
+    "law.kp_linear",
+    "limits.turn_rate_rad_s",
+    "limits.speed_m_s",
+    "law.heading_tolerance_rad",
+    "law.position_tolerance_m",
+    "law.projection",
+    "law.wrap_error",
+)
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",
@@ -72,10 +84,10 @@ def identify_run(run: Run) -> Identification:
     The run's own parameters are not read. Gains, limits and tolerances come from the commands; the
     queues and the pause from the dead times and the time stamps, and from simulating every setting
     that agrees with them: those that reproduce all samples are what fits.
-
-    Raises:
-        ExplainError: Where the run holds no samples.
+    A run without samples tells next to nothing, and the findings say why.
     """
+    if not len(run.samples):
+        return _identify_plant(run)
     trace = trace_run(run)
     dead_times = {phase: find_dead_time(run, phase) for phase in (Phase.ROTATE, Phase.TRANSLATE)}
     findings = {
@@ -103,7 +115,36 @@ def identify_run(run: Run) -> Identification:
         findings=MappingProxyType(findings),
         resimulation=resimulation,
         scenario=fits.scenario,
-        notes=tuple(_write_notes(findings, resimulation)),
+        notes=tuple(_write_notes(findings, fits, resimulation)),
+    )
+
+
+def _identify_plant(run: Run) -> Identification:
+    """Say what poses and commands tell where no sample says which pose a command answers."""
+    reason = "the recording holds no samples: which pose a command answers is not known"
+    keys = (*_LAW_KEYS, *LOOP_KEYS, "dead_time.rotate", "dead_time.translate", "stop_reason")
+    findings = dict.fromkeys(keys, miss(reason))
+    largest = {
+        "limits.speed_m_s": run.commands.speed_m_s,
+        "limits.turn_rate_rad_s": run.commands.turn_rate_rad_s,
+    }
+    for key, command in largest.items():
+        if len(command):
+            seen = f"the largest of {len(command)} commands is {np.abs(command).max():.4g}"
+            findings[key] = miss(f"{seen}; without the error nobody knows if it was clipped")
+    try:
+        use = replay_plant(run).commands
+        findings["lost_commands"] = find_exactly(
+            use.unseen, f"no pose shows them; {use.taken} others are shown"
+        )
+    except ReplayError as err:
+        findings["lost_commands"] = miss(str(err))
+    return Identification(
+        name=run.name,
+        findings=MappingProxyType(findings),
+        resimulation=None,
+        scenario=None,
+        notes=(reason,),
     )
 
 
@@ -158,8 +199,7 @@ def _describe_dead_time(found: DeadTime | Missing) -> Finding:
     return Finding(
         value=found.ticks,
         certainty=Certainty.FITTED,
-        evidence=f"least squares over {found.rows} steps, the next best leaves"
-        f" {found.margin:.3g} times",
+        evidence=f"least squares; the next best leaves {found.margin:.3g} times",
     )
 
 
@@ -206,7 +246,7 @@ def _describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
 def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     values, chosen = fits.list_values(key), fits.guesses[0][key]
     if key in fits.hidden:
-        return miss("it does not show in this run: a deeper queue gives the same", chosen)
+        return miss("a deeper queue gives the same run", chosen)
     if key == "loop.period_ticks":
         return find_exactly(chosen, "the usual distance of the poses answered")
     if len(values) > 1:
@@ -222,7 +262,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     return Finding(
         value=chosen,
         certainty=Certainty.FITTED,
-        evidence=f"the likeliest of {fits.tried} settings simulated; none is exact",
+        evidence=f"likeliest of {fits.tried} settings; none is exact",
     )
 
 
@@ -237,12 +277,16 @@ def _describe_lost(fits: Fits) -> Finding:
             evidence="the settings that fit lose different numbers",
             candidates=tuple(counts),
         )
-    return find_exactly(counts[0], "never taken by the plant in the re-simulation")
+    return find_exactly(counts[0], "the re-simulation's plant never takes them")
 
 
-def _write_notes(findings: Mapping[str, Finding], resimulation: Resimulation) -> list[str]:
+def _write_notes(
+    findings: Mapping[str, Finding], fits: Fits, resimulation: Resimulation
+) -> list[str]:
     notes = []
-    if not resimulation.is_exact:
+    if fits.is_exact and not resimulation.is_exact:
+        notes.append("the re-simulation agrees to rounding, not bit for bit")
+    elif not resimulation.is_exact:
         notes.append(
             "the re-simulation is not exact: the log has noise, or an effect that is not simulated"
         )

@@ -26,6 +26,8 @@ _BEYOND: Final = 1.02
 _CERTAIN: Final = 10.0
 """Difference of log-likelihoods from which the better of two models counts as found."""
 
+_LAST_TWO: Final = "the errors at the end and before it"
+
 _TINY: Final = 1e-9
 
 _DEFAULT_TOLERANCE: Final = 0.001
@@ -182,8 +184,7 @@ def _describe_gain(fit: CommandFit) -> Finding:
     return Finding(
         value=found.value,
         certainty=Certainty.FITTED,
-        evidence=f"least squares over {found.rows} unclipped commands,"
-        f" standard error {found.standard_error:.2g}",
+        evidence=f"least squares of {found.rows}, standard error {found.standard_error:.2g}",
     )
 
 
@@ -248,33 +249,35 @@ def _bracket_heading_tolerance(trace: Trace, error: Values) -> dict[str, Finding
     moving = np.abs(error[1 : trace.rotating - trace.ended_rotation])
     if not trace.ended_rotation:
         high = float(moving.min()) if len(moving) else math.inf
-        return {key: _bracket(0.0, high, "the rotation has no end")}
+        return {key: _bracket(0.0, high, "the rotation has no end", "rad")}
     ended = float(abs(error[trace.rotating - 1]))
     high = float(moving.min()) if len(moving) else math.inf
-    return {key: _bracket(ended, high, "the error that ended the rotation, and the last before it")}
+    return {key: _bracket(ended, high, _LAST_TWO, "rad")}
 
 
 def _bound_heading_tolerance(high: float) -> dict[str, Finding]:
     """The commands tell the error that the law saw, the poses one with noise."""
-    return {"law.heading_tolerance_rad": _bracket(0.0, high, "noise; the last command and gain")}
+    return {
+        "law.heading_tolerance_rad": _bracket(0.0, high, "noise; the last command and gain", "rad")
+    }
 
 
 def _bracket_position_tolerance(errors: Values, command: Values) -> Finding:
     larger = np.abs(errors).max(axis=1)
     high = float(larger[command != 0.0].min())
     if command[-1] != 0.0:
-        return _bracket(0.0, high, "the run did not end inside it")
-    return _bracket(float(larger[-1]), high, "the error that ended the run, and the last before it")
+        return _bracket(0.0, high, "the run did not end inside it", "m")
+    return _bracket(float(larger[-1]), high, _LAST_TWO, "m")
 
 
-def _bracket(low: float, high: float, evidence: str) -> Finding:
+def _bracket(low: float, high: float, evidence: str, unit: str) -> Finding:
     if low >= high:
         return miss("noise: errors that moved are no larger than the one that ended", low)
     rounded = _DEFAULT_TOLERANCE
     if not low <= rounded < high:
         rounded = find_round_number(low, min(high, 10.0 * low) if low > 0.0 else high)
     if low <= 0.0 or math.isinf(high):
-        bound = f"below {high:.4g}" if low <= 0.0 else f"at least {low:.4g}"
+        bound = f"below {high:.4g} {unit}" if low <= 0.0 else f"at least {low:.4g} {unit}"
         return Finding(
             certainty=Certainty.UNKNOWN,
             evidence=f"{evidence}: {bound}",

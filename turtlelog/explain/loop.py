@@ -138,8 +138,12 @@ def _list_guesses(
 ) -> list[Guess]:
     before, after = dead_times
     backlogs = _list_unique(*hints.backlogs, *((before + 1,) if before is not None else ()))
-    if before is None and not (trace.has_ticks and trace.has_exact_clock):
-        backlogs = _list_unique(*backlogs, *range(1, _LARGEST_BACKLOG + 1))
+    if not (trace.has_ticks and trace.has_exact_clock):
+        # A backlog past the depth of the queue gives the dead time of one that just fills it.
+        depth = min((depth for depth, _ in depths), default=1)
+        least = 1 if before is None else min(before + 1, depth)
+        is_open = before is None or least == depth
+        backlogs = _list_unique(*backlogs, *range(least, _LARGEST_BACKLOG + 1 if is_open else 0))
     policies = ("newest", "one-per-tick") if not before else ("one-per-tick", "newest")
     guesses: list[Guess] = []
     for (depth, pose_queue), policy, backlog in product(depths, policies, backlogs):

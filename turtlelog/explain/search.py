@@ -111,8 +111,9 @@ class _Search:
         guesses = [_pause(guess, pause) for pause, guess in product(self._hints.pauses, alike)]
         counted = [(guess, self._count(guess, self._rows)) for guess in guesses]
         exact = [(guess, count) for guess, count in counted if count >= len(self._rows)]
-        near = self._list_by_clock()
-        return [found for found in exact if found[0]["law.pause_ticks"] in near] or exact
+        near, bursts = self._list_by_clock(), self._hints.backlogs
+        exact = [found for found in exact if found[0]["law.pause_ticks"] in near] or exact
+        return [found for found in exact if found[0]["loop.start_backlog"] in bursts] or exact
 
     def build_exact_fits(self, exact: Sequence[tuple[Guess, int]]) -> Fits:
         """Return the settings found, as scenarios that end where the log does."""
