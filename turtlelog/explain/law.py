@@ -220,10 +220,10 @@ def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
     bearing, heading = fits["bearing"].gain, fits["heading"].gain
     if bearing is None or heading is None:
         return miss("every command stands at its limit", "bearing")
-    if bearing.is_exact and heading.is_exact:
+    if bearing.is_exact and heading.is_exact and bearing.is_bitwise == heading.is_bitwise:
         return _leave_open(tuple(fits), "both reproduce every command", "heading")
     for name, gain in (("bearing", bearing), ("heading", heading)):
-        if gain.is_exact:
+        if gain.is_bitwise or (gain.is_exact and not (bearing.is_bitwise or heading.is_bitwise)):
             return find_exactly(name, f"reproduces {gain.rows} unclipped commands")
     better = "bearing" if bearing.residual <= heading.residual else "heading"
     gain = bearing if better == "bearing" else heading

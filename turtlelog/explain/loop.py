@@ -150,7 +150,9 @@ def _list_guesses(
         # With answers further apart than a tick the backlog drains.
         drains = policy == "newest" or trace.period_ticks > 1
         waiting = 0 if drains else min(backlog, pose_queue, depth) - 1
-        if before is not None:
+        if before is not None and policy == "one-per-tick" and drains:
+            delays = [*range(before, -1, -1)]
+        elif before is not None:
             delays = [before - waiting]
         else:
             delays = _list_unique(0, after, *range(1, _LARGEST_DELAY + 1))

@@ -30,7 +30,8 @@ class GainFit:
 
     Attributes:
         value: The shortest decimal that reproduces every command, or else that of least squares.
-        is_exact: Whether it reproduces every command.
+        is_exact: Whether it reproduces every command, bit for bit or else to rounding.
+        is_bitwise: Whether bit for bit.
         standard_error: Of the fit, 0 where exact.
         residual: Root mean square of what is left of the commands.
         rows: Commands used.
@@ -38,6 +39,7 @@ class GainFit:
 
     value: float
     is_exact: bool
+    is_bitwise: bool
     standard_error: float
     residual: float
     rows: int
@@ -53,12 +55,18 @@ def fit_gain(command: Values, reproduce: Callable[[float], Values]) -> GainFit:
     exact = _find_exact_gain(command, reproduce, per_unit, fitted)
     if exact is not None:
         return GainFit(
-            value=exact, is_exact=True, standard_error=0.0, residual=0.0, rows=len(command)
+            value=exact,
+            is_exact=True,
+            is_bitwise=np.array_equal(reproduce(exact), command),
+            standard_error=0.0,
+            residual=0.0,
+            rows=len(command),
         )
     spread = residual / np.sqrt(square) if square > 0.0 else float("inf")
     return GainFit(
         value=fitted,
         is_exact=False,
+        is_bitwise=False,
         standard_error=float(spread),
         residual=residual,
         rows=len(command),
