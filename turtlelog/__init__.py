@@ -20,7 +20,15 @@ if TYPE_CHECKING:
         tabulate_whole_runs,
     )
     from turtlelog.errors import TurtlelogError
-    from turtlelog.explain import Identification, identify_run
+    from turtlelog.explain import (
+        MECHANISMS,
+        Attribution,
+        Identification,
+        attribute_run,
+        attribute_scenario,
+        identify_run,
+        write_sentences,
+    )
     from turtlelog.laws import Decision, Goal, Law, Pose
     from turtlelog.log import (
         PartialRecordingWarning,
@@ -85,7 +93,15 @@ _ROOMS = {
         "tabulate_whole_runs",
     ),
     "errors": ("TurtlelogError",),
-    "explain": ("Identification", "identify_run"),
+    "explain": (
+        "MECHANISMS",
+        "Attribution",
+        "Identification",
+        "attribute_run",
+        "attribute_scenario",
+        "identify_run",
+        "write_sentences",
+    ),
     "laws": ("Decision", "Goal", "Law", "Pose"),
     "log": (
         "PartialRecordingWarning",
@@ -138,11 +154,13 @@ _ROOMS = {
 _PLACES = {name: room for room, names in _ROOMS.items() for name in names}
 
 __all__ = [
+    "MECHANISMS",
     "METRICS",
     "PAPER_RUNS",
     "PRESETS",
     "SIGNALS",
     "TABLE_FORMATS",
+    "Attribution",
     "Column",
     "Comparison",
     "Decision",
@@ -165,6 +183,8 @@ __all__ = [
     "TopicColumns",
     "TurtlelogError",
     "__version__",
+    "attribute_run",
+    "attribute_scenario",
     "compare_runs",
     "describe_run",
     "describe_runs",
@@ -203,6 +223,7 @@ __all__ = [
     "write_comparison_rrd",
     "write_recording",
     "write_run_rrd",
+    "write_sentences",
     "write_snapshot",
 ]
 

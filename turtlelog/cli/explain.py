@@ -11,9 +11,10 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text, require_new_target
+from turtlelog.errors import ExplainError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Identification
+    from turtlelog import Attribution, Identification
     from turtlelog.explain import Finding
 
 _ROWS: Final = (
@@ -78,20 +79,28 @@ def explain(
     file: Annotated[Path, Parameter(name="FILE")],
     /,
     *,
+    metric: str = "final.position_error",
+    mechanisms: str = "queue,pause",
     scenario: Path | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Identify, from poses and commands alone, what made a run what it is.
+    """Say what made a run what it is, and which mechanism caused which part of a figure.
 
-    Gains, limits, tolerances, dead times, queues, start backlog and pause, each with its evidence
-    or the reason why the log does not tell; then the identified scenario is simulated again and
-    compared with the log, sample by sample.
+    First it identifies, from poses and commands alone: gains, limits, tolerances, dead times,
+    queues, start backlog and pause, each with its evidence or the reason why the log does not tell.
+    The identified scenario is simulated again and compared with the log, sample by sample.
 
-    Example: turtlelog explain kp10.mcap --scenario found.toml
+    Then it simulates the scenario without its mechanisms, in every combination, and shares the
+    figure out among them: Shapley values, whose sum is the figure as built less that without all.
+
+    Example: turtlelog explain kp10.mcap --metric final.heading_error --scenario found.toml
 
     Args:
         file: A recording (.mcap), a ROS 2 bag, or one of the paper's logs (.json, .csv).
+        metric: The figure to share out, by its id (turtlelog metrics lists them).
+        mechanisms: Who shares, separated by commas: queue, pause, delay, saturation, sampling,
+            float32, projection, wrap, tolerance.
         scenario: Write the identified scenario to this .toml file.
         json: Print one JSON object instead of tables.
     """
@@ -100,10 +109,33 @@ def explain(
     found = tl.identify_run(run)
     if scenario is not None:
         _write_scenario(found, scenario)
+    attribution, obstacle = _attribute(found, metric, mechanisms)
     if json:
-        print_json(_describe(file, found))
-    else:
-        print_text(_format(found))
+        print_json(_describe(file, found, attribution, obstacle))
+        return
+    print_text(_format(found))
+    print_text(obstacle if attribution is None else _format_attribution(attribution))
+
+
+def _attribute(
+    found: "Identification", metric: str, mechanisms: str
+) -> "tuple[Attribution | None, str]":
+    """Return the attribution, or why there is none; what is misspelt is refused."""
+    names = [name.strip() for name in mechanisms.split(",")]
+    if metric not in tl.METRICS:
+        raise UsageError(f"--metric: expected one of {', '.join(tl.METRICS)}, found {metric!r}")
+    for name in names:
+        if name not in tl.MECHANISMS:
+            known = ", ".join(tl.MECHANISMS)
+            raise UsageError(f"--mechanisms: expected some of {known}, found {name!r}")
+    if len({*names}) < len(names):
+        raise UsageError(f"--mechanisms: expected different ones, found {mechanisms!r}")
+    if found.scenario is None:
+        return None, "No figure is attributed: there is no scenario to simulate."
+    try:
+        return tl.attribute_scenario(found.scenario, metric=metric, mechanisms=names), ""
+    except ExplainError as err:
+        return None, f"No figure is attributed: {err}"
 
 
 def _write_scenario(found: "Identification", path: Path) -> None:
@@ -129,6 +161,30 @@ def _format(found: "Identification") -> str:
         notes=tuple(_capitalise(note) for note in found.notes),
     )
     return f"{tl.format_table(table)}\n{_format_resimulation(found)}"
+
+
+def _format_attribution(found: "Attribution") -> str:
+    unit = found.unit
+    table = tl.Table(
+        title=f"What caused {found.metric}",
+        columns=(
+            tl.Column(title="mechanism"),
+            tl.Column(title="share", unit=unit),
+            tl.Column(title="without it alone", unit=unit),
+            tl.Column(title="without it means"),
+        ),
+        rows=tuple(
+            (
+                share.mechanism,
+                share.share,
+                share.alone,
+                tl.MECHANISMS[share.mechanism].meaning,
+            )
+            for share in (*found.shares, *found.others)
+        ),
+        notes=tl.write_sentences(found),
+    )
+    return f"\n{tl.format_table(table)}"
 
 
 def _format_finding(name: str, finding: "Finding", unit: str) -> list[tuple[str, ...]]:
@@ -169,7 +225,9 @@ def _capitalise(note: str) -> str:
     return f"{note[:1].upper()}{note[1:]}."
 
 
-def _describe(file: Path, found: "Identification") -> dict[str, Any]:
+def _describe(
+    file: Path, found: "Identification", attribution: "Attribution | None", obstacle: str
+) -> dict[str, Any]:
     again = found.resimulation
     return {
         "file": str(file),
@@ -204,8 +262,25 @@ def _describe(file: Path, found: "Identification") -> dict[str, Any]:
             "max_command_error": again.max_command_error,
             "is_exact": again.is_exact,
         },
-        "attribution": None,
-        "notes": list(found.notes),
+        "attribution": None if attribution is None else _describe_attribution(attribution),
+        "notes": [*found.notes, *([obstacle] if obstacle else [])],
+    }
+
+
+def _describe_attribution(found: "Attribution") -> dict[str, Any]:
+    return {
+        "metric": found.metric,
+        "unit": found.unit,
+        "as_built": found.as_built,
+        "without_all": found.without_all,
+        "shares": [
+            {"mechanism": share.mechanism, "share": share.share, "alone": share.alone}
+            for share in found.shares
+        ],
+        "others": [{"mechanism": share.mechanism, "alone": share.alone} for share in found.others],
+        "interaction": found.interaction,
+        "heading_tolerance_explains": found.bound,
+        "sentences": list(tl.write_sentences(found)),
     }
 
 
