@@ -45,7 +45,7 @@ _ROWS: Final = (
 )
 """What the table shows: its name, its key among the findings, its unit there."""
 
-_EVIDENCE_WIDTH: Final = 44
+_EVIDENCE_WIDTH: Final = 46
 
 _JSON: Final = {
     "start_backlog": "loop.start_backlog",

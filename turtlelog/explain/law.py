@@ -266,7 +266,7 @@ def _bracket_position_tolerance(errors: Values, command: Values) -> Finding:
     larger = np.abs(errors).max(axis=1)
     high = float(larger[command != 0.0].min())
     if command[-1] != 0.0:
-        return _bracket(0.0, high, "the run did not end inside it", "m")
+        return _bracket(0.0, high, "the run ends outside it", "m")
     return _bracket(float(larger[-1]), high, _LAST_TWO, "m")
 
 

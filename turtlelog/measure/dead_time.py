@@ -84,7 +84,9 @@ def find_dead_time(run: Run, phase: Phase) -> DeadTime | Missing:
     if np.count_nonzero(moves) < 2:
         return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {phase.label}")
     predicted, sure = map(np.array, zip(*map(motion.predict, _CANDIDATES), strict=True))
-    return _choose(motion, motion.moved - predicted, sure, int(moves.argmax()))
+    # Of a step of several ticks the first to move may have moved in some of them only.
+    first = int(moves.argmax()) + (motion.step_ticks > 1)
+    return _choose(motion, motion.moved - predicted, sure, first)
 
 
 def _choose(
