@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from tests.log.runs import find_shared
 from turtlelog.errors import ExplainError
 from turtlelog.explain import Certainty, Finding, Identification, identify_run
 from turtlelog.log import import_log, read_run
-from turtlelog.run import Run
+from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import (
     build_scenario,
     flatten_scenario,
@@ -212,3 +212,68 @@ def agrees(key: str, finding: Finding, truth: Any) -> bool:
     if key.startswith(("law.kp", "start")):
         return bool(np.isclose(finding.value, truth, rtol=1e-7, atol=1e-9))
     return bool(finding.value == truth)
+
+
+def take_rows(run: Run, rows: Any) -> Run:
+    """Return a log with some of its rows."""
+    tables: dict[str, Any] = {"poses": run.poses, "commands": run.commands}
+    columns: dict[str, Any] = {
+        name: replace(
+            table,
+            **{
+                found.name: getattr(table, found.name)[rows].copy()
+                for found in fields(table)
+                if getattr(table, found.name) is not None
+            },
+        )
+        for name, table in tables.items()
+    }
+    samples = {
+        found.name: getattr(run.samples, found.name)[rows].copy()
+        for found in fields(run.samples)
+        if getattr(run.samples, found.name) is not None
+    }
+    samples["pose_sequence"] = np.arange(len(samples["time_ns"]))
+    return replace(run, samples=SampleColumns(**samples), **columns)
+
+
+def test_a_gap_is_named_and_what_is_left_identified() -> None:
+    log = as_log(simulate("paper-kp4"))
+    found = identify_run(take_rows(log, np.r_[0:300, 340 : len(log.samples)]))
+    assert found.notes[0] == "samples are missing after 5.088 s, for 0.656 s"
+    keys = ("dead_time.rotate", "dead_time.translate", "law.kp_angular", "law.kp_linear")
+    assert read_values(found, *keys) == (5, 6, 4.0, 4.0)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 7])
+def test_a_log_in_which_nothing_moves_tells_no_queues(rows: int) -> None:
+    found = identify_run(take_rows(as_log(simulate("paper-kp4")), np.arange(rows)))
+    assert found.findings["loop.start_backlog"].evidence == "the robot never moves in this log"
+    assert found.findings["law.kp_angular"].value is None
+
+
+def test_a_log_of_a_translation_alone_says_so() -> None:
+    log = as_log(simulate("paper-kp4"))
+    found = identify_run(take_rows(log, np.arange(340, len(log.samples))))
+    assert found.notes == ("its phases are not one rotation and one translation: translate",)
+    assert found.findings["dead_time.translate"].value == 6
+    assert found.findings["law.kp_linear"].value is not None
+
+
+@pytest.mark.parametrize(
+    ("scale", "reason"), [(-1.0, "not proportional"), (1e300, "it cannot be simulated again")]
+)
+def test_absurd_commands_make_no_scenario(scale: float, reason: str) -> None:
+    run = simulate("paper-kp4")
+    samples = replace(run.samples, speed_m_s=run.samples.speed_m_s * scale)
+    found = identify_run(replace(run, samples=samples))
+    assert reason in found.notes[0]
+    assert found.findings["dead_time.rotate"].value == 5
+
+
+def test_a_clock_of_days_is_refused_in_words() -> None:
+    log = as_log(simulate("paper-kp4"))
+    time_ns = log.samples.time_ns * 100_000
+    samples, poses = replace(log.samples, time_ns=time_ns), replace(log.poses, time_ns=time_ns)
+    found = identify_run(replace(log, samples=samples, poses=poses))
+    assert found.notes == ("it lasts 1118400 s; up to 3600 s are simulated again",)

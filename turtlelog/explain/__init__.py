@@ -9,7 +9,8 @@ from turtlelog.explain.attribute import (
     attribute_scenario,
 )
 from turtlelog.explain.finding import Certainty, Finding
-from turtlelog.explain.identify import Identification, identify_run
+from turtlelog.explain.identification import Identification
+from turtlelog.explain.identify import identify_run
 from turtlelog.explain.mechanisms import MECHANISMS, Mechanism
 from turtlelog.explain.resimulation import Resimulation
 from turtlelog.explain.wording import write_sentences

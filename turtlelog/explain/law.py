@@ -173,6 +173,8 @@ def _describe_gain(fit: CommandFit) -> Finding:
         )
     found = fit.gain
     if not fit.is_proportional:
+        if found.value <= 0.0:
+            return miss(f"the commands are not proportional: their gain would be {found.value:.4g}")
         share = found.residual / fit.largest if fit.largest else math.inf
         return miss(
             f"the commands are not proportional to the error: {share:.0%} of their size is left",

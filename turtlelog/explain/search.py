@@ -15,12 +15,15 @@ from turtlelog.measure import DeadTime, Missing
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 from turtlelog.simulate import iterate_ticks, simulate_run
+from turtlelog.turtlesim import TICK_S
 
 _CERTAIN: Final = 10.0
 """Difference of log-likelihoods from which a setting is worse than another."""
 
 _MOST_SIMULATED: Final = 24
 """Settings that are simulated to their end where none is exact."""
+
+_MOST_TICKS: Final = 100_000
 
 _SPARE_S: Final = 3.0
 """How much longer than the log a simulation may take before it counts as another [s]."""
@@ -138,7 +141,8 @@ class _Search:
         """Return the settings that leave the least; the clock tells the pause."""
         pauses = self._list_by_clock()
         guesses = [_pause(guess, pause) for guess, pause in product(queues, pauses)]
-        guesses = guesses[:_MOST_SIMULATED]
+        ticks = self._most_s / TICK_S
+        guesses = guesses[: max(min(_MOST_SIMULATED, int(_MOST_TICKS / ticks)), 1)]
         scenarios = [self.build(guess) for guess in guesses]
         misfits = [compute_misfit(self._trace, simulate_run(found)) for found in scenarios]
         order = np.argsort(misfits, kind="stable").tolist()

@@ -13,6 +13,9 @@ from turtlelog.turtlesim import TICK_NS
 
 Values = NDArray[np.float64]
 
+_LONG_STEPS: Final = 4.0
+"""A longer silence of a controller, in its usual steps, is a gap."""
+
 _FIRST_DIGITS: Final = 9
 """A goal that is only logged as position plus error is rounded to this many decimals."""
 
@@ -100,6 +103,17 @@ def trace_run(run: Run) -> Trace:
         has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % TICK_NS).any(),
         has_ticks=_has_ticks(run),
     )
+
+
+def find_gaps(trace: Trace) -> list[tuple[int, int]]:
+    """Return where samples are missing, as the times around [ns]; a pause is no gap."""
+    read = trace.run.samples.pose_sequence
+    if trace.has_ticks:
+        is_gap = np.diff(read) > trace.period_ticks
+    else:
+        is_gap = np.diff(trace.time_ns) > _LONG_STEPS * trace.period_ticks * TICK_NS
+    rows = [row for row in np.flatnonzero(is_gap).tolist() if row != trace.rotating - 1]
+    return [(int(trace.time_ns[row]), int(trace.time_ns[row + 1])) for row in rows]
 
 
 def _count_leading(holds: NDArray[np.bool_]) -> int:

@@ -155,10 +155,10 @@ def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missin
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
     rows = rows[~_find_after_gaps(motion)[rows]]
-    drift = np.cumsum(errors, axis=1)[:, rows]
-    size = np.sqrt(
-        np.mean(_remove_offsets(drift, motion.tick[rows], motion.step_ticks) ** 2, axis=1)
-    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        drift = np.cumsum(errors, axis=1)[:, rows]
+        left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
+        size = np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
     best, second = np.argsort(size, kind="stable")[:2].tolist()
     margin = _compute_margin(size, best)
     if size[best] > _EXPLAINED * span:
