@@ -15,6 +15,7 @@ from cyclopts import App, CycloptsError
 
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
+from turtlelog.cli.explain import explain
 from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
@@ -59,6 +60,7 @@ for command in (
     view,
     plot,
     replay,
+    explain,
     import_,
     export,
     recover,

@@ -84,7 +84,9 @@ def find_dead_time(run: Run, phase: Phase) -> DeadTime | Missing:
     if np.count_nonzero(moves) < 2:
         return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {phase.label}")
     predicted, sure = map(np.array, zip(*map(motion.predict, _CANDIDATES), strict=True))
-    return _choose(motion, motion.moved - predicted, sure, int(moves.argmax()))
+    # Of a step of several ticks the first to move may have moved in some of them only.
+    first = int(moves.argmax()) + (motion.step_ticks > 1)
+    return _choose(motion, motion.moved - predicted, sure, first)
 
 
 def _choose(
@@ -152,9 +154,11 @@ def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missin
     way = np.cumsum(motion.moved)
     span = float(np.ptp(way))
     rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
-    rows = rows[~_find_after_gaps(motion.tick)[rows]]
-    drift = np.cumsum(errors, axis=1)[:, rows]
-    size = np.sqrt(np.mean(_remove_offsets(drift, motion.tick[rows]) ** 2, axis=1))
+    rows = rows[~_find_after_gaps(motion)[rows]]
+    with np.errstate(over="ignore", invalid="ignore"):
+        drift = np.cumsum(errors, axis=1)[:, rows]
+        left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
+        size = np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
     best, second = np.argsort(size, kind="stable")[:2].tolist()
     margin = _compute_margin(size, best)
     if size[best] > _EXPLAINED * span:
@@ -168,18 +172,19 @@ def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missin
     )
 
 
-def _find_after_gaps(tick: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _find_after_gaps(motion: PhaseMotion) -> NDArray[np.bool_]:
     """Return which steps come so soon after a gap that lost commands may still be acting."""
-    gaps = np.flatnonzero(np.diff(tick) > 1) + 1
+    tick = motion.tick
+    gaps = np.flatnonzero(np.diff(tick) > motion.step_ticks) + 1
     since = np.full(len(tick), LARGEST_TICKS)
     for first, after in pairwise([*gaps.tolist(), len(tick)]):
         since[first:after] = tick[first:after] - tick[first]
     return since < LARGEST_TICKS
 
 
-def _remove_offsets(drift: Values, tick: NDArray[np.int64]) -> Values:
+def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
     """Subtract the mean of each stretch without a gap; where it begins is not known exactly."""
-    bounds = np.flatnonzero(np.diff(tick) > 1) + 1
+    bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
     parts = np.split(drift, bounds, axis=1)
     return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)
 

@@ -15,6 +15,11 @@ Values = NDArray[np.float64]
 _NEAR_TICK: Final = 0.15
 """How far a wall clock's usual step may be from turtlesim's tick, as a share of it."""
 
+_NEAR_TICKS: Final = 0.02
+"""The same for several ticks, where a controller answers every n-th pose and logs that."""
+
+_MOST_STEP_TICKS: Final = 60
+
 _GAP_STEPS: Final = 4.0
 """A longer silence than this many usual steps may have lost poses."""
 
@@ -34,7 +39,8 @@ class PhaseMotion:
         tick: Tick of that pose, shape (n,); rows of no known tick lie far apart.
         moved: Turned [rad] or moved along the heading [m] in the step, shape (n,).
         rounding: What the rounding of the two poses can make of it [rad or m], shape (n,).
-        step_s: Length of a step [s].
+        step_ticks: Ticks in a step: 1 where there is a pose per tick.
+        tick_s: Length of a tick [s].
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
         apart: Usual distance of these [ticks], at least 1.
         command: Of each sample [rad/s or m/s], shape (m,).
@@ -44,7 +50,8 @@ class PhaseMotion:
     tick: NDArray[np.int64]
     moved: Values
     rounding: Values
-    step_s: float
+    step_ticks: int
+    tick_s: float
     sample_tick: NDArray[np.int64]
     apart: float
     command: Values
@@ -55,10 +62,11 @@ class PhaseMotion:
         Both have shape (n,). The last command is held, 0 before the first; but where samples are
         further apart than usual, others may have been lost between them.
         """
-        answered = self.tick - dead_time_ticks
+        answered = self.tick[:, None] + np.arange(self.step_ticks) - dead_time_ticks
         latest = np.searchsorted(self.sample_tick, answered, side="right") - 1
         is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < self.apart)
-        return np.where(latest >= 0, self.command[latest], 0.0) * self.step_s, is_sure
+        command = np.where(latest >= 0, self.command[latest], 0.0)
+        return command.sum(axis=1) * self.tick_s, np.asarray(is_sure.all(axis=1))
 
 
 def read_phase_motion(run: Run, phase: Phase) -> PhaseMotion | None:
@@ -73,11 +81,11 @@ def read_phase_motion(run: Run, phase: Phase) -> PhaseMotion | None:
     others = np.flatnonzero(samples.phase != phase)
     after = np.append(others[others > of_phase[0]], len(samples))[0]
     first, last = samples.pose_sequence[of_phase[0]], samples.pose_sequence[after - 1]
-    tick, step_s = _count_ticks(poses.time_ns)
+    tick, step_ticks, tick_s = _count_ticks(poses.time_ns)
     # One pose may be answered once only, and in order.
     sample_tick = np.maximum.accumulate(tick[samples.pose_sequence])
     rows = np.arange(first, last)
-    rows = rows[np.diff(tick)[first:last] == 1]
+    rows = rows[np.diff(tick)[first:last] == step_ticks]
     if phase is Phase.ROTATE:
         moved, rounding = _measure_turns(poses.heading_rad, rows)
         command = samples.turn_rate_rad_s
@@ -90,25 +98,28 @@ def read_phase_motion(run: Run, phase: Phase) -> PhaseMotion | None:
         tick=tick[rows],
         moved=moved,
         rounding=rounding,
-        step_s=step_s,
+        step_ticks=step_ticks,
+        tick_s=tick_s,
         sample_tick=sample_tick,
         apart=max(float(np.median(np.diff(sample_tick))), 1.0) if len(sample_tick) > 1 else 1.0,
         command=command,
     )
 
 
-def _count_ticks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], float]:
-    """Return the tick of each pose, and the length of a step [s]."""
+def _count_ticks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int, float]:
+    """Return the tick of each pose, the usual ticks in a step, and the length of a tick [s]."""
     step_ns = np.diff(time_ns)
     if not len(step_ns):
-        return np.zeros(len(time_ns), dtype=np.int64), TICK_S
+        return np.zeros(len(time_ns), dtype=np.int64), 1, TICK_S
     usual_ns = float(np.median(step_ns))
     if not (step_ns % TICK_NS).any() and usual_ns == TICK_NS:
-        return (time_ns - time_ns[0]) // TICK_NS, TICK_S
+        return (time_ns - time_ns[0]) // TICK_NS, 1, TICK_S
     # A wall clock jitters, and a callback may be late without a pose being lost.
     steps = np.where(step_ns > _GAP_STEPS * usual_ns, _LOST_ROWS, 1)
-    near = abs(usual_ns / TICK_NS - 1.0) < _NEAR_TICK
-    return np.r_[0, np.cumsum(steps)], TICK_S if near else usual_ns / 1e9
+    ticks = min(max(round(usual_ns / TICK_NS), 1), _MOST_STEP_TICKS)
+    if abs(usual_ns / TICK_NS / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
+        return np.r_[0, np.cumsum(steps * ticks)], ticks, TICK_S
+    return np.r_[0, np.cumsum(steps)], 1, usual_ns / 1e9
 
 
 def _measure_turns(heading_rad: Values, rows: NDArray[np.int64]) -> tuple[Values, Values]:
