@@ -10,7 +10,8 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text, require_new_target
+from turtlelog.cli.output import format_table, print_json, print_note, print_text
+from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import ExplainError, UsageError
 
 if TYPE_CHECKING:
@@ -160,7 +161,7 @@ def _format(found: "Identification") -> str:
         rows=tuple(rows),
         notes=tuple(_capitalise(note) for note in found.notes),
     )
-    return f"{tl.format_table(table)}\n{_format_resimulation(found)}"
+    return f"{format_table(table)}\n{_format_resimulation(found)}"
 
 
 def _format_attribution(found: "Attribution") -> str:
@@ -184,7 +185,7 @@ def _format_attribution(found: "Attribution") -> str:
         ),
         notes=tl.write_sentences(found),
     )
-    return f"\n{tl.format_table(table)}"
+    return f"\n{format_table(table)}"
 
 
 def _format_finding(name: str, finding: "Finding", unit: str) -> list[tuple[str, ...]]:

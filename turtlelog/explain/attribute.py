@@ -10,7 +10,7 @@ from typing import Final
 from turtlelog.errors import ExplainError
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.mechanisms import MECHANISMS, find_mechanism, simulate_without
-from turtlelog.measure import METRICS
+from turtlelog.measure import METRICS, measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 
@@ -171,8 +171,8 @@ def _require_value(
 
 
 def _measure(scenario: Scenario, metric: str, out: Sequence[str]) -> tuple[float | None, str]:
-    result = METRICS[metric].compute(simulate_without(scenario, out))
-    return (result, "") if isinstance(result, float) else (None, result.reason)
+    found = measure_run(simulate_without(scenario, out), only=[metric])[metric]
+    return found.value, found.reason
 
 
 def _compute_share(
