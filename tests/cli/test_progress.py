@@ -103,11 +103,25 @@ def test_an_error_stands_on_a_line_of_its_own(
 
     monkeypatch.setattr(tl, "read_run", read_slowly)
     terminal = attach()
-    answer = call("metrics", kp4, kp4, "missing.mcap")
+    answer = call("compare", kp4, kp4, "missing.mcap")
     shown = terminal.read()
     assert (answer.code, answer.out) == (2, "")
     assert "reading 1/3 files" in shown
     assert "\x1b[2Kturtlelog: error: missing.mcap: expected" in shown
+
+
+@on_terminals
+def test_measuring_shows_how_many_files_are_done(
+    attach: Attach, call: Call, kp4: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_slowly(path: str, **topics: str | None) -> tl.Run:
+        time.sleep(0.7)
+        return tl.read_recording(path)
+
+    monkeypatch.setattr("turtlelog.compare.files.read_run", read_slowly)
+    terminal = attach()
+    assert call("metrics", kp4, kp4, kp4).code == 0
+    assert "files 1/3" in terminal.read()
 
 
 @on_terminals

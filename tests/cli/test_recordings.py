@@ -3,7 +3,6 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-import turtlelog as tl
 from tests.cli.conftest import Call
 
 SHARED = Path(__file__).parents[2].parent / "shared"
@@ -76,34 +75,8 @@ def test_metrics_answers_in_json_with_null_where_there_is_no_value(
         "unit": "s",
         "status": "ok",
         "reason": None,
+        "at_s": None,
     }
-
-
-def test_compare_takes_the_first_file_as_reference(call: Call, kp4: Path, kp10: Path) -> None:
-    answer = call("compare", kp4, kp10, "--json").json
-    assert (answer["reference"], answer["alignment"]) == (str(kp4), "first_sample")
-    assert answer["verdict"] is None
-    (run,) = answer["runs"]
-    assert (run["file"], run["overlap_s"]) == (str(kp10), 11.184)
-    assert {signal["signal"] for signal in run["signals"]} == set(tl.SIGNALS)
-    errors = {metric["id"]: metric for metric in run["metrics"]}["final.position_error"]
-    assert errors["value"] > errors["reference"]
-    assert errors["better"] == "lower"
-
-
-def test_compare_takes_another_reference_when_asked(call: Call, kp4: Path, kp10: Path) -> None:
-    answer = call("compare", kp10, "--reference", kp4, "--json").json
-    assert answer["reference"] == str(kp4)
-    assert [run["file"] for run in answer["runs"]] == [str(kp10)]
-
-
-def test_compare_prints_tables_and_writes_a_view(
-    call: Call, kp4: Path, kp10: Path, tmp_path: Path
-) -> None:
-    answer = call("compare", kp4, kp10, "--rrd", tmp_path / "both.rrd")
-    assert "Table 1: errors 15 s after the first sample" in answer.out
-    assert "Largest differences from paper-kp4" in answer.out
-    assert (tmp_path / "both.rrd").exists()
 
 
 def test_view_saves_one_run_and_several(call: Call, kp4: Path, kp10: Path, tmp_path: Path) -> None:

@@ -60,3 +60,12 @@ def test_latex_uses_booktabs_and_escapes_its_special_characters() -> None:
 def test_an_unknown_format_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ShowError, match="expected one of txt, md, csv, tex, found 'html'"):
         tl.format_table(TABLE, "html")
+
+
+def test_a_new_group_of_rows_begins_after_an_empty_line() -> None:
+    table = tl.Table(
+        title="t", columns=(tl.Column(title="a"),), rows=(("x",), ("y",), ("z",)), breaks=(1,)
+    )
+    assert tl.format_table(table).splitlines()[-4:] == ["x", "", "y", "z"]
+    assert "    x \\\\\n    \\addlinespace\n    y \\\\\n" in tl.format_table(table, "tex")
+    assert tl.format_table(table, "csv").splitlines() == ["a", "x", "y", "z"]

@@ -100,9 +100,9 @@ def test_an_unstable_response_is_stopped_a_billion_steps_away() -> None:
 @pytest.mark.parametrize("kp", [1e-3, 4.0, 10.0, 20.0])
 def test_a_million_samples_take_less_than_a_twentieth_of_a_second(kp: float) -> None:
     def measure_once() -> float:
-        begin = time.perf_counter()
+        begin = time.process_time()
         compute_sampled_step_response(kp, 1_000_000, period_s=TICK_S, dead_time_ticks=6)
-        return time.perf_counter() - begin
+        return time.process_time() - begin
 
     assert min(measure_once() for _ in range(5)) < 0.05
 

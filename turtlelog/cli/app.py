@@ -15,6 +15,7 @@ from cyclopts import App, CycloptsError
 
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
+from turtlelog.cli.explain import explain
 from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
@@ -26,6 +27,7 @@ from turtlelog.cli.recover import recover
 from turtlelog.cli.replay import replay
 from turtlelog.cli.run import run
 from turtlelog.cli.scenario import scenario
+from turtlelog.cli.theory import theory
 from turtlelog.cli.view import view
 from turtlelog.errors import TurtlelogError
 from turtlelog.version import __version__
@@ -54,9 +56,11 @@ for command in (
     info,
     metrics,
     compare,
+    theory,
     view,
     plot,
     replay,
+    explain,
     import_,
     export,
     recover,

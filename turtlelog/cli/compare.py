@@ -1,109 +1,193 @@
-"""`turtlelog compare`: runs beside each other."""
+"""`turtlelog compare`: runs beside each other, or against a reference."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
-from turtlelog.cli.output import format_table, print_json, print_note, print_text
+from turtlelog.cli.comparison_answers import describe_across, describe_against
+from turtlelog.cli.formats import FormatOptions, print_tables
+from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs
+from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Comparison, Run
+    from turtlelog import Comparison, Run, RunSummary, Table
+
+
+_RUNS_ABREAST: Final = 3
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceOptions:
+    """What to compare against, and how.
+
+    Attributes:
+        reference: The run that differences are taken from.
+        tolerances: How far from it the runs may be (.toml); the exit code is 1 where one is not
+            within them.
+        align: What to bring together: first-sample (the usual), phase:NAME (the start of a phase),
+            recorded (times as they are), sample (samples by their number).
+    """
+
+    reference: Path | None = None
+    tolerances: Path | None = None
+    align: str | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChoiceOptions:
+    """Which rows and columns the table across runs has.
+
+    Attributes:
+        only: Columns, separated by commas: metrics, patterns (translate.*), parameters.
+        sort: What to sort by: a metric or parameter, or name; falling with a minus before it, as in
+            -run.duration.
+        where: Which runs, as in "law.kp_linear >= 2 and run.duration < 20".
+    """
+
+    only: str | None = None
+    sort: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    where: str | None = None
 
 
 def compare(
     files: Files,
     /,
     *,
-    reference: Path | None = None,
+    against: ReferenceOptions | None = None,
+    choice: ChoiceOptions | None = None,
+    formats: FormatOptions | None = None,
     rrd: Annotated[Path | None, Parameter(name="--rrd")] = None,
     topics: TopicOptions | None = None,
-    json: Json = False,
-) -> None:
-    """Compare runs across gains and against a reference, aligned at their first samples.
+) -> int:
+    """Compare runs: which is best at what; with --reference, how far each is from it.
 
-    Example: turtlelog compare kp1.mcap kp4.mcap --rrd comparison.rrd
+    Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort final.position_error
+
+    Example: turtlelog compare --reference good.mcap new.mcap --tolerances tolerances.toml
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
-        reference: The run that differences are taken from; otherwise the first file.
         rrd: Write all runs into one Rerun recording.
-        json: Print one JSON object instead of tables.
     """
-    paths = [*([] if reference is None else [reference]), *files]
+    against, choice = against or ReferenceOptions(), choice or ChoiceOptions()
+    kind = (formats or FormatOptions()).choose()
+    paths = [*([] if against.reference is None else [against.reference]), *files]
+    _require_sense(paths, against, choice)
+    require_new_target(rrd, paths, suffix=".rrd")
+    if rrd is None:
+        runs = iterate_runs(paths, topics)
+    else:
+        # A picture of all needs all of them at once.
+        held = read_runs(paths, topics)
+        with show_progress("drawing"):
+            tl.write_comparison_rrd(held, rrd)
+        print_note(f"wrote {rrd}")
+        runs = iter(held)
+    if against.reference is None:
+        _compare_across(runs, paths, choice, kind)
+        return 0
+    return _compare_against(runs, paths, against, kind)
+
+
+def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: ChoiceOptions) -> None:
     if len(paths) < 2:
         raise UsageError(f"FILE: expected at least two runs to compare, found {len(paths)}")
-    require_new_target(rrd, paths, suffix=".rrd")
-    runs = read_runs(paths, topics)
-    comparisons = [tl.compare_runs(runs[0], run) for run in runs[1:]]
-    if rrd is not None:
-        with show_progress("drawing"):
-            tl.write_comparison_rrd(runs, rrd)
-        print_note(f"wrote {rrd}")
-    if json:
-        print_json(_describe(paths, comparisons))
+    for name in ("tolerances", "align") if against.reference is None else ():
+        if getattr(against, name) is not None:
+            raise UsageError(f"--{name}: expected --reference beside it, found none")
+    for name in () if against.reference is None else ("only", "sort", "where"):
+        if getattr(choice, name) is not None:
+            raise UsageError(f"--{name}: expected no --reference beside it, found one")
+
+
+def _compare_across(
+    runs: "Iterator[Run]", paths: Sequence[Path], choice: ChoiceOptions, kind: str
+) -> None:
+    pairs = zip(runs, paths, strict=True)
+    summaries = tuple(tl.summarise_run(run, file=str(path)) for run, path in pairs)
+    count, title = len(summaries), f"{len(summaries)} runs"
+    notes: tuple[str, ...] = ()
+    if choice.where is not None:
+        summaries, notes = tl.select_runs(summaries, choice.where, source="--where")
+        title = f"{len(summaries)} of {count} runs, where {choice.where}"
+    if choice.sort is not None:
+        summaries = tl.sort_runs(summaries, choice.sort, source="--sort")
+    only: tuple[str, ...] = ()
+    if choice.only is not None:
+        names = [name.strip() for name in choice.only.split(",")]
+        only = tl.choose_columns(summaries, names, source="--only")
+    table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
+    if kind == "json":
+        print_json(describe_across(summaries, only=only, notes=notes))
+        return
+    print_tables([table], kind)
+    for note in notes if kind == "csv" else ():
+        # A file of figures has no room for notes.
+        print_note(note)
+
+
+def _compare_against(
+    runs: "Iterator[Run]", paths: Sequence[Path], against: ReferenceOptions, kind: str
+) -> int:
+    path = against.tolerances
+    tolerances = None if path is None else tl.load_tolerances(path)
+    alignment = (against.align or "first_sample").replace("-", "_")
+    reference = next(runs)
+    summaries = [tl.summarise_run(reference, file=str(paths[0]))]
+    comparisons = []
+    for file, run in zip(paths[1:], runs, strict=True):
+        comparison = tl.compare_runs(reference, run, alignment=alignment, tolerances=tolerances)
+        metrics = {found.metric.id: found.metric for found in comparison.metrics}
+        summaries.append(tl.summarise_run(run, file=str(file), metrics=metrics))
+        comparisons.append(comparison)
+    if kind == "json":
+        print_json(describe_against(paths, comparisons, alignment))
+    elif tolerances is None:
+        print_tables(_tabulate_unjudged(summaries, comparisons, kind), kind)
     else:
-        print_text(_format(runs, comparisons))
+        _print_verdicts(summaries, comparisons, kind)
+    return int(any(comparison.verdict == "fail" for comparison in comparisons))
 
 
-def _format(runs: "Sequence[Run]", comparisons: "Sequence[Comparison]") -> str:
-    reference, *names = tl.name_runs(runs)
-    tables = [
-        tl.tabulate_table1(runs),
-        tl.tabulate_whole_runs(runs),
-        tl.tabulate_differences(comparisons, names=names, reference=reference),
+def _tabulate_unjudged(
+    summaries: "Sequence[RunSummary]", comparisons: "Sequence[Comparison]", kind: str
+) -> "list[Table]":
+    reference, *names = tl.name_runs(summaries)
+    # As many runs as a terminal has room for; a file has room for all.
+    step = _RUNS_ABREAST if kind == "txt" else len(names)
+    differences = [
+        tl.tabulate_differences(
+            comparisons[first : first + step],
+            names=names[first : first + step],
+            reference=reference,
+        )
+        for first in range(0, len(names), step)
     ]
-    return "\n".join(map(format_table, tables))
+    return differences if kind == "csv" else [tl.tabulate_runs(summaries), *differences]
 
 
-def _describe(paths: Sequence[Path], comparisons: "Sequence[Comparison]") -> dict[str, Any]:
-    return {
-        "reference": str(paths[0]),
-        "alignment": "first_sample",
-        "verdict": None,
-        "runs": [
-            {
-                "file": str(path),
-                "name": comparison.name,
-                "overlap_s": comparison.overlap_s,
-                "signals": _describe_signals(comparison),
-                "metrics": _describe_metrics(comparison),
-            }
-            for path, comparison in zip(paths[1:], comparisons, strict=True)
-        ],
-    }
-
-
-def _describe_signals(comparison: "Comparison") -> list[dict[str, Any]]:
-    # No tolerances are asked for, so nothing is judged.
-    unjudged = {"within": None, "tolerance": None, "first_outside_s": None}
-    return [
-        {
-            "signal": found.signal,
-            "unit": found.unit,
-            "largest": found.largest,
-            "at_s": found.at_s,
-            **unjudged,
-        }
-        for found in comparison.signals
-    ]
-
-
-def _describe_metrics(comparison: "Comparison") -> list[dict[str, Any]]:
-    return [
-        {
-            "id": found.metric.id,
-            "value": found.metric.value,
-            "unit": found.metric.unit,
-            "status": found.metric.status.value,
-            "reference": found.reference.value,
-            "better": tl.METRICS[found.metric.id].better,
-        }
-        for found in comparison.metrics
-    ]
+def _print_verdicts(
+    summaries: "Sequence[RunSummary]", comparisons: "Sequence[Comparison]", kind: str
+) -> None:
+    reference, *names = tl.name_runs(summaries)
+    if kind == "csv":
+        print_tables([tl.tabulate_all_findings(comparisons, names=names)], kind)
+        return
+    pairs = zip(names, comparisons, strict=True)
+    tables = [tl.tabulate_findings(found, name=name, reference=reference) for name, found in pairs]
+    print_tables(tables, kind)
+    if kind == "txt" and len(comparisons) > 1:
+        failed = [
+            name for name, found in zip(names, comparisons, strict=True) if found.verdict == "fail"
+        ]
+        verdict = f"FAIL: {', '.join(failed)}" if failed else "PASS"
+        print_text(f"\n{verdict} ({len(failed)} of {len(names)} runs fail)")

@@ -1,30 +1,155 @@
 """`turtlelog metrics`: measure recordings."""
 
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
+
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, TopicOptions, iterate_runs
-from turtlelog.cli.output import describe_metrics, format_table, print_json, print_text
+from turtlelog.cli.formats import FormatOptions, print_tables
+from turtlelog.cli.measuring import MeasureOptions
+from turtlelog.cli.options import Files, TopicOptions, require_files
+from turtlelog.cli.output import (
+    describe_metrics,
+    print_csv,
+    print_error,
+    print_json_list,
+    print_run_notes,
+)
+from turtlelog.cli.progress import show_progress
+from turtlelog.errors import TurtlelogError
+
+if TYPE_CHECKING:
+    from turtlelog import RunSummary
+
+EXIT_FINE: Final = 0
+EXIT_BAD_INPUT: Final = 2
+
+_MOST_COLUMNS: Final = 6
 
 
-def metrics(files: Files, /, *, topics: TopicOptions | None = None, json: Json = False) -> None:
-    """Measure recordings: a table with a row per metric, a status where there is no value.
+def metrics(
+    files: Files,
+    /,
+    *,
+    measuring: MeasureOptions | None = None,
+    all_: Annotated[bool, Parameter(name="--all", negative="")] = False,
+    jobs: int = 1,
+    formats: FormatOptions | None = None,
+    topics: TopicOptions | None = None,
+) -> int:
+    """Measure recordings: the essential metrics as a table, a status where there is no value.
+
+    Up to six runs stand side by side; of more, each has a row. JSON and CSV
+    hold every metric, CSV in one row per file. A file that cannot be read is
+    told on stderr; the others are measured, and the exit code is 2.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 
+    Example: turtlelog metrics kp4.mcap --only "translate.*" --band 0.05
+
     Args:
         files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
-        json: Print one JSON list instead of a table.
+        all_: Show every metric, not only the essential ones.
+        jobs: Processes to read and measure in.
     """
-    runs = iterate_runs(files, topics)
-    if json:
-        print_json(
-            [
-                {
-                    "file": str(path),
-                    "name": run.name,
-                    "metrics": describe_metrics(tl.measure_run(run)),
-                }
-                for path, run in zip(files, runs, strict=True)
-            ]
-        )
+    require_files(files)
+    measuring, topics = measuring or MeasureOptions(), topics or TopicOptions()
+    kind = (formats or FormatOptions()).choose()
+    chosen = _choose(measuring, len(files), kind, everything=all_)
+    found = tl.summarise_files(
+        files,
+        measuring.build_settings(),
+        only=chosen,
+        topics=tl.TopicChoice(
+            pose_topic=topics.pose_topic,
+            command_topic=topics.command_topic,
+            allow_partial=topics.partial,
+        ),
+        jobs=jobs,
+    )
+    errors: list[TurtlelogError] = []
+    summaries = _watch(found, len(files), errors)
+    if kind == "json":
+        print_json_list(map(_describe, summaries))
+    elif kind == "csv":
+        units = [f"{name} [{tl.METRICS[name].unit}]" for name in chosen]
+        print_csv(["file", "run", *units], map(_list_cells, summaries))
+    else:
+        has_more = measuring.only is None and len(chosen) < len(tl.METRICS)
+        _print_tables(list(summaries), chosen, kind, tell_more=kind == "txt" and has_more)
+    for err in errors:
+        print_error(str(err))
+    return EXIT_BAD_INPUT if errors else EXIT_FINE
+
+
+def _choose(options: MeasureOptions, runs: int, kind: str, *, everything: bool) -> tuple[str, ...]:
+    """Return the metrics to compute."""
+    patterns = options.list_patterns()
+    if patterns is not None:
+        return tl.choose_metrics(patterns)
+    if everything or kind in {"json", "csv"}:
+        return tuple(tl.METRICS)
+    if runs <= _MOST_COLUMNS:
+        return tl.ESSENTIAL_METRICS
+    from turtlelog.compare import USUAL_METRICS
+
+    return USUAL_METRICS
+
+
+def _watch(
+    found: "Iterator[RunSummary | TurtlelogError]", count: int, errors: list[TurtlelogError]
+) -> "Iterator[RunSummary]":
+    """Yield what was measured, keep the errors, and show how far it has come."""
+    with show_progress("files", count) as progress:
+        for number, summary in enumerate(found, start=1):
+            if isinstance(summary, TurtlelogError):
+                errors.append(summary)
+            else:
+                print_run_notes(summary.file, summary.notes)
+                yield summary
+            progress.done = number
+
+
+def _print_tables(
+    summaries: "Sequence[RunSummary]", chosen: Sequence[str], kind: str, *, tell_more: bool
+) -> None:
+    if not summaries:
         return
-    print_text(format_table(tl.tabulate_metrics(list(runs))))
+    if len(summaries) > _MOST_COLUMNS:
+        table = tl.tabulate_runs(_name_apart(summaries), only=chosen)
+    else:
+        names = tl.name_runs(summaries)
+        table = tl.tabulate_measured(names, [summary.metrics for summary in summaries])
+    if tell_more:
+        more = f"{len(chosen)} of {len(tl.METRICS)} metrics: --all shows every one, --only chooses."
+        table = replace(table, notes=(more, *table.notes))
+    print_tables([table], kind)
+
+
+def _name_apart(summaries: "Sequence[RunSummary]") -> "list[RunSummary]":
+    """Return the runs by their names, by their files where names are shared."""
+    counts = Counter(summary.name for summary in summaries)
+    return [
+        replace(summary, name=summary.file) if counts[summary.name] > 1 else summary
+        for summary in summaries
+    ]
+
+
+def _list_cells(summary: "RunSummary") -> list[str | float]:
+    """Return the row of a run: a status where there is no value."""
+    cells = (
+        found.status.value if found.value is None else found.value
+        for found in summary.metrics.values()
+    )
+    return [summary.file, summary.name, *cells]
+
+
+def _describe(summary: "RunSummary") -> dict[str, Any]:
+    return {
+        "file": summary.file,
+        "name": summary.name,
+        "metrics": describe_metrics(summary.metrics),
+    }

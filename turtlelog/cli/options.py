@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.output import print_note
+from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
@@ -109,9 +109,7 @@ def _read_run(path: Path, topics: TopicOptions) -> "Run":
             command_topic=topics.command_topic,
             allow_partial=topics.partial,
         )
-    for name in ("recovered", "partial"):
-        if name in run.notes:
-            print_note(f"{path}: {name}: {run.notes[name]}")
+    print_run_notes(path, run.notes)
     return run
 
 

@@ -1,15 +1,18 @@
 """What commands print: results to stdout, notes to stderr."""
 
+import csv
 import json
 import math
 import os
 import re
 import shutil
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+import tempfile
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 
@@ -17,6 +20,9 @@ if TYPE_CHECKING:
     from turtlelog import Metric, Table
 
 _CONTROLS: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+
+_SPOOLED: Final = 16 * 2**20
+"""Bytes of a long answer that are kept in memory."""
 
 
 def print_text(text: str) -> None:
@@ -38,6 +44,13 @@ def print_note(text: str) -> None:
         sys.stderr.flush()
 
 
+def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
+    """Print what one must know of a recording that is not whole."""
+    for name in ("recovered", "partial"):
+        if name in notes:
+            print_note(f"{path}: {name}: {notes[name]}")
+
+
 def print_error(text: str) -> None:
     """Print an error in one line."""
     print_note(f"turtlelog: error: {' '.join(text.split())}")
@@ -46,6 +59,40 @@ def print_error(text: str) -> None:
 def print_json(value: Any) -> None:
     """Print one JSON value and nothing else; what is not finite becomes null."""
     sys.stdout.write(json.dumps(_make_finite(value), indent=2, allow_nan=False) + "\n")
+
+
+def print_json_list(values: Iterable[Any]) -> None:
+    """Print one JSON list as `print_json` does, item by item, so that it need not fit into memory.
+
+    Nothing is printed before the last item is there.
+    """
+    with _spool() as spool:
+        before = "[\n"
+        for value in values:
+            text = json.dumps(_make_finite(value), indent=2, allow_nan=False)
+            spool.write(before + textwrap.indent(text, "  "))
+            before = ",\n"
+        spool.write("[]\n" if before == "[\n" else "\n]\n")
+
+
+def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Print a CSV table row by row, so that it need not fit into memory; nothing before the last.
+
+    Without rows nothing is printed.
+    """
+    with _spool() as spool:
+        writer = csv.writer(spool, lineterminator="\n")
+        for number, row in enumerate(rows):
+            writer.writerows([row] if number else [head, row])
+
+
+@contextmanager
+def _spool() -> Iterator[IO[str]]:
+    """Yield a stream whose text goes to stdout at the end of the block."""
+    with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8", newline="") as spool:
+        yield spool
+        spool.seek(0)
+        shutil.copyfileobj(spool, sys.stdout)
 
 
 def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
@@ -57,6 +104,7 @@ def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
             "unit": metric.unit,
             "status": metric.status.value,
             "reason": metric.reason or None,
+            "at_s": metric.at_s,
         }
         for metric in metrics.values()
     ]

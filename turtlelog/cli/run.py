@@ -78,7 +78,7 @@ def run(
         )
         return code
     print_text(f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n")
-    print_text(format_table(tl.tabulate_metrics([result])))
+    print_text(format_table(tl.tabulate_metrics([result], only=tl.ESSENTIAL_METRICS)))
     return code
 
 

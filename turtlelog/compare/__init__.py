@@ -1,32 +1,69 @@
-"""Runs -> differences and tables across gains."""
+"""Runs -> differences, verdicts, and tables across gains."""
 
 from turtlelog.compare.across import (
     tabulate_differences,
-    tabulate_metrics,
     tabulate_table1,
     tabulate_whole_runs,
 )
+from turtlelog.compare.clock import ALIGNMENTS
 from turtlelog.compare.difference import (
     Comparison,
     MetricDifference,
     SignalDifference,
     compare_runs,
+    iter_comparisons,
 )
+from turtlelog.compare.files import TopicChoice, summarise_files
+from turtlelog.compare.gains import USUAL_METRICS, mark_metric, tabulate_runs
+from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
 from turtlelog.compare.names import name_runs
-from turtlelog.compare.table import Cell, Column, Table, format_cell
+from turtlelog.compare.summary import (
+    RunSummary,
+    choose_columns,
+    select_runs,
+    sort_runs,
+    summarise_run,
+)
+from turtlelog.compare.table import Cell, Column, Mark, Table, format_cell
+from turtlelog.compare.tolerance_file import load_tolerances, parse_tolerances, read_tables
+from turtlelog.compare.tolerances import Tolerance, Tolerances
+from turtlelog.compare.verdict import Finding
+from turtlelog.compare.verdict_table import tabulate_all_findings, tabulate_findings
 
 __all__ = [
+    "ALIGNMENTS",
+    "USUAL_METRICS",
     "Cell",
     "Column",
     "Comparison",
+    "Finding",
+    "Mark",
     "MetricDifference",
+    "RunSummary",
     "SignalDifference",
     "Table",
+    "Tolerance",
+    "Tolerances",
+    "TopicChoice",
+    "choose_columns",
     "compare_runs",
     "format_cell",
+    "iter_comparisons",
+    "load_tolerances",
+    "mark_metric",
     "name_runs",
+    "parse_tolerances",
+    "read_tables",
+    "select_runs",
+    "sort_runs",
+    "summarise_files",
+    "summarise_run",
+    "tabulate_all_findings",
     "tabulate_differences",
+    "tabulate_findings",
+    "tabulate_measured",
     "tabulate_metrics",
+    "tabulate_runs",
     "tabulate_table1",
     "tabulate_whole_runs",
 ]

@@ -1,4 +1,4 @@
-"""Tables across runs: the paper's Table 1, the same without its window, every metric."""
+"""Tables across runs: the paper's Table 1, the same without its window."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -7,7 +7,8 @@ from typing import Final
 from turtlelog.compare.difference import Comparison
 from turtlelog.compare.names import name_runs
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
+from turtlelog.compare.verdict_table import describe_alignment
+from turtlelog.measure import SIGNALS, measure_run
 from turtlelog.run import Run
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
@@ -44,8 +45,8 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
     ]
     rows = []
     for name, run in _sort_by_gain(runs):
-        metrics = measure_run(run)
-        ours = [metrics[f"final.{error}_error_at_15s"].value for error in ("heading", "position")]
+        metrics = measure_run(run, only=_TABLE1)
+        ours = [metrics[name].value for name in _TABLE1]
         paper: Sequence[float | None] = PAPER_ERRORS.get(_get_gain(run) or 0.0, (None, None))
         pairs = zip(ours, paper, strict=True)
         errors = [cell for pair in pairs for cell in pair] if beside_paper else ours
@@ -65,7 +66,7 @@ def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
     """Return Table 1 without its window: each run to its own end, settling times measured."""
     rows = []
     for name, run in _sort_by_gain(runs):
-        metrics = measure_run(run)
+        metrics = measure_run(run, only=[name for name, _ in _WHOLE_RUN])
         rows.append(
             (*_describe_run(name, run), *(metrics[metric].value for metric, _ in _WHOLE_RUN))
         )
@@ -73,24 +74,6 @@ def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
         title="To the end of each run: measured settling times ts (2 %), overshoot, errors",
         columns=(*_HEAD, *(column for _, column in _WHOLE_RUN)),
         rows=tuple(rows),
-    )
-
-
-def tabulate_metrics(runs: Sequence[Run]) -> Table:
-    """Return every metric as a row, every run as a column; a status where there is no value."""
-    measured = [measure_run(run) for run in runs]
-    return Table(
-        title="Metrics",
-        columns=(
-            Column(title="metric"),
-            Column(title="unit"),
-            *(Column(title=name) for name in name_runs(runs)),
-        ),
-        rows=tuple(
-            (name, kind.unit, *(_get_cell(metrics[name]) for metrics in measured))
-            for name, kind in METRICS.items()
-        ),
-        notes=_list_reasons(measured),
     )
 
 
@@ -113,10 +96,12 @@ def tabulate_differences(
             cells += [known.largest, known.at_s] if known else [None, None]
         if any(cell is not None for cell in cells):
             rows.append((name, kind.unit, *cells))
+    alignments = dict.fromkeys(describe_alignment(found.alignment) for found in comparisons)
     return Table(
-        title=f"Largest differences from {reference}, from the first samples on",
+        title=f"Largest differences from {reference}, {', '.join(alignments)}",
         columns=tuple(columns),
         rows=tuple(rows),
+        notes=_list_overlaps(comparisons, names),
     )
 
 
@@ -126,6 +111,8 @@ _HEAD: Final = (
     Column(title="4 tau", unit="s", digits=2),
 )
 
+_TABLE1: Final = ("final.heading_error_at_15s", "final.position_error_at_15s")
+
 _WHOLE_RUN: Final = (
     ("rotate.settling_time", Column(title="ts rotate", unit="s", digits=2)),
     ("translate.settling_time", Column(title="ts translate", unit="s", digits=2)),
@@ -134,6 +121,17 @@ _WHOLE_RUN: Final = (
     ("final.position_error", Column(title="position", unit="m", digits=6)),
     ("run.duration", Column(title="length", unit="s", digits=2)),
 )
+
+
+def _list_overlaps(comparisons: Sequence[Comparison], names: Sequence[str]) -> tuple[str, ...]:
+    """Return over which stretch the runs were compared, where that is the same in one sentence."""
+    stretches: dict[str, list[str]] = {}
+    for name, found in zip(names, comparisons, strict=True):
+        end_s = found.overlap_from_s + found.overlap_s
+        stretches.setdefault(f"{found.overlap_from_s:.2f} to {end_s:.2f} s", []).append(name)
+    compared = "; ".join(f"{', '.join(runs)}: {stretch}" for stretch, runs in stretches.items())
+    notes = dict.fromkeys(note for found in comparisons for note in found.notes)
+    return f"Compared over {compared}.", *notes
 
 
 def _describe_run(name: str, run: Run) -> tuple[Cell, ...]:
@@ -155,14 +153,3 @@ def _get_gain(run: Run) -> float | None:
 def _sort_by_gain(runs: Sequence[Run]) -> list[tuple[str, Run]]:
     named = zip(name_runs(runs), runs, strict=True)
     return sorted(named, key=lambda pair: _get_gain(pair[1]) or 0.0)
-
-
-def _list_reasons(measured: Sequence[Mapping[str, Metric]]) -> tuple[str, ...]:
-    """Return why values are missing, each reason once."""
-    missing = [metric for metrics in measured for metric in metrics.values() if metric.reason]
-    reasons = dict.fromkeys(f"{metric.status.value}: {metric.reason}." for metric in missing)
-    return tuple(reasons)
-
-
-def _get_cell(metric: Metric) -> Cell:
-    return metric.status.value if metric.value is None else metric.value

@@ -1,39 +1,134 @@
-"""A common clock for two runs: time zero is each one's first sample."""
+"""A common clock for two runs: where time zero of each is, and which stretch both cover."""
+
+import dataclasses
+import difflib
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import CompareError
 from turtlelog.measure import Signal
-from turtlelog.run import Run
+from turtlelog.run import Phase, Run
+
+Times = NDArray[np.int64]
+
+ALIGNMENTS: Final = (
+    "first_sample",
+    *(f"phase:{phase.label}" for phase in Phase),
+    "recorded",
+    "sample",
+)
+"""How runs can be brought together."""
 
 
-def find_overlap_ns(runs: tuple[Run, ...]) -> tuple[int, int]:
-    """Return the stretch that all runs cover, from their first samples [ns].
+class Clock(Protocol):
+    """What two runs are compared on."""
+
+    @property
+    def tells_time(self) -> bool:
+        """Whether its units are nanoseconds, so that tolerances in time apply."""
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """From when to when both are compared, in the clock's units, both ends included."""
+
+    def place_signal(self, signal: Signal, run: Run) -> Signal:
+        """Return the signal of one of the two runs with its rows placed on this clock."""
+
+    def read_seconds(self, unit: int) -> float:
+        """Return the time of a unit of this clock [s]."""
+
+
+def align_runs(reference: Run, run: Run, alignment: str) -> Clock:
+    """Return the clock of one of `ALIGNMENTS` for two runs.
 
     Raises:
-        CompareError: Where there is none.
+        CompareError: Where there is no such alignment, a run lacks what it asks for, or the runs
+            do not overlap.
     """
-    starts = [int(run.poses.time_ns[0]) - run.start_ns for run in runs]
-    ends = [run.end_ns - run.start_ns for run in runs]
-    # What stands before the first sample is not compared: nothing was controlled yet.
-    start_ns, end_ns = max(0, *starts), min(ends)
+    if alignment not in ALIGNMENTS:
+        near = difflib.get_close_matches(alignment, ALIGNMENTS, n=2) or ALIGNMENTS
+        raise CompareError(f"alignment: expected {' or '.join(near)}, found {alignment!r}")
+    if alignment == "sample":
+        return _align_by_number(reference, run)
+    if alignment == "recorded":
+        starts_ns = [reference.start_ns, run.start_ns]
+        return _align_by_time((reference, run), (0, 0), max(starts_ns))
+    phase = alignment.removeprefix("phase:")
+    zeros_ns = (_find_zero_ns(reference, phase), _find_zero_ns(run, phase))
+    # What stands before is not compared: before the first sample nothing was controlled yet.
+    return _align_by_time((reference, run), zeros_ns, 0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TimeClock:
+    """Nanoseconds from each run's own zero."""
+
+    runs: tuple[Run, Run]
+    zeros_ns: tuple[int, int]
+    span: tuple[int, int]
+    tells_time: bool = True
+
+    def place_signal(self, signal: Signal, run: Run) -> Signal:
+        zero_ns = self.zeros_ns[0 if run is self.runs[0] else 1]
+        return _smooth(dataclasses.replace(signal, time_ns=signal.time_ns - zero_ns))
+
+    def read_seconds(self, unit: int) -> float:
+        return unit / 1e9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _SampleClock:
+    """Numbers of samples; poses are those that the samples read. Times are the reference's."""
+
+    time_ns: Times
+    tells_time: bool = False
+
+    @property
+    def span(self) -> tuple[int, int]:
+        return 0, len(self.time_ns) - 1
+
+    def place_signal(self, signal: Signal, run: Run) -> Signal:
+        rows = np.arange(len(self.time_ns))
+        read = run.samples.pose_sequence[rows] if signal.kind.source == "pose" else rows
+        placed = dataclasses.replace(signal, time_ns=rows, values=signal.values[read])
+        return _smooth(placed)
+
+    def read_seconds(self, unit: int) -> float:
+        return float(self.time_ns[unit]) / 1e9
+
+
+def _smooth(signal: Signal) -> Signal:
+    """Take the jumps at a full turn out of an angle, so that lines can be drawn."""
+    if signal.kind.compared_as != "angle":
+        return signal
+    return dataclasses.replace(signal, values=np.unwrap(signal.values))
+
+
+def _align_by_time(runs: tuple[Run, Run], zeros_ns: tuple[int, int], earliest_ns: int) -> Clock:
+    placed = tuple(zip(runs, zeros_ns, strict=True))
+    start_ns = max(earliest_ns, *(int(run.poses.time_ns[0]) - zero for run, zero in placed))
+    end_ns = min(run.end_ns - zero for run, zero in placed)
     if end_ns <= start_ns:
         names = " and ".join(run.name for run in runs)
         raise CompareError(f"{names}: expected runs that overlap from their first samples on")
-    return start_ns, end_ns
+    return _TimeClock(runs=runs, zeros_ns=zeros_ns, span=(start_ns, end_ns))
 
 
-def resample_signal(
-    signal: Signal, start_ns: int, grid_ns: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the signal on a grid of times from the run's first sample [ns], shape of the grid.
+def _align_by_number(reference: Run, run: Run) -> Clock:
+    for found in (reference, run):
+        if not len(found.samples):
+            raise CompareError(f"{found.name}: expected samples to align by number, found none")
+    count = min(len(reference.samples), len(run.samples))
+    return _SampleClock(time_ns=reference.samples.time_ns[:count] - reference.start_ns)
 
-    By line between rows, or by holding the last one, as fits the signal; outside, the ends hold.
-    """
-    time_ns = signal.time_ns - start_ns
-    if signal.kind.resampling == "line":
-        values = np.unwrap(signal.values) if signal.kind.compared_as == "angle" else signal.values
-        return np.interp(grid_ns, time_ns, values)
-    row = np.searchsorted(time_ns, grid_ns, side="right") - 1
-    return signal.values[np.maximum(row, 0)]
+
+def _find_zero_ns(run: Run, phase: str) -> int:
+    if phase == "first_sample":
+        return run.start_ns
+    for span in run.find_phase_spans():
+        if span.phase.label == phase:
+            return span.start_ns
+    raise CompareError(f"{run.name}: expected a phase {phase} to align at, found none")

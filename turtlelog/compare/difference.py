@@ -1,11 +1,13 @@
-"""What differs between a run and a reference, signal by signal."""
+"""What differs between a run and a reference, signal by signal, and whether that is tolerated."""
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
-import numpy as np
-
-from turtlelog.angles import wrap_angle
-from turtlelog.compare.clock import find_overlap_ns, resample_signal
+from turtlelog.compare.clock import Clock, align_runs
+from turtlelog.compare.tolerances import Tolerance, Tolerances
+from turtlelog.compare.tube import Grid, Rows, find_nearest, lay_grid, measure_distance, read_rows
+from turtlelog.compare.verdict import Finding, judge_metric, judge_signal, miss_signal
 from turtlelog.measure import SIGNALS, Metric, Signal, measure_run, read_signal
 from turtlelog.run import Run
 
@@ -18,7 +20,7 @@ class SignalDifference:
         signal: Its name.
         unit: Of `largest`.
         largest: Largest magnitude of the difference on the common clock.
-        at_s: First time at which it is that large, from the first sample [s].
+        at_s: First time at which it is that large, on the common clock [s].
     """
 
     signal: str
@@ -37,60 +39,144 @@ class MetricDifference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """One run beside a reference, aligned at the first sample.
+    """One run beside a reference.
 
     Attributes:
         name: The run's name.
-        overlap_s: Length of the stretch that both cover [s].
+        alignment: How the two were brought together, one of `ALIGNMENTS`.
+        overlap_from_s: Where the stretch that is compared begins on the common clock [s].
+        overlap_s: Length of that stretch [s].
         signals: For every signal that both hold.
         metrics: For every metric.
+        findings: For every tolerance given, signals before metrics.
+        notes: What the reader should know of the alignment.
     """
 
     name: str
+    alignment: str
+    overlap_from_s: float
     overlap_s: float
     signals: tuple[SignalDifference, ...]
     metrics: tuple[MetricDifference, ...]
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> Literal["pass", "fail"] | None:
+        """Whether every finding passes; None where no tolerances were given."""
+        if not self.findings:
+            return None
+        return "pass" if all(finding.within for finding in self.findings) else "fail"
 
 
-def compare_runs(reference: Run, run: Run) -> Comparison:
-    """Return what differs between a run and a reference, from their first samples on.
+def compare_runs(
+    reference: Run,
+    run: Run,
+    *,
+    alignment: str = "first_sample",
+    tolerances: Tolerances | None = None,
+) -> Comparison:
+    """Return what differs between a run and a reference, and whether it is tolerated.
+
+    Args:
+        reference: The run that differences are taken from.
+        run: The other.
+        alignment: `first_sample`: time zero is each run's first sample; `phase:NAME`: the start of
+            a phase, what stands before is not compared; `recorded`: times as recorded; `sample`:
+            samples are compared by their number, each with the pose that it read.
+        tolerances: What to judge; None: nothing.
 
     Raises:
-        CompareError: Where the runs do not overlap.
+        CompareError: Where there is no such alignment, or the runs do not overlap.
     """
-    start_ns, end_ns = find_overlap_ns((reference, run))
-    pairs = [(read_signal(reference, name), read_signal(run, name)) for name in SIGNALS]
-    metrics, reference_metrics = measure_run(run), measure_run(reference)
-    return Comparison(
-        name=run.name,
-        overlap_s=(end_ns - start_ns) / 1e9,
-        signals=tuple(
-            _compare_signals((theirs, reference.start_ns), (ours, run.start_ns), start_ns, end_ns)
-            for theirs, ours in pairs
-            if theirs is not None and ours is not None
-        ),
-        metrics=tuple(
-            MetricDifference(metric=metric, reference=reference_metrics[name])
-            for name, metric in metrics.items()
-        ),
-    )
+    (comparison,) = iter_comparisons(reference, (run,), alignment=alignment, tolerances=tolerances)
+    return comparison
+
+
+def iter_comparisons(
+    reference: Run,
+    runs: Iterable[Run],
+    *,
+    alignment: str = "first_sample",
+    tolerances: Tolerances | None = None,
+) -> Iterator[Comparison]:
+    """Yield a comparison for every run, as `compare_runs`; none is kept once it is yielded.
+
+    Raises:
+        CompareError: As `compare_runs`.
+    """
+    metrics = measure_run(reference)
+    tolerances = tolerances or Tolerances()
+    for run in runs:
+        clock = align_runs(reference, run, alignment)
+        signals, found = _compare_signals(reference, run, clock, tolerances.signals)
+        ours = measure_run(run)
+        yield Comparison(
+            name=run.name,
+            alignment=alignment,
+            overlap_from_s=clock.read_seconds(clock.span[0]),
+            overlap_s=clock.read_seconds(clock.span[1]) - clock.read_seconds(clock.span[0]),
+            signals=signals,
+            metrics=tuple(
+                MetricDifference(metric=metric, reference=metrics[name])
+                for name, metric in ours.items()
+            ),
+            findings=(
+                *found,
+                *(
+                    judge_metric(ours[name], metrics[name], tolerance)
+                    for name, tolerance in tolerances.metrics.items()
+                ),
+            ),
+            notes=tuple(_list_notes(reference, run, clock, tolerances)),
+        )
 
 
 def _compare_signals(
-    reference: tuple[Signal, int], run: tuple[Signal, int], start_ns: int, end_ns: int
-) -> SignalDifference:
-    grid_ns = np.union1d(*(signal.time_ns - zero_ns for signal, zero_ns in (reference, run)))
-    grid_ns = grid_ns[(grid_ns >= start_ns) & (grid_ns <= end_ns)]
-    difference = resample_signal(*run, grid_ns) - resample_signal(*reference, grid_ns)
-    if run[0].kind.compared_as == "angle":
-        difference = wrap_angle(difference)
-    if run[0].kind.compared_as == "label":
-        difference = np.sign(difference)
-    difference = np.abs(difference)
-    row = int(difference.argmax())
+    reference: Run, run: Run, clock: Clock, tolerances: Mapping[str, Tolerance]
+) -> tuple[tuple[SignalDifference, ...], tuple[Finding, ...]]:
+    differences, findings = [], {}
+    grids: dict[str, Grid] = {}
+    for name, kind in SIGNALS.items():
+        theirs, ours = read_signal(reference, name), read_signal(run, name)
+        if theirs is None or ours is None:
+            if name in tolerances:
+                lacking = " and ".join(
+                    who.name for who, held in ((reference, theirs), (run, ours)) if held is None
+                )
+                findings[name] = miss_signal(name, tolerances[name], lacking)
+            continue
+        placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
+        times = (placed[0].time_ns, placed[1].time_ns)
+        if kind.source not in grids:
+            grids[kind.source] = lay_grid(*times, clock.span)
+        rows = read_rows(placed[1], grids[kind.source])
+        differences.append(_find_largest(placed[0], rows, clock))
+        if name in tolerances:
+            findings[name] = judge_signal(placed[0], rows, tolerances[name], clock)
+    return tuple(differences), tuple(findings[name] for name in tolerances)
+
+
+def _find_largest(reference: Signal, rows: Rows, clock: Clock) -> SignalDifference:
+    off = measure_distance(reference, rows.values, find_nearest(reference, rows, Tolerance()))
+    row = int(off.argmax())
     return SignalDifference(
-        signal=run[0].name,
-        unit=run[0].kind.unit,
-        largest=float(difference[row]),
-        at_s=float(grid_ns[row] / 1e9),
+        signal=reference.name,
+        unit=reference.kind.unit,
+        largest=float(off[row]),
+        at_s=clock.read_seconds(int(rows.grid.at[row])),
     )
+
+
+def _list_notes(reference: Run, run: Run, clock: Clock, tolerances: Tolerances) -> Iterator[str]:
+    if clock.tells_time:
+        return
+    counts = [len(found.samples) for found in (reference, run)]
+    compared = clock.span[1] + 1
+    if counts[0] != counts[1]:
+        yield (
+            f"{compared} samples are compared by number: {reference.name} has {counts[0]},"
+            f" {run.name} {counts[1]}."
+        )
+    if any(tolerance.time_s for tolerance in tolerances.signals.values()):
+        yield "Aligned by the number of samples, no tolerance in time applies."

@@ -4,10 +4,11 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import count
 
+from turtlelog.compare.summary import RunSummary
 from turtlelog.run import Run
 
 
-def name_runs(runs: Sequence[Run]) -> tuple[str, ...]:
+def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
     """Return one name per run, in order, no two alike: names that clash get a number."""
     counts = Counter(run.name for run in runs)
     taken = {name for name, times in counts.items() if times == 1}

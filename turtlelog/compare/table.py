@@ -1,8 +1,12 @@
 """Tables as values: what they say, not how they are printed."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal
 
 Cell = str | float | int | None
+Mark = Literal["best", "worst"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -14,12 +18,14 @@ class Column:
         unit: Of its figures, empty where they have none.
         digits: Decimals of its figures; None: five significant digits.
         joined: Whether it makes sense only beside the column before it.
+        lines: The title broken into lines, for where a terminal has no room for it.
     """
 
     title: str
     unit: str = ""
     digits: int | None = None
     joined: bool = False
+    lines: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,12 +37,16 @@ class Table:
         columns: At least one.
         rows: Each as long as `columns`; None: there is no such value.
         notes: Sentences to stand below.
+        breaks: Rows with which a new group begins; a terminal leaves a line before them.
+        marks: Which cells are the best and the worst of their column, by row and column.
     """
 
     title: str
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[str, ...] = ()
+    breaks: tuple[int, ...] = ()
+    marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def format_cell(cell: Cell, column: Column) -> str:

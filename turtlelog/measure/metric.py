@@ -12,12 +12,18 @@ class Status(enum.StrEnum):
     """What it asks for never happened within the recording."""
     NO_STEP = "no_step"
     """The phase begins at its reference: there is nothing to respond to."""
+    NO_MOTION = "no_motion"
+    """The turtle did not get from one place to another: there is nothing to divide by."""
     NO_PHASE = "no_phase"
     """The run has no such phase."""
     TOO_SHORT = "too_short"
     """Too few rows, or a run that was cut before the time asked for."""
+    TOO_LARGE = "too_large"
+    """Beyond the largest number that a computer holds."""
     ABSENT = "absent"
     """The recording does not hold what it is computed from."""
+    UNDETERMINED = "undetermined"
+    """The recording fits several values alike, or none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,9 +33,11 @@ class Metric:
     Attributes:
         id: `<phase, final or run>.<metric>`.
         value: In `unit`; None exactly where `status` is not `ok`.
-        unit: `s`, `m`, `deg`, `%` or `1`.
+        unit: `s`, `m`, `deg`, `%`, `1` or a product of units, as in `m^2 s`.
         status: Whether there is a value.
         reason: One clause where there is none, else empty.
+        at_s: When it is taken, from the first sample [s]: of a peak, the end of a rise, the largest
+            jump; None where it belongs to no moment.
     """
 
     id: str
@@ -37,6 +45,7 @@ class Metric:
     unit: str
     status: Status = Status.OK
     reason: str = ""
+    at_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,3 +54,19 @@ class Missing:
 
     status: Status
     reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A value, and when it is taken.
+
+    Attributes:
+        value: In the metric's unit.
+        at_s: From the first sample [s]; None where it belongs to no moment.
+    """
+
+    value: float
+    at_s: float | None = None
+
+
+Result = Found | Missing

@@ -1,67 +1,127 @@
 """The stretch of a run that a phase's metrics are computed on."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import dropwhile, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.measure.command import compute_hold_times
+from turtlelog.measure.integrals import fold_at_zero
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.signals import read_signal
+from turtlelog.measure.settings import MeasureSettings
+from turtlelog.measure.signals import Signal
 from turtlelog.run import Phase, PhaseSpan, Run
 
 Values = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Response:
-    """How the controlled coordinate of a phase answers its reference.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CommandStretch:
+    """The commands of a phase, as they hold; no rows where its samples are not of this run.
 
     Attributes:
-        time_s: From the start of the phase [s], shape (n,), n >= 2.
-        values: Heading without jumps [rad], or along-track [m], shape (n,).
-        initial: First value.
-        reference: What the phase drives at.
-        commands: Commands of its samples [rad/s or m/s], shape (m,).
+        time_s: When each was published, from the first sample of the run [s], shape (m,); when its
+            pose was answered, where the publication is not recorded.
+        values: In rad/s or m/s, shape (m,).
+        wanted: Before clipping, shape (m,); None where not recorded.
         limit: Magnitude at which they are clipped, None where not recorded.
-        was_cut: Whether the run was cut before the phase had come to its end.
+        end_s: When the last one ceases to hold, from the first sample of the run [s].
     """
 
     time_s: Values
     values: Values
+    wanted: Values | None
+    limit: float | None
+    end_s: float
+
+    @cached_property
+    def is_saturated(self) -> NDArray[np.bool_] | None:
+        """Whether each command stands at its limit, None where that is not recorded."""
+        return None if self.limit is None else np.abs(self.values) >= self.limit
+
+    @cached_property
+    def held_s(self) -> Values:
+        """How long each holds [s], shape (m,)."""
+        return compute_hold_times(self.time_s, self.end_s)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """How the controlled coordinate of a phase answers its reference.
+
+    Attributes:
+        phase: ROTATE (its pause included) or TRANSLATE.
+        start_s: Start of the phase, from the first sample of the run [s].
+        rows: Its poses among those of the run.
+        time_s: From the start of the phase [s], shape (n,), n >= 2.
+        values: Heading without jumps [rad], or along-track [m], shape (n,).
+        initial: What the step starts from: the first value, or as asked.
+        reference: What the step leads to: what the phase drives at, or as asked.
+        band: Half-width of the settling band, as a share of the step.
+        commands: Those of its samples.
+        was_cut: Whether the run was cut before the phase had come to its end.
+    """
+
+    phase: Phase
+    start_s: float
+    rows: slice
+    time_s: Values
+    values: Values
     initial: float
     reference: float
-    commands: Values
-    limit: float | None
+    band: float
+    commands: CommandStretch
     was_cut: bool
 
+    @cached_property
+    def error(self) -> Values:
+        """Reference minus value [rad or m], shape (n,)."""
+        return np.asarray(self.reference - self.values)
 
-def find_response(run: Run, phase: Phase) -> Response | Missing:
-    """Return the response of ROTATE (its pause included) or TRANSLATE, or why there is none."""
+    @cached_property
+    def step_s(self) -> Values:
+        """Time from each row to the next [s], shape (n - 1,)."""
+        return np.diff(self.time_s)
+
+    @cached_property
+    def folded_error(self) -> tuple[Values, Values, Values]:
+        """Times [s], steps of time [s], magnitudes of the error: a row added wherever it is 0."""
+        time_s, magnitude = fold_at_zero(self.time_s, self.error)
+        return time_s, self.step_s if time_s is self.time_s else np.diff(time_s), magnitude
+
+
+def find_response(
+    run: Run, phase: Phase, signal: Signal | None, settings: MeasureSettings
+) -> Response | Missing:
+    """Return the response of ROTATE (its pause included) or TRANSLATE, or why there is none.
+
+    `signal` is what the phase controls: `heading` or `along_track`.
+    """
+    if signal is None or not len(run.samples):
+        return Missing(status=Status.ABSENT, reason="the recording holds no samples")
     stretch = _find_first_stretch(run, phase)
     if not stretch:
         return Missing(status=Status.NO_PHASE, reason=f"the run has no phase {phase.label}")
     start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
-    signal = read_signal(run, "heading" if phase is Phase.ROTATE else "along_track")
-    if signal is None:
-        return Missing(status=Status.ABSENT, reason="the recording holds no samples")
-    inside = (signal.time_ns >= start_ns) & (signal.time_ns <= end_ns)
+    first = int(np.searchsorted(signal.time_ns, start_ns, side="left"))
+    inside = slice(first, int(np.searchsorted(signal.time_ns, end_ns, side="right")))
     values = signal.values[inside]
     if len(values) < 2:
-        return Missing(status=Status.TOO_SHORT, reason=f"{len(values)} pose in {phase.label}")
-    samples = run.samples
-    of_phase = (samples.phase == phase) & (samples.time_ns <= end_ns)
-    if phase is Phase.ROTATE:
-        commands, limit = samples.turn_rate_rad_s, run.parameters.get("limits.turn_rate_rad_s")
-    else:
-        commands, limit = samples.speed_m_s, run.parameters.get("limits.speed_m_s")
+        found = f"{len(values)} pose" + ("" if len(values) == 1 else "s")
+        return Missing(status=Status.TOO_SHORT, reason=f"{found} in {phase.label}")
+    initial, reference = _find_step(run, phase, values, settings)
     return Response(
+        phase=phase,
+        start_s=(start_ns - run.start_ns) / 1e9,
+        rows=inside,
         time_s=(signal.time_ns[inside] - start_ns) / 1e9,
         values=values,
-        initial=float(values[0]),
-        reference=_find_reference(run, phase, values),
-        commands=commands[of_phase],
-        limit=float(limit) if isinstance(limit, int | float) else None,
+        initial=initial,
+        reference=reference,
+        band=settings.band,
+        commands=_find_commands(run, phase, end_ns),
         was_cut=not run.is_complete and end_ns == run.end_ns,
     )
 
@@ -73,11 +133,47 @@ def _find_first_stretch(run: Run, phase: Phase) -> list[PhaseSpan]:
     return list(takewhile(lambda span: span.phase in kinds, before))
 
 
-def _find_reference(run: Run, phase: Phase, values: Values) -> float:
-    bearing_rad = float(run.samples.bearing_rad[0])
+def _find_commands(run: Run, phase: Phase, end_ns: int) -> CommandStretch:
+    samples = run.samples
+    of_phase = samples.phase == phase
+    first = int(of_phase.argmax())
+    others = ~of_phase[first:]
+    rows = slice(first, first + int(others.argmax()) if others.any() else len(of_phase))
+    has_publications = len(run.commands) == len(samples)
+    time_ns = (run.commands if has_publications else samples).time_ns[rows]
     if phase is Phase.ROTATE:
-        # The heading is counted through full turns: take the bearing's turn where it ended.
-        turns = np.round((values[-1] - bearing_rad) / (2.0 * np.pi))
-        return float(bearing_rad + turns * 2.0 * np.pi)
-    error_xy_m = run.samples.error_xy_m[0]
-    return float(np.hypot(*error_xy_m))
+        values, wanted = samples.turn_rate_rad_s, samples.wanted_turn_rate_rad_s
+        limit = run.parameters.get("limits.turn_rate_rad_s")
+    else:
+        values, wanted = samples.speed_m_s, samples.wanted_speed_m_s
+        limit = run.parameters.get("limits.speed_m_s")
+    return CommandStretch(
+        time_s=(np.minimum(time_ns, end_ns) - run.start_ns) / 1e9,
+        values=values[rows],
+        wanted=None if wanted is None else wanted[rows],
+        limit=float(limit) if isinstance(limit, int | float) else None,
+        end_s=(end_ns - run.start_ns) / 1e9,
+    )
+
+
+def _find_step(
+    run: Run, phase: Phase, values: Values, settings: MeasureSettings
+) -> tuple[float, float]:
+    """Return what the step of a phase leads from and to."""
+    initial, final = settings.get_initial(phase), settings.get_final(phase)
+    first, last = float(values[0]), float(values[-1])
+    initial = first if initial is None else _turn_towards(phase, initial, first)
+    if final == "last":
+        return initial, last
+    if final != "reference":
+        return initial, _turn_towards(phase, float(final), last)
+    if phase is Phase.ROTATE:
+        return initial, _turn_towards(phase, float(run.samples.bearing_rad[0]), last)
+    return initial, float(np.hypot(*run.samples.error_xy_m[0]))
+
+
+def _turn_towards(phase: Phase, value: float, measured: float) -> float:
+    """Return a heading with the full turns of a measured one: it is counted without jumps."""
+    if phase is not Phase.ROTATE:
+        return value
+    return value + float(np.round((measured - value) / (2.0 * np.pi))) * 2.0 * np.pi

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import MeasureError
-from turtlelog.frames import rotate_to_turtle
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -74,8 +73,18 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
     """Return a coordinate along, or left of, the line from the first pose read to the goal."""
     if not len(run.samples):
         return None
-    from_start_m = run.poses.xy_m - run.poses.xy_m[run.samples.pose_sequence[0]]
-    return rotate_to_turtle(from_start_m, run.samples.bearing_rad[0])[:, 0 if along else 1]
+    start_m = run.poses.xy_m[run.samples.pose_sequence[0]]
+    # As frames.rotate_to_turtle, for the one of the two that is asked for.
+    x_m, y_m = (column - start for column, start in zip(run.poses.xy_m.T, start_m, strict=True))
+    cos, sin = np.cos(run.samples.bearing_rad[0]), np.sin(run.samples.bearing_rad[0])
+    return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)
+
+
+def _read_heading(run: Run) -> Values:
+    """Return the heading counted through full turns."""
+    heading_rad = run.poses.heading_rad
+    jumps = np.abs(np.diff(heading_rad)) > np.pi
+    return np.unwrap(heading_rad) if jumps.any() else heading_rad
 
 
 def _read_error(run: Run, axis: int) -> Values | None:
@@ -83,7 +92,10 @@ def _read_error(run: Run, axis: int) -> Values | None:
 
 
 def _read_distance(run: Run) -> Values | None:
-    return None if run.goal_xy_m is None else np.hypot(*(run.goal_xy_m - run.poses.xy_m).T)
+    if run.goal_xy_m is None:
+        return None
+    x_m, y_m = (goal - column for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True))
+    return np.asarray(np.hypot(x_m, y_m))
 
 
 def _read_heading_error(run: Run) -> Values | None:
@@ -114,7 +126,7 @@ SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
         "heading": _pose(
             "rad",
             "Counter-clockwise from +x, without jumps at a full turn.",
-            lambda run: np.unwrap(run.poses.heading_rad),
+            _read_heading,
         ),
         "speed": _sample(
             "m/s",

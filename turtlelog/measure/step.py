@@ -1,4 +1,15 @@
-"""Figures of a step response: from an initial value to a reference."""
+"""Figures of a step response: from an initial value to a reference.
+
+The response is the line through its samples: crossings are interpolated between the samples around
+them, and the largest value of such a line stands at a sample. On a sampled smooth signal that
+leaves a crossing wrong by at most T^2 |y''| / (8 |y'|), with T the period: nothing on a ramp, and
+nothing where a sample falls on the crossing.
+
+The definitions are those of step-response analysis (K. Ogata, Modern Control Engineering, 5th ed.,
+section 5-3; D. E. Seborg et al., Process Dynamics and Control, 3rd ed., section 5.3.1), with the
+step leading from any initial value to any reference. All take `values` of shape (n,), n >= 1, and
+`time_s` of the same shape, not decreasing. A step downwards gives what its mirror image gives.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,14 +17,60 @@ from numpy.typing import NDArray
 Values = NDArray[np.float64]
 
 
+def find_level_time(
+    time_s: Values, values: Values, *, level: float, initial: float, reference: float
+) -> float | None:
+    """Return the first time at which the response has come `level` of the step [s].
+
+    `level` 0.5 is the delay time. The first row's time where it begins beyond; None where it never
+    comes so far. The step is not 0.
+    """
+    step = reference - initial
+    threshold = initial + level * step
+    reached = values >= threshold if step > 0.0 else values <= threshold
+    row = int(reached.argmax())
+    if not reached[row]:
+        return None
+    return float(time_s[0]) if row == 0 else _interpolate(time_s, values, row - 1, threshold)
+
+
+def find_rise(
+    time_s: Values, values: Values, *, initial: float, reference: float
+) -> tuple[float, float] | None:
+    """Return the first times at which the response has come 10 % and 90 % of the step [s].
+
+    Their difference is the rise time: ln 9 tau of an exponential. None where 90 % is never reached.
+    """
+    start_s, end_s = (
+        find_level_time(time_s, values, level=level, initial=initial, reference=reference)
+        for level in (0.1, 0.9)
+    )
+    return None if start_s is None or end_s is None else (start_s, end_s)
+
+
+def find_peak_row(values: Values, *, initial: float, reference: float) -> int:
+    """Return the first row at which the response is furthest in the direction of the step."""
+    return int(values.argmax() if reference >= initial else values.argmin())
+
+
 def find_overshoot(values: Values, *, initial: float, reference: float) -> float:
     """Return how far the response goes beyond the reference, as a share of the step [1].
 
     Signed in the direction of the step: negative where the response stays short of the reference.
-    `values` has shape (n,), n >= 1; the step is not 0.
+    The step is not 0.
     """
-    step = reference - initial
-    return float(np.max((values - reference) / step))
+    row = find_peak_row(values, initial=initial, reference=reference)
+    return float((values[row] - reference) / (reference - initial))
+
+
+def find_undershoot(values: Values, *, initial: float, reference: float) -> tuple[float, int]:
+    """Return how far the response goes against the step, as a share of it [1], and in which row.
+
+    Counted from the initial value: 0 where it never goes back behind it, negative where every value
+    is already on the way. The step is not 0.
+    """
+    row = int(values.argmin() if reference >= initial else values.argmax())
+    return float((initial - values[row]) / (reference - initial)), row
 
 
 def find_settling_time(
@@ -22,17 +79,56 @@ def find_settling_time(
     """Return the last time at which the response enters the band for good [s].
 
     The band is `reference` +- `band` times the step's magnitude; the crossing is interpolated
-    between the rows around it. None where the last row is outside. `time_s` and `values` have
-    shape (n,), times not decreasing.
+    between the rows around it. None where the last row is outside. Of an exponential: ln(1 / band)
+    tau, so ln 50 tau for 2 %.
     """
     half_width = band * abs(reference - initial)
-    deviation = np.abs(values - reference)
-    outside = np.flatnonzero(deviation > half_width)
-    if not len(outside):
+    outside = (values > reference + half_width) | (values < reference - half_width)
+    last = len(values) - 1 - int(outside[::-1].argmax())
+    if not outside[last]:
         return float(time_s[0])
-    last = int(outside[-1])
     if last == len(values) - 1:
         return None
-    signed = (values[last : last + 2] - reference) * np.sign(values[last] - reference)
-    share = (signed[0] - half_width) / (signed[0] - signed[1])
-    return float(time_s[last] + share * (time_s[last + 1] - time_s[last]))
+    edge = reference + np.copysign(half_width, values[last] - reference)
+    return _interpolate(time_s, values, last, float(edge))
+
+
+def find_crossing_rows(values: Values, reference: float) -> NDArray[np.int64]:
+    """Return the rows by which the response has come to the other side of the reference.
+
+    Touching the reference is no crossing, standing on it for a while and going on is one.
+    """
+    beyond, short = values > reference, values < reference
+    rows = np.flatnonzero(beyond | short)
+    side = beyond[rows]
+    return np.asarray(rows[1:][side[1:] != side[:-1]])
+
+
+def find_decay_ratio(
+    values: Values, *, initial: float, reference: float
+) -> tuple[float, int] | None:
+    """Return the second overshoot as a share of the first [1], and the row of its peak.
+
+    exp(-2 pi zeta / sqrt(1 - zeta^2)) of a second-order response: a quarter is the classical aim of
+    tuning by Ziegler and Nichols. None where the response does not go beyond the reference twice,
+    or the recording ends on the way to the second peak.
+    """
+    rows = find_crossing_rows(values, reference)
+    direction = 1.0 if reference >= initial else -1.0
+    ahead = (values[rows] - reference) * direction > 0.0
+    rows = rows[int(not ahead[0]) :] if len(rows) else rows
+    if len(rows) < 3:
+        return None
+    ends = [*rows.tolist(), len(values)]
+    first, second = ((values[ends[i] : ends[i + 1]] - reference) * direction for i in (0, 2))
+    peak = int(second.argmax())
+    if ends[2] + peak == len(values) - 1:
+        return None
+    return float(second[peak] / first.max()), ends[2] + peak
+
+
+def _interpolate(time_s: Values, values: Values, row: int, threshold: float) -> float:
+    """Return when the line from a row to the next comes to a threshold that lies between them."""
+    before, after = float(values[row]), float(values[row + 1])
+    share = (threshold - before) / (after - before)
+    return float(time_s[row] + share * (time_s[row + 1] - time_s[row]))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare import Column, Table, format_cell
+from turtlelog.compare import Column, Mark, Table, format_cell
 from turtlelog.errors import ShowError
 from turtlelog.show.text_tables import format_text
 
@@ -15,14 +15,14 @@ def format_markdown(table: Table) -> str:
     """Return a table as GitHub-flavoured Markdown."""
     titles = [_escape_markdown(_join_title(column)) for column in table.columns]
     rules = [" ---: " if _is_numeric(table, i) else " --- " for i in range(len(titles))]
-    rows = [[_escape_markdown(cell) for cell in row] for row in _format_rows(table)]
+    rows = _format_rows(table, "md")
     lines = [
         f"**{table.title}**",
         "",
         "| " + " | ".join(titles) + " |",
         "|" + "|".join(rules) + "|",
         *("| " + " | ".join(row) + " |" for row in rows),
-        *(line for note in table.notes for line in ("", note)),
+        *(line for note in _list_notes(table, "md") for line in ("", note)),
     ]
     return "\n".join(lines) + "\n"
 
@@ -46,10 +46,14 @@ def format_latex(table: Table) -> str:
         r"    \toprule",
         "    " + _join_latex([_join_title(column) for column in table.columns]),
         r"    \midrule",
-        *("    " + _join_latex(row) for row in _format_rows(table)),
+        *(
+            (r"    \addlinespace" "\n" if row in table.breaks else "")
+            + f"    {' & '.join(cells)} \\\\"
+            for row, cells in enumerate(_format_rows(table, "tex"))
+        ),
         r"    \bottomrule",
         r"  \end{tabular}",
-        *(rf"  \par\footnotesize {_escape_latex(note)}" for note in table.notes),
+        *(rf"  \par\footnotesize {note}" for note in _list_notes(table, "tex")),
         r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
@@ -80,11 +84,22 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
     return format_text(table, width) if kind == "txt" else _FORMATS[kind](table)
 
 
-def _format_rows(table: Table) -> list[list[str]]:
+def _format_rows(table: Table, kind: str) -> list[list[str]]:
+    """Return the cells as a format writes them, escaped and marked."""
+    escape, marks = _ESCAPES[kind], _MARKS[kind]
     return [
-        [format_cell(cell, column) for cell, column in zip(row, table.columns, strict=True)]
-        for row in table.rows
+        [
+            marks.get(table.marks.get((row, index)), "{}").format(escape(format_cell(cell, column)))
+            for index, (cell, column) in enumerate(zip(cells, table.columns, strict=True))
+        ]
+        for row, cells in enumerate(table.rows)
     ]
+
+
+def _list_notes(table: Table, kind: str) -> list[str]:
+    """Return the notes below a table, the legend of its marks first."""
+    legend = [_LEGENDS[kind]] if table.marks else []
+    return [*legend, *map(_ESCAPES[kind], table.notes)]
 
 
 def _is_numeric(table: Table, index: int) -> bool:
@@ -107,3 +122,23 @@ def _escape_latex(text: str) -> str:
     special = {character: f"\\{character}" for character in "&%$#_{}"}
     special |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     return "".join(special.get(character, character) for character in text)
+
+
+_MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = MappingProxyType(
+    {
+        "md": {"best": "**{}**", "worst": "*{}*"},
+        "tex": {"best": r"\textbf{{{}}}", "worst": r"\textit{{{}}}"},
+    }
+)
+"""How the best and the worst of a column are marked."""
+
+_LEGENDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "md": "**best**, *worst* of a column.",
+        "tex": r"\textbf{best}, \textit{worst} of a column.",
+    }
+)
+
+_ESCAPES: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
+    {"md": _escape_markdown, "tex": _escape_latex}
+)

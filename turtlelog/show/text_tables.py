@@ -2,7 +2,7 @@
 
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import Final
@@ -15,13 +15,16 @@ _LEAST_TEXT: Final = 16
 _LEAST_NUMBER: Final = 8
 _MOST_IN_BLOCKS: Final = 32
 
+_MARKS: Final = {"best": "*", "worst": "!"}
+_LEGEND: Final = "* best, ! worst of a column."
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Column:
     """A column as text.
 
     Attributes:
-        title: Its head.
+        titles: Its head, line by line.
         unit: In brackets, or empty.
         cells: Row by row.
         is_numeric: Whether it stands to the right.
@@ -29,7 +32,7 @@ class _Column:
         width: Characters that it is given; what is longer is broken into lines.
     """
 
-    title: str
+    titles: tuple[str, ...]
     unit: str
     cells: tuple[str, ...]
     is_numeric: bool
@@ -57,23 +60,31 @@ def format_text(table: Table, width: int | None = None) -> str:
     blocks = [columns] if width is None else _fit(columns, width)
     lines = [_escape(table.title)]
     for block in blocks:
-        lines += ["", *_format_block(block)]
-    if table.notes:
-        lines += ["", *_wrap_notes(table.notes, min(width or _NOTE_WIDTH, _NOTE_WIDTH))]
+        lines += ["", *_format_block(block, table.breaks)]
+    notes = [*([_LEGEND] if table.marks else []), *table.notes]
+    if notes:
+        lines += ["", *_wrap_notes(notes, min(width or _NOTE_WIDTH, _NOTE_WIDTH))]
     return "\n".join(lines) + "\n"
 
 
 def _build_column(table: Table, index: int) -> _Column:
     column = table.columns[index]
-    cells = tuple(_escape(format_cell(row[index], column)) for row in table.rows)
-    unit, title = f"[{column.unit}]" if column.unit else "", _escape(column.title)
+    marks = {row: _MARKS[mark] for (row, place), mark in table.marks.items() if place == index}
+    # Figures stand below figures and marks below marks.
+    room = " " if marks else ""
+    cells = tuple(
+        _escape(format_cell(cells[index], column)) + marks.get(row, room)
+        for row, cells in enumerate(table.rows)
+    )
+    titles = tuple(_escape(line) + room for line in column.lines or (column.title,))
+    unit = f"[{column.unit}]{room}" if column.unit else ""
     return _Column(
-        title=title,
+        titles=titles,
         unit=unit,
         cells=cells,
         is_numeric=any(isinstance(row[index], float | int) for row in table.rows),
         is_joined=column.joined,
-        width=max(map(len, (title, unit, *cells))),
+        width=max(map(len, (*titles, unit, *cells))),
     )
 
 
@@ -122,15 +133,20 @@ def _measure(columns: Sequence[_Column]) -> int:
     return sum(column.width for column in columns) + len(_GAP) * (len(columns) - 1)
 
 
-def _format_block(columns: Sequence[_Column]) -> list[str]:
-    titles = [_break(column.title, column.width) for column in columns]
+def _format_block(columns: Sequence[_Column], breaks: Collection[int]) -> list[str]:
+    titles = [
+        [part for line in column.titles for part in _break(line, column.width)]
+        for column in columns
+    ]
     height = max(map(len, titles))
     # The last line of a title stands above its unit.
     heads = [[*[""] * (height - len(title)), *title] for title in titles]
     units = [[column.unit] for column in columns]
     rule = "-" * _measure(columns)
     lines = [*_join(columns, heads), *(_join(columns, units) if any(map(any, units)) else ()), rule]
-    for row in zip(*(column.cells for column in columns), strict=True):
+    for number, row in enumerate(zip(*(column.cells for column in columns), strict=True)):
+        if number in breaks:
+            lines.append("")
         cells = [_break(cell, column.width) for cell, column in zip(row, columns, strict=True)]
         lines += _join(columns, cells)
     return lines
@@ -152,7 +168,8 @@ def _break(text: str, width: int) -> list[str]:
         lines[-1] += part
         while len(lines[-1].rstrip()) > width:
             lines[-1:] = [lines[-1][:width], lines[-1][width:]]
-    return [line.rstrip() for line in lines]
+    # Room for a mark is part of a figure.
+    return [text] if len(text) <= width else [line.rstrip() for line in lines]
 
 
 def _wrap_notes(notes: Sequence[str], width: int) -> Iterator[str]:

@@ -16,12 +16,12 @@ MAX_COUNT: Final = 100_000_000
 
 def require_gain(kp: Any) -> float:
     """Return a gain [1/s] as float; refuse what is not a positive number."""
-    return _require_positive("kp", "a gain > 0", kp)
+    return _require_between("kp", "a gain", kp)
 
 
 def require_period(period_s: Any) -> float:
     """Return a sampling period [s] as float; refuse what is not a positive number."""
-    return _require_positive("period_s", "a sampling period > 0", period_s)
+    return _require_between("period_s", "a sampling period", period_s)
 
 
 def require_dead_time(ticks: Any) -> int:
@@ -41,6 +41,22 @@ def require_level(name: str, value: Any) -> float:
     return float(value)
 
 
+def require_positive(name: str, value: Any) -> float:
+    """Return a magnitude as float; refuse what is not a positive number."""
+    return _require_between(name, "a number", value)
+
+
+def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
+    """Return gains [1/s] as an array of one axis; refuse negative ones."""
+    try:
+        gains = np.atleast_1d(np.asarray(kp, dtype=np.float64))
+    except (TypeError, ValueError, OverflowError) as err:
+        raise TheoryError(f"kp: expected an array of gains, found {err}") from err
+    if gains.ndim != 1 or not len(gains) or not ((gains >= 0.0) & (gains <= LARGEST)).all():
+        raise TheoryError("kp: expected a list of gains >= 0, found others")
+    return gains
+
+
 def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
     """Return times [s] as an array; refuse what is not finite."""
     try:
@@ -52,11 +68,13 @@ def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
     return times
 
 
-def _require_positive(name: str, expected: str, value: Any) -> float:
+def _require_between(name: str, expected: str, value: Any) -> float:
     if not _is_real(value) or not value > 0.0:
-        raise TheoryError(f"{name}: expected {expected}, found {value!r}")
+        raise TheoryError(f"{name}: expected {expected} > 0, found {value!r}")
     if not SMALLEST <= value <= LARGEST:
-        raise TheoryError(f"{name}: expected {SMALLEST:g} to {LARGEST:g}, found {value!r}")
+        raise TheoryError(
+            f"{name}: expected {expected} from {SMALLEST:g} to {LARGEST:g}, found {value!r}"
+        )
     return float(value)
 
 

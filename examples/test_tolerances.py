@@ -1,0 +1,29 @@
+"""Hold today's simulation to recorded runs, within the tolerances of a file.
+
+Run: pytest examples/test_tolerances.py
+"""
+
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+
+HERE = Path(__file__).parent
+RECORDINGS = sorted((HERE.parent / "recordings" / "paper").glob("*.mcap"))
+TOLERANCES = tl.load_tolerances(HERE / "tolerances.toml")
+
+
+@pytest.mark.parametrize("path", RECORDINGS, ids=lambda path: path.stem)
+def test_todays_simulation_is_within_the_tolerances(path: Path) -> None:
+    recording = tl.read_run(path)
+    today = tl.simulate_run(tl.load_scenario(recording.name))
+    comparison = tl.compare_runs(recording, today, tolerances=TOLERANCES)
+    assert [found for found in comparison.findings if not found.within] == []
+
+
+def test_a_shorter_pause_is_not() -> None:
+    recording = tl.read_run(RECORDINGS[0])
+    scenario = tl.override_scenario(tl.load_scenario(recording.name), {"law.pause_ticks": 20})
+    comparison = tl.compare_runs(recording, tl.simulate_run(scenario), tolerances=TOLERANCES)
+    assert comparison.verdict == "fail"

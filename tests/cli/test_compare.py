@@ -1,0 +1,166 @@
+import csv
+import io
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+
+TOLERANCES = """
+format = 1
+[signals.x]
+abs = {x}
+time_s = 0.032
+reason = "two ticks"
+[metrics."final.position_error"]
+abs = 0.5
+reason = "close by"
+"""
+
+
+@pytest.fixture
+def tolerances(tmp_path: Path) -> Path:
+    path = tmp_path / "tolerances.toml"
+    path.write_text(TOLERANCES.format(x=0.001), "utf-8")
+    return path
+
+
+def test_runs_stand_beside_each_other_with_the_best_marked(
+    call: Call, kp4: Path, kp10: Path
+) -> None:
+    answer = call("compare", kp4, kp10, "--sort", "-run.duration")
+    assert answer.code == 0
+    assert answer.out.startswith("2 runs\n")
+    assert answer.out.index("paper-kp10") < answer.out.index("paper-kp4")
+    assert "11.184*" in answer.out
+    assert "12.608!" in answer.out
+    assert max(map(len, answer.out.splitlines())) <= 100
+
+
+def test_runs_beside_each_other_as_json(call: Call, kp4: Path, kp10: Path) -> None:
+    answer = call("compare", kp4, kp10, "--json", "--where", "law.kp_linear < 5").json
+    assert (answer["reference"], answer["alignment"], answer["verdict"]) == (None, None, None)
+    (run,) = answer["runs"]
+    assert (run["file"], run["name"], run["overlap_s"]) == (str(kp4), "paper-kp4", None)
+    assert run["parameters"]["law.kp_linear"] == 4.0
+    assert [metric["id"] for metric in run["metrics"]] == list(tl.METRICS)
+
+
+def test_marks_stand_in_json(call: Call, kp4: Path, kp10: Path) -> None:
+    answer = call("compare", kp4, kp10, "--json", "--only", "run.duration").json
+    metrics = [run["metrics"] for run in answer["runs"]]
+    assert [[metric["mark"] for metric in found] for found in metrics] == [["best"], ["worst"]]
+
+
+def test_tables_come_as_markdown_csv_and_latex(call: Call, kp4: Path, kp10: Path) -> None:
+    files = ("compare", kp4, kp10, "--only", "run.duration")
+    assert "| **11.184** |" in call(*files, "--markdown").out
+    rows = list(csv.DictReader(io.StringIO(call(*files, "--csv").out)))
+    assert [row["run.duration [s]"] for row in rows] == ["11.184", "12.608"]
+    assert r"\textit{12.608}" in call(*files, "--latex").out
+
+
+def test_differences_are_from_the_reference(call: Call, kp4: Path, kp10: Path) -> None:
+    answer = call("compare", kp10, "--reference", kp4, "--json").json
+    assert (answer["reference"], answer["alignment"]) == (str(kp4), "first_sample")
+    assert answer["verdict"] is None
+    (run,) = answer["runs"]
+    assert (run["file"], run["overlap_s"], run["overlap_from_s"]) == (str(kp10), 11.184, 0.0)
+    assert {signal["signal"] for signal in run["signals"]} == set(tl.SIGNALS)
+    assert {signal["within"] for signal in run["signals"]} == {None}
+    errors = {metric["id"]: metric for metric in run["metrics"]}["final.position_error"]
+    assert errors["value"] > errors["reference"]
+    assert errors["better"] == "lower"
+
+
+def test_differences_are_printed_and_drawn(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    answer = call("compare", kp10, "--reference", kp4, "--rrd", tmp_path / "both.rrd")
+    assert "Largest differences from paper-kp4, from the first samples on" in answer.out
+    assert "Compared over paper-kp10: 0.00 to 11.18 s." in answer.out
+    assert (tmp_path / "both.rrd").exists()
+
+
+def test_differences_of_many_runs_stand_below_each_other(call: Call, kp4: Path) -> None:
+    answer = call("compare", *[kp4] * 9, "--reference", kp4)
+    assert answer.out.count("Largest differences from") == 3
+    assert max(map(len, answer.out.splitlines())) <= 100
+    assert "paper-kp4 (10)" in answer.out
+
+
+def test_a_run_within_its_tolerances_passes(call: Call, kp4: Path, tolerances: Path) -> None:
+    answer = call("compare", kp4, "--reference", kp4, "--tolerances", tolerances)
+    assert answer.code == 0
+    assert answer.out.startswith("PASS: paper-kp4 (2) against paper-kp4 (1)")
+    assert "PASS  final.position_error" in answer.out
+
+
+def test_a_run_outside_fails_with_value_limit_and_time(
+    call: Call, kp4: Path, kp10: Path, tolerances: Path
+) -> None:
+    answer = call("compare", kp4, kp10, "--reference", kp4, "--tolerances", tolerances)
+    assert answer.code == 1
+    assert "FAIL: paper-kp10 against paper-kp4 (1)" in answer.out
+    assert "x is held to 0.001 m within 0.032 s: two ticks." in answer.out
+    assert answer.out.endswith("FAIL: paper-kp10 (1 of 2 runs fail)\n")
+
+
+def test_verdicts_stand_in_json(call: Call, kp4: Path, kp10: Path, tolerances: Path) -> None:
+    files = ("compare", kp10, "--reference", kp4, "--tolerances", tolerances)
+    answer = call(*files, "--align", "phase:translate", "--json")
+    assert (answer.code, answer.json["verdict"]) == (1, "fail")
+    assert answer.json["alignment"] == "phase:translate"
+    (run,) = answer.json["runs"]
+    x = {signal["signal"]: signal for signal in run["signals"]}["x"]
+    assert x["within"] is False
+    assert x["tolerance"] == {"abs": 0.001, "rel": 0.0, "time_s": 0.032, "reason": "two ticks"}
+    assert x["first_outside_s"] <= x["margin_at_s"]
+    assert x["margin"] == pytest.approx(x["limit"] - x["off"])
+    error = {metric["id"]: metric for metric in run["metrics"]}["final.position_error"]
+    assert (error["within"], error["limit"]) == (True, 0.5)
+
+
+def test_verdicts_of_all_runs_are_one_csv_table(
+    call: Call, kp4: Path, kp10: Path, tolerances: Path
+) -> None:
+    answer = call("compare", kp4, kp10, "--reference", kp4, "--tolerances", tolerances, "--csv")
+    rows = list(csv.DictReader(io.StringIO(answer.out)))
+    assert [row["verdict"] for row in rows] == ["PASS", "PASS", "FAIL", "PASS"]
+    assert {row["run"] for row in rows} == {"paper-kp4 (2)", "paper-kp10"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--tolerances", "t.toml"], "--tolerances: expected --reference beside it, found none"),
+        (["--align", "sample"], "--align: expected --reference beside it, found none"),
+        (["--reference", "KP4", "--sort", "name"], "--sort: expected no --reference beside it"),
+        (["--reference", "KP4", "--where", "1 < 2"], "--where: expected no --reference beside it"),
+        (["--reference", "KP4", "--align", "samples"], "expected sample or first_sample"),
+        (["--reference", "KP4", "--tolerances", "none.toml"], "none.toml: expected a tolerance"),
+        (["--csv", "--json"], "--json: expected one format, found --csv beside it"),
+        (["--only", "run.durtion"], "--only: expected run.duration"),
+        (["--sort", "kp"], "--sort: expected "),
+        (["--where", "law.kp_liner > 1"], "--where: column 1: "),
+        (["--where", "law.kp_linear >"], "--where: column 16: "),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(
+    call: Call, kp4: Path, words: list[str], message: str
+) -> None:
+    answer = call("compare", kp4, kp4, *(str(kp4) if word == "KP4" else word for word in words))
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.startswith("turtlelog: error: ")
+    assert message in answer.err
+    assert len(answer.err.splitlines()) == 1
+
+
+def test_runs_that_are_left_out_are_noted_beside_csv(call: Call, kp4: Path, tmp_path: Path) -> None:
+    scenario = tl.override_scenario(tl.load_scenario("paper-kp4"), {"max_duration_s": 1.0})
+    tl.write_recording(tl.simulate_run(scenario), tmp_path / "cut.mcap")
+    words = (kp4, tmp_path / "cut.mcap", "--where", "translate.duration > 0", "--csv")
+    answer = call("compare", *words)
+    assert len(answer.out.splitlines()) == 2
+    assert "cut.mcap is left out: translate.duration is no_phase." in answer.err

@@ -1,0 +1,98 @@
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from tests.log.runs import find_shared
+
+
+def test_explain_finds_what_was_built_in(call: Call, kp10: Path) -> None:
+    answer = call("explain", kp10, "--json").json
+    identified = answer["identified"]
+    assert (identified["start_backlog"], identified["pause_ticks"]) == (5, 33)
+    assert identified["dead_time_ticks"] == {"rotate": 4, "translate": 6}
+    assert identified["gains"] == {"angular": 10.0, "linear": 10.0}
+    assert identified["limits"] == {"speed": 1.0, "turn_rate": 1.0}
+    assert (identified["projection"], identified["stop_reason"]) == ("bearing", "standstill")
+    assert identified["lost_commands"] == 4
+    assert answer["resimulation"] == {
+        "samples": 770,
+        "max_abs_error": {"x": 0.0, "y": 0.0, "heading": 0.0},
+        "max_command_error": 0.0,
+        "is_exact": True,
+    }
+
+
+def test_explain_attributes_the_error(call: Call, kp10: Path) -> None:
+    found = call("explain", kp10, "--json").json["attribution"]
+    assert (found["metric"], found["unit"]) == ("final.position_error", "m")
+    assert [share["mechanism"] for share in found["shares"]] == ["queue", "pause"]
+    assert sum(share["share"] for share in found["shares"]) == pytest.approx(
+        found["as_built"] - found["without_all"], abs=1e-16
+    )
+    assert found["without_all"] < 0.006
+
+
+def test_what_is_not_identified_is_null_with_its_reason(call: Call, kp10: Path) -> None:
+    answer = call("explain", kp10, "--json").json
+    assert answer["identified"]["wrap_error"] is None
+    assert answer["reasons"]["law.wrap_error"] == "the heading error stays within half a turn"
+
+
+def test_explain_writes_the_scenario(call: Call, tmp_path: Path, kp10: Path) -> None:
+    path = tmp_path / "found.toml"
+    assert call("explain", kp10, "--scenario", path).code == 0
+    assert tl.load_scenario(path) == tl.load_scenario("paper-kp10")
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_the_tables_fit_a_terminal(call: Call, kp10: Path) -> None:
+    lines = call("explain", kp10).out.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert any(line.startswith("pause                  33 ticks") for line in lines)
+    assert "Simulated again: 770 samples, largest differences x 0 m, y 0 m," in lines
+
+
+def test_more_mechanisms_share(call: Call, kp10: Path) -> None:
+    words = ("--mechanisms", "queue, pause,saturation", "--metric", "final.heading_error")
+    found = call("explain", kp10, *words, "--json").json["attribution"]
+    assert [share["mechanism"] for share in found["shares"]] == ["queue", "pause", "saturation"]
+    assert found["unit"] == "deg"
+
+
+def test_a_bag_of_poses_and_commands_tells_little(call: Call) -> None:
+    answer = call("explain", find_shared("ros2", "turtlesim_jazzy"), "--json")
+    assert answer.code == 0
+    assert answer.json["identified"]["start_backlog"] is None
+    assert answer.json["identified"]["lost_commands"] == 0
+    assert answer.json["attribution"] is None
+    assert "there is no scenario to simulate" in answer.json["notes"][-1]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--metric", "luck"], "--metric: expected one of rotate.duration"),
+        (["--mechanisms", "queue,luck"], "--mechanisms: expected some of queue, pause"),
+        (["--mechanisms", "queue,queue"], "--mechanisms: expected different ones"),
+        (["--scenario", "found.txt"], "expected a name that ends in .toml"),
+        (["--scenario", "no/such/found.toml"], "found no such folder"),
+    ],
+    ids=str,
+)
+def test_bad_usage_is_one_line(call: Call, kp10: Path, words: list[str], line: str) -> None:
+    answer = call("explain", kp10, *words)
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert line in answer.err
+
+
+def test_a_scenario_that_is_not_identified_is_not_written(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "turn.mcap"
+    values = {"law.kind": "examples/turn_and_drive.py:TurnAndDrive"}
+    scenario = tl.override_scenario(tl.load_scenario("textbook"), values)
+    tl.write_recording(tl.simulate_run(scenario), path)
+    answer = call("explain", path, "--scenario", tmp_path / "found.toml")
+    assert answer.code == 2
+    assert "textbook: expected a run of the sequential law" in answer.err
+    assert call("explain", path).code == 0

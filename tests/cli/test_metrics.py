@@ -1,0 +1,147 @@
+import csv
+import io
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+
+
+def test_a_newcomer_sees_the_essential_metrics_and_where_the_others_are(
+    call: Call, kp4: Path
+) -> None:
+    out = call("metrics", kp4).out
+    shown = [line.split()[0] for line in out.splitlines() if re.match(r"[a-z]+\.[a-z]", line)]
+    assert tuple(shown) == tuple(name for name in tl.METRICS if name in tl.ESSENTIAL_METRICS)
+    assert f"{len(shown)} of {len(tl.METRICS)} metrics: --all shows every one" in out
+    assert max(map(len, out.splitlines())) <= 100
+
+
+def test_all_shows_every_metric_and_why_values_are_missing(call: Call, kp4: Path) -> None:
+    out = call("metrics", kp4, "--all").out
+    assert all(re.search(rf"^{re.escape(name)} ", out, re.M) for name in tl.METRICS)
+    assert "not_reached: the response does not overshoot twice." in out
+    assert "--all" not in out
+
+
+def test_only_takes_ids_and_patterns(call: Call, kp4: Path) -> None:
+    (answer,) = call("metrics", kp4, "--json", "--only", "final.*, rotate.overshoot").json
+    ids = [metric["id"] for metric in answer["metrics"]]
+    assert ids[0] == "rotate.overshoot"
+    assert ids[1:] == [name for name in tl.METRICS if name.startswith("final.")]
+
+
+def test_json_holds_every_metric_and_when_it_was_taken(call: Call, kp10: Path) -> None:
+    (answer,) = call("metrics", kp10, "--json").json
+    metrics = {metric["id"]: metric for metric in answer["metrics"]}
+    assert list(metrics) == list(tl.METRICS)
+    assert metrics["rotate.overshoot"]["at_s"] == pytest.approx(2.336)
+    assert metrics["rotate.decay_ratio"]["value"] is None
+    assert metrics["rotate.decay_ratio"]["status"] == "not_reached"
+
+
+def test_csv_has_a_row_per_file_with_full_precision(call: Call, kp4: Path, kp10: Path) -> None:
+    rows = list(csv.DictReader(io.StringIO(call("metrics", kp4, kp10, "--csv").out)))
+    assert [row["file"] for row in rows] == [str(kp4), str(kp10)]
+    expected = tl.measure_run(tl.read_recording(kp10))["rotate.overshoot"].value
+    assert float(rows[1]["rotate.overshoot [%]"]) == expected
+    assert rows[1]["rotate.decay_ratio [1]"] == "not_reached"
+    assert len(rows[0]) == 2 + len(tl.METRICS)
+
+
+@pytest.mark.parametrize(
+    ("option", "line"),
+    [
+        ("--markdown", "| run.duration | s | 11.184 |"),
+        ("--latex", r"run.duration & s & 11.184 \\"),
+    ],
+)
+def test_tables_for_texts_hold_the_same(call: Call, kp4: Path, option: str, line: str) -> None:
+    assert line in call("metrics", kp4, option).out
+
+
+def test_more_than_six_runs_have_a_row_each(call: Call, kp4: Path, tmp_path: Path) -> None:
+    files = [Path(shutil.copy(kp4, tmp_path / f"{number}.mcap")) for number in range(7)]
+    out = call("metrics", *files, "--only", "run.duration").out
+    rows = [line.split() for line in out.splitlines() if ".mcap" in line]
+    assert len(rows) == 7
+    assert all(row[-1] == "11.184" for row in rows)
+
+
+def test_files_are_measured_in_several_processes_in_their_order(
+    call: Call, kp4: Path, kp10: Path
+) -> None:
+    alone, together = (
+        call("metrics", kp10, kp4, "--json", "--jobs", jobs).json for jobs in ("1", "2")
+    )
+    assert together == alone
+
+
+def test_a_file_that_cannot_be_read_does_not_stop_the_others(call: Call, kp4: Path) -> None:
+    for options in ([], ["--json"], ["--jobs", "2"]):
+        answer = call("metrics", "none.mcap", kp4, "--only", "run.duration", *options)
+        assert answer.code == 2
+        assert "none.mcap: expected a recording, a bag or a log" in answer.err
+        assert "11.184" in answer.out
+    assert call("metrics", "none.mcap", "--json").json == []
+
+
+def test_band_initial_and_final_change_the_step(call: Call, kp4: Path) -> None:
+    def read(name: str, *options: str) -> float:
+        (answer,) = call("metrics", kp4, "--json", "--only", name, *options).json
+        return float(answer["metrics"][0]["value"])
+
+    assert read("rotate.settling_time", "--band", "0.05") < read("rotate.settling_time")
+    assert read("translate.overshoot", "--final", "translate=5") > 13.0
+    assert read("rotate.steady_state_error", "--final", "last") == 0.0
+    assert read("translate.rise_time", "--initial", "translate=-1") > read("translate.rise_time")
+
+
+def test_a_reference_path_and_a_dead_time_can_be_given(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "path.csv"
+    path.write_text("x,y\n0,0\n12,0\n")
+    (answer,) = call(
+        "metrics", kp4, "--only", "run.cross_track_max", "--reference-path", path, "--json"
+    ).json
+    assert answer["metrics"][0]["value"] == pytest.approx(10.0, abs=0.01)
+    words = ("--only", "rotate.*_deviation_rms", "--dead-time", "0", "--json")
+    _, sampled, delayed = call("metrics", kp4, *words).json[0]["metrics"]
+    assert sampled["value"] == delayed["value"]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--only", "rotate.overshot"], "metric 'rotate.overshot': expected one like rotate.over"),
+        (["--only", "nonsense.*"], "metric 'nonsense.*': expected an id such as"),
+        (["--only", "a,,b"], "--only: expected ids separated by commas, found 'a,,b'"),
+        (["--only", ""], "--only: expected ids separated by commas, found ''"),
+        (["--band", "0"], "band: expected a share of the step > 0, found 0.0"),
+        (["--band", "nan"], "band: expected a share of the step > 0, found nan"),
+        (["--band", "wide"], '--band: unable to convert "wide" into float'),
+        (["--final", "end"], "--final: expected reference, last, a number or PHASE=VALUE"),
+        (["--final", "pause=1"], "final: expected a phase rotate or translate, found 'pause'"),
+        (["--final", "inf"], "final: expected 'reference', 'last' or a number, found inf"),
+        (["--initial", "last"], "--initial: expected a number or PHASE=VALUE,..., found 'last'"),
+        (["--initial", "rotate="], "--initial: expected a number or PHASE=VALUE,..., found ''"),
+        (
+            ["--dead-time", "-1"],
+            "dead_time_ticks: expected a whole number from 0 to 1000, found -1",
+        ),
+        (["--dead-time", "1001"], "expected a whole number from 0 to 1000, found 1001"),
+        (["--reference-path", "none.csv"], "none.csv: expected a file of points, found: No such"),
+        (["--jobs", "0"], "jobs: expected at least 1 process, found 0"),
+        (["--csv", "--json"], "--json: expected one format, found --csv beside it"),
+        (["--markdown", "--latex"], "--latex: expected one format, found --markdown beside it"),
+    ],
+)
+def test_bad_usage_is_one_line(call: Call, kp4: Path, words: list[str], line: str) -> None:
+    answer = call("metrics", kp4, *words)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.count("\n") == 1
+    assert line in answer.err

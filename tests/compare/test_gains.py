@@ -1,0 +1,143 @@
+import dataclasses
+
+import pytest
+
+import turtlelog as tl
+from turtlelog.errors import CompareError
+
+RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.PAPER_RUNS]
+SUMMARIES = [tl.summarise_run(run, file=f"{run.name}.mcap") for run in RUNS]
+CUT = tl.summarise_run(
+    tl.simulate_run(tl.override_scenario(tl.load_scenario("paper-kp1"), {"max_duration_s": 2.0}))
+)
+
+
+def list_names(summaries: tuple[tl.RunSummary, ...]) -> list[str]:
+    return [summary.name.removeprefix("paper-") for summary in summaries]
+
+
+def read_column(table: tl.Table, title: str) -> list[object]:
+    index = [column.title for column in table.columns].index(title)
+    return [row[index] for row in table.rows]
+
+
+def test_the_table_has_a_row_per_run_with_gains_and_what_else_differs() -> None:
+    table = tl.tabulate_runs(SUMMARIES)
+    assert read_column(table, "run") == list(tl.PAPER_RUNS)
+    assert read_column(table, "Kp") == [1.0, 2.0, 4.0, 10.0]
+    assert read_column(table, "loop.start_backlog") == [6, 5, 6, 5]
+    assert read_column(table, "run.duration") == [20.528, 12.672, 11.184, 12.608]
+
+
+def test_gains_that_differ_between_the_loops_have_a_column_each() -> None:
+    scenario = tl.override_scenario(tl.load_scenario("paper-kp4"), {"law.kp_linear": 3.0})
+    table = tl.tabulate_runs([SUMMARIES[2], tl.summarise_run(tl.simulate_run(scenario))])
+    assert read_column(table, "Kp turn") == [4.0, 4.0]
+    assert read_column(table, "Kp drive") == [4.0, 3.0]
+
+
+def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert tl.mark_metric(SUMMARIES, "run.duration") == {2: "best", 0: "worst"}
+    from turtlelog.compare import gains
+
+    for better, marks in (("higher", {0: "best", 2: "worst"}), (None, {})):
+        kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
+        monkeypatch.setattr(gains, "METRICS", {"run.duration": kind})
+        assert tl.mark_metric(SUMMARIES, "run.duration") == marks
+
+
+def test_equal_runs_and_runs_without_a_value_have_no_marks() -> None:
+    assert tl.mark_metric([SUMMARIES[0], SUMMARIES[0]], "run.duration") == {}
+    assert tl.mark_metric([SUMMARIES[0], CUT], "translate.duration") == {}
+    assert tl.mark_metric([], "run.duration") == {}
+
+
+def test_a_missing_value_shows_its_status() -> None:
+    table = tl.tabulate_runs([SUMMARIES[0], CUT], only=["translate.duration"])
+    assert read_column(table, "translate.duration")[1] == "no_phase"
+
+
+def test_marks_are_written_as_each_format_has_them() -> None:
+    table = tl.tabulate_runs(SUMMARIES[:2], only=["run.duration"])
+    text = tl.format_table(table).splitlines()
+    assert text[-5:] == [
+        "---------------------------",
+        "paper-kp1      1    20.528!",
+        "paper-kp2      2    12.672*",
+        "",
+        "* best, ! worst of a column.",
+    ]
+    assert "| paper-kp2 | 2 | **12.672** |" in tl.format_table(table, "md")
+    assert r"paper-kp1 & 1 & \textit{20.528} \\" in tl.format_table(table, "tex")
+    assert tl.format_table(table, "csv").splitlines()[2] == "paper-kp2,2.0,12.672"
+
+
+def test_columns_are_chosen_by_name_pattern_and_parameter() -> None:
+    only = ["run.*", "law.kp_linear", "rotate.overshoot", "run.duration"]
+    chosen = tl.choose_columns(SUMMARIES, only)
+    assert chosen[0].startswith("run.")
+    assert chosen[-2:] == ("law.kp_linear", "rotate.overshoot")
+    assert len(set(chosen)) == len(chosen)
+    with pytest.raises(CompareError, match=r"only: expected run.duration or .*found 'run.durtion'"):
+        tl.tabulate_runs(SUMMARIES, only=["run.durtion"])
+
+
+@pytest.mark.parametrize(
+    ("where", "names"),
+    [
+        ("law.kp_linear >= 2", ["kp2", "kp4", "kp10"]),
+        ("law.kp_linear >= 2 and run.duration < 12", ["kp4"]),
+        ('name == "paper-kp1" or stop_reason == "nothing"', ["kp1"]),
+        ('source == "simulation" and not (final.position_error > 0.005)', ["kp1", "kp2"]),
+        ("law.kp_linear > 100", []),
+    ],
+)
+def test_runs_are_chosen_by_an_expression(where: str, names: list[str]) -> None:
+    chosen, notes = tl.select_runs(SUMMARIES, where)
+    assert (list_names(chosen), notes) == (names, ())
+
+
+def test_a_run_without_a_value_is_left_out_and_told() -> None:
+    chosen, notes = tl.select_runs([*SUMMARIES, CUT], "translate.duration > 0")
+    assert len(chosen) == 4
+    assert notes == ("paper-kp1 is left out: translate.duration is no_phase.",)
+    bare = dataclasses.replace(CUT, parameters={}, file="bag.mcap")
+    _, notes = tl.select_runs([SUMMARIES[0], bare], "law.kp_linear > 0")
+    assert notes == ("bag.mcap is left out: law.kp_linear is not known.",)
+
+
+def test_what_is_said_anyway_needs_no_value() -> None:
+    chosen, notes = tl.select_runs([CUT], "translate.duration > 0 or run.duration < 5")
+    assert (len(chosen), notes) == (1, ())
+
+
+def test_many_runs_without_a_value_are_counted() -> None:
+    _, notes = tl.select_runs(
+        [dataclasses.replace(CUT, file=f"{number}.mcap") for number in range(9)],
+        "translate.duration > 0",
+    )
+    assert len(notes) == 6
+    assert notes[-1] == "4 more are left out for lack of values."
+
+
+def test_wrong_filters_are_refused_with_the_nearest_names() -> None:
+    with pytest.raises(tl.TurtlelogError, match=r"where: .*'law.kp_liner'.* law.kp_linear"):
+        tl.select_runs(SUMMARIES, "law.kp_liner > 2")
+    with pytest.raises(CompareError, match="where: expected a condition, found 3"):
+        tl.select_runs(SUMMARIES, "1 + 2")
+
+
+def test_runs_are_sorted_by_metric_parameter_and_text() -> None:
+    assert list_names(tl.sort_runs(SUMMARIES, "run.duration")) == ["kp4", "kp10", "kp2", "kp1"]
+    assert list_names(tl.sort_runs(SUMMARIES, "-law.kp_linear")) == ["kp10", "kp4", "kp2", "kp1"]
+    assert list_names(tl.sort_runs(SUMMARIES, "name")) == ["kp1", "kp10", "kp2", "kp4"]
+
+
+@pytest.mark.parametrize("by", ["translate.duration", "-translate.duration"])
+def test_a_run_without_a_value_comes_last(by: str) -> None:
+    assert tl.sort_runs([CUT, *SUMMARIES], by)[-1] is CUT
+
+
+def test_an_unknown_order_is_refused_with_the_nearest_names() -> None:
+    with pytest.raises(CompareError, match=r"sort: expected run.duration or .*'run.durtion'"):
+        tl.sort_runs(SUMMARIES, "run.durtion")

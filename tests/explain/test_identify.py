@@ -1,0 +1,279 @@
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.explain.logs import add_noise, as_log, simulate
+from tests.log.runs import find_shared
+from turtlelog.errors import ExplainError
+from turtlelog.explain import Certainty, Finding, Identification, identify_run
+from turtlelog.log import import_log, read_run
+from turtlelog.run import Run, SampleColumns
+from turtlelog.scenario import (
+    build_scenario,
+    flatten_scenario,
+    get_preset,
+    nest_parameters,
+    restore_scenario,
+)
+from turtlelog.simulate import simulate_run
+
+PAPER = {"paper-kp1": (6, 34), "paper-kp2": (5, 34), "paper-kp4": (6, 34), "paper-kp10": (5, 33)}
+
+
+def read_values(found: Identification, *keys: str) -> tuple[Any, ...]:
+    return tuple(found.findings[key].value for key in keys)
+
+
+def forget(run: Run) -> Run:
+    """Return a run that knows nothing of its scenario."""
+    return replace(run, parameters={}, scenario_is_complete=False, stop_reason=None, events=())
+
+
+@pytest.mark.parametrize(("file", "kp"), [("kp1_210.json", 1.0), ("kp4_210.json", 4.0)])
+def test_a_log_of_the_papers_is_identified_with_no_hint(file: str, kp: float) -> None:
+    found = identify_run(replace(import_log(find_shared("paper", file)), parameters={}))
+    keys = ("loop.start_backlog", "law.pause_ticks", "dead_time.rotate", "dead_time.translate")
+    assert read_values(found, *keys, "lost_commands") == (6, 34, 5, 6, 4)
+    assert read_values(found, "law.kp_angular", "law.kp_linear") == (kp, kp)
+    assert read_values(found, "limits.speed_m_s", "limits.turn_rate_rad_s") == (1.0, 1.0)
+    assert read_values(found, "law.projection", "stop_reason") == ("bearing", "standstill")
+    assert found.resimulation is not None
+    assert found.resimulation.is_exact
+    assert found.notes == ()
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_a_recording_gives_its_scenario_back(name: str) -> None:
+    run = simulate(name)
+    found = identify_run(forget(run))
+    assert read_values(found, "loop.start_backlog", "law.pause_ticks") == PAPER[name]
+    assert found.build_scenario() == get_preset(name)
+
+
+def test_the_identified_scenario_makes_the_log_again() -> None:
+    run = import_log(find_shared("paper", "kp4_210_main.csv"))
+    again = simulate_run(identify_run(run).build_scenario())
+    read = again.samples.pose_sequence
+    assert np.array_equal(again.poses.xy_m[read], run.poses.xy_m)
+    assert np.array_equal(again.samples.speed_m_s, run.samples.speed_m_s)
+
+
+def test_the_textbook_has_no_backlog_and_no_pause() -> None:
+    found = identify_run(forget(simulate("textbook")))
+    keys = ("loop.start_backlog", "law.pause_ticks", "dead_time.rotate", "law.projection")
+    assert read_values(found, *keys) == (1, 0, 0, "heading")
+    policy = found.findings["loop.queue_policy"]
+    assert (policy.certainty, policy.candidates) == (
+        Certainty.AMBIGUOUS,
+        ("newest", "one-per-tick"),
+    )
+    assert found.findings["loop.command_queue"].evidence == "a deeper queue gives the same run"
+
+
+def test_the_pause_holds_a_stale_command() -> None:
+    found = identify_run(forget(simulate("paper-kp10")))
+    held, turned, burst = read_values(
+        found, "pause.held_turn_rate_rad_s", "pause.turned_rad", "pause.burst"
+    )
+    assert (round(held, 4), round(np.degrees(turned), 3), burst) == (-0.03, -1.093, 10)
+
+
+@pytest.mark.parametrize("file", ["kp1_210.json", "kp4_210.json"])
+def test_noise_leaves_gains_within_two_percent(file: str) -> None:
+    clean = import_log(find_shared("paper", file))
+    for seed in range(2):
+        found = identify_run(add_noise(clean, 1e-3, seed))
+        for key in ("law.kp_angular", "law.kp_linear"):
+            gain = found.findings[key]
+            assert gain.certainty is Certainty.FITTED
+            assert gain.value == pytest.approx(clean.parameters[key], rel=0.02)
+        assert read_values(found, "dead_time.rotate", "dead_time.translate") == (5, 6)
+        assert read_values(found, "loop.start_backlog", "law.pause_ticks") == (6, 34)
+
+
+@pytest.mark.parametrize(("backlog", "fit"), [(7, (7, 8)), (8, (7, 8)), (9, (9,)), (11, (10, 12))])
+def test_backlogs_past_the_queues_depth_look_alike(backlog: int, fit: tuple[int, ...]) -> None:
+    log = as_log(simulate("paper-kp4", loop__start_backlog=backlog), hides_start=True)
+    found = identify_run(log).findings["loop.start_backlog"]
+    assert {*fit} <= {*(found.candidates or (found.value,))}
+
+
+def test_a_pause_of_one_tick_looks_like_none() -> None:
+    found = identify_run(as_log(simulate("paper-kp4", law__pause_ticks=1)))
+    pause = found.findings["law.pause_ticks"]
+    assert (pause.certainty, sorted(pause.candidates)) == (Certainty.AMBIGUOUS, [0, 1])
+    assert "law.pause_ticks: 0, 1 fit alike: each reproduces every sample" in found.notes
+
+
+def test_a_run_cut_while_rotating_tells_what_it_can() -> None:
+    found = identify_run(forget(simulate("paper-kp4", max_duration_s=2.5)))
+    assert read_values(found, "law.kp_angular", "stop_reason", "loop.start_backlog") == (
+        4.0,
+        "cut",
+        6,
+    )
+    assert found.findings["law.kp_linear"].evidence == "no command drives"
+    assert found.resimulation is not None
+    assert found.resimulation.is_exact
+
+
+def test_another_kind_of_controller_is_told_from_the_sequential_one() -> None:
+    values = {"law.kind": "examples/turn_and_drive.py:TurnAndDrive"}
+    found = identify_run(simulate_run(build_scenario(nest_parameters(values))))
+    assert found.notes == ("its phases are not one rotation and one translation: translate",)
+    assert (found.scenario, found.resimulation) == (None, None)
+    assert found.findings["loop.start_backlog"].certainty is Certainty.UNKNOWN
+    assert found.findings["dead_time.translate"].value == 0
+    with pytest.raises(ExplainError, match="expected a run of the sequential law"):
+        found.build_scenario()
+
+
+def test_commands_that_do_not_follow_the_error_are_no_proportional_law() -> None:
+    run = simulate("paper-kp4")
+    rng = np.random.default_rng(0)
+    random = rng.uniform(-1.0, 1.0, len(run.samples))
+    found = identify_run(replace(run, samples=replace(run.samples, turn_rate_rad_s=random)))
+    assert "not proportional to the error" in found.notes[0]
+
+
+def test_a_real_turtlesim_tells_what_became_of_its_commands() -> None:
+    found = identify_run(read_run(find_shared("ros2", "turtlesim_jazzy")))
+    assert found.findings["lost_commands"].value == 0
+    assert "which pose a command answers is not known" in found.notes[0]
+    assert "the largest of 18 commands is 2" in found.findings["limits.speed_m_s"].evidence
+
+
+def test_an_unclipped_run_has_no_limit() -> None:
+    found = identify_run(forget(simulate("textbook", limits__speed_m_s=float("inf"))))
+    assert found.findings["limits.speed_m_s"] == Finding(
+        certainty=Certainty.UNKNOWN,
+        evidence=found.findings["limits.speed_m_s"].evidence,
+        assumed=float("inf"),
+    )
+    assert (
+        "no command is clipped; the largest is 5.6" in found.findings["limits.speed_m_s"].evidence
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [({"start__heading_rad": 3.0, "goal__y_m": 5.0, "law__wrap_error": True}, True),
+     ({"start__heading_rad": 3.0, "goal__y_m": 5.0, "law__wrap_error": False}, False)],
+    ids=["wrapped", "plain"],
+)  # fmt: skip
+def test_wrapping_shows_beyond_half_a_turn(changes: dict[str, Any], expected: bool) -> None:  # noqa: FBT001
+    found = identify_run(forget(simulate("textbook", **changes)))
+    wrap = found.findings["law.wrap_error"]
+    assert (wrap.value, wrap.certainty) == (expected, Certainty.EXACT)
+
+
+SCENARIOS = st.fixed_dictionaries(
+    {
+        "goal.x_m": st.integers(5, 105).map(lambda tenths: tenths / 10.0),
+        "goal.y_m": st.integers(5, 105).map(lambda tenths: tenths / 10.0),
+        "law.kp_angular": st.one_of(st.sampled_from([1.0, 4.0, 10.0]), st.floats(0.5, 12.0)),
+        "law.kp_linear": st.one_of(st.sampled_from([1.0, 4.0, 10.0]), st.floats(0.5, 12.0)),
+        "law.pause_ticks": st.integers(0, 60),
+        "law.projection": st.sampled_from(["bearing", "heading"]),
+        "law.wrap_error": st.booleans(),
+        "limits.speed_m_s": st.sampled_from([0.5, 1.0, 2.5, float("inf")]),
+        "limits.turn_rate_rad_s": st.sampled_from([0.5, 1.0, 2.5, float("inf")]),
+        "loop.start_backlog": st.integers(1, 12),
+        "loop.queue_policy": st.sampled_from(["newest", "one-per-tick"]),
+    }
+)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(SCENARIOS, st.booleans(), st.integers(0, 2_000_000), st.integers(0, 2**32 - 1))
+def test_what_was_put_in_comes_back_or_the_log_cannot_tell(
+    values: dict[str, Any], is_log: bool, jitter_ns: int, seed: int  # noqa: FBT001
+) -> None:  # fmt: skip
+    run = simulate_run(build_scenario(nest_parameters(values)))
+    truth = flatten_scenario(restore_scenario(run))
+    found = identify_run(as_log(run, jitter_ns=jitter_ns, seed=seed) if is_log else forget(run))
+    for key, finding in found.findings.items():
+        if key in truth and finding.value is not None:
+            assert agrees(key, finding, truth[key]), (key, finding, truth[key])
+    assert found.resimulation is not None
+    assert found.resimulation.max_abs_error.heading_rad < 1e-6
+
+
+def agrees(key: str, finding: Finding, truth: Any) -> bool:
+    if finding.certainty is Certainty.AMBIGUOUS:
+        return truth in finding.candidates
+    if finding.certainty is Certainty.BRACKETED:
+        assert finding.interval is not None
+        return bool(finding.interval[0] <= truth < finding.interval[1])
+    if key.startswith(("law.kp", "start")):
+        return bool(np.isclose(finding.value, truth, rtol=1e-7, atol=1e-9))
+    return bool(finding.value == truth)
+
+
+def take_rows(run: Run, rows: Any) -> Run:
+    """Return a log with some of its rows."""
+    tables: dict[str, Any] = {"poses": run.poses, "commands": run.commands}
+    columns: dict[str, Any] = {
+        name: replace(
+            table,
+            **{
+                found.name: getattr(table, found.name)[rows].copy()
+                for found in fields(table)
+                if getattr(table, found.name) is not None
+            },
+        )
+        for name, table in tables.items()
+    }
+    samples = {
+        found.name: getattr(run.samples, found.name)[rows].copy()
+        for found in fields(run.samples)
+        if getattr(run.samples, found.name) is not None
+    }
+    samples["pose_sequence"] = np.arange(len(samples["time_ns"]))
+    return replace(run, samples=SampleColumns(**samples), **columns)
+
+
+def test_a_gap_is_named_and_what_is_left_identified() -> None:
+    log = as_log(simulate("paper-kp4"))
+    found = identify_run(take_rows(log, np.r_[0:300, 340 : len(log.samples)]))
+    assert found.notes[0] == "samples are missing after 5.088 s, for 0.656 s"
+    keys = ("dead_time.rotate", "dead_time.translate", "law.kp_angular", "law.kp_linear")
+    assert read_values(found, *keys) == (5, 6, 4.0, 4.0)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 7])
+def test_a_log_in_which_nothing_moves_tells_no_queues(rows: int) -> None:
+    found = identify_run(take_rows(as_log(simulate("paper-kp4")), np.arange(rows)))
+    assert found.findings["loop.start_backlog"].evidence == "the robot never moves in this log"
+    assert found.findings["law.kp_angular"].value is None
+
+
+def test_a_log_of_a_translation_alone_says_so() -> None:
+    log = as_log(simulate("paper-kp4"))
+    found = identify_run(take_rows(log, np.arange(340, len(log.samples))))
+    assert found.notes == ("its phases are not one rotation and one translation: translate",)
+    assert found.findings["dead_time.translate"].value == 6
+    assert found.findings["law.kp_linear"].value is not None
+
+
+@pytest.mark.parametrize(
+    ("scale", "reason"), [(-1.0, "not proportional"), (1e300, "it cannot be simulated again")]
+)
+def test_absurd_commands_make_no_scenario(scale: float, reason: str) -> None:
+    run = simulate("paper-kp4")
+    samples = replace(run.samples, speed_m_s=run.samples.speed_m_s * scale)
+    found = identify_run(replace(run, samples=samples))
+    assert reason in found.notes[0]
+    assert found.findings["dead_time.rotate"].value == 5
+
+
+def test_a_clock_of_days_is_refused_in_words() -> None:
+    log = as_log(simulate("paper-kp4"))
+    time_ns = log.samples.time_ns * 100_000
+    samples, poses = replace(log.samples, time_ns=time_ns), replace(log.poses, time_ns=time_ns)
+    found = identify_run(replace(log, samples=samples, poses=poses))
+    assert found.notes == ("it lasts 1118400 s; up to 3600 s are simulated again",)

@@ -1,0 +1,194 @@
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.log.runs import find_shared
+from turtlelog.angles import wrap_angle
+from turtlelog.log import import_log
+from turtlelog.measure import DeadTime, DeadTimeChange, Missing, Status, find_dead_time
+from turtlelog.run import CommandColumns, Phase, PoseColumns, Run, SampleColumns
+from turtlelog.scenario import get_preset, override_scenario
+from turtlelog.simulate import Turtle, simulate_run
+from turtlelog.turtlesim import TICK_NS
+
+ROTATE, TRANSLATE = Phase.ROTATE, Phase.TRANSLATE
+
+
+def simulate(name: str, **changes: Any) -> Run:
+    values = {key.replace("__", "."): value for key, value in changes.items()}
+    return simulate_run(override_scenario(get_preset(name), values))
+
+
+def read_ticks(run: Run, phase: Phase) -> int | Status:
+    found = find_dead_time(run, phase)
+    return found.status if isinstance(found, Missing) else found.ticks
+
+
+def require_found(run: Run, phase: Phase) -> DeadTime:
+    found = find_dead_time(run, phase)
+    assert isinstance(found, DeadTime), found
+    return found
+
+
+def add_noise(run: Run, size: float, seed: int = 0) -> Run:
+    rng = np.random.default_rng(seed)
+    poses = run.poses
+    noisy = replace(
+        poses,
+        xy_m=poses.xy_m + rng.normal(0.0, size, poses.xy_m.shape),
+        heading_rad=wrap_angle(poses.heading_rad + rng.normal(0.0, size, len(poses))),
+    )
+    return replace(run, poses=noisy)
+
+
+@pytest.mark.parametrize(
+    ("name", "rotating"), [("paper-kp1", 5), ("paper-kp2", 4), ("paper-kp4", 5), ("paper-kp10", 4)]
+)
+def test_the_runs_of_the_paper_have_four_or_five_ticks_then_six(name: str, rotating: int) -> None:
+    run = simulate(name)
+    found = require_found(run, ROTATE), require_found(run, TRANSLATE)
+    assert [(phase.ticks, phase.is_exact, phase.changes) for phase in found] == [
+        (rotating, True, ()),
+        (6, True, ()),
+    ]
+    assert max(phase.residual for phase in found) < 3e-7
+    assert min(phase.margin for phase in found) > 200.0
+
+
+@pytest.mark.parametrize("file", ["kp1_210.json", "kp4_210.json", "kp4_210_main.csv"])
+def test_a_log_of_the_papers_has_five_ticks_then_six(file: str) -> None:
+    run = import_log(find_shared("paper", file))
+    assert (read_ticks(run, ROTATE), read_ticks(run, TRANSLATE)) == (5, 6)
+    assert require_found(run, ROTATE).is_exact
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("file", ["kp1_210.json", "kp4_210.json"])
+def test_noise_of_a_millimetre_and_a_milliradian_leaves_the_dead_time(file: str, seed: int) -> None:
+    run = add_noise(import_log(find_shared("paper", file)), 1e-3, seed)
+    for phase, ticks in ((ROTATE, 5), (TRANSLATE, 6)):
+        found = require_found(run, phase)
+        assert (found.ticks, found.is_exact) == (ticks, False)
+        assert found.residual == pytest.approx(1e-3, rel=0.15)
+        assert found.margin > 4.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"loop__queue_policy": "newest"}, (0, 0)),
+        ({"loop__transport_delay_ticks": 5}, (10, 11)),
+        ({"loop__start_backlog": 9}, (6, 6)),
+        ({"loop__start_backlog": 12, "loop__command_queue": 30}, (9, 10)),
+        ({"law__pause_ticks": 0}, (5, 5)),
+        ({"loop__pose_precision": "float64"}, (5, 6)),
+        ({"loop__period_ticks": 3, "loop__transport_delay_ticks": 7}, (7, 7)),
+    ],
+    ids=str,
+)
+def test_the_queues_settings_show(changes: dict[str, Any], expected: tuple[int, int]) -> None:
+    run = simulate("paper-kp4", **changes)
+    assert (read_ticks(run, ROTATE), read_ticks(run, TRANSLATE)) == expected
+
+
+def test_the_textbook_has_none() -> None:
+    run = simulate("textbook")
+    assert (read_ticks(run, ROTATE), read_ticks(run, TRANSLATE)) == (0, 0)
+
+
+def test_commands_at_their_limit_throughout_tell_nothing() -> None:
+    found = find_dead_time(simulate("paper-kp4", limits__speed_m_s=0.01), TRANSLATE)
+    assert isinstance(found, Missing)
+    assert found.status is Status.UNDETERMINED
+    assert found.reason == "the commands hardly change: dead times of 0 to 33 ticks fit alike"
+
+
+def test_a_turtle_that_already_faces_the_goal_does_not_rotate() -> None:
+    assert read_ticks(simulate("textbook", goal__x_m=9.0, goal__y_m=5.545), ROTATE) is (
+        Status.TOO_SHORT
+    )
+
+
+def test_a_run_without_the_phase_says_so() -> None:
+    run = simulate("paper-kp1", max_duration_s=2.0)
+    assert read_ticks(run, TRANSLATE) is Status.NO_PHASE
+
+
+def test_noise_that_hides_the_dead_time_is_said() -> None:
+    found = find_dead_time(add_noise(simulate("paper-kp1"), 0.1), ROTATE)
+    assert isinstance(found, Missing)
+    assert found.status is Status.UNDETERMINED
+
+
+def test_a_robot_that_does_not_obey_is_not_explained() -> None:
+    run = simulate("paper-kp4")
+    backward = replace(run.samples, speed_m_s=-run.samples.speed_m_s)
+    found = find_dead_time(replace(run, samples=backward), TRANSLATE)
+    assert isinstance(found, Missing)
+    assert "no dead time up to 40 ticks explains the motion" in found.reason
+
+
+def test_a_change_of_the_dead_time_is_placed() -> None:
+    found = require_found(drive(lambda tick: 3 if tick < 200 else 8), TRANSLATE)
+    change = DeadTimeChange(time_ns=found.changes[0].time_ns, before=3, after=8)
+    assert (found.ticks, found.is_exact, found.changes) == (8, True, (change,))
+    assert 192 <= change.time_ns / TICK_NS <= 208
+
+
+def test_a_gap_in_the_recording_costs_only_its_own_steps() -> None:
+    run = drive(lambda tick: 4)
+    keep = np.r_[0:150, 163 : len(run.poses)]
+    poses = PoseColumns(
+        time_ns=run.poses.time_ns[keep].copy(),
+        xy_m=run.poses.xy_m[keep].copy(),
+        heading_rad=run.poses.heading_rad[keep].copy(),
+    )
+    samples = SampleColumns(
+        **{
+            name: getattr(run.samples, name)[keep].copy()
+            for name in run.samples.__dataclass_fields__
+            if getattr(run.samples, name) is not None
+        }
+        | {"pose_sequence": np.arange(len(keep))}
+    )
+    found = require_found(replace(run, poses=poses, samples=samples), TRANSLATE)
+    assert (found.ticks, found.is_exact) == (4, True)
+    assert found.rows < require_found(run, TRANSLATE).rows - 12
+
+
+def drive(dead_time: Any) -> Run:
+    """Return a run whose speed swings and whose commands take `dead_time(tick)` ticks."""
+    ticks = np.arange(400)
+    command = 0.4 + 0.3 * np.sin(ticks / 20.0) + 0.1 * np.cos(ticks / 7.0)
+    turtle = Turtle(x_m=1.0, y_m=1.0, heading_rad=0.7)
+    rows = []
+    for tick in ticks.tolist():
+        answered = tick - 1 - dead_time(tick)
+        turtle.take_command(float(command[answered]) if answered >= 0 else 0.0, 0.0)
+        turtle.step()
+        rows.append(turtle.state[:3])
+    x, y, heading = np.array(rows, dtype=np.float32).astype(np.float64).T
+    time_ns, zeros = ticks * TICK_NS, np.zeros(len(ticks))
+    return Run(
+        name="swing",
+        source="test",
+        poses=PoseColumns(time_ns=time_ns, xy_m=np.column_stack([x, y]), heading_rad=heading),
+        commands=CommandColumns(
+            time_ns=time_ns, speed_m_s=command, lateral_speed_m_s=zeros, turn_rate_rad_s=zeros
+        ),
+        samples=SampleColumns(
+            time_ns=time_ns,
+            sequence=ticks,
+            pose_sequence=ticks,
+            phase=np.full(len(ticks), TRANSLATE, dtype=np.int64),
+            bearing_rad=zeros,
+            heading_error_rad=zeros,
+            error_xy_m=np.zeros((len(ticks), 2)),
+            distance_m=zeros,
+            speed_m_s=command,
+            turn_rate_rad_s=zeros,
+            world_velocity_m_s=np.zeros((len(ticks), 2)),
+        ),
+    )

@@ -1,0 +1,371 @@
+"""Metrics of whole runs: against closed forms, under changes that must not matter, of bad runs."""
+
+import dataclasses
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import turtlelog as tl
+from tests.measure.runs import (
+    GOAL_M,
+    PERIOD_NS,
+    make_foreign_run,
+    make_straight_run,
+    shift_time,
+    take_rows,
+)
+from turtlelog.run import Run
+
+TIME_S = np.arange(1000) * PERIOD_NS / 1e9
+EXPONENTIAL = make_straight_run(-GOAL_M * np.expm1(-TIME_S), GOAL_M * np.exp(-TIME_S))
+KP10 = tl.simulate_run(tl.load_scenario("paper-kp10"))
+
+
+def read(run: Run, name: str, settings: tl.MeasureSettings | None = None) -> float:
+    metric = tl.measure_run(run, settings, only=[name])[name]
+    assert metric.value is not None, metric.reason
+    return metric.value
+
+
+def test_a_response_of_the_ideal_loop_has_its_figures() -> None:
+    # Every T of a sampled exponential costs T^2 / 8 and less at a crossing.
+    expected = {"rise_time": math.log(9.0), "settling_time": math.log(50.0)}
+    for name, value in {**expected, "delay_time": math.log(2.0)}.items():
+        assert read(EXPONENTIAL, f"translate.{name}") == pytest.approx(value, abs=0.016**2 / 4.0)
+    assert read(EXPONENTIAL, "translate.iae") == pytest.approx(GOAL_M, rel=1e-4)
+    assert read(EXPONENTIAL, "translate.ise") == pytest.approx(GOAL_M**2 / 2.0, rel=1e-4)
+    assert read(EXPONENTIAL, "translate.itae") == pytest.approx(GOAL_M, rel=1e-4)
+    assert read(EXPONENTIAL, "translate.ideal_deviation_max") < 1e-12
+    assert read(EXPONENTIAL, "translate.sampled_deviation_max") == pytest.approx(
+        # Largest where k (1 - T)^k and k exp(-k T) are furthest apart: about T / (2 e) of the step.
+        GOAL_M * 0.016 / (2.0 * math.e),
+        rel=0.02,
+    )
+
+
+def test_a_sampled_loop_with_dead_time_is_told_from_the_others() -> None:
+    along = [0.0]
+    for row in range(600):
+        read_at = along[max(row - 6, 0)] if row >= 6 else GOAL_M
+        along.append(along[row] + 4.0 * 0.016 * (GOAL_M - read_at))
+    along_m = np.array(along)
+    run = make_straight_run(along_m, 4.0 * (GOAL_M - along_m), parameters={"law.kp_linear": 4.0})
+    found = tl.measure_run(run, only=["translate.*"])
+    assert found["translate.dead_time"].value == pytest.approx(0.096)
+    deviations = [
+        found[f"translate.{theory}_deviation_max"].value or 0.0
+        for theory in ("ideal", "sampled", "delayed")
+    ]
+    assert deviations[2] < 1e-12
+    assert min(deviations[:2]) > 0.1
+    asked = tl.MeasureSettings(dead_time_ticks=0)
+    assert read(run, "translate.delayed_deviation_max", asked) == deviations[1]
+
+
+def test_a_dead_time_is_found_in_the_papers_loop() -> None:
+    assert read(KP10, "rotate.dead_time") == pytest.approx(0.064)
+    assert read(KP10, "translate.dead_time") == pytest.approx(0.096)
+
+
+def test_the_largest_wanted_speeds_are_those_of_the_papers_figure_14() -> None:
+    names = [f"paper-kp{kp}" for kp in (1, 2, 4, 10)]
+    runs = [tl.simulate_run(tl.load_scenario(name)) for name in names]
+    wanted = [read(run, "translate.largest_wanted") for run in runs]
+    assert wanted == pytest.approx([5.69, 11.39, 22.77, 56.93], abs=0.005)
+
+
+def test_effort_counts_the_command_that_the_pause_held() -> None:
+    rotate = KP10.samples.phase == tl.Phase.ROTATE
+    sent_s = KP10.commands.time_ns[rotate] / 1e9
+    held_s = np.diff(sent_s, append=sent_s[-1])
+    expected = float(np.sum(held_s * KP10.samples.turn_rate_rad_s[rotate] ** 2))
+    assert read(KP10, "rotate.effort") == pytest.approx(expected)
+
+
+def test_the_largest_gap_is_the_pause_and_the_burst_follows_it() -> None:
+    found = tl.measure_run(KP10, only=["run.largest_gap", "run.burst_samples"])
+    assert found["run.largest_gap"].value == pytest.approx(33 * 0.016)
+    assert found["run.largest_gap"].at_s == pytest.approx(2.464)
+    # Four of the start backlog, nine of the ten poses that waited.
+    assert found["run.burst_samples"].value == 13.0
+
+
+def test_dropped_samples_are_counted_by_their_numbers() -> None:
+    sequence = KP10.samples.sequence + np.where(np.arange(len(KP10.samples)) > 99, 3, 0)
+    samples = dataclasses.replace(KP10.samples, sequence=sequence)
+    assert read(dataclasses.replace(KP10, samples=samples), "run.dropped_samples") == 3.0
+
+
+def test_duplicates_and_disorder_are_what_the_importer_counted() -> None:
+    notes = {"dropped_duplicates": "2", "sorted_rows": "7"}
+    run = dataclasses.replace(KP10, notes=notes)
+    assert (read(run, "run.duplicates"), read(run, "run.disorder")) == (2.0, 7.0)
+    assert (read(KP10, "run.duplicates"), read(KP10, "run.disorder")) == (0.0, 0.0)
+
+
+def test_moments_are_told_from_the_first_sample() -> None:
+    found = tl.measure_run(KP10)
+    start_s = found["rotate.duration"].value or 0.0
+    peak, settled = found["translate.peak_time"], found["translate.settling_time"]
+    assert peak.at_s == pytest.approx((peak.value or 0.0) + start_s)
+    assert settled.at_s == pytest.approx((settled.value or 0.0) + start_s)
+    assert found["translate.iae"].at_s is None
+
+
+def test_a_reference_path_takes_the_place_of_the_line_to_the_goal() -> None:
+    beside = tl.MeasureSettings(reference_path_xy_m=np.array([[0.0, 6.0], [9.0, 6.0]]))
+    assert read(EXPONENTIAL, "run.cross_track_max", beside) == pytest.approx(1.0)
+    assert read(EXPONENTIAL, "translate.cross_track_rms", beside) == pytest.approx(1.0)
+    assert read(EXPONENTIAL, "run.cross_track_max") == 0.0
+    assert read(make_foreign_run(), "run.cross_track_max", beside) == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize(
+    ("choice", "overshoot"),
+    [
+        ({}, 20.0),
+        ({"final": "last"}, 100.0 * (6.0 - 4.0) / 4.0),
+        ({"final": 8.0}, -25.0),
+        ({"final": {"translate": 4.0}, "initial": {"translate": 2.0}}, 100.0),
+        ({"final": {"rotate": 1.0}, "initial": {"rotate": 2.0}}, 20.0),
+    ],
+)
+def test_the_step_leads_from_and_to_what_is_asked(
+    choice: dict[str, object], overshoot: float
+) -> None:
+    run = make_straight_run(np.array([0.0, 3.0, 6.0, 4.0]))
+    asked = tl.MeasureSettings(**choice)  # type: ignore[arg-type]
+    assert read(run, "translate.overshoot", asked) == pytest.approx(overshoot)
+
+
+def test_a_heading_that_is_asked_for_is_taken_at_the_turn_where_the_rotation_ended() -> None:
+    scenario = tl.override_scenario(tl.load_scenario("textbook"), {"start.heading_rad": 3.0})
+    run = tl.simulate_run(tl.override_scenario(scenario, {"goal.x_m": 5.0, "goal.y_m": 1.0}))
+    bearing_rad = float(run.samples.bearing_rad[0])
+    for turns in (-1, 0, 1):
+        asked = tl.MeasureSettings(final=bearing_rad + turns * math.tau)
+        expected = read(run, "rotate.overshoot")
+        assert read(run, "rotate.overshoot", asked) == pytest.approx(expected)
+
+
+def test_a_wider_band_settles_sooner_and_says_its_width() -> None:
+    usual = read(EXPONENTIAL, "translate.settling_time")
+    wide = tl.MeasureSettings(band=0.05)
+    assert read(EXPONENTIAL, "translate.settling_time", wide) == pytest.approx(
+        math.log(20.0), abs=1e-3
+    )
+    assert usual > math.log(20.0)
+    short = tl.measure_run(take_rows(EXPONENTIAL, 100), wide)["translate.settling_time"]
+    assert short.reason == "the phase ends outside the 5 % band"
+
+
+@settings(deadline=None, max_examples=10)
+@given(shift_ns=st.integers(-(2**61), 2**61))
+def test_time_of_day_does_not_matter(shift_ns: int) -> None:
+    assert tl.measure_run(shift_time(KP10, shift_ns)) == tl.measure_run(KP10)
+
+
+@settings(deadline=None, max_examples=20)
+@given(exponent=st.integers(-6, 6))
+def test_another_unit_of_length_scales_lengths_and_nothing_else(exponent: int) -> None:
+    scale = 2.0**exponent
+    samples, poses = EXPONENTIAL.samples, EXPONENTIAL.poses
+    scaled = dataclasses.replace(
+        EXPONENTIAL,
+        poses=dataclasses.replace(poses, xy_m=poses.xy_m * scale),
+        samples=dataclasses.replace(
+            samples,
+            error_xy_m=samples.error_xy_m * scale,
+            distance_m=samples.distance_m * scale,
+            speed_m_s=samples.speed_m_s * scale,
+        ),
+        commands=dataclasses.replace(
+            EXPONENTIAL.commands, speed_m_s=EXPONENTIAL.commands.speed_m_s * scale
+        ),
+        goal_xy_m=(6.0 * scale, 5.0 * scale),
+        parameters={"law.kp_linear": 1.0, "limits.speed_m_s": scale},
+    )
+    power = {"m": 1, "m s": 1, "m s^2": 1, "m/s": 1, "m/s^2": 1, "m^2 s": 2, "m^2/s": 2}
+    # Dead time is found by the plant's own walls and rounding, which do not scale.
+    only = [name for name in tl.METRICS if "dead_time" not in name and "delayed" not in name]
+    before, after = (tl.measure_run(run, only=only) for run in (EXPONENTIAL, scaled))
+    for name, metric in before.items():
+        assert after[name].status is metric.status, name
+        if metric.value is not None:
+            expected = metric.value * scale ** power.get(metric.unit, 0)
+            assert after[name].value == pytest.approx(expected, rel=1e-9, abs=1e-12), name
+
+
+@settings(deadline=None, max_examples=20)
+@given(count=st.integers(1, 300))
+def test_standing_at_the_goal_for_longer_changes_no_figure_of_the_response(count: int) -> None:
+    along_m = np.append(-GOAL_M * np.expm1(-TIME_S), GOAL_M)
+    longer = make_straight_run(np.append(along_m, np.full(count, GOAL_M)))
+    names = ("delay_time", "rise_time", "settling_time", "overshoot", "undershoot", "peak")
+    for name in (*names, "steady_state_error", "crossings", "iae", "ise", "itae"):
+        expected = read(make_straight_run(along_m), f"translate.{name}")
+        assert read(longer, f"translate.{name}") == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def test_only_what_is_asked_for_is_computed() -> None:
+    asked = tl.measure_run(KP10, only=["final.*", "rotate.overshoot"])
+    assert list(asked) == [
+        name for name in tl.METRICS if name.startswith("final.") or name == "rotate.overshoot"
+    ]
+    everything = tl.measure_run(KP10)
+    assert asked == {name: everything[name] for name in asked}
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("rotate.overshot", "one like rotate.overshoot or"),
+        ("position_eror", "one like final.position_error"),
+        ("turn.*", "an id such as final.position_error"),
+        ("", "an id such as final.position_error"),
+    ],
+)
+def test_an_unknown_metric_is_refused_with_the_nearest(name: str, near: str) -> None:
+    with pytest.raises(
+        tl.TurtlelogError, match=f"metric '{name}': expected {near}".replace("*", r"\*")
+    ):
+        tl.measure_run(KP10, only=[name])
+
+
+@pytest.mark.parametrize(
+    ("choice", "line"),
+    [
+        ({"band": 0.0}, "band: expected a share of the step > 0, found 0.0"),
+        ({"band": math.nan}, "band: expected a share of the step > 0, found nan"),
+        ({"initial": math.inf}, "initial: expected a number, found inf"),
+        ({"initial": {"pause": 1.0}}, "initial: expected a phase rotate or translate"),
+        ({"final": "end"}, "final: expected 'reference', 'last' or a number, found 'end'"),
+        ({"final": {"rotate": "end"}}, "final: expected 'reference', 'last' or a number"),
+        ({"dead_time_ticks": -1}, "dead_time_ticks: expected a whole number from 0 to 1000"),
+        ({"dead_time_ticks": 1.5}, "dead_time_ticks: expected a whole number from 0 to 1000"),
+        ({"reference_path_xy_m": np.zeros((1, 2))}, r"two points or more, .* found \(1, 2\)"),
+        ({"reference_path_xy_m": np.full((2, 2), np.nan)}, r"path_xy_m\[0\]: expected finite"),
+        ({"reference_path_xy_m": "way"}, "reference_path_xy_m: expected points"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(choice: dict[str, object], line: str) -> None:
+    with pytest.raises(tl.TurtlelogError, match=line):
+        tl.MeasureSettings(**choice)  # type: ignore[arg-type]
+
+
+def make_still_run() -> Run:
+    return make_straight_run(np.full(50, GOAL_M))
+
+
+def make_huge_run() -> Run:
+    return make_straight_run(np.linspace(0.0, 1e300, 50), np.full(50, 1e300))
+
+
+def make_burst_run() -> Run:
+    run = take_rows(EXPONENTIAL, 20)
+    samples = dataclasses.replace(run.samples, time_ns=np.full(20, 5 * PERIOD_NS))
+    return dataclasses.replace(run, samples=samples)
+
+
+POOR_RUNS: dict[str, Callable[[], Run]] = {
+    "foreign": make_foreign_run,
+    "one-pose": lambda: make_foreign_run(poses=1, commands=0),
+    "one-row": lambda: take_rows(EXPONENTIAL, 1),
+    "two-rows": lambda: take_rows(EXPONENTIAL, 2),
+    "still": make_still_run,
+    "huge": make_huge_run,
+    "burst": make_burst_run,
+    "no-goal": lambda: dataclasses.replace(EXPONENTIAL, goal_xy_m=None, parameters={}),
+    "wrong-gain": lambda: dataclasses.replace(EXPONENTIAL, parameters={"law.kp_linear": -1.0}),
+    "wrong-note": lambda: dataclasses.replace(EXPONENTIAL, notes={"sorted_rows": "many"}),
+}
+
+
+@pytest.mark.parametrize("make", POOR_RUNS.values(), ids=POOR_RUNS)
+def test_every_metric_of_a_poor_run_has_a_finite_value_or_a_reason(
+    make: Callable[[], Run],
+) -> None:
+    for metric in tl.measure_run(make()).values():
+        assert (metric.value is None) == (metric.status is not tl.Status.OK)
+        assert bool(metric.reason) == (metric.value is None)
+        assert metric.value is None or math.isfinite(metric.value)
+        assert metric.at_s is None or math.isfinite(metric.at_s)
+
+
+def find_statuses(run: Run, *names: str) -> set[tl.Status]:
+    return {metric.status for metric in tl.measure_run(run, only=names).values()}
+
+
+def test_what_a_foreign_bag_lacks_is_absent_and_the_rest_is_measured() -> None:
+    run = make_foreign_run()
+    assert find_statuses(run, "rotate.*", "translate.*", "run.dropped_samples") == {
+        tl.Status.ABSENT
+    }
+    assert read(run, "run.path_length") == pytest.approx(0.3)
+    assert read(run, "run.speed_effort") == pytest.approx(0.048)
+    assert read(run, "run.sample_rate") == pytest.approx(62.5)
+    bare = make_foreign_run(commands=0)
+    assert find_statuses(bare, "run.speed_*", "run.sample_*") == {tl.Status.ABSENT}
+
+
+def test_a_turtle_that_stands_has_no_step_and_no_straightness() -> None:
+    run = make_still_run()
+    names = ("rise_time", "overshoot", "settling_time", "peak", "decay_ratio")
+    assert find_statuses(run, *(f"translate.{name}" for name in names)) == {tl.Status.NO_STEP}
+    assert find_statuses(run, "run.straightness") == {tl.Status.NO_MOTION}
+    assert read(run, "translate.iae") == 0.0
+    assert read(run, "translate.crossings") == 0.0
+
+
+def test_a_step_within_the_rounding_of_poses_is_none() -> None:
+    # The bearing of a goal straight ahead, but for the rounding of the first pose.
+    ahead = {"goal.x_m": 9.0, "goal.y_m": 5.544444}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), ahead))
+    assert 0.0 < abs(run.samples.bearing_rad[0]) < 1e-6
+    assert find_statuses(run, "rotate.overshoot", "rotate.rise_time") == {tl.Status.NO_STEP}
+
+
+def test_figures_beyond_the_largest_float_are_told_so() -> None:
+    assert find_statuses(make_huge_run(), "translate.ise", "run.ise", "run.speed_effort") == {
+        tl.Status.TOO_LARGE
+    }
+
+
+def test_samples_of_one_time_have_no_rate_and_no_slew_rate() -> None:
+    run = make_burst_run()
+    assert find_statuses(run, "run.sample_rate", "translate.sampled_deviation_max") == {
+        tl.Status.TOO_SHORT
+    }
+    assert read(run, "run.sample_period_p50") == 0.0
+    assert read(run, "run.burst_samples") == 19.0
+
+
+def test_negative_overshoots_are_equally_good() -> None:
+    kind = tl.METRICS["rotate.overshoot"]
+    assert kind.compute_loss(-2.0, -1.0) == kind.compute_loss(-1.0, -2.0) == 0.0
+    assert kind.compute_loss(1.0, -2.0) == 1.0
+    assert kind.compute_loss(-2.0, 1.5) == -1.5
+    assert tl.METRICS["rotate.peak"].compute_loss(1.0, 3.0) == 2.0
+
+
+def test_every_metric_says_what_it_is() -> None:
+    meanings = [kind.meaning for kind in tl.METRICS.values()]
+    assert all(meaning.endswith(".") and "{" not in meaning for meaning in meanings)
+    assert set(tl.ESSENTIAL_METRICS) <= set(tl.METRICS)
+    assert all(kind.better in {"lower", "higher", None} for kind in tl.METRICS.values())
+
+
+def test_measuring_loads_neither_scipy_nor_control_nor_matplotlib() -> None:
+    code = (
+        "import sys, turtlelog as tl\n"
+        "tl.measure_run(tl.simulate_run(tl.load_scenario('paper-kp4')))\n"
+        "print(sorted({'scipy', 'control', 'matplotlib'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("[]\n", "")

@@ -1,0 +1,169 @@
+"""Runs in short, for tables of many: what they were, and how well they did."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from types import MappingProxyType
+from typing import Any, Final
+
+from turtlelog.errors import CompareError
+from turtlelog.expressions import evaluate_expression, parse_expression
+from turtlelog.measure import METRICS, Metric, measure_run
+from turtlelog.run import Parameter, Run
+
+TEXTS: Final = ("name", "source", "stop_reason")
+"""What filters and orders may ask for besides parameters and metrics."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSummary:
+    """A run without its columns, so that thousands fit into memory.
+
+    Attributes:
+        name: Of the run.
+        source: As in `Run`.
+        stop_reason: As in `Run`.
+        parameters: By dotted key (`law.kp_linear`).
+        metrics: By id.
+        file: Where it was read from, empty where that is not known.
+        notes: As in `Run`.
+    """
+
+    name: str
+    source: str
+    stop_reason: str | None
+    parameters: Mapping[str, Parameter]
+    metrics: Mapping[str, Metric]
+    file: str = ""
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def find_value(self, name: str) -> Parameter | None:
+        """Return a parameter, a metric's value, `name`, `source` or `stop_reason`; None: none."""
+        if name in TEXTS:
+            text: str | None = getattr(self, name)
+            return text
+        metric = self.metrics.get(name)
+        return self.parameters.get(name) if metric is None else metric.value
+
+
+def summarise_run(
+    run: Run, *, file: str = "", metrics: Mapping[str, Metric] | None = None
+) -> RunSummary:
+    """Return a run in short; `metrics`, where it has been measured already."""
+    return RunSummary(
+        name=run.name,
+        source=run.source,
+        stop_reason=run.stop_reason,
+        parameters=run.parameters,
+        metrics=MappingProxyType(dict(measure_run(run) if metrics is None else metrics)),
+        file=file,
+        notes=run.notes,
+    )
+
+
+def select_runs(
+    summaries: Sequence[RunSummary], where: str, *, source: str = "where"
+) -> tuple[tuple[RunSummary, ...], tuple[str, ...]]:
+    """Return the runs for which an expression is true, and notes on those that it says nothing of.
+
+    Args:
+        summaries: To choose from.
+        where: In the expression language, over parameters, metric ids, `name`, `source` and
+            `stop_reason`: `law.kp_linear >= 2 and run.duration < 20`.
+        source: What error lines begin with.
+
+    Raises:
+        ExpressionError: Where it does not parse, or names what no run has.
+        CompareError: Where it is no condition.
+    """
+    expression = parse_expression(where, source=source)
+    known = dict.fromkeys(_list_names(summaries))
+    chosen, lacking = [], {}
+    for summary in summaries:
+        values = {name: summary.find_value(name) for name in known.keys() & expression.names}
+        truth = evaluate_expression(expression, {**known, **values})
+        if truth is None:
+            lacking[summary.file or summary.name] = _describe_lack(summary, values)
+        elif not isinstance(truth, bool):
+            raise CompareError(f"{source}: expected a condition, found {truth!r}")
+        elif truth:
+            chosen.append(summary)
+    notes = [f"{run} is left out: {lack}." for run, lack in lacking.items()]
+    if len(notes) > _MOST_NOTES:
+        more = len(notes) - _MOST_NOTES
+        notes = [*notes[:_MOST_NOTES], f"{more} more are left out for lack of values."]
+    return tuple(chosen), tuple(notes)
+
+
+def sort_runs(
+    summaries: Sequence[RunSummary], by: str, *, source: str = "sort"
+) -> tuple[RunSummary, ...]:
+    """Return the runs in rising order of a metric, parameter, `name`, `source` or `stop_reason`.
+
+    Runs without a value come last; those of one value stay as they were.
+
+    Args:
+        summaries: To be sorted.
+        by: What by; with a minus before it, in falling order.
+        source: What error lines begin with.
+
+    Raises:
+        CompareError: Where no run has it.
+    """
+    name = by.removeprefix("-")
+    _require_name(name, _list_names(summaries), source)
+    valued = [found for found in summaries if found.find_value(name) is not None]
+    rest = [found for found in summaries if found.find_value(name) is None]
+    valued.sort(key=lambda found: _rank(found.find_value(name)), reverse=by != name)
+    return (*valued, *rest)
+
+
+def choose_columns(
+    summaries: Sequence[RunSummary], only: Sequence[str], *, source: str = "only"
+) -> tuple[str, ...]:
+    """Return the metrics and parameters that names and patterns (`translate.*`) stand for.
+
+    Raises:
+        CompareError: Where one stands for none.
+    """
+    parameters = _list_parameters(summaries)
+    chosen: dict[str, None] = {}
+    for pattern in only:
+        found = [name for name in METRICS if fnmatchcase(name, pattern)]
+        found += [pattern] if pattern in parameters else []
+        if not found:
+            _require_name(pattern, [*METRICS, *parameters], source)
+        chosen |= dict.fromkeys(found)
+    return tuple(chosen)
+
+
+_MOST_NOTES: Final = 5
+
+
+def _list_parameters(summaries: Sequence[RunSummary]) -> list[str]:
+    return list(dict.fromkeys(name for found in summaries for name in found.parameters))
+
+
+def _list_names(summaries: Sequence[RunSummary]) -> list[str]:
+    return [*TEXTS, *METRICS, *_list_parameters(summaries)]
+
+
+def _require_name(name: str, known: Sequence[str], source: str) -> None:
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=3) or ["an id such as run.duration"]
+        raise CompareError(f"{source}: expected {' or '.join(near)}, found {name!r}")
+
+
+def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
+    lacks = []
+    for name in sorted(values):
+        if values[name] is None:
+            metric = summary.metrics.get(name)
+            lacks.append(f"{name} is {metric.status.value}" if metric else f"{name} is not known")
+    return ", ".join(lacks) or "the expression has no value"
+
+
+def _rank(value: Any) -> tuple[int, Any]:
+    """Numbers stand before texts."""
+    return (0, value) if isinstance(value, int | float) else (1, str(value))

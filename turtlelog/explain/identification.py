@@ -1,0 +1,79 @@
+"""What a log says of the scenario that made it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+from turtlelog.errors import ExplainError
+from turtlelog.explain.finding import Finding, miss
+from turtlelog.explain.resimulation import Resimulation
+from turtlelog.scenario import Scenario
+
+LAW_KEYS: Final = (
+    "law.kp_angular",
+    "law.kp_linear",
+    "limits.turn_rate_rad_s",
+    "limits.speed_m_s",
+    "law.heading_tolerance_rad",
+    "law.position_tolerance_m",
+    "law.projection",
+    "law.wrap_error",
+)
+
+LOOP_KEYS: Final = (
+    "loop.start_backlog",
+    "law.pause_ticks",
+    "loop.queue_policy",
+    "loop.command_queue",
+    "loop.pose_queue",
+    "loop.transport_delay_ticks",
+    "loop.period_ticks",
+)
+"""What lies between controller and plant, decided by simulating again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification:
+    """What a log says of the scenario that made it.
+
+    Attributes:
+        name: Of the run.
+        findings: By key of the scenario (`law.kp_linear`), and beside it `dead_time.rotate`,
+            `dead_time.translate` [ticks], `pause.seconds` [s], `pause.held_turn_rate_rad_s`,
+            `pause.turned_rad`, `pause.burst` (poses answered at once after it), `stop_reason`,
+            `lost_commands`.
+        resimulation: The identified scenario, simulated again and compared; None where there is
+            none.
+        scenario: The identified scenario; None where too little is known for one.
+        notes: What else is worth a sentence.
+    """
+
+    name: str
+    findings: Mapping[str, Finding]
+    resimulation: Resimulation | None
+    scenario: Scenario | None
+    notes: tuple[str, ...] = ()
+
+    def build_scenario(self) -> Scenario:
+        """Return the identified scenario; what does not show has the value that was assumed.
+
+        Raises:
+            ExplainError: Where too little is known.
+        """
+        if self.scenario is None:
+            reason = "; ".join(self.notes) or "too little is known"
+            raise ExplainError(f"{self.name}: expected a run of the sequential law: {reason}")
+        return self.scenario
+
+
+def give_up(name: str, findings: Mapping[str, Finding], reason: str) -> Identification:
+    """Return what is known of a run that cannot be simulated again, and why it cannot."""
+    unknown = {key: miss(reason) for key in (*LOOP_KEYS, "stop_reason", "lost_commands")}
+    return Identification(
+        name=name,
+        findings=MappingProxyType({**unknown, **findings}),
+        resimulation=None,
+        scenario=None,
+        notes=(reason,),
+    )

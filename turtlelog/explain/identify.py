@@ -1,0 +1,139 @@
+"""From a log to the scenario that made it."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.errors import ScenarioError, SimulationError
+from turtlelog.explain.ending import find_pause, find_stop_reason
+from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
+from turtlelog.explain.identification import Identification, give_up
+from turtlelog.explain.law import identify_rotation, identify_translation
+from turtlelog.explain.loop import read_hints
+from turtlelog.explain.plant import identify_plant
+from turtlelog.explain.resimulation import Resimulation, compare_samples
+from turtlelog.explain.search import Fits, search_loop
+from turtlelog.explain.settings import describe_loop
+from turtlelog.explain.start import identify_start
+from turtlelog.explain.trace import Trace, find_gaps, trace_run
+from turtlelog.measure import DeadTime, Missing, find_dead_time
+from turtlelog.run import Phase, Run
+from turtlelog.simulate import simulate_run
+
+_LONGEST_S: Final = 3600.0
+
+
+def identify_run(run: Run) -> Identification:
+    """Identify the scenario of a run from its samples alone: pose read, command published, time.
+
+    The run's own parameters are not read. Gains, limits and tolerances come from the commands; the
+    queues and the pause from the dead times and the time stamps, and from simulating every setting
+    that agrees with them: those that reproduce all samples are what fits.
+    A run without samples tells next to nothing, and the findings say why.
+    """
+    if not len(run.samples):
+        return identify_plant(run)
+    # Commands of any size are read; those whose squares overflow fit nothing.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _identify_samples(run)
+
+
+def _identify_samples(run: Run) -> Identification:
+    trace = trace_run(run)
+    dead_times = {phase: find_dead_time(run, phase) for phase in (Phase.ROTATE, Phase.TRANSLATE)}
+    findings = {
+        f"dead_time.{phase.label}": _describe_dead_time(found)
+        for phase, found in dead_times.items()
+    }
+    findings |= identify_start(trace, findings["dead_time.rotate"].value or 0)
+    findings |= identify_rotation(trace)
+    findings |= identify_translation(trace)
+    obstacle = _find_obstacle(trace, findings)
+    if obstacle:
+        return give_up(run.name, findings, obstacle)
+    hints = read_hints(trace)
+    try:
+        fits = search_loop(trace, _collect(findings), hints, dead_times)
+    except (ScenarioError, SimulationError) as err:
+        return give_up(run.name, findings, f"it cannot be simulated again: {err}")
+    findings |= describe_loop(trace, fits)
+    if not fits.is_exact and findings["loop.pose_precision"].value == "float64":
+        reason = "poses have more than 32 bits, which noise may have added"
+        findings["loop.pose_precision"] = miss(reason, "float64")
+    findings |= find_pause(trace, hints)
+    findings["stop_reason"] = find_stop_reason(trace)
+    resimulation = compare_samples(trace, simulate_run(fits.scenario))
+    return Identification(
+        name=run.name,
+        findings=MappingProxyType(findings),
+        resimulation=resimulation,
+        scenario=fits.scenario,
+        notes=tuple(_write_notes(trace, findings, fits, resimulation)),
+    )
+
+
+def _describe_dead_time(found: DeadTime | Missing) -> Finding:
+    if isinstance(found, Missing):
+        return miss(found.reason)
+    changed = "".join(
+        f"; {change.before} until {change.time_ns / 1e9:.2f} s" for change in found.changes
+    )
+    if found.is_exact:
+        return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
+    return Finding(
+        value=found.ticks,
+        certainty=Certainty.FITTED,
+        evidence=f"least squares; the next best leaves {found.margin:.3g} times",
+    )
+
+
+def _find_obstacle(trace: Trace, findings: Mapping[str, Finding]) -> str | None:
+    """Return why this is no run of the sequential law, or cannot be simulated."""
+    phases = {Phase(phase) for phase in np.unique(trace.run.samples.phase).tolist()}
+    if trace.rotating + trace.translating < len(trace) or not trace.rotating:
+        listed = ", ".join(sorted(phase.label for phase in phases))
+        return f"its phases are not one rotation and one translation: {listed}"
+    for key in ("law.kp_angular", "law.kp_linear"):
+        if "not proportional" in findings[key].evidence:
+            return f"{key}: {findings[key].evidence}"
+    if trace.goal_xy_m is None:
+        return "the log does not hold the goal"
+    length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
+    if length_s > _LONGEST_S:
+        return f"it lasts {length_s:.0f} s; up to {_LONGEST_S:.0f} s are simulated again"
+    return None
+
+
+def _collect(findings: Mapping[str, Finding]) -> dict[str, Any]:
+    """Return the values to simulate with, by key of the scenario."""
+    tables = ("start.", "goal.", "law.", "limits.", "loop.")
+    return {key: finding.used for key, finding in findings.items() if key.startswith(tables)}
+
+
+def _describe_gaps(trace: Trace) -> list[str]:
+    gaps = find_gaps(trace)
+    if not gaps:
+        return []
+    start_ns, end_ns = gaps[0]
+    at_s, length_s = (start_ns - trace.run.start_ns) / 1e9, (end_ns - start_ns) / 1e9
+    more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
+    return [f"samples are missing after {at_s:.3f} s, for {length_s:.3f} s{more}"]
+
+
+def _write_notes(
+    trace: Trace, findings: Mapping[str, Finding], fits: Fits, resimulation: Resimulation
+) -> list[str]:
+    notes = _describe_gaps(trace)
+    if fits.is_exact and not resimulation.is_exact:
+        notes.append("the re-simulation agrees to rounding, not bit for bit")
+    elif not resimulation.is_exact:
+        notes.append(
+            "the re-simulation is not exact: the log has noise, or an effect that is not simulated"
+        )
+    for key, finding in findings.items():
+        if finding.certainty is Certainty.AMBIGUOUS:
+            listed = ", ".join(map(str, finding.candidates))
+            notes.append(f"{key}: {listed} fit alike: {finding.evidence}")
+    return notes

@@ -1,0 +1,166 @@
+"""A scenario simulated again, sample by sample against a log."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from turtlelog.angles import subtract_headings
+from turtlelog.explain.trace import Trace, Values
+from turtlelog.replay import PoseError
+from turtlelog.run import Phase, Run
+from turtlelog.scenario import Scenario
+from turtlelog.simulate import CommandQueue, Sample, iterate_ticks
+
+Row = tuple[Any, ...]
+"""What is compared of a sample."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resimulation:
+    """How the identified scenario, simulated again, compares with the log.
+
+    Attributes:
+        samples: Samples compared, by their order in each phase.
+        max_abs_error: Of the poses that they read.
+        max_command_error: Of what they published [m/s or rad/s].
+        is_exact: Whether there are as many samples in each phase, all without a difference.
+    """
+
+    samples: int
+    max_abs_error: PoseError
+    max_command_error: float
+    is_exact: bool
+
+
+def list_rows(trace: Trace) -> list[Row]:
+    """Return what a re-simulation must reproduce of each sample."""
+    samples = trace.run.samples
+    columns = [
+        trace.xy_m[:, 0],
+        trace.xy_m[:, 1],
+        trace.heading_rad,
+        trace.speed_m_s,
+        trace.turn_rate_rad_s,
+        samples.phase,
+    ]
+    if trace.has_ticks:
+        columns.append(samples.pose_sequence)
+    if trace.has_exact_clock and trace.has_ticks:
+        columns.append(trace.time_ns - trace.run.poses.time_ns[0])
+    return [*zip(*(column.tolist() for column in columns), strict=True)]
+
+
+def count_equal(scenario: Scenario, rows: list[Row], *, to_rounding: bool = False) -> int:
+    """Return how many samples from the first on a simulation reproduces bit for bit.
+
+    One more than there are, where all are reproduced and the simulation goes on. `to_rounding`
+    allows poses 1e-6 and commands 1e-9, as between platforms.
+    """
+    width = len(rows[0])
+    equal = 0
+    for sample, pose in _iterate_samples(scenario):
+        if equal == len(rows):
+            return equal + 1
+        again = (*pose, *_describe(sample))[:width]
+        if again != rows[equal] and not (to_rounding and _agrees(again, rows[equal])):
+            return equal
+        equal += 1
+    return equal
+
+
+def _agrees(again: Row, recorded: Row) -> bool:
+    x, y, heading, *commands = (
+        abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)
+    )
+    return max(x, y, heading) < 1e-6 and max(commands) < 1e-9 and again[5:] == recorded[5:]
+
+
+def _describe(sample: Sample) -> Row:
+    return (
+        sample.speed_m_s,
+        sample.turn_rate_rad_s,
+        int(sample.decision.phase),
+        sample.pose_sequence,
+        sample.time_ns,
+    )
+
+
+def _iterate_samples(scenario: Scenario) -> Iterator[tuple[Sample, Row]]:
+    poses: list[Row] = []
+    for tick in iterate_ticks(scenario):
+        poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
+        for sample in tick.computed:
+            yield sample, poses[sample.pose_sequence]
+
+
+def compare_samples(trace: Trace, again: Run) -> Resimulation:
+    """Return how a simulated run compares with the log."""
+    pairs = [*_pair_phases(trace, again)]
+    left = np.concatenate([rows for rows, _ in pairs])
+    right = np.concatenate([rows for _, rows in pairs])
+    read = again.samples.pose_sequence[right]
+    xy = np.abs(trace.xy_m[left] - again.poses.xy_m[read])
+    turned = np.abs(subtract_headings(trace.heading_rad[left], again.poses.heading_rad[read]))
+    speed = np.abs(trace.speed_m_s[left] - again.samples.speed_m_s[right])
+    turn_rate = np.abs(trace.turn_rate_rad_s[left] - again.samples.turn_rate_rad_s[right])
+    error = PoseError(x_m=_max(xy[:, 0]), y_m=_max(xy[:, 1]), heading_rad=_max(turned))
+    command_error = max(_max(speed), _max(turn_rate))
+    is_whole = len(trace) == len(again.samples) == len(left)
+    return Resimulation(
+        samples=len(left),
+        max_abs_error=error,
+        max_command_error=command_error,
+        is_exact=is_whole and error == PoseError() and command_error == 0.0,
+    )
+
+
+def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
+    for phase in Phase:
+        left = np.flatnonzero(trace.run.samples.phase == phase)
+        right = np.flatnonzero(again.samples.phase == phase)
+        count = min(len(left), len(right))
+        yield left[:count], right[:count]
+
+
+def compute_misfit(trace: Trace, again: Run) -> float:
+    """Return the negative log-likelihood of a log with noise, up to a constant."""
+    total = 0.0
+    for left, right in _pair_phases(trace, again):
+        read = again.samples.pose_sequence[right]
+        xy = trace.xy_m[left] - again.poses.xy_m[read]
+        turned = subtract_headings(trace.heading_rad[left], again.poses.heading_rad[read])
+        for error in (xy[:, 0], xy[:, 1], turned):
+            total += _weigh(np.asarray(error))
+    return total
+
+
+def _weigh(error: Values) -> float:
+    if not len(error):
+        return 0.0
+    # Below the rounding of a pose nothing is told.
+    return len(error) * float(np.log(np.sqrt(np.mean(error**2)) + 1e-7))
+
+
+def count_lost_commands(scenario: Scenario) -> int:
+    """Return how many commands a scenario publishes that the plant never takes.
+
+    Those that are still on their way when the run ends are not counted.
+    """
+    loop = scenario.loop
+    newest = loop.queue_policy == "newest"
+    queue = CommandQueue(
+        depth=loop.command_queue, newest_only=False, delay_ticks=loop.transport_delay_ticks
+    )
+    superseded = 0
+    for number, tick in enumerate(iterate_ticks(scenario)):
+        queue.take(number)
+        for sample in tick.published:
+            queue.put(number, sample)
+        superseded += max(len(tick.published) - 1, 0)
+    return superseded if newest else queue.dropped
+
+
+def _max(values: Values) -> float:
+    return float(values.max()) if len(values) else 0.0

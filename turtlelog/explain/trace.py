@@ -1,0 +1,150 @@
+"""A log as a controller's eyes and hands: pose read, command published, time; sample by sample."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import ExplainError
+from turtlelog.run import Phase, Run
+from turtlelog.turtlesim import TICK_NS
+
+Values = NDArray[np.float64]
+
+_LONG_STEPS: Final = 4.0
+"""A longer silence of a controller, in its usual steps, is a gap."""
+
+_FIRST_DIGITS: Final = 9
+"""A goal that is only logged as position plus error is rounded to this many decimals."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trace:
+    """The samples of a run, one row each, and what is known of their clock.
+
+    Attributes:
+        run: Where they come from.
+        time_ns: Of each answer [ns], shape (n,).
+        xy_m: Of the pose read [m], shape (n, 2).
+        heading_rad: Of the pose read [rad], shape (n,).
+        speed_m_s: Published [m/s], shape (n,).
+        turn_rate_rad_s: Published [rad/s], shape (n,).
+        rotating: How many samples the rotation has, from the first one.
+        translating: How many samples the translation after it has.
+        goal_xy_m: Goal position [m], None where the log does not tell.
+        period_ticks: Ticks between the poses that are answered.
+        has_exact_clock: Whether times are simulated: whole ticks.
+        has_ticks: Whether there is a pose per tick, whether it was answered or not.
+    """
+
+    run: Run
+    time_ns: NDArray[np.int64]
+    xy_m: Values
+    heading_rad: Values
+    speed_m_s: Values
+    turn_rate_rad_s: Values
+    rotating: int
+    translating: int
+    goal_xy_m: tuple[float, float] | None
+    period_ticks: int
+    has_exact_clock: bool
+    has_ticks: bool
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @property
+    def ended_rotation(self) -> bool:
+        """Whether the rotation came to its end, with a command of 0."""
+        return self.rotating > 1 and float(self.turn_rate_rad_s[self.rotating - 1]) == 0.0
+
+    @property
+    def shows_pause(self) -> bool:
+        """Whether there is a sample after the rotation's end."""
+        return self.ended_rotation and self.translating > 0
+
+    @property
+    def bearing_rad(self) -> float:
+        """The goal bearing from the first pose read, or else as logged [rad]."""
+        if self.goal_xy_m is None:
+            return float(self.run.samples.bearing_rad[0])
+        x_m, y_m = self.xy_m[0].tolist()
+        return math.atan2(self.goal_xy_m[1] - y_m, self.goal_xy_m[0] - x_m)
+
+
+def trace_run(run: Run) -> Trace:
+    """Return the samples of a run.
+
+    Raises:
+        ExplainError: Where it holds none.
+    """
+    samples = run.samples
+    if not len(samples):
+        raise ExplainError(
+            f"{run.name}: expected samples that say which pose a command answers, found none:"
+            f" {run.source}"
+        )
+    read = samples.pose_sequence
+    phase = samples.phase
+    rotating = _count_leading(phase == Phase.ROTATE)
+    return Trace(
+        run=run,
+        time_ns=samples.time_ns,
+        xy_m=run.poses.xy_m[read],
+        heading_rad=run.poses.heading_rad[read],
+        speed_m_s=samples.speed_m_s,
+        turn_rate_rad_s=samples.turn_rate_rad_s,
+        rotating=rotating,
+        translating=_count_leading(phase[rotating:] == Phase.TRANSLATE),
+        goal_xy_m=_find_goal(run),
+        period_ticks=_find_period(run),
+        has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % TICK_NS).any(),
+        has_ticks=_has_ticks(run),
+    )
+
+
+def find_gaps(trace: Trace) -> list[tuple[int, int]]:
+    """Return where samples are missing, as the times around [ns]; a pause is no gap."""
+    read = trace.run.samples.pose_sequence
+    if trace.has_ticks:
+        is_gap = np.diff(read) > trace.period_ticks
+    else:
+        is_gap = np.diff(trace.time_ns) > _LONG_STEPS * trace.period_ticks * TICK_NS
+    rows = [row for row in np.flatnonzero(is_gap).tolist() if row != trace.rotating - 1]
+    return [(int(trace.time_ns[row]), int(trace.time_ns[row + 1])) for row in rows]
+
+
+def _count_leading(holds: NDArray[np.bool_]) -> int:
+    return len(holds) if holds.all() else int(holds.argmin())
+
+
+def _find_goal(run: Run) -> tuple[float, float] | None:
+    """Return the goal as recorded, or the one that position plus error and the bearing agree on."""
+    if run.goal_xy_m is not None:
+        return run.goal_xy_m
+    samples = run.samples
+    reached = np.median(run.poses.xy_m[samples.pose_sequence] + samples.error_xy_m, axis=0)
+    x_m, y_m = np.round(reached, _FIRST_DIGITS).tolist()
+    first_x_m, first_y_m = run.poses.xy_m[samples.pose_sequence[0]].tolist()
+    bearing_rad = math.atan2(y_m - first_y_m, x_m - first_x_m)
+    return (x_m, y_m) if abs(bearing_rad - samples.bearing_rad[0]) < 1e-6 else None
+
+
+def _has_ticks(run: Run) -> bool:
+    """Tell a recording, with a pose per tick, from a log with a pose per sample."""
+    if not np.array_equal(run.samples.pose_sequence, np.arange(len(run.poses))):
+        return True
+    # What the plant itself publishes holds the applied velocity; a controller does not see it.
+    is_plants = run.poses.speed_m_s is not None
+    return is_plants and bool((np.diff(run.poses.time_ns) == TICK_NS).all())
+
+
+def _find_period(run: Run) -> int:
+    """Return the usual distance of the poses answered, in ticks."""
+    read = run.samples.pose_sequence
+    if len(read) < 2:
+        return 1
+    step_ns = float(np.median(np.diff(run.poses.time_ns[read])))
+    return max(round(step_ns / TICK_NS), 1)

@@ -1,0 +1,115 @@
+"""One run on its way through the table of metrics: what several of them need is computed once."""
+
+from collections.abc import Callable, Hashable
+from functools import cached_property
+from typing import Final, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.measure.beginning import take_beginning
+from turtlelog.measure.dead_time import DeadTime, find_dead_time
+from turtlelog.measure.metric import Missing
+from turtlelog.measure.path import compute_path_distances
+from turtlelog.measure.phases import Response, find_response
+from turtlelog.measure.settings import MeasureSettings
+from turtlelog.measure.signals import Signal, read_signal
+from turtlelog.run import Phase, Run
+
+Values = NDArray[np.float64]
+_Value = TypeVar("_Value")
+
+_MOST_SAMPLES: Final = 20_000
+"""As much of a phase as its dead time is looked for in: five minutes of ticks."""
+
+
+class RunContext:
+    """A run, the settings it is measured with, and what has been computed of it so far.
+
+    Attributes:
+        run: What is measured.
+        settings: What was chosen.
+    """
+
+    def __init__(self, run: Run, settings: MeasureSettings) -> None:
+        self.run = run
+        self.settings = settings
+        self._known: dict[Hashable, object] = {}
+
+    def recall(self, key: Hashable, compute: Callable[[], _Value]) -> _Value:
+        """Return what was computed under a key, and compute it the first time."""
+        if key not in self._known:
+            self._known[key] = compute()
+        return cast("_Value", self._known[key])
+
+    def get_signal(self, name: str) -> Signal | None:
+        """Return a signal of the run, None where the run does not hold it."""
+        return self.recall(name, lambda: read_signal(self.run, name))
+
+    def get_response(self, phase: Phase) -> Response | Missing:
+        """Return how a phase answers its reference, or why there is no such thing."""
+        signal = "heading" if phase is Phase.ROTATE else "along_track"
+        return self.recall(
+            phase, lambda: find_response(self.run, phase, self.get_signal(signal), self.settings)
+        )
+
+    @cached_property
+    def pose_time_s(self) -> Values:
+        """Times of the poses, from the first sample [s]."""
+        return np.asarray((self.run.poses.time_ns - self.run.start_ns) / 1e9)
+
+    @cached_property
+    def sample_time_s(self) -> Values:
+        """Times of the samples, from the first [s]; of the commands where there are no samples."""
+        return np.asarray((self._sample_time_ns - self.run.start_ns) / 1e9)
+
+    @property
+    def _sample_time_ns(self) -> NDArray[np.int64]:
+        run = self.run
+        return run.samples.time_ns if len(run.samples) else run.commands.time_ns
+
+    @cached_property
+    def command_time_s(self) -> Values:
+        """Times at which commands were published, from the first sample [s]."""
+        return np.asarray((self.run.commands.time_ns - self.run.start_ns) / 1e9)
+
+    @cached_property
+    def sample_period_s(self) -> Values:
+        """Time from each sample to the next [s]."""
+        return np.diff(self._sample_time_ns) / 1e9
+
+    @cached_property
+    def pose_period_s(self) -> Values:
+        """Time from each pose to the next [s]."""
+        return np.diff(self.run.poses.time_ns) / 1e9
+
+    @cached_property
+    def tick_s(self) -> float | None:
+        """Time from pose to pose that is most usual, their median [s]; None for one pose."""
+        return float(np.median(self.pose_period_s)) if len(self.pose_period_s) else None
+
+    @cached_property
+    def loop_period_s(self) -> float | None:
+        """Time from sample to sample that is most usual, bursts aside [s]; None where all are 0."""
+        periods_s = self.sample_period_s[self.sample_period_s > 0.0]
+        return float(np.median(periods_s)) if len(periods_s) else None
+
+    @cached_property
+    def cross_track_m(self) -> Values | None:
+        """Distance of every pose from the reference path, or to the left of the line to the goal.
+
+        In m, None where neither is known.
+        """
+        path_xy_m = self.settings.reference_path_xy_m
+        if path_xy_m is not None:
+            return compute_path_distances(self.run.poses.xy_m, path_xy_m)
+        signal = self.get_signal("cross_track")
+        return None if signal is None else signal.values
+
+    def find_dead_time_ticks(self, phase: Phase) -> int | Missing:
+        """Return the dead time of a phase's commands [ticks], or why it cannot be found."""
+        found = self.recall(("dead_time", phase), lambda: self._find_dead_time(phase))
+        return found if isinstance(found, Missing) else found.ticks
+
+    def _find_dead_time(self, phase: Phase) -> DeadTime | Missing:
+        return find_dead_time(take_beginning(self.run, phase, _MOST_SAMPLES), phase)

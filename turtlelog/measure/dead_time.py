@@ -1,0 +1,199 @@
+"""The dead time of a loop, read from a log: how late its commands move the plant."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.motion import PhaseMotion, Values, read_phase_motion
+from turtlelog.run import Phase, Run
+
+LARGEST_TICKS: Final = 40
+"""The largest dead time that is looked for."""
+
+_CANDIDATES: Final = range(LARGEST_TICKS + 1)
+
+_BEGUN: Final = 0.1
+"""Share of the way after which a phase's first commands, which may be lost, are behind it."""
+
+_CERTAIN: Final = 10.0
+"""Difference of log-likelihoods from which the better of two fits counts as found."""
+
+_EXPLAINED: Final = 0.05
+"""Residual above which nothing is explained, as a share of the way."""
+
+_FEWEST_STEPS: Final = 12
+"""The shortest stretch that counts as one of another dead time."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeadTimeChange:
+    """Where the dead time changes within a phase.
+
+    Attributes:
+        time_ns: Time of the pose from which on the later one holds [ns].
+        before: Dead time before [ticks].
+        after: Dead time after [ticks].
+    """
+
+    time_ns: int
+    before: int
+    after: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeadTime:
+    """How late the commands of a phase move the plant.
+
+    Attributes:
+        ticks: d, where the command that answers pose i first moves the plant in the step from
+            pose i + d to pose i + d + 1; 0 is the least possible. At the end of the phase.
+        residual: What the commands leave unexplained: root mean square [rad while rotating, m
+            while translating], of single steps where exact, of the way where there is noise.
+        margin: Residual of the second-best dead time, divided by the best one's.
+        rows: Steps compared.
+        is_exact: Whether every one of them is explained to the rounding of the poses.
+        changes: Where it changed within the phase, in order.
+    """
+
+    ticks: int
+    residual: float
+    margin: float
+    rows: int
+    is_exact: bool
+    changes: tuple[DeadTimeChange, ...] = ()
+
+
+def find_dead_time(run: Run, phase: Phase) -> DeadTime | Missing:
+    """Return the dead time of ROTATE or TRANSLATE, or why the log cannot tell it.
+
+    Every dead time up to `LARGEST_TICKS` predicts what each step between two poses turns or moves.
+    A log without noise agrees with one of them to the rounding of its poses; with noise, the one
+    that leaves the smallest squares of the way is taken, if it is clearly better than the others.
+    The standstill before a phase's first command acts is no evidence: commands may have been lost.
+    """
+    if not len(run.samples):
+        return Missing(status=Status.ABSENT, reason="the recording holds no samples")
+    motion = read_phase_motion(run, phase)
+    if motion is None:
+        return Missing(status=Status.NO_PHASE, reason=f"the run has no phase {phase.label}")
+    moves = np.abs(motion.moved) > motion.rounding
+    if np.count_nonzero(moves) < 2:
+        return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {phase.label}")
+    predicted, sure = map(np.array, zip(*map(motion.predict, _CANDIDATES), strict=True))
+    # Of a step of several ticks the first to move may have moved in some of them only.
+    first = int(moves.argmax()) + (motion.step_ticks > 1)
+    return _choose(motion, motion.moved - predicted, sure, first)
+
+
+def _choose(
+    motion: PhaseMotion, errors: Values, sure: NDArray[np.bool_], first: int
+) -> DeadTime | Missing:
+    """Judge the errors of each dead time, shape (dead times, steps); `first` is the first move."""
+    fits = (np.abs(errors) <= motion.rounding) | ~sure
+    fits[:, :first] = True
+    exact = np.flatnonzero(fits.all(axis=1))
+    if len(exact) > 1:
+        return Missing(status=Status.UNDETERMINED, reason=_describe_alike(exact))
+    stretches = [(0, int(exact[0]))] if len(exact) else _split_exactly(fits)
+    if stretches:
+        return _describe_exact(motion, errors, stretches, first)
+    return _fit_least_squares(motion, errors)
+
+
+def _describe_alike(ticks: NDArray[np.int64]) -> str:
+    listed = ", ".join(map(str, ticks))
+    if len(ticks) == ticks[-1] - ticks[0] + 1:
+        listed = f"{ticks[0]} to {ticks[-1]}"
+    return f"the commands hardly change: dead times of {listed} ticks fit alike"
+
+
+def _describe_exact(
+    motion: PhaseMotion, errors: Values, stretches: list[tuple[int, int]], first: int
+) -> DeadTime:
+    began, ticks = stretches[-1]
+    size = _compute_rms(errors[:, max(began, first) :])
+    return DeadTime(
+        ticks=ticks,
+        residual=float(size[ticks]),
+        margin=_compute_margin(size, ticks),
+        rows=errors.shape[1] - first,
+        is_exact=True,
+        changes=tuple(
+            DeadTimeChange(time_ns=int(motion.time_ns[row]), before=before, after=after)
+            for (_, before), (row, after) in pairwise(stretches)
+        ),
+    )
+
+
+def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first row and the dead time of each stretch, none where that does not explain all.
+
+    From the end: the dead time that explains the most steps, then the same before those.
+    """
+    stretches: list[tuple[int, int]] = []
+    end = fits.shape[1]
+    while end > 0:
+        backward = fits[:, :end][:, ::-1]
+        lengths = np.where(backward.all(axis=1), end, (~backward).argmax(axis=1))
+        best = np.flatnonzero(lengths == lengths.max())
+        if lengths.max() < min(_FEWEST_STEPS, end):
+            return []
+        # What fits alike is told by the nearer of the dead times on either side.
+        near = stretches[0][1] if stretches else int(best[0])
+        end -= int(lengths.max())
+        stretches.insert(0, (end, int(best[np.abs(best - near).argmin()])))
+    return stretches
+
+
+def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missing:
+    """Fit the way, not its steps: the noise of poses does not add up along it."""
+    way = np.cumsum(motion.moved)
+    span = float(np.ptp(way))
+    rows = np.flatnonzero(np.arange(len(way)) >= (np.abs(way) > _BEGUN * span).argmax())
+    rows = rows[~_find_after_gaps(motion)[rows]]
+    with np.errstate(over="ignore", invalid="ignore"):
+        drift = np.cumsum(errors, axis=1)[:, rows]
+        left = _remove_offsets(drift, motion.tick[rows], motion.step_ticks)
+        size = np.nan_to_num(np.sqrt(np.mean(left**2, axis=1)), nan=np.inf)
+    best, second = np.argsort(size, kind="stable")[:2].tolist()
+    margin = _compute_margin(size, best)
+    if size[best] > _EXPLAINED * span:
+        reason = f"no dead time up to {LARGEST_TICKS} ticks explains the motion"
+        return Missing(status=Status.UNDETERMINED, reason=reason)
+    if len(rows) * np.log(margin) < _CERTAIN:
+        reason = f"noise: dead times of {best} and {second} ticks fit alike"
+        return Missing(status=Status.UNDETERMINED, reason=reason)
+    return DeadTime(
+        ticks=best, residual=float(size[best]), margin=margin, rows=len(rows), is_exact=False
+    )
+
+
+def _find_after_gaps(motion: PhaseMotion) -> NDArray[np.bool_]:
+    """Return which steps come so soon after a gap that lost commands may still be acting."""
+    tick = motion.tick
+    gaps = np.flatnonzero(np.diff(tick) > motion.step_ticks) + 1
+    since = np.full(len(tick), LARGEST_TICKS)
+    for first, after in pairwise([*gaps.tolist(), len(tick)]):
+        since[first:after] = tick[first:after] - tick[first]
+    return since < LARGEST_TICKS
+
+
+def _remove_offsets(drift: Values, tick: NDArray[np.int64], step_ticks: int) -> Values:
+    """Subtract the mean of each stretch without a gap; where it begins is not known exactly."""
+    bounds = np.flatnonzero(np.diff(tick) > step_ticks) + 1
+    parts = np.split(drift, bounds, axis=1)
+    return np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)
+
+
+def _compute_rms(errors: Values) -> Values:
+    rms: Values = np.sqrt(np.mean(errors**2, axis=1))
+    return rms
+
+
+def _compute_margin(size: Values, best: int) -> float:
+    second = float(np.delete(size, best).min())
+    return second / float(size[best]) if size[best] > 0.0 else float("inf")

@@ -1,0 +1,151 @@
+"""What each plant step moved, and which sample's command it could have integrated."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import subtract_headings
+from turtlelog.run import Phase, Run
+from turtlelog.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
+
+Values = NDArray[np.float64]
+
+_NEAR_TICK: Final = 0.15
+"""How far a wall clock's usual step may be from turtlesim's tick, as a share of it."""
+
+_NEAR_TICKS: Final = 0.02
+"""The same for several ticks, where a controller answers every n-th pose and logs that."""
+
+_MOST_STEP_TICKS: Final = 60
+
+_GAP_STEPS: Final = 4.0
+"""A longer silence than this many usual steps may have lost poses."""
+
+_LOST_ROWS: Final = 1000
+"""Rows that a gap of unknown length stands for: further than any dead time reaches."""
+
+_EXACT: Final = 2e-8
+"""What double precision leaves of a step: turtlesim's pi has eight decimals [m, rad]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PhaseMotion:
+    """The steps of one stretch of a phase, along the coordinate that its command drives.
+
+    Attributes:
+        time_ns: Time of the pose that each step begins at [ns], shape (n,).
+        tick: Tick of that pose, shape (n,); rows of no known tick lie far apart.
+        moved: Turned [rad] or moved along the heading [m] in the step, shape (n,).
+        rounding: What the rounding of the two poses can make of it [rad or m], shape (n,).
+        step_ticks: Ticks in a step: 1 where there is a pose per tick.
+        tick_s: Length of a tick [s].
+        sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
+        apart: Usual distance of these [ticks], at least 1.
+        command: Of each sample [rad/s or m/s], shape (m,).
+    """
+
+    time_ns: NDArray[np.int64]
+    tick: NDArray[np.int64]
+    moved: Values
+    rounding: Values
+    step_ticks: int
+    tick_s: float
+    sample_tick: NDArray[np.int64]
+    apart: float
+    command: Values
+
+    def predict(self, dead_time_ticks: int) -> tuple[Values, NDArray[np.bool_]]:
+        """Return what each step moves if commands take that long [rad or m], and if that is sure.
+
+        Both have shape (n,). The last command is held, 0 before the first; but where samples are
+        further apart than usual, others may have been lost between them.
+        """
+        answered = self.tick[:, None] + np.arange(self.step_ticks) - dead_time_ticks
+        latest = np.searchsorted(self.sample_tick, answered, side="right") - 1
+        is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < self.apart)
+        command = np.where(latest >= 0, self.command[latest], 0.0)
+        return command.sum(axis=1) * self.tick_s, np.asarray(is_sure.all(axis=1))
+
+
+def read_phase_motion(run: Run, phase: Phase) -> PhaseMotion | None:
+    """Return the steps between the poses that a phase's first stretch of samples read.
+
+    None where the run has no such phase. Steps across a gap, or against a wall, are left out.
+    """
+    samples, poses = run.samples, run.poses
+    of_phase = np.flatnonzero(samples.phase == phase)
+    if not len(of_phase):
+        return None
+    others = np.flatnonzero(samples.phase != phase)
+    after = np.append(others[others > of_phase[0]], len(samples))[0]
+    first, last = samples.pose_sequence[of_phase[0]], samples.pose_sequence[after - 1]
+    tick, step_ticks, tick_s = _count_ticks(poses.time_ns)
+    # One pose may be answered once only, and in order.
+    sample_tick = np.maximum.accumulate(tick[samples.pose_sequence])
+    rows = np.arange(first, last)
+    rows = rows[np.diff(tick)[first:last] == step_ticks]
+    if phase is Phase.ROTATE:
+        moved, rounding = _measure_turns(poses.heading_rad, rows)
+        command = samples.turn_rate_rad_s
+    else:
+        rows = rows[_find_free(poses.xy_m, rows)]
+        moved, rounding = _measure_moves(poses.xy_m, poses.heading_rad, rows)
+        command = samples.speed_m_s
+    return PhaseMotion(
+        time_ns=poses.time_ns[rows],
+        tick=tick[rows],
+        moved=moved,
+        rounding=rounding,
+        step_ticks=step_ticks,
+        tick_s=tick_s,
+        sample_tick=sample_tick,
+        apart=max(float(np.median(np.diff(sample_tick))), 1.0) if len(sample_tick) > 1 else 1.0,
+        command=command,
+    )
+
+
+def _count_ticks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int, float]:
+    """Return the tick of each pose, the usual ticks in a step, and the length of a tick [s]."""
+    step_ns = np.diff(time_ns)
+    if not len(step_ns):
+        return np.zeros(len(time_ns), dtype=np.int64), 1, TICK_S
+    usual_ns = float(np.median(step_ns))
+    if not (step_ns % TICK_NS).any() and usual_ns == TICK_NS:
+        return (time_ns - time_ns[0]) // TICK_NS, 1, TICK_S
+    # A wall clock jitters, and a callback may be late without a pose being lost.
+    steps = np.where(step_ns > _GAP_STEPS * usual_ns, _LOST_ROWS, 1)
+    ticks = min(max(round(usual_ns / TICK_NS), 1), _MOST_STEP_TICKS)
+    if abs(usual_ns / TICK_NS / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
+        return np.r_[0, np.cumsum(steps * ticks)], ticks, TICK_S
+    return np.r_[0, np.cumsum(steps)], 1, usual_ns / 1e9
+
+
+def _measure_turns(heading_rad: Values, rows: NDArray[np.int64]) -> tuple[Values, Values]:
+    moved = subtract_headings(heading_rad[rows + 1], heading_rad[rows])
+    half = _find_half_steps(heading_rad)
+    return moved, half[rows] + half[rows + 1] + _EXACT
+
+
+def _measure_moves(
+    xy_m: Values, heading_rad: Values, rows: NDArray[np.int64]
+) -> tuple[Values, Values]:
+    # turtlesim turns first, then moves along the new heading.
+    along = np.column_stack([np.cos(heading_rad[rows + 1]), np.sin(heading_rad[rows + 1])])
+    half = _find_half_steps(xy_m)
+    moved = ((xy_m[rows + 1] - xy_m[rows]) * along).sum(axis=1)
+    return moved, ((half[rows] + half[rows + 1]) * np.abs(along)).sum(axis=1) + _EXACT
+
+
+def _find_half_steps(values: Values) -> Values:
+    """Return half the spacing of 32-bit floats at each value, 0 where values have more bits."""
+    if (values != values.astype(np.float32)).any():
+        return np.zeros_like(values)
+    half: Values = 0.5 * np.abs(np.spacing(values.astype(np.float32))).astype(np.float64)
+    return half
+
+
+def _find_free(xy_m: Values, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    free = (xy_m[rows + 1] > 0.0) & (xy_m[rows + 1] < WORLD_SIZE_M)
+    return np.asarray(free.all(axis=1))

@@ -1,0 +1,67 @@
+"""Figures of a path in the plane: points of shape (n, 2), n >= 1, joined by lines."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+
+_BLOCK: Final = 512
+
+
+def compute_path_length(xy_m: Values) -> float:
+    """Return the length of the line through all points [m]."""
+    steps = np.diff(xy_m, axis=0)
+    return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
+
+def compute_straightness(xy_m: Values) -> float | None:
+    """Return the length over the distance from first to last point [1]: 1 is a straight line.
+
+    None where both are the same point.
+    """
+    distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
+    # Rounding of the sum leaves a straight line a bit short of its distance.
+    return max(compute_path_length(xy_m) / distance_m, 1.0) if distance_m > 0.0 else None
+
+
+def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:
+    """Return each point's distance to the nearest point of a path [m], shape (n,).
+
+    `path_xy_m` is the line through its points, shape (m, 2), m >= 2. Blocks of neighbouring points
+    look only at the parts of the path that their bounding box lets be nearest, so long paths cost
+    little more than short ones.
+    """
+    starts, ways = path_xy_m[:-1], np.diff(path_xy_m, axis=0)
+    distances = [
+        _find_nearest(block, *_select_near(block, starts, ways))
+        for block in np.split(xy_m, range(_BLOCK, len(xy_m), _BLOCK))
+    ]
+    return np.concatenate(distances)
+
+
+def _select_near(block: Values, starts: Values, ways: Values) -> tuple[Values, Values]:
+    """Return the parts of the path that can be nearest to a point of the block."""
+    centre = (block.min(axis=0) + block.max(axis=0)) / 2.0
+    radius = np.hypot(*(block - centre).T).max()
+    to_centre = _measure_parts(centre[None], starts, ways)[0]
+    near = to_centre <= to_centre.min() + 2.0 * radius * (1.0 + 1e-9)
+    return starts[near], ways[near]
+
+
+def _find_nearest(block: Values, starts: Values, ways: Values) -> Values:
+    pieces = range(_BLOCK, len(starts), _BLOCK)
+    pairs = zip(np.split(starts, pieces), np.split(ways, pieces), strict=True)
+    nearest = [_measure_parts(block, *pair).min(axis=1) for pair in pairs]
+    return np.asarray(np.min(nearest, axis=0))
+
+
+def _measure_parts(points: Values, starts: Values, ways: Values) -> Values:
+    """Return the distances of points, shape (n, 2), to straight parts, shape (m, 2): (n, m)."""
+    to_point = points[:, None] - starts[None]
+    squares = (ways * ways).sum(axis=1)
+    along = (to_point * ways[None]).sum(axis=2)
+    share = np.clip(along / np.where(squares > 0.0, squares, 1.0), 0.0, 1.0)
+    rest = to_point - share[..., None] * ways[None]
+    return np.asarray(np.hypot(rest[..., 0], rest[..., 1]))

@@ -1,0 +1,110 @@
+"""What can be chosen about measuring."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import MeasureError
+from turtlelog.run import Phase
+
+SETTLING_BAND: Final = 0.02
+"""Half-width of the settling band, as a share of the step."""
+
+MOST_TICKS: Final = 1000
+"""The largest dead time that the delayed ideal loop is computed for."""
+
+_PHASES: Final = (Phase.ROTATE.label, Phase.TRANSLATE.label)
+
+Target = float | Literal["reference", "last"]
+"""What the step of a phase leads to."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasureSettings:
+    """What can be chosen about measuring. Values of a phase are in rad (rotate) or m (translate).
+
+    Attributes:
+        band: Half-width of the settling band, as a share of the step, > 0.
+        initial: What the step of a phase starts from: None for the first value of the phase, a
+            number, or a number by phase (`{"translate": 0.0}`).
+        final: What it leads to: `reference` (the goal bearing, the distance to the goal), `last`
+            (where the phase ended), a number, or one of these by phase.
+        reference_path_xy_m: The path that cross-track errors are taken from, as a line through
+            points in the world frame [m], shape (n, 2), n >= 2; None for the line from start to
+            goal.
+        dead_time_ticks: Dead time of the delayed ideal loop, in samples of its period, 0 to 1000;
+            None for that found in the recording.
+
+    Raises:
+        MeasureError: One line with the setting, what it can be, and what was given.
+    """
+
+    band: float = SETTLING_BAND
+    initial: float | Mapping[str, float] | None = None
+    final: Target | Mapping[str, Target] = "reference"
+    reference_path_xy_m: NDArray[np.float64] | None = None
+    dead_time_ticks: int | None = None
+
+    def __post_init__(self) -> None:
+        if not (_is_number(self.band) and self.band > 0.0):
+            raise MeasureError(f"band: expected a share of the step > 0, found {self.band!r}")
+        for value in _list_values("initial", self.initial):
+            if value is not None and not _is_number(value):
+                raise MeasureError(f"initial: expected a number, found {value!r}")
+        for value in _list_values("final", self.final):
+            if value not in ("reference", "last") and not _is_number(value):
+                raise MeasureError(
+                    f"final: expected 'reference', 'last' or a number, found {value!r}"
+                )
+        ticks = self.dead_time_ticks
+        if ticks is not None and not (isinstance(ticks, int) and 0 <= ticks <= MOST_TICKS):
+            raise MeasureError(
+                f"dead_time_ticks: expected a whole number from 0 to {MOST_TICKS}, found {ticks!r}"
+            )
+        if self.reference_path_xy_m is not None:
+            path_xy_m = _require_path(self.reference_path_xy_m)
+            object.__setattr__(self, "reference_path_xy_m", path_xy_m)
+
+    def get_initial(self, phase: Phase) -> float | None:
+        """Return what the step of a phase starts from, None for its first value."""
+        return self.initial.get(phase.label) if isinstance(self.initial, Mapping) else self.initial
+
+    def get_final(self, phase: Phase) -> Target:
+        """Return what the step of a phase leads to."""
+        if isinstance(self.final, Mapping):
+            return self.final.get(phase.label, "reference")
+        return self.final
+
+
+def _is_number(value: object) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and math.isfinite(cast("float", value))
+
+
+def _list_values(name: str, value: object) -> list[object]:
+    if not isinstance(value, Mapping):
+        return [value]
+    for phase in value:
+        if phase not in _PHASES:
+            raise MeasureError(f"{name}: expected a phase {' or '.join(_PHASES)}, found {phase!r}")
+    return list(value.values())
+
+
+def _require_path(path_xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    try:
+        path = np.array(path_xy_m, dtype=np.float64)
+    except (TypeError, ValueError) as err:
+        raise MeasureError("reference_path_xy_m: expected points, found something else") from err
+    if path.ndim != 2 or path.shape[1] != 2 or len(path) < 2:
+        raise MeasureError(
+            f"reference_path_xy_m: expected two points or more, shape (n, 2), found {path.shape}"
+        )
+    if not np.isfinite(path).all():
+        row = int((~np.isfinite(path)).any(axis=1).argmax())
+        raise MeasureError(f"reference_path_xy_m[{row}]: expected finite numbers, found others")
+    path.flags.writeable = False
+    return path

@@ -1,0 +1,1 @@
+"""The table of metrics: what binds each id to its algorithm."""

@@ -1,0 +1,176 @@
+"""The metrics of a run's timing."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.measure import timing
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.table.kinds import MetricKind
+
+Values = NDArray[np.float64]
+Rows = Literal["sample", "pose"]
+
+_NO_ROWS: Final = Missing(
+    status=Status.ABSENT, reason="the recording holds neither samples nor commands"
+)
+_NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="the recording holds no samples")
+
+
+def _on_periods(
+    rows: Rows, compute: Callable[[Values], float | None], fewest: int = 1
+) -> Callable[[RunContext], Result]:
+    """Compute on the periods of samples or poses, where there are at least so many."""
+
+    def compute_on_periods(context: RunContext) -> Result:
+        periods_s = _get_periods(context, rows)
+        if isinstance(periods_s, Missing):
+            return periods_s
+        value = compute(periods_s) if len(periods_s) >= fewest else None
+        if value is None:
+            found = len(periods_s) + 1
+            reason = f"{found} {rows}{'s' if found > 1 else ''}, or no time between them"
+            return Missing(status=Status.TOO_SHORT, reason=reason)
+        return Found(value)
+
+    return compute_on_periods
+
+
+def _find_largest_gap(rows: Rows) -> Callable[[RunContext], Result]:
+    def find(context: RunContext) -> Result:
+        periods_s = _get_periods(context, rows)
+        if isinstance(periods_s, Missing):
+            return periods_s
+        if not len(periods_s):
+            return Missing(status=Status.TOO_SHORT, reason=f"1 {rows}")
+        time_s = context.sample_time_s if rows == "sample" else context.pose_time_s
+        row = int(periods_s.argmax())
+        return Found(float(periods_s[row]), float(time_s[row]))
+
+    return find
+
+
+def _get_periods(context: RunContext, rows: Rows) -> Values | Missing:
+    if rows == "pose":
+        return context.pose_period_s
+    return context.sample_period_s if len(context.sample_time_s) else _NO_ROWS
+
+
+def _pick(percent: int) -> Callable[[RunContext], Result]:
+    """Return the metric of one percentile; all of them are found in one pass."""
+
+    def compute(context: RunContext) -> Result:
+        periods_s = _get_periods(context, "sample")
+        if isinstance(periods_s, Missing):
+            return periods_s
+        if not len(periods_s):
+            return Missing(status=Status.TOO_SHORT, reason="1 sample")
+        found = context.recall("percentiles", lambda: np.percentile(periods_s, _PERCENTS).tolist())
+        return Found(found[_PERCENTS.index(percent)])
+
+    return compute
+
+
+def _count_missing(context: RunContext) -> Result:
+    sequence = context.run.samples.sequence
+    return Found(float(timing.count_missing(sequence))) if len(sequence) else _NO_SAMPLES
+
+
+def _read_note(name: str) -> Callable[[RunContext], Result]:
+    """Return the metric that an importer has counted; where none had to, there is nothing."""
+
+    def read(context: RunContext) -> Result:
+        note = context.run.notes.get(name, "0")
+        if not (note.isascii() and note.isdecimal()):
+            reason = f"the note {name} is no number"
+            return Missing(status=Status.ABSENT, reason=reason)
+        return Found(float(note))
+
+    return read
+
+
+_PERCENTS: Final = (50, 95, 99)
+
+TIMING_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
+    {
+        "run.sample_rate": MetricKind(
+            unit="Hz",
+            compute=_on_periods("sample", timing.compute_rate),
+            meaning="Samples per second, from the first to the last.",
+            better=None,
+        ),
+        "run.sample_period_mean": MetricKind(
+            unit="s",
+            compute=_on_periods("sample", lambda periods_s: float(periods_s.mean())),
+            meaning="Mean time from one sample to the next.",
+            better=None,
+        ),
+        "run.sample_period_std": MetricKind(
+            unit="s",
+            compute=_on_periods("sample", timing.compute_spread),
+            meaning="Standard deviation of that time.",
+        ),
+        **{
+            f"run.sample_period_p{percent}": MetricKind(
+                unit="s",
+                compute=_pick(percent),
+                meaning=f"{percent} % of these times are no longer.",
+                better=None if percent == 50 else "lower",
+            )
+            for percent in _PERCENTS
+        },
+        "run.sample_jitter": MetricKind(
+            unit="s",
+            compute=_on_periods("sample", timing.compute_jitter, fewest=2),
+            meaning="Root mean square of the change from one such time to the next.",
+        ),
+        "run.largest_gap": MetricKind(
+            unit="s",
+            compute=_find_largest_gap("sample"),
+            meaning="Longest time without a sample.",
+        ),
+        "run.burst_samples": MetricKind(
+            unit="1",
+            compute=_on_periods(
+                "sample", lambda periods_s: float(timing.count_burst_rows(periods_s)), fewest=0
+            ),
+            meaning="Samples that share their time with the one before.",
+        ),
+        "run.dropped_samples": MetricKind(
+            unit="1",
+            compute=_count_missing,
+            meaning="Sequence numbers that are missing between the first and the last sample.",
+        ),
+        "run.pose_rate": MetricKind(
+            unit="Hz",
+            compute=_on_periods("pose", timing.compute_rate),
+            meaning="Poses per second, from the first to the last.",
+            better=None,
+        ),
+        "run.pose_period_std": MetricKind(
+            unit="s",
+            compute=_on_periods("pose", timing.compute_spread),
+            meaning="Standard deviation of the time from one pose to the next.",
+        ),
+        "run.largest_pose_gap": MetricKind(
+            unit="s",
+            compute=_find_largest_gap("pose"),
+            meaning="Longest time without a pose.",
+        ),
+        "run.duplicates": MetricKind(
+            unit="1",
+            compute=_read_note("dropped_duplicates"),
+            meaning="Rows that stood twice in the imported file and were dropped.",
+        ),
+        "run.disorder": MetricKind(
+            unit="1",
+            compute=_read_note("sorted_rows"),
+            meaning="Rows that stood late in the imported file and were put in order.",
+        ),
+    }
+)
+"""The metrics of a run's timing by id."""

@@ -1,0 +1,90 @@
+"""Command metrics: from commands as they hold to a value or the reason for none."""
+
+from typing import Final
+
+import numpy as np
+
+from turtlelog.measure import command
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.phases import CommandStretch
+
+_NO_LIMIT: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the limit")
+_NO_WANTED: Final = Missing(
+    status=Status.ABSENT, reason="the recording does not hold the wanted command"
+)
+_ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="all commands share one time")
+
+
+def compute_effort(commands: CommandStretch) -> Result:
+    """See `command.compute_effort`."""
+    return Found(command.compute_effort(commands.held_s, commands.values))
+
+
+def compute_total_variation(commands: CommandStretch) -> Result:
+    """See `command.compute_total_variation`."""
+    return Found(command.compute_total_variation(commands.values))
+
+
+def compute_largest_jump(commands: CommandStretch) -> Result:
+    """See `command.find_largest_jump`."""
+    jump, row = command.find_largest_jump(commands.values)
+    return Found(jump, float(commands.time_s[row]))
+
+
+def compute_largest_slew_rate(commands: CommandStretch) -> Result:
+    """See `command.find_largest_slew_rate`."""
+    found = command.find_largest_slew_rate(commands.time_s, commands.values)
+    return _ONE_TIME if found is None else Found(found[0], float(commands.time_s[found[1]]))
+
+
+def compute_reversals(commands: CommandStretch) -> Result:
+    """See `command.count_reversals`."""
+    return Found(float(command.count_reversals(commands.values)))
+
+
+def compute_largest_wanted(commands: CommandStretch) -> Result:
+    """The largest magnitude before clipping."""
+    wanted = commands.wanted
+    if wanted is None:
+        return _NO_WANTED
+    row = int(np.abs(wanted).argmax())
+    return Found(abs(float(wanted[row])), float(commands.time_s[row]))
+
+
+def compute_saturated_share(commands: CommandStretch) -> Result:
+    """By samples; taken at the first that is saturated."""
+    saturated = commands.is_saturated
+    if saturated is None:
+        return _NO_LIMIT
+    return Found(float(saturated.mean()), _tell_first(commands))
+
+
+def compute_saturated_time_share(commands: CommandStretch) -> Result:
+    """By time, under hold; taken at the first that is saturated."""
+    saturated = commands.is_saturated
+    if saturated is None:
+        return _NO_LIMIT
+    held_s = commands.held_s
+    length_s = float(held_s.sum())
+    if length_s <= 0.0:
+        return _ONE_TIME
+    share = min(float(np.dot(held_s, saturated)) / length_s, 1.0)
+    return Found(share, _tell_first(commands))
+
+
+def compute_longest_saturation(commands: CommandStretch) -> Result:
+    """See `command.find_longest_held`; taken at its start."""
+    saturated = commands.is_saturated
+    if saturated is None:
+        return _NO_LIMIT
+    found = command.find_longest_held(commands.held_s, saturated)
+    if found is None:
+        return Found(0.0)
+    return Found(found[0], float(commands.time_s[found[1]]))
+
+
+def _tell_first(commands: CommandStretch) -> float | None:
+    saturated = commands.is_saturated
+    if saturated is None or not saturated.any():
+        return None
+    return float(commands.time_s[saturated.argmax()])

@@ -1,0 +1,135 @@
+"""Step-response metrics of a phase: from its response to a value or the reason for none."""
+
+from typing import Final
+
+from turtlelog.measure import step
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.phases import Response
+
+SMALLEST_STEP: Final = 1e-6
+"""What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
+
+_NO_STEP: Final = Missing(status=Status.NO_STEP, reason="the phase begins at its reference")
+
+
+def compute_duration(response: Response) -> Result:
+    """From the start of the phase to its last pose."""
+    return Found(float(response.time_s[-1]))
+
+
+def compute_delay_time(response: Response) -> Result:
+    """See `step.find_level_time`, at 50 %."""
+    if _has_no_step(response):
+        return _NO_STEP
+    half_s = step.find_level_time(
+        response.time_s,
+        response.values,
+        level=0.5,
+        initial=response.initial,
+        reference=response.reference,
+    )
+    return _miss("half") if half_s is None else Found(half_s, response.start_s + half_s)
+
+
+def compute_rise_time(response: Response) -> Result:
+    """See `step.find_rise`; taken at its end."""
+    if _has_no_step(response):
+        return _NO_STEP
+    rise = step.find_rise(
+        response.time_s, response.values, initial=response.initial, reference=response.reference
+    )
+    if rise is None:
+        return _miss("90 %")
+    return Found(rise[1] - rise[0], response.start_s + rise[1])
+
+
+def compute_peak(response: Response) -> Result:
+    """See `step.find_peak_row`."""
+    if _has_no_step(response):
+        return _NO_STEP
+    row = _find_peak_row(response)
+    return Found(float(response.values[row]), _tell_time(response, row))
+
+
+def compute_peak_time(response: Response) -> Result:
+    """See `step.find_peak_row`."""
+    if _has_no_step(response):
+        return _NO_STEP
+    row = _find_peak_row(response)
+    return Found(float(response.time_s[row]), _tell_time(response, row))
+
+
+def compute_overshoot(response: Response) -> Result:
+    """See `step.find_overshoot`."""
+    if _has_no_step(response):
+        return _NO_STEP
+    share = step.find_overshoot(
+        response.values, initial=response.initial, reference=response.reference
+    )
+    return Found(100.0 * share, _tell_time(response, _find_peak_row(response)))
+
+
+def compute_undershoot(response: Response) -> Result:
+    """See `step.find_undershoot`."""
+    if _has_no_step(response):
+        return _NO_STEP
+    share, row = step.find_undershoot(
+        response.values, initial=response.initial, reference=response.reference
+    )
+    return Found(100.0 * share, _tell_time(response, row))
+
+
+def compute_settling_time(response: Response) -> Result:
+    """See `step.find_settling_time`."""
+    if _has_no_step(response):
+        return _NO_STEP
+    settled_s = step.find_settling_time(
+        response.time_s,
+        response.values,
+        initial=response.initial,
+        reference=response.reference,
+        band=response.band,
+    )
+    if settled_s is None:
+        reason = f"the phase ends outside the {100.0 * response.band:g} % band"
+        return Missing(status=Status.NOT_REACHED, reason=reason)
+    return Found(settled_s, response.start_s + settled_s)
+
+
+def compute_crossings(response: Response) -> Result:
+    """See `step.find_crossing_rows`; taken at the first."""
+    rows = step.find_crossing_rows(response.values, response.reference)
+    return Found(float(len(rows)), _tell_time(response, int(rows[0])) if len(rows) else None)
+
+
+def compute_decay_ratio(response: Response) -> Result:
+    """See `step.find_decay_ratio`; taken at the second peak."""
+    if _has_no_step(response):
+        return _NO_STEP
+    found = step.find_decay_ratio(
+        response.values, initial=response.initial, reference=response.reference
+    )
+    if found is None:
+        reason = "the response does not overshoot twice"
+        return Missing(status=Status.NOT_REACHED, reason=reason)
+    return Found(found[0], _tell_time(response, found[1]))
+
+
+def _has_no_step(response: Response) -> bool:
+    return abs(response.reference - response.initial) <= SMALLEST_STEP
+
+
+def _find_peak_row(response: Response) -> int:
+    return step.find_peak_row(
+        response.values, initial=response.initial, reference=response.reference
+    )
+
+
+def _tell_time(response: Response, row: int) -> float:
+    return response.start_s + float(response.time_s[row])
+
+
+def _miss(share: str) -> Missing:
+    return Missing(
+        status=Status.NOT_REACHED, reason=f"the response does not come {share} of the step"
+    )

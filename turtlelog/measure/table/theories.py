@@ -1,0 +1,108 @@
+"""Metrics of a phase against theory: from its response to a value or the reason for none."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from turtlelog.measure import deviation
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.integrals import compute_rms
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.phases import Response
+from turtlelog.measure.settings import MOST_TICKS
+from turtlelog.run import Phase
+
+THEORIES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "ideal": "the ideal loop",
+        "sampled": "the ideal loop with sampling",
+        "delayed": "the ideal loop with sampling and dead time",
+    }
+)
+"""What measured responses are held against, and how it is called."""
+
+_MOST_SAMPLES: Final = 20_000_000
+
+_NO_GAIN: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the gain")
+_ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share one time")
+
+
+def compute_dead_time(context: RunContext, response: Response) -> Result:
+    """See `dead_time.find_dead_time`; ticks times the time from pose to pose."""
+    ticks = context.find_dead_time_ticks(response.phase)
+    if isinstance(ticks, Missing):
+        return ticks
+    return _ONE_TIME if context.tick_s is None else Found(ticks * context.tick_s)
+
+
+def deviate(theory: str, figure: str) -> Callable[[RunContext, Response], Result]:
+    """Return the metric `max` or `rms` of the deviation from a theory."""
+
+    def compute(context: RunContext, response: Response) -> Result:
+        found = context.recall(
+            (theory, response.phase), lambda: _deviate(theory, context, response)
+        )
+        if isinstance(found, Missing):
+            return found
+        if figure == "rms":
+            return Found(compute_rms(response.step_s, found))
+        largest, row = deviation.find_largest(found)
+        return Found(largest, response.start_s + float(response.time_s[row]))
+
+    return compute
+
+
+def _deviate(theory: str, context: RunContext, response: Response) -> deviation.Values | Missing:
+    predicted = _predict(theory, context, response)
+    return predicted if isinstance(predicted, Missing) else response.values - predicted
+
+
+def _predict(theory: str, context: RunContext, response: Response) -> deviation.Values | Missing:
+    kp = _find_gain(context, response.phase)
+    if kp is None:
+        return _NO_GAIN
+    if theory == "ideal":
+        return deviation.compute_ideal_response(
+            response.time_s, kp=kp, initial=response.initial, reference=response.reference
+        )
+    period_s = context.loop_period_s
+    if period_s is None:
+        return _ONE_TIME
+    if response.time_s[-1] / period_s > _MOST_SAMPLES:
+        return Missing(status=Status.TOO_LARGE, reason="the sampling period is too short")
+    dead_time = _find_dead_time_samples(theory, context, response, period_s)
+    if isinstance(dead_time, Missing):
+        return dead_time
+    return deviation.compute_sampled_response(
+        response.time_s,
+        kp=kp,
+        period_s=period_s,
+        dead_time_ticks=dead_time,
+        initial=response.initial,
+        reference=response.reference,
+    )
+
+
+def _find_gain(context: RunContext, phase: Phase) -> float | None:
+    key = "law.kp_angular" if phase is Phase.ROTATE else "law.kp_linear"
+    kp = context.run.parameters.get(key)
+    if not isinstance(kp, int | float) or isinstance(kp, bool):
+        return None
+    return float(kp) if 0.0 < kp < np.inf else None
+
+
+def _find_dead_time_samples(
+    theory: str, context: RunContext, response: Response, period_s: float
+) -> int | Missing:
+    """Return the dead time of a theory in samples: 0, as asked, or as found in the recording."""
+    if theory == "sampled":
+        return 0
+    asked = context.settings.dead_time_ticks
+    if asked is not None:
+        return asked
+    ticks = context.find_dead_time_ticks(response.phase)
+    if isinstance(ticks, Missing) or context.tick_s is None:
+        return ticks if isinstance(ticks, Missing) else _ONE_TIME
+    return min(round(ticks * context.tick_s / period_s), MOST_TICKS)

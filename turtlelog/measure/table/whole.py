@@ -1,0 +1,208 @@
+"""The metrics of a whole run: its length, its way, its distance to the goal, its commands."""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.measure import integrals, path, step
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.deviation import find_largest
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.phases import CommandStretch
+from turtlelog.measure.table.commands import (
+    compute_effort,
+    compute_largest_jump,
+    compute_largest_slew_rate,
+    compute_reversals,
+    compute_total_variation,
+)
+from turtlelog.measure.table.kinds import MetricKind
+
+Values = NDArray[np.float64]
+
+NO_LINE: Final = Missing(
+    status=Status.ABSENT, reason="the recording does not hold the line from start to goal"
+)
+_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the goal")
+_NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
+
+
+def _compute_duration(context: RunContext) -> Result:
+    return Found((context.run.end_ns - context.run.start_ns) / 1e9)
+
+
+def _compute_length(context: RunContext) -> Result:
+    return Found(path.compute_path_length(context.run.poses.xy_m))
+
+
+def _compute_straightness(context: RunContext) -> Result:
+    straightness = path.compute_straightness(context.run.poses.xy_m)
+    if straightness is None:
+        return Missing(status=Status.NO_MOTION, reason="the turtle ends where it began")
+    return Found(straightness)
+
+
+def find_largest_cross_track(context: RunContext, rows: slice) -> Result:
+    """Return the largest magnitude among rows of the poses."""
+    cross_track_m = context.cross_track_m
+    if cross_track_m is None:
+        return NO_LINE
+    largest_m, row = find_largest(cross_track_m[rows])
+    return Found(largest_m, float(context.pose_time_s[rows][row]))
+
+
+def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
+    """Return the root of the mean square over time among rows of the poses."""
+    cross_track_m = context.cross_track_m
+    if cross_track_m is None:
+        return NO_LINE
+    return Found(integrals.compute_rms(np.diff(context.pose_time_s[rows]), cross_track_m[rows]))
+
+
+def _on_distance(
+    compute: Callable[[RunContext, Values, Values], Result],
+) -> Callable[[RunContext], Result]:
+    """Compute on the distance to the goal from the first sample on."""
+
+    def compute_on_distance(context: RunContext) -> Result:
+        signal = context.get_signal("distance")
+        if signal is None:
+            return _NO_GOAL
+        first = int(np.searchsorted(signal.time_ns, context.run.start_ns))
+        first = min(first, len(signal.values) - 1)
+        return compute(context, context.pose_time_s[first:], signal.values[first:])
+
+    return compute_on_distance
+
+
+def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Values) -> Result:
+    first_m, band = float(distance_m[0]), context.settings.band
+    arrived_s = step.find_settling_time(
+        time_s, distance_m, initial=first_m, reference=0.0, band=band
+    )
+    if arrived_s is None:
+        reason = f"the run ends further from the goal than {100.0 * band:g} % of its first distance"
+        return Missing(status=Status.NOT_REACHED, reason=reason)
+    return Found(arrived_s, arrived_s)
+
+
+def _on_commands(
+    column: str, compute: Callable[[CommandStretch], Result]
+) -> Callable[[RunContext], Result]:
+    """Compute on one column of the commands as published, until the end of the run."""
+
+    def compute_on_commands(context: RunContext) -> Result:
+        if not len(context.run.commands):
+            return _NO_COMMANDS
+        return compute(context.recall(column, lambda: _take_commands(context, column)))
+
+    return compute_on_commands
+
+
+def _take_commands(context: RunContext, column: str) -> CommandStretch:
+    return CommandStretch(
+        time_s=context.command_time_s,
+        values=getattr(context.run.commands, column),
+        wanted=None,
+        limit=None,
+        end_s=(context.run.end_ns - context.run.start_ns) / 1e9,
+    )
+
+
+def _list_command_metrics(name: str, column: str, unit: str, square: str) -> dict[str, MetricKind]:
+    words = name.replace("_", " ")
+    return {
+        f"run.{name}_effort": MetricKind(
+            unit=square,
+            compute=_on_commands(column, compute_effort),
+            meaning=f"Integral of the square of the published {words} as it holds.",
+        ),
+        f"run.{name}_total_variation": MetricKind(
+            unit=unit,
+            compute=_on_commands(column, compute_total_variation),
+            meaning=f"Sum of the magnitudes of all changes of the published {words}.",
+        ),
+        f"run.{name}_largest_jump": MetricKind(
+            unit=unit,
+            compute=_on_commands(column, compute_largest_jump),
+            meaning=f"Largest change from one published {words} to the next.",
+        ),
+        f"run.{name}_largest_slew_rate": MetricKind(
+            unit=f"{unit}^2",
+            compute=_on_commands(column, compute_largest_slew_rate),
+            meaning=f"Largest change of the published {words} over the time that it took.",
+        ),
+        f"run.{name}_reversals": MetricKind(
+            unit="1",
+            compute=_on_commands(column, compute_reversals),
+            meaning=f"How often the published {words} changes its sign.",
+        ),
+    }
+
+
+_ALL: Final = slice(None)
+
+RUN_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
+    {
+        "run.duration": MetricKind(
+            unit="s", compute=_compute_duration, meaning="From the first sample to the end."
+        ),
+        "run.time_to_goal": MetricKind(
+            unit="s",
+            compute=_on_distance(_compute_time_to_goal),
+            meaning="Last time the distance to the goal falls to 2 % of the first, or as asked.",
+        ),
+        "run.path_length": MetricKind(
+            unit="m", compute=_compute_length, meaning="Length of the line through all poses."
+        ),
+        "run.straightness": MetricKind(
+            unit="1",
+            compute=_compute_straightness,
+            meaning="Path length over the distance from first to last pose: 1 is a straight line.",
+            floor=1.0,
+        ),
+        "run.cross_track_max": MetricKind(
+            unit="m",
+            compute=lambda context: find_largest_cross_track(context, _ALL),
+            meaning="Largest distance from the line from start to goal, or from the path given.",
+        ),
+        "run.cross_track_rms": MetricKind(
+            unit="m",
+            compute=lambda context: compute_rms_cross_track(context, _ALL),
+            meaning="Root of the mean square of that distance over time.",
+        ),
+        "run.iae": MetricKind(
+            unit="m s",
+            compute=_on_distance(
+                lambda _, time_s, distance_m: Found(
+                    integrals.integrate(np.diff(time_s), distance_m)
+                )
+            ),
+            meaning="Integral of the distance to the goal.",
+        ),
+        "run.ise": MetricKind(
+            unit="m^2 s",
+            compute=_on_distance(
+                lambda _, time_s, distance_m: Found(
+                    integrals.integrate_square(np.diff(time_s), distance_m)
+                )
+            ),
+            meaning="Integral of the square of the distance to the goal.",
+        ),
+        "run.itae": MetricKind(
+            unit="m s^2",
+            compute=_on_distance(
+                lambda _, time_s, distance_m: Found(
+                    integrals.integrate_time_weighted(time_s, np.diff(time_s), distance_m)
+                )
+            ),
+            meaning="Integral of time times the distance to the goal.",
+        ),
+        **_list_command_metrics("speed", "speed_m_s", "m/s", "m^2/s"),
+        **_list_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s"),
+    }
+)
+"""The metrics of a whole run by id, without its timing."""

@@ -1,0 +1,153 @@
+"""The sampled loop: y[k+1] = y[k] + Kp T (r - y[k-d]), an integrator held between samples.
+
+T is the sampling period, d the dead time in samples. Its poles are the roots of
+z^(d+1) - z^d + Kp T. Its open loop is Kp T / (z^d (z - 1)), with the magnitude
+Kp T / (2 sin(w T / 2)) and the phase -(pi / 2 + (d + 1/2) w T) at the frequency w.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.theory.inputs import require_dead_time, require_gain, require_period
+from turtlelog.theory.responses import LARGEST_DEVIATION, compute_sampled_step_response
+from turtlelog.theory.sampled_poles import (
+    compute_overshoot_loop_gain,
+    compute_stability_loop_gain,
+    find_sampled_poles,
+)
+
+_LONGEST: Final = 2_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampledLoop:
+    """What the sampled loop does at one gain.
+
+    Attributes:
+        kp: Gain [1/s].
+        period_s: Sampling period T [s].
+        dead_time_ticks: d [samples].
+        poles: Shape (d + 1,), complex, in the z plane, largest magnitude first.
+        stable: All poles lie inside the unit circle.
+        overshoots: The slowest poles have left the positive real axis.
+        damping_ratio: Of the slowest pole: 1 on the positive real axis, negative where unstable.
+        overshoot_percent: Furthest sample beyond the reference after a step [% of the step]; None
+            where it is unstable or too slow to tell.
+        settling_time_s: First sample after a step from which on it stays within 2 % [s]; None as
+            before.
+        gain_margin: Factor on Kp that makes it unstable; below 1 it is.
+        phase_margin_rad: Phase above -pi where the open loop's magnitude is 1 [rad]; None where
+            Kp T > 2, whose magnitude is nowhere as small as 1.
+        delay_margin_ticks: Dead time that may be added, phase margin over crossover frequency
+            [samples]: as many whole ticks as it holds keep the loop stable. None as before.
+    """
+
+    kp: float
+    period_s: float
+    dead_time_ticks: int
+    poles: NDArray[np.complex128]
+    stable: bool
+    overshoots: bool
+    damping_ratio: float
+    overshoot_percent: float | None
+    settling_time_s: float | None
+    gain_margin: float
+    phase_margin_rad: float | None
+    delay_margin_ticks: float | None
+
+    @property
+    def delay_margin_s(self) -> float | None:
+        """The delay margin in seconds."""
+        ticks = self.delay_margin_ticks
+        return None if ticks is None else ticks * self.period_s
+
+
+def compute_overshoot_gain(period_s: float, dead_time_ticks: int = 0) -> float:
+    """Return the largest Kp [1/s] without overshoot: d^d / (d + 1)^(d + 1) / T, 1 / T for d = 0."""
+    return compute_overshoot_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
+        period_s
+    )
+
+
+def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
+    """Return the Kp [1/s] from which the loop is unstable: 2 sin(pi / (2 (2 d + 1))) / T."""
+    return compute_stability_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
+        period_s
+    )
+
+
+def compute_sampled_poles(
+    kp: float, *, period_s: float, dead_time_ticks: int = 0
+) -> NDArray[np.complex128]:
+    """Return the poles of the sampled loop, shape (d + 1,), largest magnitude first."""
+    loop_gain = require_gain(kp) * require_period(period_s)
+    return find_sampled_poles(loop_gain, require_dead_time(dead_time_ticks))
+
+
+def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0) -> SampledLoop:
+    """Return what the sampled loop does at a gain: poles, margins, overshoot, settling time.
+
+    Args:
+        kp: Gain [1/s].
+        period_s: Sampling period T [s].
+        dead_time_ticks: d [samples], 0 to 1000.
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
+    poles = compute_sampled_poles(kp, period_s=period_s, dead_time_ticks=dead_time_ticks)
+    loop_gain = kp * period_s
+    gain_margin = compute_stability_loop_gain(dead_time_ticks) / loop_gain
+    phase_margin_rad, delay_margin_ticks = _compute_margins(loop_gain, dead_time_ticks)
+    overshoot_percent, settling_ticks = _measure_step(poles, loop_gain, dead_time_ticks)
+    return SampledLoop(
+        kp=float(kp),
+        period_s=float(period_s),
+        dead_time_ticks=int(dead_time_ticks),
+        poles=poles,
+        stable=gain_margin > 1.0,
+        overshoots=loop_gain > compute_overshoot_loop_gain(dead_time_ticks),
+        damping_ratio=_compute_damping_ratio(poles[0]),
+        overshoot_percent=overshoot_percent,
+        settling_time_s=None if settling_ticks is None else settling_ticks * float(period_s),
+        gain_margin=gain_margin,
+        phase_margin_rad=phase_margin_rad,
+        delay_margin_ticks=delay_margin_ticks,
+    )
+
+
+def _compute_margins(loop_gain: float, d: int) -> tuple[float | None, float | None]:
+    """Return phase margin [rad] and delay margin [samples]."""
+    if loop_gain > 2.0:
+        return None, None
+    crossover = 2.0 * math.asin(0.5 * loop_gain)
+    phase_margin_rad = 0.5 * math.pi - (d + 0.5) * crossover
+    return phase_margin_rad, 0.5 * math.pi / crossover - (d + 0.5)
+
+
+def _compute_damping_ratio(pole: complex) -> float:
+    """Return -Re s / |s| of s = log z / T."""
+    if pole in {0.0, 1.0}:
+        return 1.0
+    exponent = np.log(complex(pole))
+    return float(-exponent.real / abs(exponent))
+
+
+def _measure_step(
+    poles: NDArray[np.complex128], loop_gain: float, d: int
+) -> tuple[float | None, int | None]:
+    """Return overshoot [%] and 2 % settling time [samples] of the step response itself."""
+    decay = -math.log(max(abs(poles[0]), 1e-3)) if abs(poles[0]) < 1.0 else 0.0
+    # exp(-12) of the slowest pole is left after so many samples, far below 2 %.
+    if decay * _LONGEST < 12.0:
+        return None, None
+    count = 10 * (d + 1) + math.ceil(12.0 / decay)
+    error = 1.0 - compute_sampled_step_response(loop_gain, count, period_s=1.0, dead_time_ticks=d)
+    if np.abs(error).max() >= LARGEST_DEVIATION:
+        return None, None
+    outside = np.flatnonzero(np.abs(error) > 0.02)
+    return max(0.0, -100.0 * float(error.min())), int(outside[-1]) + 1
