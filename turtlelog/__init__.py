@@ -56,6 +56,7 @@ if TYPE_CHECKING:
         attribute_run,
         attribute_scenario,
         identify_run,
+        simulate_without,
         write_sentences,
     )
     from turtlelog.expressions import (
@@ -143,6 +144,7 @@ if TYPE_CHECKING:
         format_table,
         open_viewer,
         write_comparison_rrd,
+        write_explanation_rrd,
         write_figures,
         write_run_rrd,
         write_snapshot,
@@ -224,6 +226,7 @@ _ROOMS = {
         "attribute_run",
         "attribute_scenario",
         "identify_run",
+        "simulate_without",
         "write_sentences",
     ),
     "expressions": (
@@ -309,6 +312,7 @@ _ROOMS = {
         "format_table",
         "open_viewer",
         "write_comparison_rrd",
+        "write_explanation_rrd",
         "write_figures",
         "write_run_rrd",
         "write_snapshot",
@@ -460,6 +464,7 @@ __all__ = [
     "run_live",
     "select_runs",
     "simulate_run",
+    "simulate_without",
     "sort_runs",
     "summarise_files",
     "summarise_run",
@@ -473,6 +478,7 @@ __all__ = [
     "tabulate_whole_runs",
     "write_columns",
     "write_comparison_rrd",
+    "write_explanation_rrd",
     "write_figures",
     "write_recording",
     "write_run_rrd",

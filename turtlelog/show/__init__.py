@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         write_tables,
     )
     from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
+    from turtlelog.show.rerun.scene_explanation import write_explanation_rrd
     from turtlelog.show.rerun.scene_run import write_run_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.rerun.viewer import open_viewer
@@ -30,6 +31,7 @@ __all__ = [
     "format_table",
     "open_viewer",
     "write_comparison_rrd",
+    "write_explanation_rrd",
     "write_figures",
     "write_run_rrd",
     "write_snapshot",
@@ -50,6 +52,7 @@ _MODULES: Final = {
     "format_table": "tables",
     "open_viewer": "rerun.viewer",
     "write_comparison_rrd": "rerun.scene_comparison",
+    "write_explanation_rrd": "rerun.scene_explanation",
     "write_run_rrd": "rerun.scene_run",
     "write_snapshot": "rerun.snapshot",
 }
