@@ -17,14 +17,14 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
     {
         entities.HEADING: "Heading [deg]",
         entities.HEADING_ERROR: "Heading error [deg]",
-        entities.HEADING_ERROR_LOG: "log₁₀ |heading error / deg|",
+        entities.HEADING_ERROR_LOG: "log₁₀ heading error [deg]",
         entities.TURN_RATE: "Turn rate [rad/s]",
         entities.POSITION: "Position [m]",
         entities.POSITION_ERROR: "Position error [m]",
         entities.ALONG_TRACK: "Along-track [m]",
         entities.CROSS_TRACK: "Cross-track [m]",
         entities.DISTANCE: "Distance [m]",
-        entities.DISTANCE_LOG: "log₁₀ distance / m",
+        entities.DISTANCE_LOG: "log₁₀ distance [m]",
         entities.SPEED: "Speed [m/s]",
         entities.WORLD_VELOCITY: "World velocity [m/s]",
     }
