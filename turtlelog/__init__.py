@@ -11,6 +11,7 @@ from turtlelog.version import __version__
 
 if TYPE_CHECKING:
     from turtlelog.check import (
+        Artifacts,
         Check,
         CheckResult,
         FormulaResult,
@@ -23,9 +24,11 @@ if TYPE_CHECKING:
         check_runs,
         compute_robustness,
         cut_run,
+        format_number,
         join_verdicts,
         load_spec,
         parse_spec,
+        write_artifacts,
     )
     from turtlelog.compare import (
         ALIGNMENTS,
@@ -92,6 +95,7 @@ if TYPE_CHECKING:
         read_recording,
         read_run,
         recover_recording,
+        replace_when_complete,
         write_columns,
         write_recording,
     )
@@ -150,6 +154,7 @@ if TYPE_CHECKING:
         write_run_rrd,
         write_snapshot,
         write_tables,
+        write_violation_rrd,
     )
     from turtlelog.simulate import (
         simulate_run,
@@ -182,6 +187,7 @@ if TYPE_CHECKING:
 
 _ROOMS = {
     "check": (
+        "Artifacts",
         "Check",
         "CheckResult",
         "FormulaResult",
@@ -194,9 +200,11 @@ _ROOMS = {
         "check_runs",
         "compute_robustness",
         "cut_run",
+        "format_number",
         "join_verdicts",
         "load_spec",
         "parse_spec",
+        "write_artifacts",
     ),
     "compare": (
         "ALIGNMENTS",
@@ -263,6 +271,7 @@ _ROOMS = {
         "read_recording",
         "read_run",
         "recover_recording",
+        "replace_when_complete",
         "write_columns",
         "write_recording",
     ),
@@ -319,6 +328,7 @@ _ROOMS = {
         "write_run_rrd",
         "write_snapshot",
         "write_tables",
+        "write_violation_rrd",
     ),
     "simulate": ("simulate_run",),
     "theory": (
@@ -359,6 +369,7 @@ __all__ = [
     "PRESETS",
     "SIGNALS",
     "TABLE_FORMATS",
+    "Artifacts",
     "BiboVerdict",
     "Check",
     "CheckError",
@@ -437,6 +448,7 @@ __all__ = [
     "find_plant_final_value",
     "flatten_scenario",
     "format_expression",
+    "format_number",
     "format_scenario",
     "format_table",
     "import_log",
@@ -465,6 +477,7 @@ __all__ = [
     "read_run",
     "read_signal",
     "recover_recording",
+    "replace_when_complete",
     "replay_law",
     "replay_loop",
     "replay_plant",
@@ -483,6 +496,7 @@ __all__ = [
     "tabulate_runs",
     "tabulate_table1",
     "tabulate_whole_runs",
+    "write_artifacts",
     "write_columns",
     "write_comparison_rrd",
     "write_figures",
@@ -490,6 +504,7 @@ __all__ = [
     "write_run_rrd",
     "write_snapshot",
     "write_tables",
+    "write_violation_rrd",
 ]
 
 

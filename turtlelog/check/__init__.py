@@ -1,5 +1,6 @@
 """Assertions on recordings."""
 
+from turtlelog.check.artifacts import Artifacts, write_artifacts
 from turtlelog.check.cut import cut_run
 from turtlelog.check.failures import MissingValueError, PartialLogError
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
@@ -12,6 +13,7 @@ from turtlelog.check.spec_file import load_spec, parse_spec
 from turtlelog.check.steps import Steps
 
 __all__ = [
+    "Artifacts",
     "Check",
     "CheckResult",
     "FormulaResult",
@@ -31,4 +33,5 @@ __all__ = [
     "load_spec",
     "parse_spec",
     "read_signals",
+    "write_artifacts",
 ]
