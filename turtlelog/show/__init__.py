@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     )
     from turtlelog.show.scene_comparison import write_comparison_rrd
     from turtlelog.show.scene_run import write_run_rrd
+    from turtlelog.show.scene_violation import write_violation_rrd
     from turtlelog.show.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.tables import TABLE_FORMATS, format_table
     from turtlelog.show.viewer import open_viewer
@@ -34,6 +35,7 @@ __all__ = [
     "write_run_rrd",
     "write_snapshot",
     "write_tables",
+    "write_violation_rrd",
 ]
 
 _MODULES: Final = {
@@ -52,6 +54,7 @@ _MODULES: Final = {
     "write_comparison_rrd": "scene_comparison",
     "write_run_rrd": "scene_run",
     "write_snapshot": "snapshot",
+    "write_violation_rrd": "scene_violation",
 }
 
 

@@ -1,0 +1,86 @@
+"""One run as a Rerun recording that opens where something was violated."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.components import AbsoluteTimeRange
+
+from turtlelog.run import Event, Run
+from turtlelog.show import drawing, palette
+from turtlelog.show.content import describe_content
+from turtlelog.show.documents import describe_run
+from turtlelog.show.entities import TIMELINE, join_path
+from turtlelog.show.layout import build_run_layout
+from turtlelog.show.properties import collect_run_properties
+from turtlelog.show.recording import open_recording
+from turtlelog.show.series import list_references, list_series
+from turtlelog.show.surroundings import draw_surroundings
+
+_VIOLATION = "plane/violation"
+_RADIUS = 6.0
+_COLOR: palette.Color = (214, 39, 40)
+
+
+def write_violation_rrd(
+    run: Run, path: str | Path, *, at_s: float, title: str, message: str
+) -> None:
+    """Write a recording of one run that opens at a moment and marks it.
+
+    The cursor stands there in every plot; the plane has a mark where the turtle was, the list of
+    events a line, and the message is the first tab.
+
+    Args:
+        run: What to show.
+        path: The .rrd file; replaced when the new one is complete.
+        at_s: The moment, from the first sample [s].
+        title: A few words, beside the mark.
+        message: All there is to say, as it would be printed.
+
+    Raises:
+        ShowError: Where the file cannot be written.
+    """
+    at_ns = run.start_ns + round(at_s * 1e9)
+    event = Event(time_ns=at_ns, kind="violation", text=f"Violation: {title}")
+    events = sorted((*run.events, event), key=lambda found: found.time_ns)
+    run = replace(run, events=tuple(events))
+    documents = {"Violation": f"```\n{message}\n```", **describe_run(run)}
+    series, references = list_series(run), list_references([run])
+    content = describe_content([run], [""], [series], references, documents)
+    layout = build_run_layout(content)
+    layout.time_panel = _stop_at(at_ns - run.start_ns)
+    with open_recording(path, name=f"{run.name}: {title}", layout=layout) as stream:
+        stream.send_property("run", collect_run_properties(run))
+        draw_surroundings(stream, [run])
+        drawing.draw_motion(stream, "", run, palette.MAIN, plane=content.plane)
+        drawing.draw_references(stream, references, [run])
+        for curves in series:
+            drawing.draw_series(stream, "", curves, run.start_ns)
+        drawing.draw_documents(stream, documents)
+        _draw_mark(stream, run, at_ns, title)
+
+
+def _stop_at(at_ns: int) -> rrb.TimePanel:
+    """Return a panel whose cursor stands at a time: it loops over a stretch of no length.
+
+    A layout cannot name the cursor's place, and a paused one stands at the beginning.
+    """
+    return rrb.TimePanel(
+        state="collapsed",
+        timeline=TIMELINE,
+        play_state="playing",
+        loop_mode="selection",
+        time_selection=AbsoluteTimeRange(min=at_ns, max=at_ns),
+    )
+
+
+def _draw_mark(stream: rr.RecordingStream, run: Run, at_ns: int, title: str) -> None:
+    row = max(int(run.poses.time_ns.searchsorted(at_ns, side="right")) - 1, 0)
+    mark = rr.Points2D(
+        run.poses.xy_m[row : row + 1],
+        radii=rr.Radius.ui_points(_RADIUS),
+        colors=[_COLOR],
+        labels=[title],
+    )
+    stream.log(join_path(_VIOLATION), mark, static=True)
