@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 
 from tests.check.formulas import HALF_NS, Column, Definition, formulas, signals
-from turtlelog.check import Finding, check_formula, check_run
+from turtlelog.check import FormulaResult, check_formula, check_run
 from turtlelog.errors import ExpressionError
 from turtlelog.expressions import Node, format_expression, parse_expression
 from turtlelog.run import Run
@@ -19,7 +19,7 @@ TIMES = np.arange(5) * SECOND_NS
 X = (TIMES, np.array([0.0, 3.0, 1.0, 4.0, 2.0]))
 
 
-def check(text: str, **trace: Any) -> Finding:
+def check(text: str, **trace: Any) -> FormulaResult:
     return check_formula({"x": X, **trace}, parse_expression(text))
 
 
@@ -28,7 +28,7 @@ def simulate_paper() -> Run:
     return simulate_run(get_preset("paper-kp10"))
 
 
-def check_paper(text: str) -> Finding:
+def check_paper(text: str) -> FormulaResult:
     return check_run(simulate_paper(), parse_expression(text))
 
 

@@ -1,16 +1,37 @@
 """Assertions on recordings."""
 
-from turtlelog.check.formula import Finding, check_formula, check_run
+from turtlelog.check.artifacts import Artifacts, write_artifacts
+from turtlelog.check.cut import cut_run
+from turtlelog.check.failures import MissingValueError, PartialLogError
+from turtlelog.check.formula import FormulaResult, check_formula, check_run
+from turtlelog.check.result import CheckResult, Verdict, format_number, join_verdicts
 from turtlelog.check.robustness import compute_robustness
+from turtlelog.check.runs import check_runs
 from turtlelog.check.signals import Signals, read_signals
+from turtlelog.check.spec import Check, Spec
+from turtlelog.check.spec_file import load_spec, parse_spec
 from turtlelog.check.steps import Steps
 
 __all__ = [
-    "Finding",
+    "Artifacts",
+    "Check",
+    "CheckResult",
+    "FormulaResult",
+    "MissingValueError",
+    "PartialLogError",
     "Signals",
+    "Spec",
     "Steps",
+    "Verdict",
     "check_formula",
     "check_run",
+    "check_runs",
     "compute_robustness",
+    "cut_run",
+    "format_number",
+    "join_verdicts",
+    "load_spec",
+    "parse_spec",
     "read_signals",
+    "write_artifacts",
 ]

@@ -14,7 +14,7 @@ from turtlelog.run import Run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class FormulaResult:
     """What a formula comes to at the beginning of a trace. Times count from there.
 
     Attributes:
@@ -44,7 +44,7 @@ class Finding:
 
 def check_formula(
     signals: Signals, expression: Expression, *, window_ns: tuple[int, int] | None = None
-) -> Finding:
+) -> FormulaResult:
     """Check a formula at the beginning of a trace.
 
     Args:
@@ -64,7 +64,7 @@ def check_formula(
     at_ns = trace.start_ns
     if holds is not None:
         at_ns = find_margin_time(margins, expression.root, trace)
-    return Finding(
+    return FormulaResult(
         formula=expression.text,
         holds=holds,
         margin=None if holds is None else _read_first(margins, expression) + 0.0,
@@ -78,7 +78,7 @@ def check_formula(
 
 def check_run(
     run: Run, expression: Expression, *, window_ns: tuple[int, int] | None = None
-) -> Finding:
+) -> FormulaResult:
     """Check a formula over a run's signals, metrics and parameters.
 
     Args:

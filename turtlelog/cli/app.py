@@ -13,6 +13,7 @@ from typing import Any
 
 from cyclopts import App, CycloptsError
 
+from turtlelog.cli.check import check
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
 from turtlelog.cli.explain import explain
@@ -56,6 +57,7 @@ for command in (
     info,
     metrics,
     compare,
+    check,
     theory,
     view,
     plot,
@@ -72,7 +74,7 @@ app.register_install_completion_command(
 
 
 def main(tokens: Sequence[str] | None = None) -> None:
-    """Run a command and exit: 0 fine, 1 a comparison failed, 2 bad usage or unreadable input."""
+    """Run a command and exit: 0 fine, 1 a check failed, 2 bad usage or unreadable input."""
     _prepare_streams()
     try:
         code = _call(tokens)

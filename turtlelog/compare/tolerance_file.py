@@ -19,8 +19,8 @@ from turtlelog.scenario.describe import describe_value, name_key
 FORMAT: Final = 1
 """The format that is read; older ones would be migrated, newer ones are refused."""
 
-OTHERS: Final = ("checks",)
-"""Tables of the same file that belong to other stages."""
+OTHERS: Final = ("checks", "reference", "alignment")
+"""Tables and keys of the same file that belong to other stages."""
 
 _OWN: Final = {"signals": list(SIGNALS), "metrics": list(METRICS)}
 _KEYS: Final = {

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
     from turtlelog.show.rerun.scene_explanation import write_explanation_rrd
     from turtlelog.show.rerun.scene_run import write_run_rrd
+    from turtlelog.show.rerun.scene_violation import write_violation_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.rerun.viewer import open_viewer
     from turtlelog.show.tables import TABLE_FORMATS, format_table
@@ -36,6 +37,7 @@ __all__ = [
     "write_run_rrd",
     "write_snapshot",
     "write_tables",
+    "write_violation_rrd",
 ]
 
 _MODULES: Final = {
@@ -55,6 +57,7 @@ _MODULES: Final = {
     "write_explanation_rrd": "rerun.scene_explanation",
     "write_run_rrd": "rerun.scene_run",
     "write_snapshot": "rerun.snapshot",
+    "write_violation_rrd": "rerun.scene_violation",
 }
 
 

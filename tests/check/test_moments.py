@@ -1,0 +1,62 @@
+"""A metric's first violation is where a run that had ended there would have violated it, too."""
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.check.recordings import simulate
+from turtlelog.check.moments import find_metric_violation
+
+RUN = simulate("paper-kp10")
+METRICS = tl.measure_run(RUN)
+
+
+def find(name: str, limit: float, operator: str = "<=") -> float | None:
+    return find_metric_violation(RUN, METRICS[name], operator, limit)
+
+
+def test_cross_track_is_violated_where_the_signal_first_is() -> None:
+    signal = tl.read_signal(RUN, "cross_track")
+    assert signal is not None
+    row = int((np.abs(signal.values) > 0.05).argmax())
+    assert find("run.cross_track_max", 0.05) == (signal.time_ns[row] - RUN.start_ns) / 1e9
+
+
+@pytest.mark.parametrize(
+    "name", ["rotate.overshoot", "run.path_length", "rotate.iae", "translate.total_variation"]
+)
+def test_a_run_cut_before_the_first_violation_passes(name: str) -> None:
+    value = METRICS[name].value
+    assert value is not None
+    failed_s = find(name, value / 2)
+    assert failed_s is not None
+    at_ns = RUN.start_ns + round(failed_s * 1e9)
+    before, there = (tl.cut_run(RUN, end_ns=end_ns) for end_ns in (at_ns - 1, at_ns))
+    values = [tl.measure_run(run, only=[name])[name].value for run in (before, there)]
+    assert values[1] is not None
+    assert values[1] > value / 2
+    assert values[0] is None or values[0] <= value / 2
+
+
+def test_what_is_waited_for_is_late_when_its_time_is_over() -> None:
+    assert find("rotate.settling_time", 2.0) == 2.0
+    spans = RUN.find_phase_spans()
+    start_s = (spans[-1].start_ns - RUN.start_ns) / 1e9
+    assert find("translate.settling_time", 3.0) == start_s + 3.0
+
+
+def test_what_is_taken_at_the_end_is_violated_there() -> None:
+    assert find("final.position_error", 0.02) == (RUN.end_ns - RUN.start_ns) / 1e9
+
+
+def test_a_share_belongs_to_its_moment_or_to_none() -> None:
+    assert find("translate.saturated_share", 0.1) == METRICS["translate.saturated_share"].at_s
+
+
+def test_a_cut_run_keeps_what_belongs_together() -> None:
+    cut = tl.cut_run(RUN, start_ns=2_000_000_000, end_ns=5_000_000_000)
+    read_ns = cut.poses.time_ns[cut.samples.pose_sequence]
+    assert 2_000_000_000 <= read_ns.min() <= read_ns.max() <= 5_000_000_000
+    whole_m = RUN.poses.xy_m[np.isin(RUN.poses.time_ns, cut.poses.time_ns)]
+    np.testing.assert_array_equal(cut.poses.xy_m, whole_m)
+    assert cut.commands.time_ns.min() >= 2_000_000_000

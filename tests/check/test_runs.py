@@ -1,0 +1,185 @@
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.check.recordings import simulate
+from turtlelog.check import CheckResult, Verdict, check_runs, parse_spec
+
+
+def judge(run: tl.Run | None = None, **entry: object) -> CheckResult:
+    spec = parse_spec({"checks": {"it": entry}})
+    (result,) = check_runs(spec, [("a.mcap", run or simulate())])
+    return result
+
+
+def hold_to(reference: Path, run: tl.Run, **tables: object) -> list[CheckResult]:
+    spec = dataclasses.replace(parse_spec(tables), reference=reference)
+    return list(check_runs(spec, [("a.mcap", run)]))
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("good") / "good.mcap"
+    tl.write_recording(simulate(), path)
+    return path
+
+
+def test_a_bound_that_holds_passes_by_its_margin() -> None:
+    result = judge(expect="rotate.overshoot <= 2")
+    value = tl.measure_run(simulate())["rotate.overshoot"].value
+    assert value is not None
+    assert result == CheckResult(
+        file="a.mcap",
+        check="it",
+        verdict=Verdict.PASS,
+        expected="rotate.overshoot <= 2",
+        value=value,
+        limit=2.0,
+        margin=2.0 - value,
+        unit="%",
+        names=("heading_error", "turn_rate"),
+    )
+
+
+@pytest.mark.parametrize("text", ["2 >= rotate.overshoot", "rotate.overshoot <= 2 and 1 < 3"])
+def test_value_and_limit_are_found_on_either_side(text: str) -> None:
+    result = judge(expect=text)
+    assert result.limit == (2.0 if ">=" in text else 3.0 if result.unit == "" else 2.0)
+
+
+def test_a_chain_reports_the_nearer_limit() -> None:
+    result = judge(expect="-1 <= rotate.overshoot <= 0.1")
+    assert (result.limit, result.verdict) == (0.1, "PASS")
+
+
+def test_a_formula_over_time_tells_its_largest_value_and_first_violation() -> None:
+    run = simulate("paper-kp10")
+    result = judge(run, holds="always(abs(cross_track) <= 0.05)", phase="translate")
+    largest = tl.measure_run(run)["translate.cross_track_max"].value
+    assert result.verdict is Verdict.FAIL
+    assert result.value == pytest.approx(largest)
+    assert result.unit == "m"
+    assert (
+        result.first_violation_s
+        == tl.check_run(
+            run, tl.parse_expression("always(abs(cross_track) <= 0.05)")
+        ).first_violation_s
+    )
+
+
+def test_a_phase_begins_after_the_first_sample_but_times_count_from_there() -> None:
+    run = simulate("paper-kp10")
+    result = judge(run, holds="always(speed < 0)", phase="translate")
+    spans = run.find_phase_spans()
+    assert result.first_violation_s == (spans[-1].start_ns - run.start_ns) / 1e9
+
+
+def test_rotate_covers_its_pause() -> None:
+    assert judge(holds="eventually(phase == 'translate')", phase="rotate").verdict == "PASS"
+    assert judge(holds="always(speed == 0)", phase="pause").verdict == "FAIL"
+
+
+@pytest.mark.parametrize("text", ["rotate.decay_ratio < 9", "not rotate.decay_ratio < 9"])
+@pytest.mark.parametrize("other", ["", " or run.duration > 0"])
+def test_a_metric_without_a_value_fails_whatever_is_asked(text: str, other: str) -> None:
+    result = judge(expect=text + other)
+    assert result.verdict is Verdict.FAIL
+    assert result.reason.startswith("rotate.decay_ratio: not_reached (the response does not")
+
+
+def test_a_condition_that_does_not_apply_skips_and_says_why() -> None:
+    result = judge(expect="rotate.overshoot < 0", when="law.kp_linear < 2")
+    assert result.verdict is Verdict.SKIPPED
+    assert result.reason == "only when law.kp_linear < 2; here law.kp_linear = 4.0"
+
+
+def test_a_condition_that_nobody_can_tell_fails() -> None:
+    run = dataclasses.replace(simulate(), parameters={})
+    result = judge(run, expect="run.duration > 0", when="law.kp_linear >= 2")
+    assert result.verdict is Verdict.FAIL
+    assert result.reason == "when: law.kp_linear: the recording does not hold it"
+
+
+def test_a_phase_that_the_run_does_not_have_fails() -> None:
+    run = simulate("textbook", start__heading_rad=2.242)
+    rows = dataclasses.replace(run.samples, phase=run.samples.phase * 0 + 2)
+    run = dataclasses.replace(run, samples=rows)
+    result = judge(run, holds="always(speed <= 1)", phase="rotate")
+    assert (result.verdict, result.reason) == ("FAIL", "no_phase (the run has no phase rotate)")
+
+
+def test_a_run_that_was_cut_does_not_pass_what_it_does_not_reach() -> None:
+    cut = simulate("paper-kp4", max_duration_s=3.0)
+    assert judge(cut, holds="always[0, 9](speed <= 1)").reason.startswith("the recording ends")
+    assert judge(cut, holds="always[0, 2](speed <= 1)").verdict == "PASS"
+    assert judge(holds="always[0, 99](speed <= 1)").verdict == "PASS"
+
+
+def test_a_parameter_that_the_law_does_not_have_is_an_error() -> None:
+    with pytest.raises(tl.ExpressionError, match=r"unknown name 'law.kp_linar'.*law.kp_linear"):
+        judge(expect="law.kp_linar > 1")
+
+
+@pytest.mark.parametrize("note", ["partial", "recovered"])
+def test_a_recording_that_lost_something_fails_unless_allowed(note: str) -> None:
+    run = dataclasses.replace(simulate(), notes={note: "9 bytes are lost"})
+    spec = parse_spec({"checks": {"it": {"expect": "run.duration > 0"}}})
+    (result,) = check_runs(spec, [("a.mcap", run)])
+    assert (result.check, result.verdict) == ("recording", "FAIL")
+    assert result.reason.endswith("found one that is not: 9 bytes are lost")
+    (result,) = check_runs(spec, [("a.mcap", run)], allow_partial=True)
+    assert result.verdict is Verdict.PASS
+
+
+def test_no_recordings_are_an_error() -> None:
+    spec = parse_spec({"checks": {"it": {"expect": "run.duration > 0"}}})
+    with pytest.raises(tl.CheckError, match="expected at least one recording to check, found none"):
+        list(check_runs(spec, []))
+
+
+def test_tolerances_hold_a_run_to_the_reference(good: Path) -> None:
+    tables = {
+        "signals": {"x": {"abs": 0.001, "reason": "a"}},
+        "metrics": {"run.duration": {"abs": 1.0, "reason": "b"}},
+    }
+    other = simulate("paper-kp10")
+    passed = hold_to(good, simulate(), **tables)
+    failed = hold_to(good, other, **tables)
+    assert [(result.check, result.verdict) for result in passed] == [
+        ("signals.x", "PASS"),
+        ("metrics.run.duration", "PASS"),
+    ]
+    assert [result.verdict for result in failed] == ["FAIL", "FAIL"]
+    assert failed[0].first_violation_s is not None
+    assert failed[0].margin is not None
+    assert failed[0].margin < 0
+    assert "where the reference has" in failed[0].reason
+
+
+def test_a_metric_without_a_value_fails_even_as_the_reference_does(good: Path) -> None:
+    tables = {"metrics": {"rotate.decay_ratio": {"abs": 1.0, "reason": "b"}}}
+    (result,) = hold_to(good, simulate(), **tables)
+    assert result.verdict is Verdict.FAIL
+    assert "not_reached" in result.reason
+
+
+def test_runs_that_do_not_overlap_fail_and_say_so(good: Path) -> None:
+    spec = dataclasses.replace(
+        parse_spec({"signals": {"x": {"abs": 1, "reason": "a"}}, "alignment": "phase:translate"}),
+        reference=good,
+    )
+    (result,) = check_runs(spec, [("a.mcap", simulate("paper-kp4", max_duration_s=1.0))])
+    assert result.verdict is Verdict.FAIL
+    assert "expected a phase translate to align at, found none" in result.reason
+
+
+def test_verdicts_join_to_the_worst() -> None:
+    results = [
+        CheckResult(file="a", check="b", verdict=verdict)
+        for verdict in (Verdict.SKIPPED, Verdict.PASS, Verdict.FAIL)
+    ]
+    assert tl.join_verdicts(results) == "FAIL"
+    assert tl.join_verdicts(results[:2]) == "PASS"
+    assert tl.join_verdicts(results[:1]) == "SKIPPED"

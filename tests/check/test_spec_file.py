@@ -1,0 +1,115 @@
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+
+CHECK = '[checks.near]\nexpect = "final.position_error < 0.02"\n'
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "spec.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_spec_holds_checks_and_tolerances(tmp_path: Path) -> None:
+    tolerance = '[signals.x]\nabs = 0.1\nreason = "enough"\n'
+    text = f'format = 1\nreference = "good.mcap"\nalignment = "phase:translate"\n{CHECK}'
+    spec = tl.load_spec(write(tmp_path, text + tolerance))
+    assert [check.name for check in spec.checks] == ["near"]
+    assert spec.tolerances.signals["x"].abs == 0.1
+    assert spec.reference == tmp_path / "good.mcap"
+    assert spec.alignment == "phase:translate"
+
+
+def test_compare_reads_the_tolerances_of_a_spec(tmp_path: Path) -> None:
+    tolerance = '[signals.x]\nabs = 0.1\nreason = "enough"\n'
+    path = write(tmp_path, f'format = 1\nreference = "good.mcap"\n{CHECK}{tolerance}')
+    assert list(tl.load_tolerances(path).signals) == ["x"]
+
+
+def test_a_check_holds_all_that_can_be_said(tmp_path: Path) -> None:
+    text = """format = 1
+[checks.track]
+holds = "always(abs(cross_track) <= 0.05)"
+phase = "translate"
+when = "law.kp_linear >= 2"
+reason = "a turtle's width"
+observed = true
+"""
+    (check,) = tl.load_spec(write(tmp_path, text)).checks
+    assert (check.kind, check.phase, check.is_observed) == ("holds", "translate", True)
+    assert check.when is not None
+    assert (check.formula.names, check.when.names) == (("cross_track",), ("law.kp_linear",))
+
+
+BAD = {
+    "no format": (CHECK, r"spec.toml: format: expected 1, found none"),
+    "older": (f"format = 0\n{CHECK}", r"spec.toml: format: expected 1, found 0"),
+    "newer": (f"format = 2\n{CHECK}", r"format: expected at most 1, found 2, of a newer turtlelog"),
+    "nothing": ("format = 1\n", r"expected at least one table \[checks.NAME\]"),
+    "table": ("format = 1\n[check.near]\n", r"spec.toml: check: expected checks"),
+    "no table": ("format = 1\nchecks = 3\n", r"checks: expected tables, found 3"),
+    "flat": ("format = 1\n[checks]\nnear = 3\n", r"checks.near: expected a table, found 3"),
+    "key": (f"format = 1\n{CHECK}fase = 1", r"checks.near.fase: expected phase.*found an unknown"),
+    "neither": (
+        'format = 1\n[checks.a]\nreason = "b"',
+        r"a: expected either .*, found none",
+    ),
+    "both": (f'format = 1\n{CHECK}holds = "x > 0"', r"expected either expect or holds, found both"),
+    "empty": ('format = 1\n[checks.a]\nexpect = " "', r"checks.a.expect: expected text, found ' '"),
+    "number": ("format = 1\n[checks.a]\nexpect = 3", r"checks.a.expect: expected text, found 3"),
+    "phase": (
+        'format = 1\n[checks.a]\nholds = "x > 0"\nphase = "rotat"',
+        r"checks.a.phase: expected rotate, found 'rotat'",
+    ),
+    "phase of metrics": (f'format = 1\n{CHECK}phase = "rotate"', r"near.phase: expected holds"),
+    "observed": (f"format = 1\n{CHECK}observed = 1", r"observed: expected true or false, found 1"),
+    "formula": (
+        'format = 1\n[checks.a]\nexpect = "final.position_error < )"',
+        r"spec.toml: checks.a.expect: column 24: expected",
+    ),
+    "metric": (
+        'format = 1\n[checks.a]\nexpect = "rotate.overshot < 2"',
+        r"checks.a.expect: column 1: unknown name 'rotate.overshot'; .* rotate.overshoot",
+    ),
+    "signal": (
+        'format = 1\n[checks.a]\nholds = "always(cros_track < 1)"',
+        r"checks.a.holds: column 8: unknown name 'cros_track'; .* cross_track",
+    ),
+    "signal as metric": (
+        'format = 1\n[checks.a]\nexpect = "cross_track < 2"',
+        r"checks.a.expect: column 1: expected a metric, found the signal cross_track",
+    ),
+    "over time": (
+        'format = 1\n[checks.a]\nexpect = "always(rotate.overshoot < 2)"',
+        r"checks.a.expect: column 1: expected metrics, found always",
+    ),
+    "parameter": (
+        f'format = 1\n{CHECK}when = "loop.period_tick > 1"',
+        r"near.when: column 1: unknown name 'loop.period_tick'; .* loop.period_ticks",
+    ),
+    "no reference": (
+        'format = 1\n[signals.x]\nabs = 1\nreason = "a"',
+        r"spec.toml: reference: expected a recording that tolerances are taken from, found none",
+    ),
+    "reference": (f"format = 1\nreference = 3\n{CHECK}", r"spec.toml: reference: expected text"),
+    "alignment": (
+        f'format = 1\nalignment = "phase:rotat"\n{CHECK}',
+        r"spec.toml: alignment: expected phase:rotate.*, found 'phase:rotat'",
+    ),
+    "no TOML": ("format = ", r"spec.toml: expected TOML, found"),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), BAD.values(), ids=BAD)
+def test_a_wrong_spec_is_refused_with_file_and_key(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(tl.TurtlelogError, match=message) as error:
+        tl.load_spec(write(tmp_path, text))
+    assert "\n" not in str(error.value)
+
+
+def test_a_spec_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(tl.TurtlelogError, match=r"nothing.toml: expected .*, found: No such file"):
+        tl.load_spec(tmp_path / "nothing.toml")

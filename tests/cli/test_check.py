@@ -1,0 +1,190 @@
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+
+SPEC = """format = 1
+[checks.overshoot]
+expect = "rotate.overshoot <= 0.5"
+reason = "half a percent is seen"
+[checks.gains]
+expect = "final.position_error < 0.02"
+when = "law.kp_linear < 5"
+"""
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "spec.toml"
+    path.write_text(SPEC, encoding="utf-8")
+    return path
+
+
+def test_what_passes_exits_with_0(call: Call, spec: Path, kp4: Path) -> None:
+    answer = call("check", spec, kp4)
+    assert answer.code == 0
+    assert answer.out.splitlines()[-1] == "PASS: 1 recording, 2 pass, 0 fail, 0 skipped"
+
+
+def test_what_fails_exits_with_1_and_says_where(call: Call, spec: Path, kp10: Path) -> None:
+    answer = call("check", spec, kp10)
+    assert answer.code == 1
+    lines = answer.out.splitlines()
+    (line,) = [line for line in lines if line.startswith("FAIL") and " 1.0076 " in line]
+    assert line.split()[:2] == ["FAIL", str(kp10)]
+    assert " ".join(line.split()[2:]) == "overshoot % 1.0076 0.5 -0.50756 2.288"
+    assert f"FAIL {kp10}: overshoot: expected rotate.overshoot <= 0.5 (half a" in answer.out
+    assert f"SKIPPED {kp10}: gains: only when law.kp_linear < 5; here" in answer.out
+    assert f"-0.50756 %  overshoot  {kp10}" in [line.strip() for line in lines]
+    assert lines[-1] == "FAIL: 1 recording, 0 pass, 1 fail, 1 skipped"
+
+
+def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> None:
+    answer = call("check", spec, kp4, kp10, "--json")
+    assert answer.code == 1
+    assert answer.json["verdict"] == "FAIL"
+    assert [result["verdict"] for result in answer.json["results"]] == [
+        *("PASS", "PASS"),
+        *("FAIL", "SKIPPED"),
+    ]
+    failed = answer.json["results"][2]
+    assert failed["file"] == str(kp10)
+    assert failed["margin"] == failed["limit"] - failed["value"] < 0
+    assert (failed["unit"], failed["first_violation_s"], failed["reason"]) == ("%", 2.288, None)
+
+
+def test_junit_has_cases_and_every_metric(
+    call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "report.xml"
+    assert call("check", spec, kp4, kp10, "--junit", target).code == 1
+    root = Xml.parse(target).getroot()
+    assert (root.get("tests"), root.get("failures"), root.get("skipped")) == ("4", "1", "1")
+    suites = root.findall("testsuite")
+    assert [len(suite.findall("properties/property")) for suite in suites] == [len(tl.METRICS)] * 2
+    failure = suites[1].find("testcase/failure")
+    assert failure is not None
+    assert failure.text is not None
+    assert "first violated  2.288 s (simulated time, from the first sample)" in failure.text
+    assert "law.kp_angular = 10.0, law.kp_linear = 10.0" in failure.text
+
+
+def test_artifacts_are_written_of_what_fails(
+    call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "failed"
+    answer = call("check", spec, kp4, kp10, "--artifacts", folder)
+    suffixes = sorted(path.suffix for path in folder.iterdir())
+    assert suffixes in ([".mcap", ".png", ".rrd"], [".mcap", ".rrd"])
+    assert (".png" in suffixes) == ("no picture" not in answer.err)
+    (cut,) = folder.glob("kp10-overshoot-*.mcap")
+    times_s = (tl.read_recording(cut).poses.time_ns - tl.read_recording(kp10).start_ns) / 1e9
+    assert 1.28 <= times_s.min() <= times_s.max() <= 3.29
+
+
+def test_a_first_spec_is_passed_by_the_run_that_it_was_read_off(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "first.toml"
+    assert call("check", "--init", kp4, "-o", target).code == 0
+    tables = tomllib.loads(target.read_text("utf-8"))
+    assert all(check["observed"] for check in tables["checks"].values())
+    assert (target.parent / tables["reference"]).resolve() == kp4.resolve()
+    answer = call("check", target, kp4)
+    assert answer.code == 0
+    assert "bounds were read off a good run: look at observed = true in" in answer.out
+    assert call("check", target, kp10).code == 1
+
+
+def test_a_first_spec_is_printed_without_a_target(call: Call, kp4: Path) -> None:
+    answer = call("check", "--init", kp4)
+    assert answer.code == 0
+    assert tomllib.loads(answer.out)["format"] == 1
+
+
+def test_a_truncated_recording_fails_unless_partial_is_asked_for(
+    call: Call, spec: Path, kp4: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(kp4.read_bytes()[:-2000])
+    answer = call("check", spec, cut)
+    assert answer.code == 1
+    assert "recording: expected a whole recording, found one that is not:" in answer.out
+    assert " recording " not in call("check", spec, cut, "--partial").out
+
+
+KINDS: dict[str, Any] = {"string": str, "number": int | float, "boolean": bool, "object": dict}
+
+
+def matches(value: Any, schema: dict[str, Any], root: dict[str, Any] | None = None) -> bool:
+    """Whether a value fits, by those words of JSON Schema that ours uses."""
+    root = root or schema
+    if "$ref" in schema:
+        return matches(value, root["$defs"][schema["$ref"].rpartition("/")[2]], root)
+    if "const" in schema or "enum" in schema:
+        return value in schema.get("enum", [schema.get("const")])
+    if not isinstance(value, KINDS[schema["type"]]):
+        return False
+    if isinstance(value, dict):
+        return has_fitting_keys(value, schema, root)
+    if isinstance(value, str):
+        return bool(value.strip())
+    return isinstance(value, bool) or 0 <= value <= schema.get("maximum", 1e9)
+
+
+def has_fitting_keys(value: Any, schema: dict[str, Any], root: dict[str, Any]) -> bool:
+    alternatives = schema.get("oneOf", [schema])
+    if sum(set(one.get("required", ())) <= set(value) for one in alternatives) != 1:
+        return False
+    inner = schema.get("properties", {})
+    others = schema["additionalProperties"]
+    schemas = {key: inner.get(key, others) for key in value}
+    return all(found and matches(value[key], found, root) for key, found in schemas.items())
+
+
+def test_the_schema_accepts_the_examples_and_refuses_what_the_reader_does(
+    call: Call, kp4: Path
+) -> None:
+    schema = call("check", "--schema").json
+    examples = Path(__file__).parents[2] / "examples"
+    for path in [*examples.glob("*.toml")]:
+        assert matches(tomllib.loads(path.read_text("utf-8")), schema), path
+    assert matches(tomllib.loads(SPEC), schema)
+    assert matches(tomllib.loads(call("check", "--init", kp4).out), schema)
+    for wrong in ('[checks.a]\nfase = "b"', "[checks.a]\nexpect = 3", "[signals.z]\nabs = 1"):
+        assert not matches(tomllib.loads(f"format = 1\n{wrong}"), schema), wrong
+    assert not matches({"format": 2}, schema)
+
+
+def test_the_schema_in_the_docs_is_the_one_that_is_printed(call: Call) -> None:
+    stored = Path(__file__).parents[2] / "docs" / "ci" / "spec.schema.json"
+    assert json.loads(stored.read_text("utf-8")) == call("check", "--schema").json
+
+
+BAD = {
+    "nothing": ([], "SPEC: expected a specification and recordings, found none"),
+    "no runs": (["spec.toml"], "FILE: expected at least one recording, found none"),
+    "no spec": (["none.toml", "kp4"], "none.toml: expected a tolerance file, found: No such file"),
+    "no run": (["spec.toml", "runs/*.mcap"], "runs/*.mcap: expected a recording"),
+    "output": (["spec.toml", "kp4", "-o", "x.toml"], "--output: expected --init beside it"),
+    "init": (["--init", "kp4", "spec.toml"], "--init: expected one good run and no other file"),
+    "junit": (["spec.toml", "kp4", "--junit", "r.txt"], "r.txt: expected a name that ends in .xml"),
+    "not a run": (["spec.toml", "spec.toml"], "spec.toml: byte 0: expected an MCAP file"),
+}
+
+
+@pytest.mark.parametrize(("words", "message"), BAD.values(), ids=BAD)
+def test_bad_usage_exits_with_2_and_one_line(
+    words: list[str], message: str, call: Call, spec: Path, kp4: Path, monkeypatch: Any
+) -> None:
+    monkeypatch.chdir(spec.parent)
+    answer = call("check", *(str(kp4) if word == "kp4" else word for word in words))
+    assert (answer.code, answer.out) == (2, "")
+    assert message in answer.err
+    assert answer.err.count("\n") == 1

@@ -1,0 +1,93 @@
+"""Results as JUnit XML: a suite per recording, a case per check, every metric a property."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from xml.etree import ElementTree as Xml
+
+from turtlelog.check.result import CheckResult, Verdict, format_number
+from turtlelog.measure import Metric
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckedFile:
+    """The results of one recording.
+
+    Attributes:
+        file: Its name.
+        results: In the order of the specification.
+        metrics: By id; of a recording that could not be measured none.
+        details: What to say of a failure, by the name of the check.
+    """
+
+    file: str
+    results: tuple[CheckResult, ...]
+    metrics: Mapping[str, Metric] = field(default_factory=dict)
+    details: Mapping[str, str] = field(default_factory=dict)
+
+
+def format_junit(files: Sequence[CheckedFile]) -> str:
+    """Return results as JUnit XML, without times of day: the same results give the same text."""
+    root = Xml.Element("testsuites", _count([r for found in files for r in found.results]))
+    root.set("name", "turtlelog check")
+    for found in files:
+        root.append(_build_suite(found))
+    Xml.indent(root)
+    text = Xml.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'
+
+
+def _build_suite(found: CheckedFile) -> Xml.Element:
+    suite = Xml.Element("testsuite", {"name": _clean(found.file), **_count(found.results)})
+    if found.metrics:
+        properties = Xml.SubElement(suite, "properties")
+        for metric in found.metrics.values():
+            value = metric.status.value if metric.value is None else repr(metric.value)
+            name = metric.id if metric.unit == "1" else f"{metric.id} [{metric.unit}]"
+            Xml.SubElement(properties, "property", {"name": name, "value": value})
+    for result in found.results:
+        suite.append(_build_case(result, found.details.get(result.check, "")))
+    return suite
+
+
+def _build_case(result: CheckResult, details: str) -> Xml.Element:
+    case = Xml.Element(
+        "testcase", {"name": _clean(result.check), "classname": _clean(result.file), "time": "0"}
+    )
+    if result.verdict is Verdict.SKIPPED:
+        Xml.SubElement(case, "skipped", {"message": _clean(result.reason)})
+    if result.verdict is Verdict.FAIL:
+        message = _clean(describe_result(result))
+        failure = Xml.SubElement(case, "failure", {"message": message, "type": "check"})
+        failure.text = _clean(details or message)
+    return case
+
+
+def describe_result(result: CheckResult) -> str:
+    """Return a result in one line: value, limit, margin, first violation, reason."""
+    parts = []
+    if result.value is not None:
+        parts.append(f"{format_number(result.value, result.unit)}")
+    parts += [result.expected] if result.expected else []
+    if result.margin is not None:
+        parts.append(f"margin {format_number(result.margin, result.unit)}")
+    if result.first_violation_s is not None:
+        parts.append(f"first violated at {result.first_violation_s:.3f} s")
+    parts += [result.reason] if result.reason else []
+    return "; ".join(parts)
+
+
+def _count(results: Sequence[CheckResult]) -> dict[str, str]:
+    verdicts = [result.verdict for result in results]
+    return {
+        "tests": str(len(verdicts)),
+        "failures": str(verdicts.count(Verdict.FAIL)),
+        "skipped": str(verdicts.count(Verdict.SKIPPED)),
+        "errors": "0",
+        "time": "0",
+    }
+
+
+def _clean(text: str) -> str:
+    """Return text without the characters that XML cannot hold."""
+    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)

@@ -1,0 +1,56 @@
+"""What to say of a failed check: everything that one needs to go on from there."""
+
+import textwrap
+from collections.abc import Iterator
+
+from turtlelog.check.result import CheckResult, format_number
+from turtlelog.check.surroundings import describe_clock, tabulate_surroundings
+from turtlelog.run import Run
+
+_GAINS = ("law.kp_angular", "law.kp_linear")
+_WIDTH = 92
+
+
+def describe_failure(run: Run, result: CheckResult) -> list[str]:
+    """Return lines: value, limit, margin, first violation with the values around, gains, scenario.
+
+    Args:
+        run: That was checked.
+        result: What came of it.
+    """
+    return [*_list_figures(result), *_list_violation(run, result), *_list_scenario(run, result)]
+
+
+def _list_figures(result: CheckResult) -> Iterator[str]:
+    yield f"{result.check}: expected {result.expected}" if result.expected else result.check
+    if result.value is not None:
+        yield f"  value           {format_number(result.value, result.unit)}"
+    if result.limit is not None:
+        yield f"  limit           {format_number(result.limit, result.unit)}"
+    if result.margin is not None:
+        yield f"  margin          {format_number(result.margin, result.unit)}"
+    if result.reason:
+        yield f"  reason          {result.reason}"
+
+
+def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:
+    at_s = result.first_violation_s
+    if at_s is None:
+        yield f"  first violated  at no one moment ({describe_clock(run)})"
+        return
+    yield f"  first violated  {at_s:.3f} s ({describe_clock(run)})"
+    for line in tabulate_surroundings(run, result.names, at_s):
+        yield f"    {line}"
+
+
+def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
+    yield f"  recording       {result.file}"
+    parameters = run.parameters
+    gains = [f"{name} = {parameters[name]}" for name in _GAINS if name in parameters]
+    gains = gains or [f"{n} = {v}" for n, v in parameters.items() if n.startswith("law.")]
+    yield f"  gains           {', '.join(gains) or 'not recorded'}"
+    others = [f"{n} = {v}" for n, v in parameters.items() if n not in (*_GAINS, "name")]
+    text = ", ".join([run.name, *others]) if others else f"{run.name}, nothing else recorded"
+    wrapped = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
+    yield f"  scenario        {wrapped[0]}"
+    yield from (f"                  {line}" for line in wrapped[1:])

@@ -1,0 +1,58 @@
+"""What a check comes to on one recording."""
+
+import enum
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+class Verdict(enum.StrEnum):
+    """What was found."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    SKIPPED = "SKIPPED"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckResult:
+    """One check on one recording. Times count from the first sample.
+
+    Attributes:
+        file: The recording.
+        check: Its name: of the table in the specification, or what a test asked for.
+        verdict: PASS, FAIL or SKIPPED.
+        expected: What was to hold, as written.
+        value: What was found, in `unit`; None where there is no one number.
+        limit: What it was held to, in `unit`.
+        margin: Distance to the limit in `unit`, positive where it passes; None where there is none.
+        unit: Of the three; empty where they have none.
+        first_violation_s: When it was first violated [s]; None where it is not, or at no moment.
+        reason: Why it fails or is skipped, where figures do not say it.
+        names: Signals to look at around the violation.
+    """
+
+    file: str
+    check: str
+    verdict: Verdict
+    expected: str = ""
+    value: float | None = None
+    limit: float | None = None
+    margin: float | None = None
+    unit: str = ""
+    first_violation_s: float | None = None
+    reason: str = ""
+    names: tuple[str, ...] = ()
+
+
+def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
+    """Return FAIL where any fails, PASS where any passes, SKIPPED where nothing was judged."""
+    found = {result.verdict for result in results}
+    order = (Verdict.FAIL, Verdict.PASS)
+    return next((verdict for verdict in order if verdict in found), Verdict.SKIPPED)
+
+
+def format_number(number: float | None, unit: str = "") -> str:
+    """Return a number with its unit in five digits; `-` for none."""
+    if number is None:
+        return "-"
+    return f"{number:.5g}" + (f" {unit}" if unit not in {"", "1"} else "")

@@ -1,0 +1,98 @@
+"""Specification and runs -> results."""
+
+from collections.abc import Iterable, Iterator
+
+from turtlelog.check.judge_formula import judge_check
+from turtlelog.check.result import CheckResult, Verdict, format_number
+from turtlelog.check.spec import Spec
+from turtlelog.check.spec_file import require_reference
+from turtlelog.check.surroundings import choose_signals
+from turtlelog.compare import Finding, compare_runs
+from turtlelog.errors import CheckError, CompareError
+from turtlelog.log import read_run
+from turtlelog.run import Run
+
+
+def check_runs(
+    spec: Spec, runs: Iterable[tuple[str, Run]], *, allow_partial: bool = False
+) -> Iterator[CheckResult]:
+    """Yield the results of every check on every run, run by run; none of the runs is kept.
+
+    Args:
+        spec: What is to hold.
+        runs: With the names of their files.
+        allow_partial: Whether a recording of which something is lost may pass.
+
+    Raises:
+        CheckError: Where there are no runs, or tolerances have no reference.
+        LogError: Where the reference cannot be read.
+        ExpressionError: Where a formula names a parameter that a run's law does not have.
+    """
+    require_reference(spec)
+    reference = read_run(spec.reference) if spec.tolerances and spec.reference else None
+    count = 0
+    for file, run in runs:
+        count += 1
+        lost = None if allow_partial else find_loss(run)
+        if lost is not None:
+            yield CheckResult(file=file, check="recording", verdict=Verdict.FAIL, reason=lost)
+            continue
+        for check in spec.checks:
+            yield judge_check(check, run, file=file)
+        if reference is not None:
+            yield from _judge_tolerances(spec, reference, run, file)
+    if not count:
+        raise CheckError(f"{spec.source}: expected at least one recording to check, found none")
+
+
+def find_loss(run: Run) -> str | None:
+    """Return what a recording has lost, None where it is whole."""
+    for name in ("partial", "recovered"):
+        if name in run.notes:
+            return f"expected a whole recording, found one that is not: {run.notes[name]}"
+    return None
+
+
+def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterator[CheckResult]:
+    names = [f"signals.{name}" for name in spec.tolerances.signals]
+    names += [f"metrics.{name}" for name in spec.tolerances.metrics]
+    try:
+        found = compare_runs(
+            reference, run, alignment=spec.alignment, tolerances=spec.tolerances
+        ).findings
+    except CompareError as err:
+        for name in names:
+            yield CheckResult(file=file, check=name, verdict=Verdict.FAIL, reason=str(err))
+        return
+    for finding in found:
+        yield convert_finding(finding, file=file)
+
+
+def convert_finding(finding: Finding, *, file: str, is_strict: bool = True) -> CheckResult:
+    """Return a verdict against a reference as a result: value is the distance from it.
+
+    Args:
+        finding: Of a signal or metric.
+        file: The recording.
+        is_strict: Whether a metric without a value fails even where the reference has none either.
+    """
+    has_none = finding.kind == "metric" and finding.value is None
+    passes = finding.within and not (has_none and is_strict)
+    reason = finding.reason
+    if not passes and not reason:
+        at = "" if finding.at_s is None else f" at {finding.at_s:.3f} s"
+        sides = [format_number(side, finding.unit) for side in (finding.value, finding.reference)]
+        reason = f"{sides[0]} where the reference has {sides[1]}{at}"
+    return CheckResult(
+        file=file,
+        check=f"{finding.kind}s.{finding.name}",
+        verdict=Verdict.PASS if passes else Verdict.FAIL,
+        expected=f"within {format_number(finding.limit, finding.unit)} of the reference",
+        value=finding.off,
+        limit=finding.limit,
+        margin=finding.margin,
+        unit=finding.unit,
+        first_violation_s=finding.first_outside_s,
+        reason=reason,
+        names=choose_signals([finding.name]),
+    )

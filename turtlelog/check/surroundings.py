@@ -1,0 +1,80 @@
+"""What stands around a violation: the signals' values before and after it, by which clock."""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from turtlelog.check.result import format_number
+from turtlelog.measure import METRICS, SIGNALS, read_signal
+from turtlelog.run import Phase, Run
+
+_ROWS: Final = 2
+_MOST_SIGNALS: Final = 4
+
+_OF_PHASE: Final = {
+    "rotate": ("heading_error", "turn_rate"),
+    "translate": ("along_track", "cross_track", "speed"),
+    "final": ("distance", "heading_error"),
+}
+_OF_NAME: Final = {
+    "cross_track": ("cross_track",),
+    "speed": ("speed",),
+    "turn_rate": ("turn_rate",),
+}
+
+
+def choose_signals(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the signals to look at for signals, metrics and parameters of these names."""
+    chosen: list[str] = []
+    for name in names:
+        if name in SIGNALS:
+            chosen.append(name)
+        elif name in METRICS:
+            chosen += _choose_for_metric(name)
+    return tuple(dict.fromkeys(chosen))[:_MOST_SIGNALS]
+
+
+def _choose_for_metric(name: str) -> Sequence[str]:
+    phase, rest = name.split(".", 1)
+    for start, signals in _OF_NAME.items():
+        if rest.startswith(start):
+            return signals
+    return _OF_PHASE.get(phase, ("distance", "speed", "turn_rate"))
+
+
+def describe_clock(run: Run) -> str:
+    """Return what times of a run mean."""
+    is_simulated = run.source == "simulation" or run.source.startswith("replay of ")
+    clock = "simulated time" if is_simulated else "the recording's clock"
+    return f"{clock}, from the first sample"
+
+
+def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
+    """Return lines: the signals at the poses around a time, `>` before the one that holds there."""
+    time_ns = run.poses.time_ns
+    row = int(np.searchsorted(time_ns, run.start_ns + round(at_s * 1e9), side="right")) - 1
+    row = max(row, 0)
+    rows = list(range(max(row - _ROWS, 0), min(row + _ROWS + 1, len(time_ns))))
+    columns = [["", *(">" if found == row else "" for found in rows)]]
+    columns.append(["t [s]", *(f"{(time_ns[found] - run.start_ns) / 1e9:.3f}" for found in rows)])
+    for name in names:
+        unit = SIGNALS[name].unit
+        title = name if unit == "1" else f"{name} [{unit}]"
+        columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
+    widths = [max(map(len, column)) for column in columns]
+    return [
+        "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+        for cells in zip(*columns, strict=True)
+    ]
+
+
+def _read_value(run: Run, name: str, time_ns: int) -> str:
+    signal = read_signal(run, name)
+    if signal is None:
+        return "-"
+    row = int(np.searchsorted(signal.time_ns, time_ns, side="right")) - 1
+    if row < 0:
+        return "-"
+    value = float(signal.values[row])
+    return Phase(int(value)).label if signal.kind.compared_as == "label" else format_number(value)

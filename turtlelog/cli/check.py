@@ -1,0 +1,168 @@
+"""`turtlelog check`: hold recordings to a specification."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.check_answers import describe_results, print_results
+from turtlelog.cli.options import Json, Output, TopicOptions, iterate_files, require_files
+from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.targets import require_apart, require_new_target
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import CheckResult, Run, Spec
+
+EXIT_FINE: Final = 0
+EXIT_FAILED: Final = 1
+
+Words = Annotated[list[Path], Parameter(name="SPEC RUN", negative="")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportOptions:
+    """What to write beside the answer.
+
+    Attributes:
+        junit: Write JUnit XML, every metric a property, to this .xml file.
+        artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
+    """
+
+    junit: Path | None = None
+    artifacts: Path | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstSpecOptions:
+    """Other things to ask for.
+
+    Attributes:
+        init: Write a first specification from this good run; see -o.
+        output: The .toml file that --init writes; otherwise it is printed.
+        schema: Print the JSON Schema of specification files, for editors.
+    """
+
+    init: Path | None = None
+    output: Output = None
+    schema: Annotated[bool, Parameter(negative="")] = False
+
+
+def check(
+    words: Words | None = None,
+    /,
+    *,
+    reference: Path | None = None,
+    reports: ReportOptions | None = None,
+    first: FirstSpecOptions | None = None,
+    json: Json = False,
+    topics: TopicOptions | None = None,
+) -> int:
+    """Hold recordings to a specification: bounds, formulas over time, tolerances.
+
+    The exit code is 0 where nothing fails, 1 where a check fails, and 2 where
+    the specification or a recording cannot be read. A metric without a value
+    fails; so does a recording of which something is lost, but for --partial.
+
+    Example: turtlelog check --init good.mcap -o spec.toml
+
+    Example: turtlelog check spec.toml runs/*.mcap --junit report.xml --artifacts failed
+
+    Args:
+        words: A specification (.toml) and recordings.
+        reference: Take tolerances from this recording, not from the file's own.
+        json: Print one JSON object instead of text.
+    """
+    reports, first = reports or ReportOptions(), first or FirstSpecOptions()
+    if first.schema:
+        from turtlelog.check.schema import build_schema
+
+        print_json(build_schema())
+        return EXIT_FINE
+    if first.init is not None:
+        return _write_first(first.init, words or [], first.output, topics or TopicOptions())
+    if first.output is not None:
+        raise UsageError("--output: expected --init beside it, found none")
+    if not words:
+        raise UsageError("SPEC: expected a specification and recordings, found none")
+    spec_path, *files = words
+    require_files(files)
+    inputs = [spec_path, *files]
+    require_new_target(reports.junit, inputs, suffix=".xml")
+    require_apart([path for path in (reports.junit, reports.artifacts) if path is not None])
+    spec = tl.load_spec(spec_path, reference=reference)
+    results = _check(spec, files, reports, topics or TopicOptions())
+    verdict = tl.join_verdicts(results)
+    if json:
+        print_json(describe_results(verdict, results))
+    else:
+        print_results(spec, results, files=len(files))
+    return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
+
+
+def _check(
+    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: TopicOptions
+) -> "list[CheckResult]":
+    from turtlelog.check.junit import CheckedFile, format_junit
+    from turtlelog.check.message import describe_failure
+
+    found: list[CheckedFile] = []
+    for path, run in _read(files, topics):
+        results = tuple(tl.check_runs(spec, [(str(path), run)], allow_partial=topics.partial))
+        failed = [result for result in results if result.verdict == "FAIL"]
+        details = {result.check: "\n".join(describe_failure(run, result)) for result in failed}
+        metrics = {} if reports.junit is None else tl.measure_run(run)
+        found.append(CheckedFile(file=str(path), results=results, metrics=metrics, details=details))
+        if reports.artifacts is not None and failed:
+            _write_artifacts(run, failed, reports.artifacts)
+    if reports.junit is not None:
+        with tl.replace_when_complete(reports.junit) as part:
+            part.write_text(format_junit(found), encoding="utf-8")
+        print_note(f"wrote {reports.junit}")
+    return [result for checked in found for result in checked.results]
+
+
+def _read(files: Sequence[Path], topics: TopicOptions) -> "Iterator[tuple[Path, Run]]":
+    import warnings
+
+    for path in iterate_files(files):
+        with warnings.catch_warnings():
+            # A recording that is not whole fails its check, which says so.
+            warnings.simplefilter("ignore", tl.PartialRecordingWarning)
+            run = tl.read_run(
+                path,
+                pose_topic=topics.pose_topic,
+                command_topic=topics.command_topic,
+                allow_partial=True,
+            )
+        yield path, run
+
+
+def _write_artifacts(run: "Run", failed: "Sequence[CheckResult]", folder: Path) -> None:
+    for result in failed:
+        for path in tl.write_artifacts(run, result, folder).files:
+            print_note(f"wrote {path}")
+
+
+def _write_first(
+    path: Path, words: Sequence[Path], output: Path | None, topics: TopicOptions
+) -> int:
+    from turtlelog.check.first_spec import format_first_spec, name_reference
+
+    if words:
+        raise UsageError(f"--init: expected one good run and no other file, found {words[0]}")
+    require_new_target(output, [path], suffix=".toml")
+    ((_, run),) = _read([path], topics)
+    text = format_first_spec(run, reference=name_reference(path, output))
+    if output is None:
+        print_text(text)
+        return EXIT_FINE
+    with tl.replace_when_complete(output) as part:
+        part.write_text(text, encoding="utf-8")
+    print_note(f"wrote {output}")
+    return EXIT_FINE
