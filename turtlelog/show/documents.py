@@ -26,20 +26,17 @@ _HEADS: Final[Mapping[str, str]] = {
 }
 
 
-def describe_run(
-    run: Run, *, metrics: Mapping[str, Metric] | None = None, drawn: str = ""
-) -> Mapping[str, str]:
+def describe_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
     """Return the documents of one run by title: metrics, and what is known of its scenario.
 
     Args:
         run: What is described.
         metrics: Its metrics, where it has been measured already.
-        drawn: A sentence on what the pictures leave out, if anything.
     """
     metrics = measure_run(run) if metrics is None else metrics
     return {
         "Metrics": "\n".join(_list_metrics(run, metrics)) + "\n",
-        "Scenario": "\n".join(_list_scenario(run, drawn)) + "\n",
+        "Scenario": "\n".join(_list_scenario(run)) + "\n",
     }
 
 
@@ -47,7 +44,6 @@ def describe_runs(
     runs: Sequence[Run],
     *,
     metrics: Sequence[Mapping[str, Metric]] | None = None,
-    drawn: str = "",
 ) -> Mapping[str, str]:
     """Return the documents of a comparison by title: Table 1, the runs side by side, metrics.
 
@@ -59,7 +55,7 @@ def describe_runs(
     essential = [{name: known[name] for name in ESSENTIAL_METRICS} for known in metrics]
     tables = {
         "Table 1": (tabulate_table1(runs), tabulate_whole_runs(runs)),
-        "Side by side": (tabulate_runs(summaries, notes=[drawn] if drawn else []),),
+        "Side by side": (tabulate_runs(summaries),),
         "Metrics": (tabulate_measured(name_runs(runs), essential),),
     }
     return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}
@@ -93,11 +89,9 @@ def _shorten(metric_id: str) -> str:
     return metric_id.partition(".")[2].replace("_", " ")
 
 
-def _list_scenario(run: Run, drawn: str) -> Iterable[str]:
+def _list_scenario(run: Run) -> Iterable[str]:
     """Yield the lines of what a run is and of its scenario, a table for each section."""
     yield f"{run.name}: {run.source}, {run.stop_reason or 'end not recorded'}."
-    if drawn:
-        yield from ("", drawn)
     sections = sorted(run.parameters.items(), key=lambda item: item[0].rpartition(".")[0])
     for section, values in groupby(sections, lambda item: item[0].rpartition(".")[0]):
         yield from _tabulate(section, values)

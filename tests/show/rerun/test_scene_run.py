@@ -426,7 +426,7 @@ def test_what_is_too_long_is_thinned_and_says_so(
     commanded = RUN.samples.turn_rate_rad_s
     assert len(rows) <= 91
     assert (rows.min(), rows.max()) == (commanded.min(), commanded.max())
-    (text,) = read_static(path, "/documents/Scenario", "TextDocument:text")
+    (text,) = read_static(path, "/documents/Drawn", "TextDocument:text")
     assert f"about 90 of up to {len(RUN.poses)} rows" in text
 
 
@@ -438,5 +438,5 @@ def test_a_long_trace_is_thinned_and_says_so(
     trace = join_strips(tmp_path / "run.rrd", "/plane/path")
     assert len(trace) <= 101
     np.testing.assert_array_equal(trace.min(axis=0), RUN.poses.xy_m.min(axis=0))
-    (text,) = read_static(tmp_path / "run.rrd", "/documents/Scenario", "TextDocument:text")
+    (text,) = read_static(tmp_path / "run.rrd", "/documents/Drawn", "TextDocument:text")
     assert "about 100 of" in text

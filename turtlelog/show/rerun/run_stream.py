@@ -1,6 +1,6 @@
 """One run's way into a recording: below its prefix, on its clock, in chunks that Rerun likes."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -84,8 +84,13 @@ def choose_trace_rows(run: Run) -> NDArray[np.int64]:
     return np.arange(len(run.poses)) if rows is None else rows
 
 
-def describe_thinning(runs: Sequence[Run]) -> str:
-    """Return a sentence on what the pictures leave out, empty where they leave out nothing."""
+def add_thinning(documents: Mapping[str, str], runs: Sequence[Run]) -> Mapping[str, str]:
+    """Return documents with one more that says what the pictures leave out, if anything."""
+    text = _describe_thinning(runs)
+    return {**documents, "Drawn": text} if text else documents
+
+
+def _describe_thinning(runs: Sequence[Run]) -> str:
     tables = [table for run in runs for table in (run.poses, run.samples, run.commands)]
     poses, longest = max(len(run.poses) for run in runs), max(map(len, tables))
     drawn = []

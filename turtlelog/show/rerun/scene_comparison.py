@@ -12,7 +12,7 @@ from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.layout import build_comparison_layout
 from turtlelog.show.rerun.overlay import build_overlay, draw_overlay
 from turtlelog.show.rerun.recording import open_recording
-from turtlelog.show.rerun.run_stream import describe_thinning
+from turtlelog.show.rerun.run_stream import add_thinning
 
 
 def write_comparison_rrd(
@@ -34,7 +34,8 @@ def write_comparison_rrd(
         raise ShowError(f"{path}: expected at least one run to compare, found none")
     metrics, overlay = [measure_run(run) for run in runs], build_overlay(runs, name_runs(runs))
     if documents is None:
-        documents = describe_runs(runs, metrics=metrics, drawn=describe_thinning(runs))
+        documents = describe_runs(runs, metrics=metrics)
+    documents = add_thinning(documents, runs)
     content = overlay.describe(documents)
     layout = build_comparison_layout(content)
     with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:

@@ -16,6 +16,7 @@ from turtlelog.show.rerun.layout import build_explanation_layout
 from turtlelog.show.rerun.marks import draw_lines
 from turtlelog.show.rerun.overlay import build_overlay, draw_overlay
 from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.run_stream import add_thinning
 from turtlelog.show.rerun.shares import draw_shares, tabulate_shares
 
 _RECORDED: Final = "recorded"
@@ -52,6 +53,7 @@ def write_explanation_rrd(
     metrics = [measure_run(run) for run in overlay.runs]
     of_metric = {name: known[metric] for name, known in zip(without, metrics[1:], strict=True)}
     texts = {"Shares": tabulate_shares(shares, metrics[0][metric], of_metric), **(documents or {})}
+    texts = {**add_thinning(texts, overlay.runs)}
     dead_times = list_dead_times(recorded, metrics[0])
     lines = {
         "pause": (palette.WANTED, _list_pause_times(recorded)),

@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from turtlelog.run import Run
+from turtlelog.show.documents import describe_run
 from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.run_stream import add_thinning
 from turtlelog.show.rerun.single import build_single, draw_single
 
 
@@ -24,7 +26,9 @@ def write_run_rrd(
         ShowError: Where the file cannot be written.
     """
     single = build_single(run)
-    documents = single.describe_texts() if documents is None else documents
+    if documents is None:
+        documents = describe_run(run, metrics=single.metrics)
+    documents = add_thinning(documents, [run])
     content = single.describe(documents)
     with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:
         draw_single(stream, single, content)

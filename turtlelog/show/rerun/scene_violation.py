@@ -8,11 +8,13 @@ import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.run import Event, Run
+from turtlelog.show.documents import describe_run
 from turtlelog.show.rerun import palette
 from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.run_stream import add_thinning
 from turtlelog.show.rerun.single import build_single, draw_single
 
 _RADIUS = 6.0
@@ -42,7 +44,8 @@ def write_violation_rrd(
     events = sorted((*run.events, event), key=lambda found: found.time_ns)
     run = replace(run, events=tuple(events))
     single = build_single(run)
-    documents = {"Violation": f"```\n{message}\n```", **single.describe_texts()}
+    documents = {"Violation": f"```\n{message}\n```", **describe_run(run, metrics=single.metrics)}
+    documents = {**add_thinning(documents, [run])}
     content = single.describe(documents)
     layout = build_run_layout(content)
     layout.time_panel = _stop_at(at_ns - run.start_ns)

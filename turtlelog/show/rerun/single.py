@@ -8,7 +8,6 @@ import rerun as rr
 
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
-from turtlelog.show.documents import describe_run
 from turtlelog.show.rerun import drawing, entities, palette, plane
 from turtlelog.show.rerun.clock import build_run_clock, read_span
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
@@ -16,7 +15,7 @@ from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks
 from turtlelog.show.rerun.properties import send_run_properties
 from turtlelog.show.rerun.responses import list_responses
-from turtlelog.show.rerun.run_stream import RunStream, describe_thinning
+from turtlelog.show.rerun.run_stream import RunStream
 from turtlelog.show.rerun.series import Reference, Series
 from turtlelog.show.rerun.signals import list_references, list_series
 from turtlelog.show.rerun.surroundings import draw_surroundings
@@ -43,11 +42,6 @@ class Single:
     references: tuple[Reference, ...]
     marks: tuple[Mark, ...]
     by_speed: plane.SpeedTrace | None
-
-    def describe_texts(self) -> Mapping[str, str]:
-        """Return its documents by title."""
-        drawn = describe_thinning([self.run])
-        return describe_run(self.run, metrics=self.metrics, drawn=drawn)
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return what a recording of it holds."""
