@@ -179,7 +179,7 @@ def test_a_run_changed_to_violate_a_formula_fails_it_alone(formula: str, change:
     run = simulate()
     if change == "wrong start":
         speeds = run.samples.speed_m_s.copy()
-        speeds[3] = 0.5
+        speeds[50] = 0.5
         bad = replace(run, samples=replace(run.samples, speed_m_s=speeds))
     else:
         bad = build(change)
