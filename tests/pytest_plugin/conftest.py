@@ -4,11 +4,6 @@ from pathlib import Path
 import pytest
 
 # pytester forgets the modules that a run inside this process has loaded; numpy loads but once.
-import turtlelog.check.fresh
-import turtlelog.check.schema
-import turtlelog.pytest_plugin.explaining
-import turtlelog.show.scene_violation
-import turtlelog.show.snapshot  # noqa: F401
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 
