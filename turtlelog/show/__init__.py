@@ -12,23 +12,30 @@ if TYPE_CHECKING:
         write_figures,
         write_tables,
     )
+    from turtlelog.show.rerun.following import follow_recording
+    from turtlelog.show.rerun.live_viewer import LiveViewer, open_window
     from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
     from turtlelog.show.rerun.scene_run import write_run_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.rerun.viewer import open_viewer
+    from turtlelog.show.rerun.web import serve_recordings
     from turtlelog.show.tables import TABLE_FORMATS, format_table
 
 __all__ = [
     "FIGURES",
     "TABLE_FORMATS",
+    "LiveViewer",
     "Page",
     "ShownView",
     "ViewReport",
     "describe_run",
     "describe_runs",
     "draw_figure",
+    "follow_recording",
     "format_table",
     "open_viewer",
+    "open_window",
+    "serve_recordings",
     "write_comparison_rrd",
     "write_figures",
     "write_run_rrd",
@@ -43,12 +50,16 @@ _MODULES: Final = {
     "write_figures": "figures",
     "write_tables": "figures",
     "TABLE_FORMATS": "tables",
+    "LiveViewer": "rerun.live_viewer",
     "ShownView": "rerun.snapshot",
     "ViewReport": "rerun.snapshot",
     "describe_run": "documents",
     "describe_runs": "documents",
+    "follow_recording": "rerun.following",
     "format_table": "tables",
     "open_viewer": "rerun.viewer",
+    "open_window": "rerun.live_viewer",
+    "serve_recordings": "rerun.web",
     "write_comparison_rrd": "rerun.scene_comparison",
     "write_run_rrd": "rerun.scene_run",
     "write_snapshot": "rerun.snapshot",
