@@ -37,6 +37,10 @@ pictures: .venv/installed
 		--snapshot docs/images/comparison.png --at 6 --size 1200x860
 	$(BIN)/python -m turtlelog view recordings/paper/kp10.mcap \
 		--snapshot docs/images/run.png --at 6 --size 1200x860
+	$(BIN)/python -m turtlelog explain recordings/paper/kp10.mcap \
+		--rrd .venv/explanation.rrd > /dev/null
+	$(BIN)/python -m turtlelog view .venv/explanation.rrd \
+		--snapshot docs/images/explanation.png --at 3 --size 1200x860
 
 bench: .venv/installed-dev
 	for file in benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done

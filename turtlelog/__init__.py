@@ -56,6 +56,7 @@ if TYPE_CHECKING:
         attribute_run,
         attribute_scenario,
         identify_run,
+        simulate_without,
         write_sentences,
     )
     from turtlelog.expressions import (
@@ -147,6 +148,7 @@ if TYPE_CHECKING:
         open_window,
         serve_recordings,
         write_comparison_rrd,
+        write_explanation_rrd,
         write_figures,
         write_run_rrd,
         write_snapshot,
@@ -228,6 +230,7 @@ _ROOMS = {
         "attribute_run",
         "attribute_scenario",
         "identify_run",
+        "simulate_without",
         "write_sentences",
     ),
     "expressions": (
@@ -317,6 +320,7 @@ _ROOMS = {
         "open_window",
         "serve_recordings",
         "write_comparison_rrd",
+        "write_explanation_rrd",
         "write_figures",
         "write_run_rrd",
         "write_snapshot",
@@ -472,6 +476,7 @@ __all__ = [
     "select_runs",
     "serve_recordings",
     "simulate_run",
+    "simulate_without",
     "sort_runs",
     "summarise_files",
     "summarise_run",
@@ -485,6 +490,7 @@ __all__ = [
     "tabulate_whole_runs",
     "write_columns",
     "write_comparison_rrd",
+    "write_explanation_rrd",
     "write_figures",
     "write_recording",
     "write_run_rrd",

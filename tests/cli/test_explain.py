@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import pytest
+from rerun.chunk import RrdReader
 
 import turtlelog as tl
 from tests.cli.conftest import Call
@@ -47,6 +48,16 @@ def test_explain_writes_the_scenario(call: Call, tmp_path: Path, kp10: Path) -> 
     assert [*tmp_path.iterdir()] == [path]
 
 
+def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, kp10: Path) -> None:
+    answer = call("explain", kp10, "--rrd", tmp_path / "why.rrd")
+    assert answer.code == 0
+    assert "why.rrd" in answer.err
+    entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "why.rrd").stream()}
+    names = ["recorded", r"without\ queue", r"without\ pause", r"without\ queue\ and\ pause"]
+    assert {f"/runs/{name}/plane/path" for name in names} < entities
+    assert {"/shares/queue", "/shares/pause"} < entities
+
+
 def test_the_tables_fit_a_terminal(call: Call, kp10: Path) -> None:
     lines = call("explain", kp10).out.splitlines()
     assert max(map(len, lines)) <= 100
@@ -76,6 +87,7 @@ def test_a_bag_of_poses_and_commands_tells_little(call: Call) -> None:
         (["--metric", "luck"], "--metric: expected one of rotate.duration"),
         (["--mechanisms", "queue,luck"], "--mechanisms: expected some of queue, pause"),
         (["--mechanisms", "queue,queue"], "--mechanisms: expected different ones"),
+        (["--rrd", "why.txt"], "expected a name that ends in .rrd"),
         (["--scenario", "found.txt"], "expected a name that ends in .toml"),
         (["--scenario", "no/such/found.toml"], "found no such folder"),
     ],
@@ -95,4 +107,7 @@ def test_a_scenario_that_is_not_identified_is_not_written(call: Call, tmp_path: 
     answer = call("explain", path, "--scenario", tmp_path / "found.toml")
     assert answer.code == 2
     assert "textbook: expected a run of the sequential law" in answer.err
+    drawn = call("explain", path, "--rrd", tmp_path / "why.rrd")
+    assert (drawn.code, (tmp_path / "why.rrd").exists()) == (2, False)
+    assert "why.rrd: expected shares to draw, found no figure attributed" in drawn.err
     assert call("explain", path).code == 0

@@ -35,3 +35,22 @@ def test_rows_rise_and_are_few(values: np.ndarray) -> None:
     assert rows is not None
     assert (np.diff(rows) > 0).all()
     assert len(rows) <= 41
+
+
+@given(COLUMNS)
+def test_gaps_hide_no_extremes(values: np.ndarray) -> None:
+    values = values.copy()
+    values[::3] = np.nan
+    rows = choose_rows(values, most=30)
+    assert rows is not None
+    kept = values[rows]
+    assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(values), np.nanmax(values))
+
+
+def test_ten_million_rows_are_thinned_at_once() -> None:
+    values = np.sin(np.linspace(0.0, 100.0, 10_000_000))
+    values[1_234_567] = 7.0
+    rows = choose_rows(values, most=1000)
+    assert rows is not None
+    assert len(rows) <= 1001
+    assert 1_234_567 in rows

@@ -1,7 +1,7 @@
 """`turtlelog explain`: from a log to the reason."""
 
 import textwrap
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -11,11 +11,12 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
 from turtlelog.cli.output import format_table, print_json, print_note, print_text
+from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import ExplainError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Attribution, Identification
+    from turtlelog import Attribution, Identification, Run
     from turtlelog.explain import Finding
 
 _ROWS: Final = (
@@ -76,13 +77,27 @@ _JSON: Final = {
 """What stands where in the answer's `identified`."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputOptions:
+    """Files to write.
+
+    Attributes:
+        scenario: Write the identified scenario to this .toml file.
+        rrd: Write a Rerun recording of the run beside itself without each mechanism.
+    """
+
+    scenario: Path | None = None
+    rrd: Path | None = None
+
+
 def explain(
     file: Annotated[Path, Parameter(name="FILE")],
     /,
     *,
     metric: str = "final.position_error",
     mechanisms: str = "queue,pause",
-    scenario: Path | None = None,
+    outputs: OutputOptions | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -102,20 +117,23 @@ def explain(
         metric: The figure to share out, by its id (turtlelog metrics lists them).
         mechanisms: Who shares, separated by commas: queue, pause, delay, saturation, sampling,
             float32, projection, wrap, tolerance.
-        scenario: Write the identified scenario to this .toml file.
         json: Print one JSON object instead of tables.
     """
-    require_new_target(scenario, [file], suffix=".toml")
+    outputs = outputs or OutputOptions()
+    require_new_target(outputs.scenario, [file], suffix=".toml")
+    require_new_target(outputs.rrd, [file], suffix=".rrd")
     (run,) = read_runs([file], topics)
     found = tl.identify_run(run)
-    if scenario is not None:
-        _write_scenario(found, scenario)
+    if outputs.scenario is not None:
+        _write_scenario(found, outputs.scenario)
     attribution, obstacle = _attribute(found, metric, mechanisms)
     if json:
         print_json(_describe(file, found, attribution, obstacle))
-        return
-    print_text(_format(found))
-    print_text(obstacle if attribution is None else _format_attribution(attribution))
+    else:
+        print_text(_format(found))
+        print_text(obstacle if attribution is None else _format_attribution(attribution))
+    if outputs.rrd is not None:
+        _draw(run, found, attribution, outputs.rrd)
 
 
 def _attribute(
@@ -137,6 +155,27 @@ def _attribute(
         return tl.attribute_scenario(found.scenario, metric=metric, mechanisms=names), ""
     except ExplainError as err:
         return None, f"No figure is attributed: {err}"
+
+
+def _draw(
+    run: "Run",
+    found: "Identification",
+    attribution: "Attribution | None",
+    path: Path,
+) -> None:
+    if attribution is None:
+        raise ExplainError(f"{path}: expected shares to draw, found no figure attributed")
+    shares = {share.mechanism: share.share or 0.0 for share in attribution.shares}
+    chosen = [[name] for name in shares]
+    if len(shares) > 1:
+        chosen.append([*shares])
+    with show_progress("simulating without", len(chosen)) as progress:
+        without = {}
+        for number, names in enumerate(chosen, start=1):
+            without[" and ".join(names)] = tl.simulate_without(found.build_scenario(), names)
+            progress.done = number
+    tl.write_explanation_rrd(run, without, shares, path, metric=attribution.metric)
+    print_note(f"wrote {path}")
 
 
 def _write_scenario(found: "Identification", path: Path) -> None:

@@ -11,7 +11,7 @@ from turtlelog.explain.attribute import (
 from turtlelog.explain.finding import Certainty, Finding
 from turtlelog.explain.identification import Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.mechanisms import MECHANISMS, Mechanism
+from turtlelog.explain.mechanisms import MECHANISMS, Mechanism, simulate_without
 from turtlelog.explain.resimulation import Resimulation
 from turtlelog.explain.wording import write_sentences
 
@@ -29,5 +29,6 @@ __all__ = [
     "attribute_run",
     "attribute_scenario",
     "identify_run",
+    "simulate_without",
     "write_sentences",
 ]

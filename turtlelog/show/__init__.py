@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from turtlelog.show.rerun.following import follow_recording
     from turtlelog.show.rerun.live_viewer import LiveViewer, open_window
     from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
+    from turtlelog.show.rerun.scene_explanation import write_explanation_rrd
     from turtlelog.show.rerun.scene_run import write_run_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.rerun.viewer import open_viewer
@@ -37,6 +38,7 @@ __all__ = [
     "open_window",
     "serve_recordings",
     "write_comparison_rrd",
+    "write_explanation_rrd",
     "write_figures",
     "write_run_rrd",
     "write_snapshot",
@@ -61,6 +63,7 @@ _MODULES: Final = {
     "open_window": "rerun.live_viewer",
     "serve_recordings": "rerun.web",
     "write_comparison_rrd": "rerun.scene_comparison",
+    "write_explanation_rrd": "rerun.scene_explanation",
     "write_run_rrd": "rerun.scene_run",
     "write_snapshot": "rerun.snapshot",
 }

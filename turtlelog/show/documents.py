@@ -1,23 +1,119 @@
 """What stands beside the pictures as text: tables and the scenario, in Markdown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
+from typing import Final
 
-from turtlelog.compare import tabulate_metrics, tabulate_table1, tabulate_whole_runs
-from turtlelog.run import Run
+from turtlelog.compare import (
+    Column,
+    format_cell,
+    summarise_run,
+    tabulate_measured,
+    tabulate_runs,
+    tabulate_table1,
+    tabulate_whole_runs,
+)
+from turtlelog.compare.names import name_runs
+from turtlelog.measure import ESSENTIAL_METRICS, Metric, measure_run
+from turtlelog.run import Parameter, Run
 from turtlelog.show.tables import format_markdown
 
+_HEADS: Final[Mapping[str, str]] = {
+    "rotate": "Rotate, its pause included",
+    "translate": "Translate",
+    "final": "At the end",
+    "run": "The whole run",
+}
 
-def describe_run(run: Run) -> Mapping[str, str]:
-    """Return the documents of one run by title: metrics, and what is known of its scenario."""
-    rows = [f"| {key} | {value} |" for key, value in run.parameters.items()]
-    scenario = "\n".join(["| key | value |", "| --- | --- |", *rows]) + "\n"
-    return {"Metrics": format_markdown(tabulate_metrics([run])), "Scenario": scenario}
 
+def describe_run(
+    run: Run, *, metrics: Mapping[str, Metric] | None = None, drawn: str = ""
+) -> Mapping[str, str]:
+    """Return the documents of one run by title: metrics, and what is known of its scenario.
 
-def describe_runs(runs: Sequence[Run]) -> Mapping[str, str]:
-    """Return the documents of a comparison by title: Table 1, with and without its window."""
-    table1 = format_markdown(tabulate_table1(runs))
+    Args:
+        run: What is described.
+        metrics: Its metrics, where it has been measured already.
+        drawn: A sentence on what the pictures leave out, if anything.
+    """
+    metrics = measure_run(run) if metrics is None else metrics
     return {
-        "Table 1": f"{table1}\n{format_markdown(tabulate_whole_runs(runs))}",
-        "Metrics": format_markdown(tabulate_metrics(runs)),
+        "Metrics": "\n".join(_list_metrics(run, metrics)) + "\n",
+        "Scenario": "\n".join(_list_scenario(run, drawn)) + "\n",
     }
+
+
+def describe_runs(
+    runs: Sequence[Run],
+    *,
+    metrics: Sequence[Mapping[str, Metric]] | None = None,
+    drawn: str = "",
+) -> Mapping[str, str]:
+    """Return the documents of a comparison by title: Table 1, the runs side by side, metrics.
+
+    The arguments are those of `describe_run`, for several runs.
+    """
+    metrics = [measure_run(run) for run in runs] if metrics is None else metrics
+    pairs = zip(runs, metrics, strict=True)
+    summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
+    essential = [{name: known[name] for name in ESSENTIAL_METRICS} for known in metrics]
+    tables = {
+        "Table 1": (tabulate_table1(runs), tabulate_whole_runs(runs)),
+        "Side by side": (tabulate_runs(summaries, notes=[drawn] if drawn else []),),
+        "Metrics": (tabulate_measured(name_runs(runs), essential),),
+    }
+    return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}
+
+
+def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
+    """Yield the lines of the metrics: a table for each group, what has no value below."""
+    yield run.name
+    for group, found in groupby(metrics.values(), lambda metric: metric.id.partition(".")[0]):
+        listed = list(found)
+        known = [metric for metric in listed if metric.value is not None]
+        yield from ("", f"**{_HEADS.get(group, group)}**", "")
+        if known:
+            yield from ("| metric | value | unit | at [s] |", "| --- | ---: | --- | ---: |")
+            yield from map(_format_metric, known)
+        missing = [metric for metric in listed if metric.value is None]
+        reasons = sorted({metric.reason for metric in missing})
+        for reason in reasons:
+            names = [_shorten(metric.id) for metric in missing if metric.reason == reason]
+            yield from ("", f"No {', '.join(names)}: {reason}.")
+
+
+def _format_metric(metric: Metric) -> str:
+    value = format_cell(metric.value, Column(title=""))
+    unit = "" if metric.unit == "1" else metric.unit
+    at = "" if metric.at_s is None else f"{metric.at_s:.3f}"
+    return f"| {_shorten(metric.id)} | {value} | {unit} | {at} |"
+
+
+def _shorten(metric_id: str) -> str:
+    return metric_id.partition(".")[2].replace("_", " ")
+
+
+def _list_scenario(run: Run, drawn: str) -> Iterable[str]:
+    """Yield the lines of what a run is and of its scenario, a table for each section."""
+    yield f"{run.name}: {run.source}, {run.stop_reason or 'end not recorded'}."
+    if drawn:
+        yield from ("", drawn)
+    sections = sorted(run.parameters.items(), key=lambda item: item[0].rpartition(".")[0])
+    for section, values in groupby(sections, lambda item: item[0].rpartition(".")[0]):
+        yield from _tabulate(section, values)
+    yield from _tabulate("Notes of the importer", run.notes.items())
+    if run.absent:
+        yield from ("", f"Not recorded: {', '.join(run.absent)}.")
+
+
+def _tabulate(title: str, values: Iterable[tuple[str, Parameter]]) -> Iterable[str]:
+    rows = [
+        f"| {_escape(key.rpartition('.')[2])} | {_escape(str(value))} |" for key, value in values
+    ]
+    if rows:
+        heading = [f"**{title}**", ""] if title else []
+        yield from ("", *heading, "| key | value |", "| --- | --- |", *rows)
+
+
+def _escape(text: str) -> str:
+    return text.replace("|", r"\|").replace("\n", " ")

@@ -4,7 +4,7 @@ import pytest
 
 from tests.show.rerun.rrds import simulate_preset
 from turtlelog.scenario import PAPER_RUNS
-from turtlelog.show import write_comparison_rrd, write_run_rrd
+from turtlelog.show import write_comparison_rrd, write_explanation_rrd, write_run_rrd
 
 DOCUMENTS = {"Table 1": "| Kp |\n| --- |\n| 10 |\n", "Läufer / notes": "# Notes"}
 
@@ -21,4 +21,15 @@ def comparison_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("comparison") / "comparison.rrd"
     runs = [simulate_preset(name) for name in PAPER_RUNS]
     write_comparison_rrd(runs, path, documents=DOCUMENTS)
+    return path
+
+
+@pytest.fixture(scope="session")
+def explanation_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("explanation") / "explanation.rrd"
+    without = {"pause": simulate_preset("paper-kp4"), "queue": simulate_preset("textbook")}
+    shares = {"pause": 0.05, "queue": -0.01}
+    write_explanation_rrd(
+        simulate_preset("paper-kp10"), without, shares, path, documents={"Notes": "# Notes"}
+    )
     return path

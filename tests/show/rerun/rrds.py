@@ -61,10 +61,10 @@ def make_foreign_run(rows: int) -> Run:
     )
 
 
-def read_times(path: Path, entity: str) -> NDArray[np.int64]:
+def read_times(path: Path, entity: str, timeline: str = "sim_time") -> NDArray[np.int64]:
     return np.concatenate(
         [
-            batch.column(batch.schema.get_field_index("sim_time")).cast("int64").to_numpy()
+            batch.column(batch.schema.get_field_index(timeline)).cast("int64").to_numpy()
             for batch in _read_batches(path, entity, is_static=False)
         ]
     )
@@ -90,6 +90,10 @@ def read_static(path: Path, entity: str, component: str) -> list[Any]:
 
 def list_entities(path: Path) -> set[str]:
     return {chunk.entity_path for chunk in RrdReader(path).stream()}
+
+
+def count_chunks(path: Path, entity: str) -> int:
+    return len(_read_batches(path, entity, is_static=False))
 
 
 def list_timelines(path: Path) -> set[str]:

@@ -16,9 +16,9 @@ from tests.show.rerun.rrds import (
     verify,
 )
 from turtlelog.errors import ShowError
-from turtlelog.measure import read_signal
+from turtlelog.measure import measure_run, read_signal
 from turtlelog.scenario import PAPER_RUNS
-from turtlelog.show import write_comparison_rrd
+from turtlelog.show import write_comparison_rrd, write_run_rrd
 
 CURVES = ("heading_error_deg", "along_track", "distance", "speed/commanded", "turn_rate/commanded")
 
@@ -94,15 +94,66 @@ def test_properties_list_the_runs(comparison_rrd: Path) -> None:
         "source": ["simulation"] * 4,
         "stop_reason": [run.stop_reason for run in runs],
         "start_ns": [run.start_ns for run in runs],
-        "law.kp_linear": [1.0, 2.0, 4.0, 10.0],
     }
     found = {key: read_static(comparison_rrd, "/__properties/runs", key) for key in expected}
     assert found == expected
+    gains = read_static(comparison_rrd, "/__properties/scenario", "law.kp_linear")
+    assert gains == [1.0, 2.0, 4.0, 10.0]
+    errors_m = read_static(comparison_rrd, "/__properties/metrics", "final.position_error")
+    assert errors_m == [measure_run(run)["final.position_error"].value for run in runs]
 
 
-def test_recording_verifies_and_has_one_timeline(comparison_rrd: Path) -> None:
+def test_a_parameter_that_some_runs_lack_is_nan_or_empty(tmp_path: Path) -> None:
+    run, path = simulate_preset("paper-kp10"), tmp_path / "two.rrd"
+    write_comparison_rrd([run, replace(run, parameters={})], path)
+    assert str(read_static(path, "/__properties/scenario", "law.kp_linear")) == "[10.0, nan]"
+    assert read_static(path, "/__properties/scenario", "law.projection") == ["bearing", ""]
+
+
+def test_a_parameter_may_be_text_in_one_file_and_a_number_in_the_next(tmp_path: Path) -> None:
+    run, path = simulate_preset("paper-kp10"), tmp_path / "odd.rrd"
+    for value, found in (("high", "high"), (3, 3.0), (True, 1.0), ([1, 2], "[1, 2]")):
+        write_run_rrd(replace(run, parameters={"law.strength": value}), path)
+        assert read_static(path, "/__properties/scenario", "law.strength") == [found]
+
+
+@pytest.mark.parametrize("name", PAPER_RUNS)
+def test_a_second_timeline_starts_where_translation_does(comparison_rrd: Path, name: str) -> None:
+    run, entity = simulate_preset(name), f"/runs/{name}/phase"
+    states = [row[0] for row in read_rows(comparison_rrd, entity, "StateChange:state")]
+    times_ns = read_times(comparison_rrd, entity, "translate_time")
+    assert times_ns[states.index("translate")] == 0
+    speeds_ns = read_times(comparison_rrd, f"/runs/{name}/speed/commanded", "translate_time")
+    offset_ns = read_times(comparison_rrd, entity)[states.index("translate")]
+    np.testing.assert_array_equal(speeds_ns + offset_ns + run.start_ns, run.samples.time_ns)
+
+
+def test_a_run_without_translation_is_not_on_that_timeline(tmp_path: Path) -> None:
+    path = tmp_path / "bags.rrd"
+    write_comparison_rrd([make_foreign_run(300)], path)
+    assert list_timelines(path) == {"sim_time"}
+
+
+def test_levels_reach_over_all_runs_on_both_timelines(comparison_rrd: Path) -> None:
+    for timeline in ("sim_time", "translate_time"):
+        first, last = read_times(comparison_rrd, "/reference/speed", timeline)
+        for name in PAPER_RUNS:
+            times_ns = read_times(comparison_rrd, f"/runs/{name}/distance", timeline)
+            assert first <= times_ns[0]
+            assert times_ns[-1] < last
+
+
+def test_table_1_and_the_table_across_gains_are_documents(tmp_path: Path) -> None:
+    path = tmp_path / "four.rrd"
+    write_comparison_rrd([simulate_preset(name) for name in PAPER_RUNS], path)
+    assert {"Table 1", "Side by side", "Metrics"} < set(read_layout(path))
+    (text,) = read_static(path, "/documents/Side\\ by\\ side", "TextDocument:text")
+    assert all(f"| {name} |" in text for name in PAPER_RUNS)
+
+
+def test_recording_verifies_and_stays_small(comparison_rrd: Path) -> None:
     verify(comparison_rrd)
-    assert list_timelines(comparison_rrd) == {"sim_time"}
+    assert list_timelines(comparison_rrd) == {"sim_time", "translate_time"}
     assert comparison_rrd.stat().st_size < 2_000_000
 
 

@@ -13,6 +13,8 @@ from turtlelog.show.rerun.series import Reference, Series
 from turtlelog.show.rerun.surroundings import Bounds, find_goal_bounds, find_plane_bounds
 
 _HEADROOM = 1.25
+_ROOM = 0.08
+_LEAST_ROOM = 1e-9
 _LEAST_SIDE = 0.15
 _CLOSE_UP = 2.0
 _MOST_IN_PLOT = 4
@@ -27,6 +29,10 @@ class Content:
         prefixes: Entity prefix of each run; one empty prefix for a run alone.
         series: Entity paths of the curves, in the order of drawing.
         references: Plots that have level lines.
+        lines: Entity paths of upright lines, shown in every plot.
+        highest_speed_m_s: What the brightest colour of the trace by speed means; None without one.
+        shares_title: Title of the bars, None without them.
+        has_dead_time: Whether the first run's dead times are drawn.
         legend_names: Names of the runs where they need a view of their own, else none.
         with_phases: How many runs have samples.
         has_events: Whether a run has events.
@@ -39,6 +45,10 @@ class Content:
     prefixes: tuple[str, ...]
     series: tuple[str, ...]
     references: frozenset[str]
+    lines: tuple[str, ...] = ()
+    highest_speed_m_s: float | None = None
+    shares_title: str | None = None
+    has_dead_time: bool = False
     legend_names: tuple[str, ...]
     with_phases: int
     has_events: bool
@@ -82,8 +92,37 @@ def describe_content(
         documents=tuple(documents),
         plane=find_plane_bounds(runs),
         goal=find_goal_bounds(runs),
-        ranges={**_find_command_ranges(series, references), **_find_close_up(runs)},
+        ranges={
+            **_find_ranges(series, references),
+            **_find_command_ranges(series, references),
+            **_find_close_up(runs),
+        },
     )
+
+
+def find_largest(content: Content) -> float:
+    """Return the largest magnitude that any plot shows."""
+    return max((abs(bound) for bounds in content.ranges.values() for bound in bounds), default=1.0)
+
+
+def _find_ranges(
+    series: Sequence[Sequence[Series]], references: Sequence[Reference]
+) -> dict[str, tuple[float, float]]:
+    """Return ranges with room around what was measured: what theory expects may lie far beyond."""
+    found: dict[str, list[float]] = {}
+    for curves in (curves for run in series for curves in run if curves.is_measured):
+        values = curves.values[np.isfinite(curves.values)]
+        if len(values):
+            found.setdefault(curves.plot, []).extend((float(values.min()), float(values.max())))
+    for reference in references:
+        if reference.plot in found:
+            found[reference.plot] += reference.levels
+    return {plot: _add_room(min(values), max(values)) for plot, values in found.items()}
+
+
+def _add_room(low: float, high: float) -> tuple[float, float]:
+    room = _ROOM * (high - low) or max(_ROOM * abs(high), _LEAST_ROOM)
+    return low - room, high + room
 
 
 def _find_command_ranges(

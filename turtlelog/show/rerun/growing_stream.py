@@ -13,7 +13,11 @@ _GROWTH = 64
 """What is sent anew as a whole waits until there are 1/64 more rows, so that all of it together
 stays a small multiple of the rows."""
 
-_WHOLE = (join_path(entities.PATH), join_path(entities.REFERENCE))
+_WHOLE = (
+    join_path(entities.PATH),
+    join_path(entities.EVENT_PLACES),
+    join_path(entities.REFERENCE),
+)
 _UNSETTLED = frozenset({join_path(entities.PHASE)})
 """Their last row says how the run ended."""
 
@@ -22,7 +26,8 @@ class GrowingStream(rr.RecordingStream):
     """Sends of every entity only what is new since it was drawn before.
 
     What draws a finished run draws a growing one with this: rows that were sent are left out, and
-    so is what is static, but for the path and the level lines, which grow at their ends.
+    so is what is static, but for the path, the places of events and the level lines, which
+    grow at their ends.
 
     Attributes:
         is_due: Whether these are sent in this round.

@@ -15,27 +15,37 @@ Legends = Mapping[str, rrb.Corner2D]
 _RUN_LEGENDS: Final[Legends] = MappingProxyType(
     {
         entities.HEADING: rrb.Corner2D.RightBottom,
+        entities.HEADING_ERROR: rrb.Corner2D.RightBottom,
         entities.TURN_RATE: rrb.Corner2D.RightTop,
+        entities.ALONG_TRACK: rrb.Corner2D.RightBottom,
         entities.POSITION: rrb.Corner2D.LeftTop,
+        entities.POSITION_ERROR: rrb.Corner2D.RightTop,
+        entities.CROSS_TRACK: rrb.Corner2D.LeftBottom,
+        entities.DISTANCE: rrb.Corner2D.RightTop,
         entities.SPEED: rrb.Corner2D.RightTop,
+        entities.WORLD_VELOCITY: rrb.Corner2D.RightTop,
     }
 )
 """Where the curves leave room."""
 
-_TURNING: Final = ((entities.HEADING,), (entities.HEADING_ERROR,), (entities.TURN_RATE,))
+_TURNING: Final = (
+    (entities.HEADING,),
+    (entities.HEADING_ERROR, entities.HEADING_ERROR_LOG),
+    (entities.TURN_RATE,),
+)
 _RUN_MOVING: Final = (
-    (entities.POSITION, entities.DISTANCE),
-    (entities.CROSS_TRACK,),
-    (entities.SPEED,),
+    (entities.ALONG_TRACK, entities.POSITION, entities.POSITION_ERROR),
+    (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
+    (entities.SPEED, entities.WORLD_VELOCITY),
 )
 _COMPARED_MOVING: Final = (
-    (entities.ALONG_TRACK, entities.POSITION, entities.DISTANCE),
-    (entities.CROSS_TRACK,),
+    (entities.ALONG_TRACK, entities.POSITION),
+    (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
     (entities.SPEED,),
 )
 """Cells from top to bottom; several plots in one cell are tabs."""
 
-_LEFT_SHARES: Final = (3.0, 2.5, 2.0)
+_LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
 _COLUMN_SHARES: Final = (1.0, 1.8)
 _PHASE_HEAD_SHARE: Final = 0.09
 _PHASE_ROW_SHARE: Final = 0.055
@@ -50,6 +60,11 @@ def build_run_layout(content: Content) -> rrb.Blueprint:
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a comparison: the same views with every run in each, one legend."""
     return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), _choose_legend(content))
+
+
+def build_explanation_layout(content: Content) -> rrb.Blueprint:
+    """Return the layout of a run beside its what-ifs: a comparison's, with the shares as bars."""
+    return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), {})
 
 
 def _choose_legend(content: Content) -> Legends:
@@ -80,9 +95,11 @@ def _build_blueprint(
 
 
 def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
-    left: list[rrb.View | rrb.Container] = [views.view_plane(content)]
+    left: list[rrb.View | rrb.Container] = [_build_plane(content)]
     if content.goal is not None:
         left.append(views.view_goal(content, content.goal))
+    if content.shares_title is not None:
+        left.append(views.view_shares(content.shares_title))
     tabs = [views.view_legend(content.legend_names)] if content.legend_names else []
     tabs += [views.view_document(title) for title in content.documents]
     if content.has_events:
@@ -90,6 +107,14 @@ def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
     if tabs:
         left.append(rrb.Tabs(*tabs, active_tab=0))
     return left
+
+
+def _build_plane(content: Content) -> rrb.View | rrb.Container:
+    plane = views.view_plane(content)
+    if content.highest_speed_m_s is None:
+        return plane
+    by_speed = views.view_speed(content, content.highest_speed_m_s)
+    return rrb.Tabs(plane, by_speed, active_tab=0)
 
 
 def _list_cells(
@@ -110,6 +135,6 @@ def _list_cells(
 def _add_phases(content: Content, plots: rrb.Container) -> rrb.Container:
     if not content.with_phases:
         return plots
-    share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * content.with_phases
+    share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (content.with_phases + content.has_dead_time)
     share = min(share, _LARGEST_PHASE_SHARE)
     return rrb.Vertical(plots, views.view_phases(content), row_shares=[1.0 - share, share])

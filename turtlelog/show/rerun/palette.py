@@ -1,8 +1,11 @@
 """Colours: the same for a run in every view, told apart by colour-blind readers on dark ground."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.run import Phase
 
@@ -45,6 +48,34 @@ SECOND: Final[Color] = QUALITATIVE[2]
 WANTED: Final[Color] = QUALITATIVE[3]
 """What the law asked for before clipping."""
 
+IDEAL: Final[Color] = QUALITATIVE[1]
+"""What the ideal loop would do."""
+
+SAMPLED: Final[Color] = QUALITATIVE[4]
+"""What the sampled loop with dead time would do."""
+
+EVENT: Final[Color] = QUALITATIVE[5]
+"""What happened once."""
+
+ERROR: Final[Color] = QUALITATIVE[4]
+"""From the turtle to the goal."""
+
+MARK: Final[Color] = (255, 255, 255)
+"""A metric where it has its place."""
+
+NO_PHASE: Final = -1
+
+TRACES: Final[Mapping[int, Color]] = MappingProxyType(
+    {
+        NO_PHASE: START,
+        Phase.ROTATE: QUALITATIVE[0],
+        Phase.PAUSE: QUALITATIVE[3],
+        Phase.TRANSLATE: QUALITATIVE[1],
+        Phase.DONE: START,
+    }
+)
+"""The hues of the phases, light enough for a line."""
+
 PHASES: Final[Mapping[Phase, Color]] = MappingProxyType(
     {
         Phase.ROTATE: (46, 96, 148),
@@ -61,6 +92,12 @@ def choose_run_colors(count: int) -> tuple[Color, ...]:
     if count <= len(QUALITATIVE):
         return QUALITATIVE[:count]
     return tuple(_mix_ramp(index / (count - 1)) for index in range(count))
+
+
+def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
+    """Return opaque colours as Rerun takes them fastest, shape (n,)."""
+    red, green, blue = np.array(colors, dtype=np.uint32).reshape(-1, 3).T
+    return (red << 24 | green << 16 | blue << 8 | 255).astype(np.uint32)
 
 
 def _mix_ramp(share: float) -> Color:

@@ -5,14 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.errors import ShowError
 from turtlelog.show.files import replace_file
-from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE
+from turtlelog.show.rerun.entities import APPLICATION_ID
 
 
 @contextmanager
@@ -35,11 +33,6 @@ def open_recording(
         stream.disconnect()
         if not part_path.stat().st_size:
             raise ShowError(f"{path}: expected Rerun to write the file, found none")
-
-
-def build_index(time_ns: NDArray[np.int64]) -> list[rr.TimeColumn]:
-    """Return the one index column; whole nanoseconds, since seconds would be cut off."""
-    return [rr.TimeColumn(TIMELINE, duration=time_ns.astype("timedelta64[ns]"))]
 
 
 def _save(stream: rr.RecordingStream, part_path: Path, path: Path, layout: rrb.Blueprint) -> None:

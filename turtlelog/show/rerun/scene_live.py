@@ -12,16 +12,18 @@ import rerun.blueprint as rrb
 
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
-from turtlelog.show.documents import describe_run
-from turtlelog.show.rerun import drawing, entities, palette
+from turtlelog.show.rerun import drawing, entities, palette, plane
+from turtlelog.show.rerun.clock import build_run_clock, read_span
 from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE
 from turtlelog.show.rerun.growing_stream import GrowingStream
 from turtlelog.show.rerun.layout import build_run_layout
-from turtlelog.show.rerun.properties import collect_run_properties
 from turtlelog.show.rerun.recording import strict_mode
-from turtlelog.show.rerun.series import Reference, Series, list_references, list_series
-from turtlelog.show.rerun.surroundings import Bounds, draw_surroundings
+from turtlelog.show.rerun.run_stream import RunStream
+from turtlelog.show.rerun.scene_run import compose_scene, draw_scene
+from turtlelog.show.rerun.series import Reference
+from turtlelog.show.rerun.signals import list_references, list_series
+from turtlelog.show.rerun.surroundings import draw_surroundings
 
 _FLUSH_S: Final = 5.0
 _DISCONNECT_S: Final = 1.0
@@ -31,13 +33,13 @@ _HEADROOM: Final = 1.25
 class LiveScene:
     """A run in a viewer, with the entities, rows and layout of its file.
 
-    What is known only at the end (metrics, the close-up of the goal) comes with it.
+    What is known only at the end (metrics and their marks, theory, close-ups) comes with it.
     """
 
     def __init__(self, stream: GrowingStream) -> None:
         self._stream = stream
-        self._shown: object = None
-        self._plane = Bounds(center_xy_m=(0.0, 0.0), half_size_m=1.0)
+        self._shown: list[str] = []
+        self._half_size_m = 0.0
 
     def update(self, run: Run) -> None:
         """Send what is new of a run that grows; nothing while it is too short to be seen.
@@ -46,7 +48,8 @@ class LiveScene:
             ConnectionError: Where the viewer takes no more.
         """
         if len(run.poses) > 1:
-            self._draw(run, is_last=False)
+            with strict_mode():
+                self._draw(run)
 
     def finish(self, run: Run) -> None:
         """Send the rest of a run that has come to its end, and what is known only now.
@@ -54,45 +57,45 @@ class LiveScene:
         Raises:
             ConnectionError: Where the viewer takes no more.
         """
-        self._draw(run, is_last=True)
-
-    def _draw(self, run: Run, *, is_last: bool) -> None:
-        stream = self._stream
-        stream.begin_round(len(run.poses), is_last=is_last)
-        series, references = list_series(run), list_references([run])
+        scene = compose_scene(run)
         with strict_mode():
-            shown = tuple(curves.entity for curves in series), is_last
-            if self._shown != shown:
-                self._shown = shown
-                self._arrange(run, series, references, is_last=is_last)
-            drawing.draw_motion(stream, "", run, palette.MAIN, plane=self._plane)
-            if stream.is_due:
-                drawing.draw_references(stream, references, [run])
-            for curves in series:
-                drawing.draw_series(stream, "", curves, run.start_ns)
-            _flush(stream)
+            self._stream.begin_round(len(run.poses), is_last=True)
+            self._arrange(run, scene.content)
+            draw_scene(self._stream, scene)
+            _flush(self._stream)
 
-    def _arrange(
-        self,
-        run: Run,
-        series: Sequence[Series],
-        references: Sequence[Reference],
-        *,
-        is_last: bool,
-    ) -> None:
-        """Send what all of the run shares, and a layout whose cursor goes with the run."""
-        documents = describe_run(run) if is_last else {}
-        content = describe_content([run], [""], [series], references, documents)
-        self._plane = content.plane
-        layout = build_run_layout(content if is_last else _open_up(content, references))
+    def _draw(self, run: Run) -> None:
+        stream, clock = self._stream, build_run_clock(run)
+        series, references = list_series(run), list_references([run])
+        run_stream = RunStream(stream, "", clock)
+        stream.begin_round(len(run.poses))
+        shown = [curves.entity for curves in series]
+        if self._shown != shown:
+            content = describe_content([run], [""], [series], references, ())
+            self._shown, self._half_size_m = shown, content.plane.half_size_m
+            self._arrange(run, _open_up(content, references))
+            draw_surroundings(stream, [run])
+        if stream.is_due:
+            plane.draw_trace_by_phase(run_stream, run)
+            drawing.draw_references(stream, references, read_span([run], [clock]))
+        plane.draw_turtle(run_stream, run, palette.MAIN, self._half_size_m)
+        plane.draw_arrows(run_stream, run)
+        drawing.draw_phases(run_stream, run)
+        if run.events:
+            plane.draw_event_places(run_stream, run)
+            drawing.draw_events(run_stream, run)
+        for curves in series:
+            drawing.draw_series(run_stream, curves)
+        _flush(stream)
+
+    def _arrange(self, run: Run, content: Content) -> None:
+        """Send the name, and a layout whose cursor goes with the run."""
+        layout = build_run_layout(content)
         layout.time_panel = rrb.TimePanel(
             state="collapsed", timeline=TIMELINE, play_state="following"
         )
         self._stream.send_recording_name(run.name)
-        self._stream.send_property("run", collect_run_properties(run))
         self._stream.send_blueprint(layout)
-        draw_surroundings(self._stream, [run])
-        drawing.draw_documents(self._stream, documents)
 
 
 @contextmanager
@@ -122,12 +125,11 @@ def _open_up(content: Content, references: Sequence[Reference]) -> Content:
     limits = {
         reference.plot: _HEADROOM * max(reference.levels)
         for reference in references
-        if reference.plot in content.ranges
+        if reference.plot in {entities.SPEED, entities.TURN_RATE}
     }
     ranges = {
         plot: (content.ranges[plot][0], max(content.ranges[plot][1], limit))
         for plot, limit in limits.items()
-        if plot != entities.HEADING_ERROR
     }
     return replace(content, ranges=ranges, goal=None, has_events=True)
 

@@ -58,6 +58,7 @@ def write_snapshot(
     png_path: str | Path,
     *,
     at_s: float | None = None,
+    timeline: str = TIMELINE,
     size: tuple[int, int] = (1600, 900),
     zoom: float = 1.0,
 ) -> ViewReport:
@@ -67,6 +68,7 @@ def write_snapshot(
         rrd_path: The recording.
         png_path: The picture; replaced when the new one is complete.
         at_s: Where to put the time cursor [s]; at the end where None.
+        timeline: What time is told in, `sim_time` or `translate_time`.
         size: Width and height of the window [pixels].
         zoom: Scale of letters and lines, in steps of 0.1; at least 1.
 
@@ -81,7 +83,7 @@ def write_snapshot(
         client = _connect(viewer, port)
         try:
             _open(client, Path(rrd_path))
-            _arrange(client, at_s, zoom)
+            _arrange(client, at_s, zoom, timeline)
             picture = _take_picture(client)
             report = _read_report(client)
         except (RuntimeError, OSError) as err:
@@ -113,22 +115,22 @@ def _open(client: ViewerClient, path: Path) -> None:
         time.sleep(_PAUSE_S)
 
 
-def _arrange(client: ViewerClient, at_s: float | None, zoom: float) -> None:
+def _arrange(client: ViewerClient, at_s: float | None, zoom: float, timeline: str) -> None:
     """Set time and zoom, and hide the bar of menus and of remarks on the graphics driver."""
-    cursor_s = _find_end(client) if at_s is None else at_s
+    cursor_s = _find_end(client, timeline) if at_s is None else at_s
     if cursor_s is not None:
-        client.set_time(TIMELINE, duration=cursor_s, play_state="paused")
+        client.set_time(timeline, duration=cursor_s, play_state="paused")
     client.run_command("ui.toggle_top_panel")
     for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
         client.run_command("ui.zoom_in_ui")
 
 
-def _find_end(client: ViewerClient) -> float | None:
+def _find_end(client: ViewerClient, name: str) -> float | None:
     ends_ns = [
         timeline.end
         for recording in client.get_state().recordings
         for timeline in recording.timelines
-        if timeline.name == TIMELINE and timeline.end is not None
+        if timeline.name == name and timeline.end is not None
     ]
     return max(ends_ns) / 1e9 if ends_ns else None
 

@@ -17,32 +17,56 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
     {
         entities.HEADING: "Heading [deg]",
         entities.HEADING_ERROR: "Heading error [deg]",
+        entities.HEADING_ERROR_LOG: "log₁₀ heading error [deg]",
         entities.TURN_RATE: "Turn rate [rad/s]",
         entities.POSITION: "Position [m]",
+        entities.POSITION_ERROR: "Position error [m]",
         entities.ALONG_TRACK: "Along-track [m]",
         entities.CROSS_TRACK: "Cross-track [m]",
         entities.DISTANCE: "Distance [m]",
+        entities.DISTANCE_LOG: "log₁₀ distance [m]",
         entities.SPEED: "Speed [m/s]",
+        entities.WORLD_VELOCITY: "World velocity [m/s]",
     }
 )
+
+
+_PAIRS: Final = frozenset({entities.POSITION, entities.POSITION_ERROR, entities.WORLD_VELOCITY})
+
+
+_CROWDED: Final = frozenset({entities.HEADING, entities.ALONG_TRACK})
+"""Plots whose legends have no room for more."""
 
 
 def view_plane(content: Content) -> rrb.View:
     """Show where the turtles drive."""
     return rrb.Spatial2DView(
         origin="/",
-        contents=_list_planes(content),
+        contents=[*_list_planes(content), f"- {join_path(entities.SPEED_PATH)}/**"],
         name="Plane",
+        visual_bounds=_turn_bounds(content.plane),
+    )
+
+
+def view_speed(content: Content, highest_m_s: float) -> rrb.View:
+    """Show where they drive fast."""
+    hidden = [entities.PATH, entities.ERROR, entities.NAMES]
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
+        name=f"By speed, 0 to {highest_m_s:.3g} m/s",
         visual_bounds=_turn_bounds(content.plane),
     )
 
 
 def view_goal(content: Content, bounds: Bounds) -> rrb.View:
     """Show how close they come; arrows and names would cover it."""
-    hidden = [entities.NAMES, *(join_path(p, entities.ARROW) for p in content.prefixes)]
+    arrows = (entities.ARROW, entities.COMMAND, entities.ERROR)
+    hidden = [entities.NAMES, entities.SPEED_PATH]
+    hidden += [join_path(prefix, arrow) for prefix in content.prefixes for arrow in arrows]
     return rrb.Spatial2DView(
         origin="/",
-        contents=[*_list_planes(content), *(f"- {join_path(path)}" for path in hidden)],
+        contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
         name=f"At the goal, ±{_format_length(bounds.half_size_m)}",
         visual_bounds=_turn_bounds(bounds),
     )
@@ -51,9 +75,11 @@ def view_goal(content: Content, bounds: Bounds) -> rrb.View:
 def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None) -> rrb.View:
     """Show curves over time, with a legend where there is a corner and anything to tell apart."""
     contents = content.list_curves(plot)
-    has_several = len(contents) > 1 or plot in content.references or plot == entities.POSITION
+    has_several = len(contents) > 1 or plot in {*content.references, *_PAIRS}
     if plot in content.references:
         contents.insert(0, join_path(entities.REFERENCE, plot))
+    if plot not in _CROWDED:
+        contents += content.lines
     title, limits = _TITLES[plot], content.ranges.get(plot)
     is_close_up = plot == entities.HEADING_ERROR and limits is not None
     return rrb.TimeSeriesView(
@@ -68,12 +94,22 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None) -> rrb.V
 
 def view_phases(content: Content) -> rrb.View:
     """Show the phases, a row per run; a pause is too short for its name."""
+    contents = [join_path(prefix, entities.PHASE) for prefix in content.prefixes]
+    if content.has_dead_time:
+        contents.insert(0, join_path(content.prefixes[0], entities.DEAD_TIME))
     return rrb.StateTimelineView(
         origin="/",
-        contents=[join_path(prefix, entities.PHASE) for prefix in content.prefixes],
-        name="Phases (brown: pause)",
+        contents=contents,
+        name=f"Phases (brown: pause{', pink: dead time' if content.has_dead_time else ''})",
         time_view=rrb.TimeAxis(link="LinkToGlobal"),
     )
+
+
+def view_shares(title: str) -> rrb.View:
+    """Show the mechanisms' shares as bars."""
+    legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
+    contents = f"{join_path(entities.SHARES)}/**"
+    return rrb.BarChartView(origin="/", contents=contents, name=title, plot_legend=legend)
 
 
 def view_legend(names: Sequence[str]) -> rrb.View:

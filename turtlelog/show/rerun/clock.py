@@ -1,0 +1,122 @@
+"""The timelines of a recording: what stands in its index columns."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from turtlelog.run import Phase, Run
+from turtlelog.show.rerun.entities import TICKS, TIMELINE, TRANSLATE_TIMELINE, WALL_TIMELINE
+
+Times = NDArray[np.int64]
+
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_LARGEST_NS: Final = 2**62
+_SHARE_BEYOND: Final = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Clock:
+    """What a run's times are called on each timeline; all timelines but the first are optional.
+
+    Attributes:
+        zero_ns: Zero of `sim_time`, in the run's own time [ns].
+        tick_ns: Times of the run's poses [ns], shape (n,), whose numbers are the ticks.
+        translate_ns: Zero of `translate_time`, in the run's own time [ns].
+        epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
+    """
+
+    zero_ns: int
+    tick_ns: Times | None = None
+    translate_ns: int | None = None
+    epoch_ns: int | None = None
+
+    def read(self, time_ns: Times) -> dict[str, Times]:
+        """Return the run's own times [ns], shape (n,), as each timeline tells them."""
+        read = {TIMELINE: time_ns - self.zero_ns}
+        if self.tick_ns is not None:
+            read[TICKS] = _count_ticks(self.tick_ns, time_ns)
+        if self.translate_ns is not None:
+            read[TRANSLATE_TIMELINE] = time_ns - self.translate_ns
+        if self.epoch_ns is not None:
+            read[WALL_TIMELINE] = time_ns + self.epoch_ns
+        return read
+
+
+def build_run_clock(run: Run) -> Clock:
+    """Return the clock of a run alone: its ticks too, and wall time where it was imported."""
+    stamp = run.notes.get("original_timestamp")
+    epoch_ns = None if stamp is None else parse_timestamp(stamp)
+    return Clock(zero_ns=run.start_ns, tick_ns=run.poses.time_ns, epoch_ns=epoch_ns)
+
+
+def build_compared_clock(run: Run) -> Clock:
+    """Return the clock of a run among others: aligned at the first sample and at translation."""
+    return Clock(zero_ns=run.start_ns, translate_ns=_find_translation_ns(run))
+
+
+def read_span(runs: Sequence[Run], clocks: Sequence[Clock]) -> dict[str, Times]:
+    """Return the first time of all runs and a little beyond the last, on each timeline."""
+    spans: dict[str, list[Times]] = {}
+    for run, clock in zip(runs, clocks, strict=True):
+        ends_ns = np.array([_find_first_ns(run), run.end_ns])
+        for name, read in clock.read(ends_ns).items():
+            spans.setdefault(name, []).append(read)
+    return {name: _widen(np.concatenate(found)) for name, found in spans.items()}
+
+
+def build_index(times: Mapping[str, Times]) -> list[rr.TimeColumn]:
+    """Return index columns; whole nanoseconds, since seconds would be cut off."""
+    return [_build_column(name, values) for name, values in times.items()]
+
+
+def parse_timestamp(text: str) -> int | None:
+    """Return an ISO 8601 time in nanoseconds since 1970 UTC; None where it is no such time.
+
+    A time that names no zone is taken for UTC: where it was told is not known.
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    moment = moment.replace(tzinfo=moment.tzinfo or UTC)
+    fraction = re.search(r":\d\d[.,](\d+)", text)
+    seconds = (moment.replace(microsecond=0) - _EPOCH) // (moment.resolution * 1_000_000)
+    time_ns = seconds * 1_000_000_000 + int(f"{fraction[1] if fraction else '':0<9}"[:9])
+    return time_ns if abs(time_ns) < _LARGEST_NS else None
+
+
+def _find_translation_ns(run: Run) -> int | None:
+    spans = run.find_phase_spans()
+    return next((span.start_ns for span in spans if span.phase is Phase.TRANSLATE), None)
+
+
+def _find_first_ns(run: Run) -> int:
+    tables = (run.poses, run.samples, run.commands)
+    return min(int(table.time_ns[0]) for table in tables if len(table))
+
+
+def _widen(values: Times) -> Times:
+    """Return the least and a little more than the greatest: there the last phase shows."""
+    first, last = int(values.min()), int(values.max())
+    return np.array([first, last + (last - first) // _SHARE_BEYOND])
+
+
+def _build_column(name: str, values: Times) -> rr.TimeColumn:
+    if name == TICKS:
+        return rr.TimeColumn(name, sequence=values)
+    if name == WALL_TIMELINE:
+        return rr.TimeColumn(name, timestamp=values.astype("datetime64[ns]"))
+    return rr.TimeColumn(name, duration=values.astype("timedelta64[ns]"))
+
+
+def _count_ticks(tick_ns: Times, time_ns: Times) -> Times:
+    """Return the number of the last pose at or before each time."""
+    if time_ns is tick_ns:
+        return np.arange(len(tick_ns), dtype=np.int64)
+    return np.searchsorted(tick_ns, time_ns, side="right") - 1

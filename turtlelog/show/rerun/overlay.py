@@ -1,0 +1,94 @@
+"""Runs over each other: what scenes of several runs share."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import rerun as rr
+
+from turtlelog.measure import Metric
+from turtlelog.run import Run
+from turtlelog.show.rerun import drawing, plane
+from turtlelog.show.rerun.clock import Clock, build_compared_clock, read_span
+from turtlelog.show.rerun.content import Content, describe_content
+from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
+from turtlelog.show.rerun.legend import draw_legend
+from turtlelog.show.rerun.palette import Color, choose_run_colors
+from turtlelog.show.rerun.properties import send_comparison_properties
+from turtlelog.show.rerun.run_stream import RunStream
+from turtlelog.show.rerun.series import Reference, Series
+from turtlelog.show.rerun.signals import list_compared_series, list_references
+from turtlelog.show.rerun.surroundings import draw_surroundings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overlay:
+    """Several runs and how they are told apart; all sequences are in the same order.
+
+    Attributes:
+        runs: At least one.
+        names: No two alike.
+        prefixes: Entity prefixes.
+        colors: The same in every view.
+        clocks: Aligned at the first samples.
+        series: The curves of each.
+        references: Level lines that all share.
+    """
+
+    runs: tuple[Run, ...]
+    names: tuple[str, ...]
+    prefixes: tuple[str, ...]
+    colors: tuple[Color, ...]
+    clocks: tuple[Clock, ...]
+    series: tuple[tuple[Series, ...], ...]
+    references: tuple[Reference, ...]
+
+    def describe(self, documents: Mapping[str, str]) -> Content:
+        """Return what a recording of it holds."""
+        return describe_content(
+            self.runs, self.prefixes, self.series, self.references, documents, names=self.names
+        )
+
+
+def build_overlay(runs: Sequence[Run], names: Sequence[str]) -> Overlay:
+    """Return runs with their colours, curves and clocks."""
+    colors = choose_run_colors(len(runs))
+    # The legend stands along the track, and has no room for more than the runs.
+    references = [found for found in list_references(runs) if found.plot != ALONG_TRACK]
+    return Overlay(
+        runs=tuple(runs),
+        names=tuple(names),
+        prefixes=tuple(join_path(RUNS, rr.escape_entity_path_part(name)) for name in names),
+        colors=colors,
+        clocks=tuple(build_compared_clock(run) for run in runs),
+        series=tuple(
+            list_compared_series(run, name, color)
+            for run, name, color in zip(runs, names, colors, strict=True)
+        ),
+        references=tuple(references),
+    )
+
+
+def draw_overlay(
+    stream: rr.RecordingStream,
+    overlay: Overlay,
+    content: Content,
+    metrics: Sequence[Mapping[str, Metric]],
+) -> list[RunStream]:
+    """Draw all runs and what they share; return a stream for each run."""
+    send_comparison_properties(stream, overlay.runs, overlay.names, overlay.prefixes, metrics)
+    draw_surroundings(stream, overlay.runs)
+    span = read_span(overlay.runs, overlay.clocks)
+    drawing.draw_references(stream, overlay.references, span)
+    if content.legend_names:
+        draw_legend(stream, overlay.names, overlay.colors)
+    streams = []
+    for number, run in enumerate(overlay.runs):
+        run_stream = RunStream(stream, overlay.prefixes[number], overlay.clocks[number])
+        plane.draw_trace(run_stream, run, overlay.colors[number])
+        plane.draw_turtle(run_stream, run, overlay.colors[number], content.plane.half_size_m)
+        drawing.draw_phases(run_stream, run)
+        drawing.draw_events(run_stream, run, overlay.names[number])
+        for curves in overlay.series[number]:
+            drawing.draw_series(run_stream, curves)
+        streams.append(run_stream)
+    return streams

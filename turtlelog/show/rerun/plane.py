@@ -1,0 +1,185 @@
+"""What a run puts into the plane: its trace, the turtle, its error and command, its events."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from turtlelog.run import Run
+from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun.run_stream import RunStream, Values, choose_trace_rows
+from turtlelog.show.rerun.surroundings import UPWARD
+
+_SPEED_LEVELS: Final = 16
+_TRACE_RADIUS: Final = 1.0  # [points], as are the others
+_SPEED_RADIUS: Final = 1.75
+_TURTLE_RADIUS: Final = 5.0
+_ARROW_SHARE: Final = 0.12
+_ARROW_RADIUS: Final = 2.5
+_THIN_RADIUS: Final = 1.0
+_EVENT_RADIUS: Final = 4.0
+_ABOVE_TRACES: Final = 28.0  # below points, which have 30
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SpeedTrace:
+    """A path in colours of its speed.
+
+    Attributes:
+        strips: Stretches of one colour [m], each of shape (n, 2).
+        colors: One per strip, brighter where faster.
+        highest_m_s: What the brightest means [m/s].
+    """
+
+    strips: list[Values]
+    colors: list[palette.Color]
+    highest_m_s: float
+
+
+def draw_trace(run_stream: RunStream, run: Run, color: palette.Color) -> None:
+    """Draw the whole path in one colour."""
+    run_stream.log(entities.PLANE, UPWARD)
+    strip = run.poses.xy_m[choose_trace_rows(run)]
+    _log_strips(run_stream, entities.PATH, [strip], [color], _TRACE_RADIUS)
+
+
+def draw_trace_by_phase(run_stream: RunStream, run: Run) -> None:
+    """Draw the whole path, each stretch in the colour of its phase."""
+    run_stream.log(entities.PLANE, UPWARD)
+    kept = choose_trace_rows(run)
+    phases = _find_phases(run)[kept]
+    stretches = list(_split_where_changed(phases[:-1]))
+    xy_m = run.poses.xy_m[kept]
+    strips = [xy_m[first : last + 1] for first, last in stretches] or [xy_m]
+    colors = [palette.TRACES[int(phases[first])] for first, _ in stretches] or [palette.MAIN]
+    _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
+
+
+def build_speed_trace(run: Run) -> SpeedTrace | None:
+    """Return the whole path in colours of its speed, None where nothing moves."""
+    kept = choose_trace_rows(run)
+    xy_m, time_ns = run.poses.xy_m[kept], run.poses.time_ns[kept]
+    speed_m_s = np.hypot(*np.diff(xy_m, axis=0).T) / (np.diff(time_ns) / 1e9)
+    highest = float(speed_m_s.max(initial=0.0))
+    if not 0.0 < highest < np.inf:
+        return None
+    levels = np.rint(speed_m_s / highest * (_SPEED_LEVELS - 1)).astype(np.int64)
+    ramp = palette.choose_run_colors(_SPEED_LEVELS)
+    stretches = list(_split_where_changed(levels))
+    return SpeedTrace(
+        strips=[xy_m[first : last + 1] for first, last in stretches],
+        colors=[ramp[int(levels[first])] for first, _ in stretches],
+        highest_m_s=highest,
+    )
+
+
+def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
+    """Draw the whole path in colours of its speed."""
+    _log_strips(run_stream, entities.SPEED_PATH, trace.strips, trace.colors, _SPEED_RADIUS)
+
+
+def draw_turtle(run_stream: RunStream, run: Run, color: palette.Color, half_size_m: float) -> None:
+    """Draw the turtle where it is at the cursor, with an arrow along its heading."""
+    point = rr.Points2D([(0.0, 0.0)], radii=rr.Radius.ui_points(_TURTLE_RADIUS), colors=[color])
+    run_stream.log(entities.TURTLE, point)
+    heading = rr.Arrows2D(
+        vectors=[(half_size_m * _ARROW_SHARE, 0.0)],
+        radii=rr.Radius.ui_points(_ARROW_RADIUS),
+        colors=[color],
+    )
+    run_stream.log(entities.ARROW, heading)
+    poses = run.poses
+    values = np.column_stack([poses.xy_m, poses.heading_rad])
+    run_stream.send(entities.TURTLE, poses.time_ns, values, _build_transforms)
+
+
+def draw_arrows(run_stream: RunStream, run: Run) -> None:
+    """Draw at the cursor the error, from turtle to goal, and the command: its second's way.
+
+    The command is two arrows in the turtle's frame: the speed along the heading, and the turn rate
+    as what it moves a point 1 m ahead by, to the left of it.
+    """
+    if run.goal_xy_m is not None:
+        _log_arrow_style(run_stream, entities.ERROR, palette.ERROR)
+        values = np.column_stack([run.poses.xy_m, np.array(run.goal_xy_m) - run.poses.xy_m])
+        run_stream.send(entities.ERROR, run.poses.time_ns, values, _build_error)
+    table = run.samples if len(run.samples) else run.commands
+    if len(table):
+        _log_arrow_style(run_stream, entities.COMMAND, palette.SECOND)
+        values = np.column_stack([table.speed_m_s, table.turn_rate_rad_s])
+        run_stream.send(entities.COMMAND, table.time_ns, values, _build_command)
+
+
+def draw_event_places(run_stream: RunStream, run: Run) -> None:
+    """Mark where the turtle was when something happened; the viewer names it at the pointer."""
+    times_ns = [event.time_ns for event in run.events]
+    rows = np.searchsorted(run.poses.time_ns, times_ns, side="right") - 1
+    points = rr.Points2D(
+        run.poses.xy_m[np.maximum(rows, 0)],
+        radii=rr.Radius.ui_points(_EVENT_RADIUS),
+        colors=[
+            palette.WANTED if event.kind == "wall_hit" else palette.EVENT for event in run.events
+        ],
+        labels=[event.kind.replace("_", " ") for event in run.events],
+        show_labels=False,
+    )
+    run_stream.log(entities.EVENT_PLACES, points)
+
+
+def _find_phases(run: Run) -> NDArray[np.int64]:
+    """Return the phase of each pose, -1 before the first sample, shape (n,)."""
+    phases = np.full(len(run.poses), palette.NO_PHASE)
+    for span in run.find_phase_spans():
+        first, last = np.searchsorted(run.poses.time_ns, [span.start_ns, span.end_ns])
+        phases[first : last + 1] = span.phase
+    return phases
+
+
+def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
+    """Yield the first row of each stretch of equal values, and the row after its last."""
+    bounds = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    for first, last in pairwise(bounds):
+        if last > first:
+            yield first, last
+
+
+def _log_strips(
+    run_stream: RunStream,
+    entity: str,
+    strips: list[Values],
+    colors: list[palette.Color],
+    radius: float,
+) -> None:
+    radii = rr.Radius.ui_points(radius)
+    run_stream.log(entity, rr.LineStrips2D(strips, radii=radii, colors=palette.pack_colors(colors)))
+
+
+def _log_arrow_style(run_stream: RunStream, entity: str, color: palette.Color) -> None:
+    style = rr.Arrows2D.from_fields(
+        colors=[color], radii=rr.Radius.ui_points(_THIN_RADIUS), draw_order=_ABOVE_TRACES
+    )
+    run_stream.log(entity, style)
+
+
+def _build_transforms(values: Values) -> rr.ComponentColumnList:
+    half_rad, zeros = values[:, 2] / 2.0, np.zeros(len(values))
+    return rr.Transform3D.columns(
+        translation=np.column_stack([values[:, :2], zeros]),
+        quaternion=np.column_stack([zeros, zeros, np.sin(half_rad), np.cos(half_rad)]),
+    )
+
+
+def _build_error(values: Values) -> rr.ComponentColumnList:
+    return rr.Arrows2D.columns(origins=values[:, :2], vectors=values[:, 2:])
+
+
+def _build_command(values: Values) -> rr.ComponentColumnList:
+    zeros = np.zeros(len(values))
+    vectors = np.column_stack([values[:, 0], zeros, zeros, values[:, 1]]).reshape(-1, 2)
+    origins = np.tile([(0.0, 0.0), (1.0, 0.0)], (len(values), 1))
+    lengths = np.full(len(values), 2)
+    return rr.Arrows2D.columns(origins=origins, vectors=vectors).partition(lengths)
