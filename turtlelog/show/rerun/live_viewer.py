@@ -21,7 +21,7 @@ from turtlelog.simulate import RunCollector, Tick
 
 _BATCH_S: Final = 0.05
 _SHARE: Final = 5
-"""Between two batches passes at least so many times what the last one took."""
+"""Between two batches passes at least so many times what the last one took of a processor."""
 
 _LAST_S: Final = 8.0
 """So long the end of a run waits for a viewer that does not answer."""
@@ -79,13 +79,13 @@ class LiveViewer:
             is_over = self._take(time.monotonic() + wait_s)
             if not self._collector.has_samples:
                 continue
-            start_s = time.monotonic()
+            start_s = time.thread_time()
             run = self._collector.build_run()
             if is_over:
                 scene.finish(run)
             else:
                 scene.update(run)
-            wait_s = max(_BATCH_S, _SHARE * (time.monotonic() - start_s))
+            wait_s = max(_BATCH_S, _SHARE * (time.thread_time() - start_s))
 
     def _take(self, until_s: float) -> bool:
         """Collect ticks until a time, and return whether they have come to an end."""
