@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     )
     from turtlelog.compare import (
         ALIGNMENTS,
+        USUAL_METRICS,
         Column,
         Comparison,
         Finding,
@@ -185,6 +186,7 @@ _ROOMS = {
     ),
     "compare": (
         "ALIGNMENTS",
+        "USUAL_METRICS",
         "Column",
         "Comparison",
         "Finding",
@@ -354,6 +356,7 @@ __all__ = [
     "PRESETS",
     "SIGNALS",
     "TABLE_FORMATS",
+    "USUAL_METRICS",
     "Attribution",
     "BiboVerdict",
     "CheckError",
