@@ -138,6 +138,33 @@ def choose_columns(
     return tuple(chosen)
 
 
+def list_needed_metrics(
+    columns: Sequence[str],
+    *,
+    where: str | None = None,
+    sort: str | None = None,
+    source: str = "where",
+) -> tuple[str, ...]:
+    """Return the metrics that a table across runs is made of, so that no others are measured.
+
+    Args:
+        columns: As `choose_columns` takes them.
+        where: As `select_runs` does.
+        sort: As `sort_runs` does.
+        source: What error lines begin with.
+
+    Raises:
+        ExpressionError: Where `where` does not parse; what its names stand for is not judged.
+    """
+    named = [] if where is None else list(parse_expression(where, source=source).names)
+    named += [] if sort is None else [sort.removeprefix("-")]
+    return tuple(
+        name
+        for name in METRICS
+        if name in named or any(fnmatchcase(name, pattern) for pattern in columns)
+    )
+
+
 _MOST_NOTES: Final = 5
 
 
