@@ -181,13 +181,21 @@ def _compare_against(
     tolerances = None if path is None else tl.load_tolerances(path)
     alignment = (against.align or "first_sample").replace("-", "_")
     reference = next(runs)
-    summaries = [tl.summarise_run(reference, file=str(paths[0]))]
-    comparisons = []
-    for file, run in zip(paths[1:], runs, strict=True):
-        comparison = tl.compare_runs(reference, run, alignment=alignment, tolerances=tolerances)
-        metrics = {found.metric.id: found.metric for found in comparison.metrics}
-        summaries.append(tl.summarise_run(run, file=str(file), metrics=metrics))
-        comparisons.append(comparison)
+    summaries: list[RunSummary] = []
+
+    def summarise(run: "Run") -> "Run":
+        usual = tl.measure_run(run, only=tl.USUAL_METRICS)
+        summaries.append(tl.summarise_run(run, metrics=usual))
+        return run
+
+    comparisons = list(
+        tl.iter_comparisons(
+            summarise(reference),
+            map(summarise, runs),
+            alignment=alignment,
+            tolerances=tolerances,
+        )
+    )
     if kind == "json":
         print_json(describe_against(paths, comparisons, alignment))
     elif tolerances is None:
