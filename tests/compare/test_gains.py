@@ -1,4 +1,5 @@
 import dataclasses
+import pickle
 
 import pytest
 
@@ -150,3 +151,10 @@ def test_a_table_is_made_of_the_metrics_that_it_names() -> None:
     finals = tuple(name for name in tl.METRICS if name.startswith("final."))
     assert needed == ("rotate.iae", *finals, "run.duration")
     assert tl.list_needed_metrics([]) == ()
+
+
+def test_a_summary_comes_through_a_pickle_as_it_was() -> None:
+    again = pickle.loads(pickle.dumps(CUT))
+    assert again == CUT
+    with pytest.raises(TypeError):
+        again.parameters["law.kp_linear"] = 3.0
