@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.comparison_answers import describe_across, describe_against
+from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs
 from turtlelog.cli.output import print_error, print_json, print_note, print_text
@@ -20,9 +21,6 @@ from turtlelog.errors import TurtlelogError, UsageError
 if TYPE_CHECKING:
     from turtlelog import Comparison, Run, RunSummary, Table
 
-
-EXIT_FINE: Final = 0
-EXIT_BAD_INPUT: Final = 2
 
 _RUNS_ABREAST: Final = 3
 
@@ -202,7 +200,8 @@ def _compare_against(
         print_tables(_tabulate_unjudged(summaries, comparisons, kind), kind)
     else:
         _print_verdicts(summaries, comparisons, kind)
-    return int(any(comparison.verdict == "fail" for comparison in comparisons))
+    failed = any(comparison.verdict == "fail" for comparison in comparisons)
+    return EXIT_FAILED if failed else EXIT_FINE
 
 
 def _tabulate_unjudged(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.measuring import MeasureOptions
 from turtlelog.cli.options import Files, TopicOptions, require_files
@@ -23,8 +24,6 @@ from turtlelog.errors import TurtlelogError
 if TYPE_CHECKING:
     from turtlelog import RunSummary
 
-EXIT_FINE: Final = 0
-EXIT_BAD_INPUT: Final = 2
 
 _MOST_COLUMNS: Final = 6
 

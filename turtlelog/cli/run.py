@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.exit_codes import EXIT_FINE, EXIT_INTERRUPTED
 from turtlelog.cli.options import Json, Output, ScenarioOptions, load_changed_scenario
 from turtlelog.cli.output import (
     describe_metrics,
@@ -22,9 +23,6 @@ from turtlelog.cli.targets import require_new_target
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
     from turtlelog.simulate import Tick
-
-EXIT_FINE: Final = 0
-EXIT_INTERRUPTED: Final = 130
 
 
 def run(
