@@ -173,6 +173,11 @@ def test_a_run_that_cannot_be_read_does_not_stop_the_others(call: Call, kp4: Pat
     assert answer.out.count("11.184") == 2
 
 
+def test_a_run_that_is_left_alone_is_not_compared(call: Call, kp4: Path) -> None:
+    answer = call("compare", kp4, "none.mcap", "--json")
+    assert (answer.code, answer.out) == (2, "")
+
+
 def test_where_is_parsed_before_anything_is_read(call: Call) -> None:
     answer = call("compare", "none.mcap", "none.mcap", "--where", "law.kp_linear >")
     assert answer.code == 2

@@ -77,7 +77,7 @@ def compare(
     """Compare runs: which is best at what; with --reference, how far each is from it.
 
     Without a reference, a file that cannot be read is told on stderr; the others
-    are compared, and the exit code is 2.
+    are compared where there are two or more, and the exit code is 2.
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort final.position_error
 
@@ -99,7 +99,8 @@ def compare(
     summaries, errors = _summarise(paths, held, topics, only=_list_needed(choice, kind))
     for err in errors:
         print_error(str(err))
-    if summaries:
+    # One run alone is beside no other.
+    if not errors or len(summaries) > 1:
         _compare_across(summaries, choice, kind)
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
@@ -153,8 +154,7 @@ def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...]:
 
 
 def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
-    count = len(summaries)
-    title = f"{count} run{'' if count == 1 else 's'}"
+    count, title = len(summaries), f"{len(summaries)} runs"
     notes: tuple[str, ...] = ()
     if choice.where is not None:
         summaries, notes = tl.select_runs(summaries, choice.where, source="--where")
