@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from turtlelog.compare import (
         ALIGNMENTS,
+        USUAL_METRICS,
         Column,
         Comparison,
         Finding,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
         choose_columns,
         compare_runs,
         iter_comparisons,
+        list_needed_metrics,
         load_tolerances,
         mark_metric,
         name_runs,
@@ -225,6 +227,7 @@ _ROOMS = {
     ),
     "compare": (
         "ALIGNMENTS",
+        "USUAL_METRICS",
         "Column",
         "Comparison",
         "Finding",
@@ -236,6 +239,7 @@ _ROOMS = {
         "choose_columns",
         "compare_runs",
         "iter_comparisons",
+        "list_needed_metrics",
         "load_tolerances",
         "mark_metric",
         "name_runs",
@@ -402,6 +406,7 @@ __all__ = [
     "PRESETS",
     "SIGNALS",
     "TABLE_FORMATS",
+    "USUAL_METRICS",
     "Artifacts",
     "Attribution",
     "BiboVerdict",
@@ -497,6 +502,7 @@ __all__ = [
     "iter_comparisons",
     "join_verdicts",
     "judge_bibo",
+    "list_needed_metrics",
     "load_scenario",
     "load_spec",
     "load_tolerances",

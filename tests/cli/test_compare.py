@@ -164,3 +164,30 @@ def test_runs_that_are_left_out_are_noted_beside_csv(call: Call, kp4: Path, tmp_
     answer = call("compare", *words)
     assert len(answer.out.splitlines()) == 2
     assert "cut.mcap is left out: translate.duration is no_phase." in answer.err
+
+
+def test_a_run_that_cannot_be_read_does_not_stop_the_others(call: Call, kp4: Path) -> None:
+    answer = call("compare", kp4, "none.mcap", kp4, "--only", "run.duration")
+    assert answer.code == 2
+    assert "none.mcap: expected a recording, a bag or a log" in answer.err
+    assert answer.out.count("11.184") == 2
+
+
+def test_a_run_that_is_left_alone_is_not_compared(call: Call, kp4: Path) -> None:
+    answer = call("compare", kp4, "none.mcap", "--json")
+    assert (answer.code, answer.out) == (2, "")
+
+
+def test_where_is_parsed_before_anything_is_read(call: Call) -> None:
+    answer = call("compare", "none.mcap", "none.mcap", "--where", "law.kp_linear >")
+    assert answer.code == 2
+    assert answer.err.startswith("turtlelog: error: --where: column 16: ")
+    assert "none.mcap" not in answer.err
+
+
+def test_runs_are_drawn_and_stand_beside_each_other(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    answer = call("compare", kp4, kp10, "--rrd", tmp_path / "both.rrd", "--only", "run.duration")
+    assert "11.184*" in answer.out
+    assert (tmp_path / "both.rrd").exists()

@@ -1,4 +1,5 @@
 import dataclasses
+import pickle
 
 import pytest
 
@@ -141,3 +142,19 @@ def test_a_run_without_a_value_comes_last(by: str) -> None:
 def test_an_unknown_order_is_refused_with_the_nearest_names() -> None:
     with pytest.raises(CompareError, match=r"sort: expected run.duration or .*'run.durtion'"):
         tl.sort_runs(SUMMARIES, "run.durtion")
+
+
+def test_a_table_is_made_of_the_metrics_that_it_names() -> None:
+    needed = tl.list_needed_metrics(
+        ["final.*", "law.kp_linear"], where="run.duration < 9 and x > 1", sort="-rotate.iae"
+    )
+    finals = tuple(name for name in tl.METRICS if name.startswith("final."))
+    assert needed == ("rotate.iae", *finals, "run.duration")
+    assert tl.list_needed_metrics([]) == ()
+
+
+def test_a_summary_comes_through_a_pickle_as_it_was() -> None:
+    again = pickle.loads(pickle.dumps(CUT))
+    assert again == CUT
+    with pytest.raises(TypeError):
+        again.parameters["law.kp_linear"] = 3.0

@@ -46,6 +46,11 @@ def test_tables_of_other_stages_are_left_to_them(tmp_path: Path) -> None:
         ("format = 1\nsignals = 3", "signals: expected a table, found 3"),
         ("format = 1\n[signals]\nx = 3", "signals.x: expected a table, found 3"),
         ("format = 1\n[signals.headin]", "signals.headin: expected heading"),
+        ("format = 1\n[signals.headin]\nabs = 1", "signals.headin: expected heading"),
+        (
+            "format = 1\n[metrics.'run.durations']\nabs = 1",
+            "metrics.run.durations: expected run.dur",
+        ),
         ("format = 1\n[signals.'']", "signals.: expected x or y"),
         ("format = 1\n[metrics.'run.durations']", "metrics.run.durations: expected .*run.duration"),
         (

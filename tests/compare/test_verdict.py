@@ -200,7 +200,7 @@ def test_runs_without_samples_have_no_numbers_to_align_by() -> None:
 
 def test_recorded_times_that_do_not_overlap_are_refused() -> None:
     runs = [make_run(time_s=(start, start + 1.0), name=f"at-{start}") for start in (0, 5)]
-    with pytest.raises(CompareError, match="at-0 and at-5: expected runs that overlap"):
+    with pytest.raises(CompareError, match=r"found 0.00 to 1.00 s and 5.00 to 6.00 s"):
         tl.compare_runs(*runs, alignment="recorded")
 
 

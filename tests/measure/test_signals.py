@@ -115,6 +115,8 @@ def test_unknown_signal_is_refused_with_those_that_are_known() -> None:
     line = f"signal 'z': expected one of {', '.join(SIGNALS)}"
     with pytest.raises(MeasureError, match=rf"\A{re.escape(line)}\Z"):
         read_signal(make_run(), "z")
+    with pytest.raises(MeasureError, match=r"'headin': expected heading or heading_error\Z"):
+        read_signal(make_run(), "headin")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from cyclopts import App, CycloptsError
 from turtlelog.cli.check import check
 from turtlelog.cli.compare import compare
 from turtlelog.cli.demo import demo
+from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DEFECT, EXIT_FINE, EXIT_INTERRUPTED
 from turtlelog.cli.explain import explain
 from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
@@ -32,12 +33,6 @@ from turtlelog.cli.theory import theory
 from turtlelog.cli.view import view
 from turtlelog.errors import TurtlelogError
 from turtlelog.version import __version__
-
-EXIT_FINE = 0
-EXIT_FAILED = 1
-EXIT_BAD_INPUT = 2
-EXIT_DEFECT = 70
-EXIT_INTERRUPTED = 130
 
 app = App(
     name="turtlelog",

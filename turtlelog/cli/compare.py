@@ -9,12 +9,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.comparison_answers import describe_across, describe_against
+from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.output import print_error, print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
+from turtlelog.cli.summaries import watch_summaries
 from turtlelog.cli.targets import require_new_target
-from turtlelog.errors import UsageError
+from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Comparison, Run, RunSummary, Table
@@ -57,6 +59,10 @@ class ChoiceOptions:
     sort: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     where: str | None = None
 
+    def list_columns(self) -> list[str]:
+        """Return the names and patterns that are asked for, none for the usual columns."""
+        return [] if self.only is None else [name.strip() for name in self.only.split(",")]
+
 
 def compare(
     files: Files,
@@ -69,6 +75,9 @@ def compare(
     topics: TopicOptions | None = None,
 ) -> int:
     """Compare runs: which is best at what; with --reference, how far each is from it.
+
+    Without a reference, a file that cannot be read is told on stderr; the others
+    are compared where there are two or more, and the exit code is 2.
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort final.position_error
 
@@ -83,19 +92,17 @@ def compare(
     paths = [*([] if against.reference is None else [against.reference]), *files]
     _require_sense(paths, against, choice)
     require_new_target(rrd, paths, suffix=".rrd")
-    if rrd is None:
-        runs = iterate_runs(paths, topics)
-    else:
-        # A picture of all needs all of them at once.
-        held = read_runs(paths, topics)
-        with show_progress("drawing"):
-            tl.write_comparison_rrd(held, rrd)
-        print_note(f"wrote {rrd}")
-        runs = iter(held)
-    if against.reference is None:
-        _compare_across(runs, paths, choice, kind)
-        return 0
-    return _compare_against(runs, paths, against, kind)
+    held = None if rrd is None else _draw(paths, rrd, topics)
+    if against.reference is not None:
+        runs = iterate_runs(paths, topics) if held is None else iter(held)
+        return _compare_against(runs, paths, against, kind)
+    summaries, errors = _summarise(paths, held, topics, only=_list_needed(choice, kind))
+    for err in errors:
+        print_error(str(err))
+    # One run alone is beside no other.
+    if not errors or len(summaries) > 1:
+        _compare_across(summaries, choice, kind)
+    return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
 def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: ChoiceOptions) -> None:
@@ -109,11 +116,44 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             raise UsageError(f"--{name}: expected no --reference beside it, found one")
 
 
-def _compare_across(
-    runs: "Iterator[Run]", paths: Sequence[Path], choice: ChoiceOptions, kind: str
-) -> None:
-    pairs = zip(runs, paths, strict=True)
-    summaries = tuple(tl.summarise_run(run, file=str(path)) for run, path in pairs)
+def _draw(paths: Sequence[Path], rrd: Path, topics: TopicOptions | None) -> "list[Run]":
+    """Write a picture of all runs, which needs all of them at once, and return them."""
+    runs = read_runs(paths, topics)
+    with show_progress("drawing"):
+        tl.write_comparison_rrd(runs, rrd)
+    print_note(f"wrote {rrd}")
+    return runs
+
+
+def _summarise(
+    paths: Sequence[Path],
+    held: "Sequence[Run] | None",
+    topics: TopicOptions | None,
+    *,
+    only: Sequence[str],
+) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
+    """Return the runs in short, read one by one unless they are held, and what cannot be read."""
+    if held is not None:
+        pairs = zip(held, paths, strict=True)
+        return tuple(
+            tl.summarise_run(run, file=str(path), metrics=tl.measure_run(run, only=only))
+            for run, path in pairs
+        ), []
+    errors: list[TurtlelogError] = []
+    found = tl.summarise_files(paths, only=only, topics=(topics or TopicOptions()).build_choice())
+    return tuple(watch_summaries(found, len(paths), errors)), errors
+
+
+def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...]:
+    """Return the metrics to compute: of thousands of runs no others are kept."""
+    columns = choice.list_columns()
+    shown = columns or (tl.METRICS if kind == "json" else tl.USUAL_METRICS)
+    return tl.list_needed_metrics(
+        tuple(shown), where=choice.where, sort=choice.sort, source="--where"
+    )
+
+
+def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
     count, title = len(summaries), f"{len(summaries)} runs"
     notes: tuple[str, ...] = ()
     if choice.where is not None:
@@ -121,10 +161,7 @@ def _compare_across(
         title = f"{len(summaries)} of {count} runs, where {choice.where}"
     if choice.sort is not None:
         summaries = tl.sort_runs(summaries, choice.sort, source="--sort")
-    only: tuple[str, ...] = ()
-    if choice.only is not None:
-        names = [name.strip() for name in choice.only.split(",")]
-        only = tl.choose_columns(summaries, names, source="--only")
+    only = tl.choose_columns(summaries, choice.list_columns(), source="--only")
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
     if kind == "json":
         print_json(describe_across(summaries, only=only, notes=notes))
@@ -142,20 +179,29 @@ def _compare_against(
     tolerances = None if path is None else tl.load_tolerances(path)
     alignment = (against.align or "first_sample").replace("-", "_")
     reference = next(runs)
-    summaries = [tl.summarise_run(reference, file=str(paths[0]))]
-    comparisons = []
-    for file, run in zip(paths[1:], runs, strict=True):
-        comparison = tl.compare_runs(reference, run, alignment=alignment, tolerances=tolerances)
-        metrics = {found.metric.id: found.metric for found in comparison.metrics}
-        summaries.append(tl.summarise_run(run, file=str(file), metrics=metrics))
-        comparisons.append(comparison)
+    summaries: list[RunSummary] = []
+
+    def summarise(run: "Run") -> "Run":
+        usual = tl.measure_run(run, only=tl.USUAL_METRICS)
+        summaries.append(tl.summarise_run(run, metrics=usual))
+        return run
+
+    comparisons = list(
+        tl.iter_comparisons(
+            summarise(reference),
+            map(summarise, runs),
+            alignment=alignment,
+            tolerances=tolerances,
+        )
+    )
     if kind == "json":
         print_json(describe_against(paths, comparisons, alignment))
     elif tolerances is None:
         print_tables(_tabulate_unjudged(summaries, comparisons, kind), kind)
     else:
         _print_verdicts(summaries, comparisons, kind)
-    return int(any(comparison.verdict == "fail" for comparison in comparisons))
+    failed = any(comparison.verdict == "fail" for comparison in comparisons)
+    return EXIT_FAILED if failed else EXIT_FINE
 
 
 def _tabulate_unjudged(

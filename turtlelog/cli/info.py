@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
+from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.options import Files, Json, Partial, iterate_files, require_files
 from turtlelog.cli.output import format_table, print_error, print_json, print_text
 from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
     from turtlelog import RecordingInfo
-
-EXIT_FINE: Final = 0
-EXIT_BAD_INPUT: Final = 2
 
 
 def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> int:

@@ -1,13 +1,14 @@
 """`turtlelog metrics`: measure recordings."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.measuring import MeasureOptions
 from turtlelog.cli.options import Files, TopicOptions, require_files
@@ -16,16 +17,13 @@ from turtlelog.cli.output import (
     print_csv,
     print_error,
     print_json_list,
-    print_run_notes,
 )
-from turtlelog.cli.progress import show_progress
+from turtlelog.cli.summaries import watch_summaries
 from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
     from turtlelog import RunSummary
 
-EXIT_FINE: Final = 0
-EXIT_BAD_INPUT: Final = 2
 
 _MOST_COLUMNS: Final = 6
 
@@ -63,15 +61,11 @@ def metrics(
         files,
         measuring.build_settings(),
         only=chosen,
-        topics=tl.TopicChoice(
-            pose_topic=topics.pose_topic,
-            command_topic=topics.command_topic,
-            allow_partial=topics.partial,
-        ),
+        topics=topics.build_choice(),
         jobs=jobs,
     )
     errors: list[TurtlelogError] = []
-    summaries = _watch(found, len(files), errors)
+    summaries = watch_summaries(found, len(files), errors)
     if kind == "json":
         print_json_list(map(_describe, summaries))
     elif kind == "csv":
@@ -92,25 +86,7 @@ def _choose(options: MeasureOptions, runs: int, kind: str, *, everything: bool) 
         return tl.choose_metrics(patterns)
     if everything or kind in {"json", "csv"}:
         return tuple(tl.METRICS)
-    if runs <= _MOST_COLUMNS:
-        return tl.ESSENTIAL_METRICS
-    from turtlelog.compare import USUAL_METRICS
-
-    return USUAL_METRICS
-
-
-def _watch(
-    found: "Iterator[RunSummary | TurtlelogError]", count: int, errors: list[TurtlelogError]
-) -> "Iterator[RunSummary]":
-    """Yield what was measured, keep the errors, and show how far it has come."""
-    with show_progress("files", count) as progress:
-        for number, summary in enumerate(found, start=1):
-            if isinstance(summary, TurtlelogError):
-                errors.append(summary)
-            else:
-                print_run_notes(summary.file, summary.notes)
-                yield summary
-            progress.done = number
+    return tl.ESSENTIAL_METRICS if runs <= _MOST_COLUMNS else tl.USUAL_METRICS
 
 
 def _print_tables(

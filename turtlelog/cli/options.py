@@ -14,7 +14,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Run, Scenario
+    from turtlelog import Run, Scenario, TopicChoice
 
 Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
@@ -54,6 +54,14 @@ class TopicOptions:
     pose_topic: str | None = None
     command_topic: str | None = None
     partial: Partial = False
+
+    def build_choice(self) -> "TopicChoice":
+        """Return what is asked for as a choice."""
+        return tl.TopicChoice(
+            pose_topic=self.pose_topic,
+            command_topic=self.command_topic,
+            allow_partial=self.partial,
+        )
 
 
 def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":

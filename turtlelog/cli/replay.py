@@ -1,11 +1,12 @@
 """`turtlelog replay`: a recording driven again."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.exit_codes import EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.options import Json, Output, ScenarioOptions, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.replay_choice import (
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from turtlelog import Run, Scenario
     from turtlelog.replay import Difference
 
-EXIT_FINE: Final = 0
-EXIT_DIFFERENT: Final = 1
 
 _Answer = tuple[dict[str, Any], str, "Difference | None"]
 """As JSON, as text, and the first difference."""
@@ -73,7 +72,7 @@ def replay(
         print_json({"file": str(file), **described})
     else:
         print_text(text)
-    return EXIT_DIFFERENT if mode.expect_equal and first is not None else EXIT_FINE
+    return EXIT_FAILED if mode.expect_equal and first is not None else EXIT_FINE
 
 
 def _replay_law(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.exit_codes import EXIT_FINE, EXIT_INTERRUPTED
 from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_changed_scenario
 from turtlelog.cli.output import (
     describe_metrics,
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
     from turtlelog.runner import Sink
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
-
-EXIT_FINE: Final = 0
-EXIT_INTERRUPTED: Final = 130
 
 _ADVICE: Final = (
     "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"

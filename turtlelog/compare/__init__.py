@@ -20,6 +20,7 @@ from turtlelog.compare.names import name_runs
 from turtlelog.compare.summary import (
     RunSummary,
     choose_columns,
+    list_needed_metrics,
     select_runs,
     sort_runs,
     summarise_run,
@@ -49,6 +50,7 @@ __all__ = [
     "compare_runs",
     "format_cell",
     "iter_comparisons",
+    "list_needed_metrics",
     "load_tolerances",
     "mark_metric",
     "name_runs",

@@ -112,9 +112,17 @@ def _align_by_time(runs: tuple[Run, Run], zeros_ns: tuple[int, int], earliest_ns
     start_ns = max(earliest_ns, *(int(run.poses.time_ns[0]) - zero for run, zero in placed))
     end_ns = min(run.end_ns - zero for run, zero in placed)
     if end_ns <= start_ns:
-        names = " and ".join(run.name for run in runs)
-        raise CompareError(f"{names}: expected runs that overlap from their first samples on")
+        names = " and ".join(run.name for run, _ in placed)
+        raise CompareError(f"{names}: expected runs that overlap, found {_describe_spans(placed)}")
     return _TimeClock(runs=runs, zeros_ns=zeros_ns, span=(start_ns, end_ns))
+
+
+def _describe_spans(placed: tuple[tuple[Run, int], ...]) -> str:
+    spans = (
+        f"{(int(run.poses.time_ns[0]) - zero) / 1e9:.2f} to {(run.end_ns - zero) / 1e9:.2f} s"
+        for run, zero in placed
+    )
+    return " and ".join(spans)
 
 
 def _align_by_number(reference: Run, run: Run) -> Clock:

@@ -7,14 +7,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare.summary import RunSummary
+from turtlelog.compare.summary import RunSummary, summarise_run
 from turtlelog.errors import CompareError, TurtlelogError
 from turtlelog.log import PartialRecordingWarning, read_run
-from turtlelog.measure import MeasureSettings, Metric, choose_metrics, measure_run
-from turtlelog.run import Parameter, Run
+from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
+from turtlelog.run import Run
 
 _AT_ONCE: Final = 16
 """Files that a process takes at a time."""
@@ -63,37 +62,18 @@ def summarise_files(
     return _iterate(measure, [str(path) for path in paths], jobs)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Measured:
-    """A summary on its way from one process to another."""
-
-    name: str
-    source: str
-    stop_reason: str | None
-    parameters: dict[str, Parameter]
-    metrics: dict[str, Metric]
-    notes: dict[str, str]
-
-
 def _measure_file(
     path: str,
     *,
     settings: MeasureSettings | None,
     only: Collection[str] | None,
     topics: TopicChoice,
-) -> _Measured | TurtlelogError:
+) -> RunSummary | TurtlelogError:
     try:
         run = _read(path, topics)
     except TurtlelogError as err:
         return err
-    return _Measured(
-        name=run.name,
-        source=run.source,
-        stop_reason=run.stop_reason,
-        parameters=dict(run.parameters),
-        metrics=dict(measure_run(run, settings, only=only)),
-        notes=dict(run.notes),
-    )
+    return summarise_run(run, file=path, metrics=measure_run(run, settings, only=only))
 
 
 def _read(path: str, topics: TopicChoice) -> Run:
@@ -109,29 +89,15 @@ def _read(path: str, topics: TopicChoice) -> Run:
 
 
 def _iterate(
-    measure: "partial[_Measured | TurtlelogError]", paths: Sequence[str], jobs: int
+    measure: "partial[RunSummary | TurtlelogError]", paths: Sequence[str], jobs: int
 ) -> Iterator[RunSummary | TurtlelogError]:
     if jobs == 1 or len(paths) < 2:
-        yield from map(_summarise, map(measure, paths), paths)
+        yield from map(measure, paths)
         return
     # Spawned and not forked: the same everywhere, and safe beside threads.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(min(jobs, len(paths)), mp_context=context)
     try:
-        yield from map(_summarise, pool.map(measure, paths, chunksize=_AT_ONCE), paths)
+        yield from pool.map(measure, paths, chunksize=_AT_ONCE)
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def _summarise(found: _Measured | TurtlelogError, path: str) -> RunSummary | TurtlelogError:
-    if isinstance(found, TurtlelogError):
-        return found
-    return RunSummary(
-        name=found.name,
-        source=found.source,
-        stop_reason=found.stop_reason,
-        parameters=MappingProxyType(found.parameters),
-        metrics=MappingProxyType(found.metrics),
-        file=path,
-        notes=MappingProxyType(found.notes),
-    )

@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
 from types import MappingProxyType
 from typing import Any, Final
@@ -16,9 +16,12 @@ TEXTS: Final = ("name", "source", "stop_reason")
 """What filters and orders may ask for besides parameters and metrics."""
 
 
+_MAPPINGS: Final = ("parameters", "metrics", "notes")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
-    """A run without its columns, so that thousands fit into memory.
+    """A run without its columns, so that thousands fit into memory; it can be pickled.
 
     Attributes:
         name: Of the run.
@@ -38,6 +41,14 @@ class RunSummary:
     file: str = ""
     notes: Mapping[str, str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name in _MAPPINGS:
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __reduce__(self) -> tuple[Any, tuple[dict[str, Any]]]:
+        values = {found.name: getattr(self, found.name) for found in fields(self)}
+        return _rebuild, (values | {name: dict(values[name]) for name in _MAPPINGS},)
+
     def find_value(self, name: str) -> Parameter | None:
         """Return a parameter, a metric's value, `name`, `source` or `stop_reason`; None: none."""
         if name in TEXTS:
@@ -45,6 +56,10 @@ class RunSummary:
             return text
         metric = self.metrics.get(name)
         return self.parameters.get(name) if metric is None else metric.value
+
+
+def _rebuild(values: dict[str, Any]) -> RunSummary:
+    return RunSummary(**values)
 
 
 def summarise_run(
@@ -56,7 +71,7 @@ def summarise_run(
         source=run.source,
         stop_reason=run.stop_reason,
         parameters=run.parameters,
-        metrics=MappingProxyType(dict(measure_run(run) if metrics is None else metrics)),
+        metrics=measure_run(run) if metrics is None else metrics,
         file=file,
         notes=run.notes,
     )
@@ -136,6 +151,33 @@ def choose_columns(
             _require_name(pattern, [*METRICS, *parameters], source)
         chosen |= dict.fromkeys(found)
     return tuple(chosen)
+
+
+def list_needed_metrics(
+    columns: Sequence[str],
+    *,
+    where: str | None = None,
+    sort: str | None = None,
+    source: str = "where",
+) -> tuple[str, ...]:
+    """Return the metrics that a table across runs is made of, so that no others are measured.
+
+    Args:
+        columns: As `choose_columns` takes them.
+        where: As `select_runs` does.
+        sort: As `sort_runs` does.
+        source: What error lines begin with.
+
+    Raises:
+        ExpressionError: Where `where` does not parse; what its names stand for is not judged.
+    """
+    named = [] if where is None else list(parse_expression(where, source=source).names)
+    named += [] if sort is None else [sort.removeprefix("-")]
+    return tuple(
+        name
+        for name in METRICS
+        if name in named or any(fnmatchcase(name, pattern) for pattern in columns)
+    )
 
 
 _MOST_NOTES: Final = 5

@@ -111,7 +111,8 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
 
     TOML takes `[metrics.rotate.overshoot]` for a table in a table: the quotes are missing.
     """
-    inner = [f"{name}.{key}" for key in entry] if isinstance(entry, Mapping) else []
+    tables = entry.items() if isinstance(entry, Mapping) else ()
+    inner = [f"{name}.{key}" for key, table in tables if isinstance(table, Mapping)]
     meant = [found for key in inner for found in difflib.get_close_matches(key, _OWN[kind], n=1)]
     if meant:
         return f'expected quotes around the id, as in {kind}."{meant[0]}", found none'

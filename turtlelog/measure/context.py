@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.measure.beginning import take_beginning
 from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.metric import Missing
-from turtlelog.measure.path import compute_path_distances
+from turtlelog.measure.path import compute_path_distances, compute_path_length
 from turtlelog.measure.phases import Response, find_response
 from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import Signal, read_signal
@@ -93,6 +93,11 @@ class RunContext:
         """Time from sample to sample that is most usual, bursts aside [s]; None where all are 0."""
         periods_s = self.sample_period_s[self.sample_period_s > 0.0]
         return float(np.median(periods_s)) if len(periods_s) else None
+
+    @cached_property
+    def path_length_m(self) -> float:
+        """Length of the line through all poses [m]."""
+        return compute_path_length(self.run.poses.xy_m)
 
     @cached_property
     def cross_track_m(self) -> Values | None:

@@ -16,14 +16,18 @@ def compute_path_length(xy_m: Values) -> float:
     return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
 
-def compute_straightness(xy_m: Values) -> float | None:
+def compute_straightness(xy_m: Values, length_m: float | None = None) -> float | None:
     """Return the length over the distance from first to last point [1]: 1 is a straight line.
 
-    None where both are the same point.
+    None where both are the same point. `length_m`, where it has been computed already.
     """
     distance_m = float(np.hypot(*(xy_m[-1] - xy_m[0])))
+    if distance_m <= 0.0:
+        return None
+    if length_m is None:
+        length_m = compute_path_length(xy_m)
     # Rounding of the sum leaves a straight line a bit short of its distance.
-    return max(compute_path_length(xy_m) / distance_m, 1.0) if distance_m > 0.0 else None
+    return max(length_m / distance_m, 1.0)
 
 
 def compute_path_distances(xy_m: Values, path_xy_m: Values) -> Values:

@@ -1,5 +1,6 @@
 """The signals of a run by name: the one table that metrics, comparison and pictures share."""
 
+import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -60,7 +61,9 @@ def read_signal(run: Run, name: str) -> Signal | None:
         MeasureError: Where no signal has that name.
     """
     if name not in SIGNALS:
-        raise MeasureError(f"signal {name!r}: expected one of {', '.join(SIGNALS)}")
+        near = difflib.get_close_matches(name, SIGNALS, n=3)
+        wanted = " or ".join(near) if near else f"one of {', '.join(SIGNALS)}"
+        raise MeasureError(f"signal {name!r}: expected {wanted}")
     kind = SIGNALS[name]
     values = kind.read(run)
     if values is None or (kind.source == "sample" and not len(run.samples)):

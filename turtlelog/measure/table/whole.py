@@ -35,11 +35,11 @@ def _compute_duration(context: RunContext) -> Result:
 
 
 def _compute_length(context: RunContext) -> Result:
-    return Found(path.compute_path_length(context.run.poses.xy_m))
+    return Found(context.path_length_m)
 
 
 def _compute_straightness(context: RunContext) -> Result:
-    straightness = path.compute_straightness(context.run.poses.xy_m)
+    straightness = path.compute_straightness(context.run.poses.xy_m, context.path_length_m)
     if straightness is None:
         return Missing(status=Status.NO_MOTION, reason="the turtle ends where it began")
     return Found(straightness)
