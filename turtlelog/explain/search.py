@@ -34,6 +34,9 @@ _DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
 
 Settings = Mapping[str, Any]
 
+_Exact = tuple[Guess, int]
+"""Settings that reproduce every sample, and how many samples were simulated."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fits:
@@ -71,15 +74,20 @@ def search_loop(
 ) -> Fits:
     """Return the settings of the loop that reproduce a log, with `known` for all others.
 
-    The usual depths of the queues are tried first, others only where those do not fit.
+    The usual depths of the queues are tried first, others only where those do not fit, or fit with
+    a pause or a backlog that the clock contradicts.
     Where nothing is exact the settings that leave the least are returned.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[Phase.ROTATE], dead_times[Phase.TRANSLATE])
-    for search.to_rounding, tier in product((False, True), tiers):
-        exact = search.find_exact(tier)
+    for search.to_rounding in (False, True):
+        exact: list[_Exact] = []
+        for tier in tiers:
+            exact += search.find_exact(tier)
+            if any(search.agrees_with_clock(guess) for guess, _ in exact):
+                break
         if exact:
-            return search.build_exact_fits(exact)
+            return search.build_exact_fits(search.prefer_by_clock(exact))
     return search.find_likeliest(next(filter(None, tiers)))
 
 
@@ -103,8 +111,8 @@ class _Search:
         values.setdefault("max_duration_s", self._most_s)
         return build_scenario(nest_parameters(values), source=self._trace.run.name)
 
-    def find_exact(self, queues: Sequence[Guess]) -> list[tuple[Guess, int]]:
-        """Return the settings that reproduce every sample, with the samples simulated."""
+    def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
+        """Return the settings that reproduce every sample."""
         first, rotation = self._hints.pauses[0], self._rows[: self._trace.rotating]
         alike = [
             guess
@@ -113,12 +121,22 @@ class _Search:
         ]
         guesses = [_pause(guess, pause) for pause, guess in product(self._hints.pauses, alike)]
         counted = [(guess, self._count(guess, self._rows)) for guess in guesses]
-        exact = [(guess, count) for guess, count in counted if count >= len(self._rows)]
+        return [(guess, count) for guess, count in counted if count >= len(self._rows)]
+
+    def agrees_with_clock(self, guess: Guess) -> bool:
+        """Return whether pause and start backlog are what time stamps and pose numbers say."""
+        return (
+            guess["law.pause_ticks"] in self._list_by_clock()
+            and guess["loop.start_backlog"] in self._hints.backlogs
+        )
+
+    def prefer_by_clock(self, exact: Sequence[_Exact]) -> Sequence[_Exact]:
+        """Return the settings that the clock contradicts least: in the pause, then the backlog."""
         near, bursts = self._list_by_clock(), self._hints.backlogs
         exact = [found for found in exact if found[0]["law.pause_ticks"] in near] or exact
         return [found for found in exact if found[0]["loop.start_backlog"] in bursts] or exact
 
-    def build_exact_fits(self, exact: Sequence[tuple[Guess, int]]) -> Fits:
+    def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
         """Return the settings found, as scenarios that end where the log does."""
         guess = exact[0][0]
         hidden = {
