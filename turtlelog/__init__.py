@@ -56,6 +56,7 @@ if TYPE_CHECKING:
         attribute_run,
         attribute_scenario,
         identify_run,
+        require_players,
         write_sentences,
     )
     from turtlelog.expressions import (
@@ -224,6 +225,7 @@ _ROOMS = {
         "attribute_run",
         "attribute_scenario",
         "identify_run",
+        "require_players",
         "write_sentences",
     ),
     "expressions": (
@@ -456,6 +458,7 @@ __all__ = [
     "replay_law",
     "replay_loop",
     "replay_plant",
+    "require_players",
     "restore_scenario",
     "run_live",
     "select_runs",
