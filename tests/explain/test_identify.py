@@ -285,6 +285,24 @@ def test_a_gap_is_named_and_what_is_left_identified() -> None:
     assert read_values(found, *keys) == (5, 6, 4.0, 4.0)
 
 
+def lose_samples(run: Run, lost: range) -> Run:
+    """Return a recording without some samples; as when a chunk is lost, their numbers tell."""
+    kept = np.delete(np.arange(len(run.samples)), lost)
+    samples = {
+        found.name: getattr(run.samples, found.name)[kept].copy() for found in fields(run.samples)
+    }
+    return replace(run, samples=SampleColumns(**samples))
+
+
+def test_a_recording_with_a_hole_is_explained_from_what_is_left() -> None:
+    found = identify_run(lose_samples(forget(simulate("paper-kp10")), range(40, 90)))
+    assert found.notes == ("samples are missing after 0.560 s, for 0.816 s",)
+    assert read_values(found, "loop.start_backlog", "law.pause_ticks") == (5, 33)
+    assert found.findings["loop.start_backlog"].evidence == "reproduces all 720 samples"
+    assert found.resimulation is not None
+    assert (found.resimulation.samples, found.resimulation.is_exact) == (720, True)
+
+
 @pytest.mark.parametrize("rows", [1, 2, 7])
 def test_a_log_in_which_nothing_moves_tells_no_queues(rows: int) -> None:
     found = identify_run(take_rows(as_log(simulate("paper-kp4")), np.arange(rows)))

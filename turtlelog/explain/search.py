@@ -113,7 +113,7 @@ class _Search:
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
         """Return the settings that reproduce every sample."""
-        first, rotation = self._hints.pauses[0], self._rows[: self._trace.rotating]
+        first, rotation = self._hints.pauses[0], self._list_rotation()
         alike = [
             guess
             for guess in queues
@@ -177,7 +177,10 @@ class _Search:
         near = [pause for pause in pauses if agrees_with_clock(pause, self._hints, self._trace)]
         return tuple(near) or pauses
 
-    def _count(self, guess: Guess, rows: list[Row]) -> int:
+    def _list_rotation(self) -> list[Row | None]:
+        return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
+
+    def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1
         return count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
 
