@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import groupby, product
 from math import ceil
 from typing import Any, Final
 
@@ -84,10 +84,13 @@ def search_loop(
         exact: list[_Exact] = []
         for tier in tiers:
             exact += search.find_exact(tier)
-            if any(search.agrees_with_clock(guess) for guess, _ in exact):
+            if any(search.contradict_clock(guess) == (False, False) for guess, _ in exact):
                 break
         if exact:
-            return search.build_exact_fits(search.prefer_by_clock(exact))
+            least = min(search.contradict_clock(guess) for guess, _ in exact)
+            return search.build_exact_fits(
+                [found for found in exact if search.contradict_clock(found[0]) == least]
+            )
     return search.find_likeliest(next(filter(None, tiers)))
 
 
@@ -101,6 +104,8 @@ class _Search:
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
         self._trace, self._known, self._hints = trace, known, hints
         self._rows = list_rows(trace)
+        pauses = hints.pauses
+        self._near = [p for p in pauses if agrees_with_clock(p, hints, trace)] or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = 0
         self.to_rounding = False
@@ -112,7 +117,7 @@ class _Search:
         return build_scenario(nest_parameters(values), source=self._trace.run.name)
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
-        """Return the settings that reproduce every sample."""
+        """Return the settings that reproduce every sample, of them those nearest to the clock."""
         first, rotation = self._hints.pauses[0], self._list_rotation()
         alike = [
             guess
@@ -120,21 +125,20 @@ class _Search:
             if self._count(_pause(guess, first), rotation) >= len(rotation)
         ]
         guesses = [_pause(guess, pause) for pause, guess in product(self._hints.pauses, alike)]
-        counted = [(guess, self._count(guess, self._rows)) for guess in guesses]
-        return [(guess, count) for guess, count in counted if count >= len(self._rows)]
+        guesses.sort(key=self.contradict_clock)
+        for _, group in groupby(guesses, key=self.contradict_clock):
+            counted = [(guess, self._count(guess, self._rows)) for guess in group]
+            exact = [(guess, count) for guess, count in counted if count >= len(self._rows)]
+            if exact:
+                return exact
+        return []
 
-    def agrees_with_clock(self, guess: Guess) -> bool:
-        """Return whether pause and start backlog are what time stamps and pose numbers say."""
+    def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
+        """Return whether time stamps and pose numbers contradict the pause, and the backlog."""
         return (
-            guess["law.pause_ticks"] in self._list_by_clock()
-            and guess["loop.start_backlog"] in self._hints.backlogs
+            guess["law.pause_ticks"] not in self._near,
+            guess["loop.start_backlog"] not in self._hints.backlogs,
         )
-
-    def prefer_by_clock(self, exact: Sequence[_Exact]) -> Sequence[_Exact]:
-        """Return the settings that the clock contradicts least: in the pause, then the backlog."""
-        near, bursts = self._list_by_clock(), self._hints.backlogs
-        exact = [found for found in exact if found[0]["law.pause_ticks"] in near] or exact
-        return [found for found in exact if found[0]["loop.start_backlog"] in bursts] or exact
 
     def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
         """Return the settings found, as scenarios that end where the log does."""
@@ -157,8 +161,7 @@ class _Search:
 
     def find_likeliest(self, queues: Sequence[Guess]) -> Fits:
         """Return the settings that leave the least; the clock tells the pause."""
-        pauses = self._list_by_clock()
-        guesses = [_pause(guess, pause) for guess, pause in product(queues, pauses)]
+        guesses = [_pause(guess, pause) for guess, pause in product(queues, self._near)]
         ticks = self._most_s / TICK_S
         guesses = guesses[: max(min(_MOST_SIMULATED, int(_MOST_TICKS / ticks)), 1)]
         scenarios = [self.build(guess) for guess in guesses]
@@ -171,11 +174,6 @@ class _Search:
             is_exact=False,
             tried=self._tried + len(guesses),
         )
-
-    def _list_by_clock(self) -> tuple[int, ...]:
-        pauses = self._hints.pauses
-        near = [pause for pause in pauses if agrees_with_clock(pause, self._hints, self._trace)]
-        return tuple(near) or pauses
 
     def _list_rotation(self) -> list[Row | None]:
         return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
