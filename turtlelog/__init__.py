@@ -74,6 +74,7 @@ if TYPE_CHECKING:
         attribute_run,
         attribute_scenario,
         identify_run,
+        require_players,
         simulate_without,
         write_sentences,
     )
@@ -268,6 +269,7 @@ _ROOMS = {
         "attribute_run",
         "attribute_scenario",
         "identify_run",
+        "require_players",
         "simulate_without",
         "write_sentences",
     ),
@@ -529,6 +531,7 @@ __all__ = [
     "replay_law",
     "replay_loop",
     "replay_plant",
+    "require_players",
     "restore_scenario",
     "run_live",
     "select_runs",

@@ -122,7 +122,8 @@ def test_without_tolerance_nearly_nothing_remains() -> None:
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"metric": "final.speed"}, "metric 'final.speed': expected one of rotate.duration"),
+        ({"metric": "final.speed"}, "metric 'final.speed': expected "),
+        ({"mechanisms": ["puase"]}, "mechanism 'puase': expected one of pause"),
         ({"mechanisms": ["luck"]}, "mechanism 'luck': expected one of queue, pause"),
         ({"mechanisms": []}, "mechanisms: expected 1 to 6 different ones, found"),
         ({"mechanisms": ["queue", "queue"]}, "expected 1 to 6 different ones, found queue, queue"),

@@ -102,6 +102,46 @@ def test_backlogs_past_the_queues_depth_look_alike(backlog: int, fit: tuple[int,
     assert {*fit} <= {*(found.candidates or (found.value,))}
 
 
+def test_a_fit_that_the_clock_contradicts_does_not_stop_the_search() -> None:
+    run = simulate("paper-kp4", law__pause_ticks=2, loop__start_backlog=11, loop__command_queue=10)
+    found = identify_run(as_log(run))
+    keys = ("loop.queue_policy", "loop.transport_delay_ticks", "law.pause_ticks")
+    assert read_values(found, *keys) == ("one-per-tick", 0, 2)
+    assert 11 in found.findings["loop.start_backlog"].candidates
+
+
+@pytest.mark.parametrize("depth", [1, 2, 12])
+def test_an_unusual_pose_queue_is_found(depth: int) -> None:
+    changes = {"loop__pose_queue": depth, "loop__start_backlog": 12}
+    found = identify_run(as_log(simulate("paper-kp4", **changes)))
+    keys = ("loop.start_backlog", "loop.pose_queue", "law.pause_ticks")
+    assert read_values(found, *keys) == (depth, depth, 34)
+    assert found.resimulation is not None
+    assert found.resimulation.is_exact
+
+
+def test_a_short_queue_behind_a_transport_delay_is_found() -> None:
+    changes = {"loop__command_queue": 3, "loop__transport_delay_ticks": 5}
+    found = identify_run(forget(simulate("paper-kp4", **changes)))
+    assert read_values(found, "loop.command_queue", "loop.transport_delay_ticks") == (3, 5)
+
+
+def test_what_no_setting_reproduces_is_not_told_as_if_it_were_known() -> None:
+    log = as_log(simulate("paper-kp4"))
+    found = identify_run(take_rows(log, np.r_[0:300, 340 : len(log.samples)]))
+    backlog = found.findings["loop.start_backlog"]
+    assert (backlog.value, backlog.certainty) == (None, Certainty.UNKNOWN)
+    assert "settings reproduces the samples" in backlog.evidence
+    assert "is not exact: the log has gaps, or an effect not simulated" in found.notes[1]
+
+
+def test_taking_the_newest_is_the_same_as_a_queue_of_one() -> None:
+    found = identify_run(forget(simulate("paper-kp4", loop__command_queue=1)))
+    policy = found.findings["loop.queue_policy"]
+    assert policy.value == "newest"
+    assert policy.evidence == "reproduces all 770 samples; so does a command queue of 1"
+
+
 def test_a_pause_of_one_tick_looks_like_none() -> None:
     found = identify_run(as_log(simulate("paper-kp4", law__pause_ticks=1)))
     pause = found.findings["law.pause_ticks"]
@@ -243,6 +283,24 @@ def test_a_gap_is_named_and_what_is_left_identified() -> None:
     assert found.notes[0] == "samples are missing after 5.088 s, for 0.656 s"
     keys = ("dead_time.rotate", "dead_time.translate", "law.kp_angular", "law.kp_linear")
     assert read_values(found, *keys) == (5, 6, 4.0, 4.0)
+
+
+def lose_samples(run: Run, lost: range) -> Run:
+    """Return a recording without some samples; as when a chunk is lost, their numbers tell."""
+    kept = np.delete(np.arange(len(run.samples)), lost)
+    samples = {
+        found.name: getattr(run.samples, found.name)[kept].copy() for found in fields(run.samples)
+    }
+    return replace(run, samples=SampleColumns(**samples))
+
+
+def test_a_recording_with_a_hole_is_explained_from_what_is_left() -> None:
+    found = identify_run(lose_samples(forget(simulate("paper-kp10")), range(40, 90)))
+    assert found.notes == ("samples are missing after 0.560 s, for 0.816 s",)
+    assert read_values(found, "loop.start_backlog", "law.pause_ticks") == (5, 33)
+    assert found.findings["loop.start_backlog"].evidence == "reproduces all 720 samples"
+    assert found.resimulation is not None
+    assert (found.resimulation.samples, found.resimulation.is_exact) == (720, True)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 7])

@@ -7,6 +7,7 @@ from turtlelog.explain.attribute import (
     Share,
     attribute_run,
     attribute_scenario,
+    require_players,
 )
 from turtlelog.explain.finding import Certainty, Finding
 from turtlelog.explain.identification import Identification
@@ -29,6 +30,7 @@ __all__ = [
     "attribute_run",
     "attribute_scenario",
     "identify_run",
+    "require_players",
     "simulate_without",
     "write_sentences",
 ]

@@ -10,7 +10,7 @@ from typing import Final
 from turtlelog.errors import ExplainError
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.mechanisms import MECHANISMS, find_mechanism, simulate_without
-from turtlelog.measure import METRICS, measure_run
+from turtlelog.measure import METRICS, measure_run, suggest_metrics
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 
@@ -96,7 +96,11 @@ def attribute_scenario(
         ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, there are
             none or too many, the scenario is of another law, or the figure has no value.
     """
-    _require_sound(scenario, metric, mechanisms)
+    require_players(metric, mechanisms)
+    if scenario.law.kind != "sequential-p":
+        raise ExplainError(
+            f"{scenario.name}: expected a run of the law sequential-p, found {scenario.law.kind}"
+        )
     values = {
         inside: _require_value(scenario, metric, inside, mechanisms)
         for inside in _list_coalitions(mechanisms)
@@ -126,18 +130,19 @@ def attribute_scenario(
     )
 
 
-def _require_sound(scenario: Scenario, metric: str, mechanisms: Sequence[str]) -> None:
+def require_players(metric: str, mechanisms: Sequence[str]) -> None:
+    """Require a metric that is known, and different mechanisms that are.
+
+    Raises:
+        ExplainError: Where they are not; with the names nearest to it.
+    """
     if metric not in METRICS:
-        raise ExplainError(f"metric {metric!r}: expected one of {', '.join(METRICS)}")
+        raise ExplainError(f"metric {metric!r}: expected {suggest_metrics(metric)}")
     for name in mechanisms:
         find_mechanism(name)
     if not 0 < len(mechanisms) <= _MOST or len({*mechanisms}) < len(mechanisms):
         raise ExplainError(
             f"mechanisms: expected 1 to {_MOST} different ones, found {', '.join(mechanisms)}"
-        )
-    if scenario.law.kind != "sequential-p":
-        raise ExplainError(
-            f"{scenario.name}: expected a run of the law sequential-p, found {scenario.law.kind}"
         )
 
 

@@ -24,6 +24,9 @@ from turtlelog.simulate import simulate_run
 
 _LONGEST_S: Final = 3600.0
 
+_SHOW_NOISE: Final = ("start.heading_rad", "start.x_m", "law.kp_angular", "law.kp_linear")
+"""What is fitted by least squares only where there is noise."""
+
 
 def identify_run(run: Run) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
@@ -58,7 +61,8 @@ def _identify_samples(run: Run) -> Identification:
         fits = search_loop(trace, _collect(findings), hints, dead_times)
     except (ScenarioError, SimulationError) as err:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}")
-    findings |= describe_loop(trace, fits)
+    is_noisy = any(findings[key].certainty is Certainty.FITTED for key in _SHOW_NOISE)
+    findings |= describe_loop(trace, fits, is_noisy=is_noisy)
     if not fits.is_exact and findings["loop.pose_precision"].value == "float64":
         reason = "poses have more than 32 bits, which noise may have added"
         findings["loop.pose_precision"] = miss(reason, "float64")
@@ -70,7 +74,11 @@ def _identify_samples(run: Run) -> Identification:
         findings=MappingProxyType(findings),
         resimulation=resimulation,
         scenario=fits.scenario,
-        notes=tuple(_write_notes(trace, findings, fits, resimulation)),
+        notes=(
+            *_describe_gaps(trace),
+            *_describe_difference(fits, resimulation, is_noisy=is_noisy),
+            *_list_candidates(findings),
+        ),
     )
 
 
@@ -122,18 +130,22 @@ def _describe_gaps(trace: Trace) -> list[str]:
     return [f"samples are missing after {at_s:.3f} s, for {length_s:.3f} s{more}"]
 
 
-def _write_notes(
-    trace: Trace, findings: Mapping[str, Finding], fits: Fits, resimulation: Resimulation
-) -> list[str]:
-    notes = _describe_gaps(trace)
-    if fits.is_exact and not resimulation.is_exact:
-        notes.append("the re-simulation agrees to rounding, not bit for bit")
-    elif not resimulation.is_exact:
-        notes.append(
-            "the re-simulation is not exact: the log has noise, or an effect that is not simulated"
+def _describe_difference(fits: Fits, resimulation: Resimulation, *, is_noisy: bool) -> list[str]:
+    if fits.is_exact:
+        return (
+            []
+            if resimulation.is_exact
+            else ["the re-simulation agrees to rounding, not bit for bit"]
         )
-    for key, finding in findings.items():
-        if finding.certainty is Certainty.AMBIGUOUS:
-            listed = ", ".join(map(str, finding.candidates))
-            notes.append(f"{key}: {listed} fit alike: {finding.evidence}")
-    return notes
+    if resimulation.is_exact:
+        return ["poses and commands come again, but not the times at which they were answered"]
+    cause = "noise" if is_noisy else "gaps"
+    return [f"the re-simulation is not exact: the log has {cause}, or an effect not simulated"]
+
+
+def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
+    return [
+        f"{key}: {', '.join(map(str, finding.candidates))} fit alike: {finding.evidence}"
+        for key, finding in findings.items()
+        if finding.certainty is Certainty.AMBIGUOUS
+    ]

@@ -116,18 +116,23 @@ def list_queues(
 ) -> list[list[Guess]]:
     """Return the settings of backlog and queues that agree with the dead times, in tiers.
 
-    The first tier has the usual depths of the queues; in each, those without a transport delay come
-    first.
+    The first tier has the usual depths of the queues, the second those that a dead time or a burst
+    may come from, the third any other of the command queue; in each, those without a transport
+    delay come first.
     """
     before = rotate.ticks if isinstance(rotate, DeadTime) else None
     after = translate.ticks if isinstance(translate, DeadTime) else None
     depth, pose_queue = _DEFAULTS.command_queue, hints.pose_queue or _DEFAULTS.pose_queue
     depths = _list_unique(depth, *(d + 1 for d in (after, before) if d))
-    pose_queues = _list_unique(pose_queue, *(d for d in (hints.burst, hints.burst - 1) if d > 1))
+    pose_queues = _list_unique(pose_queue, *(d for d in (hints.burst, hints.burst - 1) if d > 0))
+    pose_queues += [backlog for backlog in hints.backlogs if backlog > max(pose_queues)]
     usual, *rarer = product(depths, pose_queues)
-    tiers = [[*_list_guesses(trace, hints, (before, after), depths)] for depths in ([usual], rarer)]
+    others = product((d for d in range(2, depth) if d not in depths), pose_queues)
+    tiers = [
+        _list_guesses(trace, hints, (before, after), pairs) for pairs in ([usual], rarer, [*others])
+    ]
     # Where noise or a change hides what the dead time really is, everything is tried.
-    return tiers if any(tiers) else [[*_list_guesses(trace, hints, (None, None), [usual])]]
+    return tiers if any(tiers) else [_list_guesses(trace, hints, (None, None), [usual])]
 
 
 def _list_guesses(

@@ -1,5 +1,6 @@
 """The effects of an implementation, each a switch of the scenario."""
 
+import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -87,6 +88,6 @@ def find_mechanism(name: str) -> Mechanism:
         ExplainError: Where no mechanism has that name.
     """
     if name not in MECHANISMS:
-        known = ", ".join(MECHANISMS)
-        raise ExplainError(f"mechanism {name!r}: expected one of {known}")
+        near = difflib.get_close_matches(name, MECHANISMS, n=1) or MECHANISMS
+        raise ExplainError(f"mechanism {name!r}: expected one of {', '.join(near)}")
     return MECHANISMS[name]

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values
@@ -12,6 +13,7 @@ from turtlelog.replay import PoseError
 from turtlelog.run import Phase, Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import CommandQueue, Sample, iterate_ticks
+from turtlelog.turtlesim import TICK_NS
 
 Row = tuple[Any, ...]
 """What is compared of a sample."""
@@ -34,8 +36,8 @@ class Resimulation:
     is_exact: bool
 
 
-def list_rows(trace: Trace) -> list[Row]:
-    """Return what a re-simulation must reproduce of each sample."""
+def list_rows(trace: Trace) -> list[Row | None]:
+    """Return what a re-simulation must reproduce of each sample; None where one is lost."""
     samples = trace.run.samples
     columns = [
         trace.xy_m[:, 0],
@@ -46,25 +48,35 @@ def list_rows(trace: Trace) -> list[Row]:
         samples.phase,
     ]
     if trace.has_ticks:
-        columns.append(samples.pose_sequence)
+        columns.append(_number_poses(trace))
     if trace.has_exact_clock and trace.has_ticks:
         columns.append(trace.time_ns - trace.run.poses.time_ns[0])
-    return [*zip(*(column.tolist() for column in columns), strict=True)]
+    rows: list[Row | None] = [None] * (int(trace.number[-1]) + 1)
+    columns = [column.tolist() for column in columns]
+    for number, row in zip(trace.number.tolist(), zip(*columns, strict=True), strict=True):
+        rows[number] = row
+    return rows
 
 
-def count_equal(scenario: Scenario, rows: list[Row], *, to_rounding: bool = False) -> int:
+def _number_poses(trace: Trace) -> NDArray[np.int64]:
+    """Return the number of the pose that each sample read; poses may be lost as well."""
+    poses, read = trace.run.poses, trace.run.samples.pose_sequence
+    return (poses.time_ns[read] - poses.time_ns[0]) // TICK_NS if trace.has_exact_clock else read
+
+
+def count_equal(scenario: Scenario, rows: list[Row | None], *, to_rounding: bool = False) -> int:
     """Return how many samples from the first on a simulation reproduces bit for bit.
 
     One more than there are, where all are reproduced and the simulation goes on. `to_rounding`
     allows poses 1e-6 and commands 1e-9, as between platforms.
     """
-    width = len(rows[0])
+    width = len(rows[-1] or ())
     equal = 0
     for sample, pose in _iterate_samples(scenario):
         if equal == len(rows):
             return equal + 1
-        again = (*pose, *_describe(sample))[:width]
-        if again != rows[equal] and not (to_rounding and _agrees(again, rows[equal])):
+        again, row = (*pose, *_describe(sample))[:width], rows[equal]
+        if row not in {None, again} and not (to_rounding and _agrees(again, row)):
             return equal
         equal += 1
     return equal
@@ -107,7 +119,7 @@ def compare_samples(trace: Trace, again: Run) -> Resimulation:
     turn_rate = np.abs(trace.turn_rate_rad_s[left] - again.samples.turn_rate_rad_s[right])
     error = PoseError(x_m=_max(xy[:, 0]), y_m=_max(xy[:, 1]), heading_rad=_max(turned))
     command_error = max(_max(speed), _max(turn_rate))
-    is_whole = len(trace) == len(again.samples) == len(left)
+    is_whole = len(trace) == len(left) and trace.number[-1] + 1 == len(again.samples)
     return Resimulation(
         samples=len(left),
         max_abs_error=error,
@@ -117,6 +129,10 @@ def compare_samples(trace: Trace, again: Run) -> Resimulation:
 
 
 def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
+    if trace.number[-1] + 1 > len(trace):
+        left = np.flatnonzero(trace.number < len(again.samples))
+        yield left, trace.number[left]
+        return
     for phase in Phase:
         left = np.flatnonzero(trace.run.samples.phase == phase)
         right = np.flatnonzero(again.samples.phase == phase)

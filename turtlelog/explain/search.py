@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import groupby, product
 from math import ceil
 from typing import Any, Final
 
@@ -33,6 +33,9 @@ _USUAL_S: Final = Scenario().max_duration_s
 _DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
 
 Settings = Mapping[str, Any]
+
+_Exact = tuple[Guess, int]
+"""Settings that reproduce every sample, and how many samples were simulated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,15 +74,23 @@ def search_loop(
 ) -> Fits:
     """Return the settings of the loop that reproduce a log, with `known` for all others.
 
-    The usual depths of the queues are tried first, others only where those do not fit.
+    The usual depths of the queues are tried first, others only where those do not fit, or fit with
+    a pause or a backlog that the clock contradicts.
     Where nothing is exact the settings that leave the least are returned.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[Phase.ROTATE], dead_times[Phase.TRANSLATE])
-    for search.to_rounding, tier in product((False, True), tiers):
-        exact = search.find_exact(tier)
+    for search.to_rounding in (False, True):
+        exact: list[_Exact] = []
+        for tier in tiers:
+            exact += search.find_exact(tier)
+            if any(search.contradict_clock(guess) == (False, False) for guess, _ in exact):
+                break
         if exact:
-            return search.build_exact_fits(exact)
+            least = min(search.contradict_clock(guess) for guess, _ in exact)
+            return search.build_exact_fits(
+                [found for found in exact if search.contradict_clock(found[0]) == least]
+            )
     return search.find_likeliest(next(filter(None, tiers)))
 
 
@@ -93,6 +104,8 @@ class _Search:
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
         self._trace, self._known, self._hints = trace, known, hints
         self._rows = list_rows(trace)
+        pauses = hints.pauses
+        self._near = [p for p in pauses if agrees_with_clock(p, hints, trace)] or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = 0
         self.to_rounding = False
@@ -103,22 +116,31 @@ class _Search:
         values.setdefault("max_duration_s", self._most_s)
         return build_scenario(nest_parameters(values), source=self._trace.run.name)
 
-    def find_exact(self, queues: Sequence[Guess]) -> list[tuple[Guess, int]]:
-        """Return the settings that reproduce every sample, with the samples simulated."""
-        first, rotation = self._hints.pauses[0], self._rows[: self._trace.rotating]
+    def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
+        """Return the settings that reproduce every sample, of them those nearest to the clock."""
+        first, rotation = self._hints.pauses[0], self._list_rotation()
         alike = [
             guess
             for guess in queues
             if self._count(_pause(guess, first), rotation) >= len(rotation)
         ]
         guesses = [_pause(guess, pause) for pause, guess in product(self._hints.pauses, alike)]
-        counted = [(guess, self._count(guess, self._rows)) for guess in guesses]
-        exact = [(guess, count) for guess, count in counted if count >= len(self._rows)]
-        near, bursts = self._list_by_clock(), self._hints.backlogs
-        exact = [found for found in exact if found[0]["law.pause_ticks"] in near] or exact
-        return [found for found in exact if found[0]["loop.start_backlog"] in bursts] or exact
+        guesses.sort(key=self.contradict_clock)
+        for _, group in groupby(guesses, key=self.contradict_clock):
+            counted = [(guess, self._count(guess, self._rows)) for guess in group]
+            exact = [(guess, count) for guess, count in counted if count >= len(self._rows)]
+            if exact:
+                return exact
+        return []
 
-    def build_exact_fits(self, exact: Sequence[tuple[Guess, int]]) -> Fits:
+    def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
+        """Return whether time stamps and pose numbers contradict the pause, and the backlog."""
+        return (
+            guess["law.pause_ticks"] not in self._near,
+            guess["loop.start_backlog"] not in self._hints.backlogs,
+        )
+
+    def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
         """Return the settings found, as scenarios that end where the log does."""
         guess = exact[0][0]
         hidden = {
@@ -139,8 +161,7 @@ class _Search:
 
     def find_likeliest(self, queues: Sequence[Guess]) -> Fits:
         """Return the settings that leave the least; the clock tells the pause."""
-        pauses = self._list_by_clock()
-        guesses = [_pause(guess, pause) for guess, pause in product(queues, pauses)]
+        guesses = [_pause(guess, pause) for guess, pause in product(queues, self._near)]
         ticks = self._most_s / TICK_S
         guesses = guesses[: max(min(_MOST_SIMULATED, int(_MOST_TICKS / ticks)), 1)]
         scenarios = [self.build(guess) for guess in guesses]
@@ -154,12 +175,10 @@ class _Search:
             tried=self._tried + len(guesses),
         )
 
-    def _list_by_clock(self) -> tuple[int, ...]:
-        pauses = self._hints.pauses
-        near = [pause for pause in pauses if agrees_with_clock(pause, self._hints, self._trace)]
-        return tuple(near) or pauses
+    def _list_rotation(self) -> list[Row | None]:
+        return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
 
-    def _count(self, guess: Guess, rows: list[Row]) -> int:
+    def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1
         return count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
 

@@ -1,5 +1,7 @@
 """The settings that a search found, as findings."""
 
+from typing import Final
+
 import numpy as np
 
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
@@ -8,10 +10,20 @@ from turtlelog.explain.resimulation import count_lost_commands
 from turtlelog.explain.search import Fits
 from turtlelog.explain.trace import Trace
 
+_PERIOD: Final = "the usual distance of the poses answered"
 
-def describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
-    """Return what lies between controller and plant, and the lost commands."""
-    findings = {key: _describe_setting(trace, fits, key) for key in LOOP_KEYS}
+
+def describe_loop(trace: Trace, fits: Fits, *, is_noisy: bool) -> dict[str, Finding]:
+    """Return what lies between controller and plant, and the lost commands.
+
+    Where nothing is exact although the log has no noise, what fits best is no finding.
+    """
+    findings = {
+        key: _describe_setting(trace, fits, key)
+        if fits.is_exact or is_noisy
+        else _describe_nearest(fits, key)
+        for key in LOOP_KEYS
+    }
     findings["lost_commands"] = _describe_lost(fits)
     poses = np.column_stack([trace.xy_m, trace.heading_rad])
     if not np.ptp(poses, axis=0).any():
@@ -30,7 +42,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     if key in fits.hidden:
         return miss("a deeper queue gives the same run", chosen)
     if key == "loop.period_ticks":
-        return find_exactly(chosen, "the usual distance of the poses answered")
+        return find_exactly(chosen, _PERIOD)
     if len(values) > 1:
         how = "reproduces every sample" if fits.is_exact else "leaves as little as the others"
         return Finding(
@@ -40,11 +52,22 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
             candidates=values,
         )
     if fits.is_exact:
-        return find_exactly(chosen, f"reproduces all {len(trace)} samples")
+        also = "; so does a command queue of 1" if chosen == "newest" else ""
+        return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
     return Finding(
         value=chosen,
         certainty=Certainty.FITTED,
         evidence=f"likeliest of {fits.tried} settings; none is exact",
+    )
+
+
+def _describe_nearest(fits: Fits, key: str) -> Finding:
+    chosen = fits.guesses[0][key]
+    if key == "loop.period_ticks":
+        return find_exactly(chosen, _PERIOD)
+    return miss(
+        f"none of {fits.tried} settings reproduces the samples; {chosen} is the nearest one's",
+        chosen,
     )
 
 

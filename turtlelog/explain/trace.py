@@ -26,6 +26,8 @@ class Trace:
 
     Attributes:
         run: Where they come from.
+        number: Of each sample in the run, from 0, shape (n,); some are left out where rows of a
+            recording are lost. A log that has no such numbers counts its rows.
         time_ns: Of each answer [ns], shape (n,).
         xy_m: Of the pose read [m], shape (n, 2).
         heading_rad: Of the pose read [rad], shape (n,).
@@ -40,6 +42,7 @@ class Trace:
     """
 
     run: Run
+    number: NDArray[np.int64]
     time_ns: NDArray[np.int64]
     xy_m: Values
     heading_rad: Values
@@ -89,8 +92,10 @@ def trace_run(run: Run) -> Trace:
     read = samples.pose_sequence
     phase = samples.phase
     rotating = _count_leading(phase == Phase.ROTATE)
+    has_ticks = _has_ticks(run)
     return Trace(
         run=run,
+        number=samples.sequence if has_ticks else np.arange(len(samples)),
         time_ns=samples.time_ns,
         xy_m=run.poses.xy_m[read],
         heading_rad=run.poses.heading_rad[read],
@@ -101,15 +106,14 @@ def trace_run(run: Run) -> Trace:
         goal_xy_m=_find_goal(run),
         period_ticks=_find_period(run),
         has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % TICK_NS).any(),
-        has_ticks=_has_ticks(run),
+        has_ticks=has_ticks,
     )
 
 
 def find_gaps(trace: Trace) -> list[tuple[int, int]]:
     """Return where samples are missing, as the times around [ns]; a pause is no gap."""
-    read = trace.run.samples.pose_sequence
     if trace.has_ticks:
-        is_gap = np.diff(read) > trace.period_ticks
+        is_gap = np.diff(trace.number) > 1
     else:
         is_gap = np.diff(trace.time_ns) > _LONG_STEPS * trace.period_ticks * TICK_NS
     rows = [row for row in np.flatnonzero(is_gap).tolist() if row != trace.rotating - 1]

@@ -2,7 +2,13 @@
 
 from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
 from turtlelog.measure.metric import Metric, Missing, Status
-from turtlelog.measure.metrics import ESSENTIAL_METRICS, METRICS, choose_metrics, measure_run
+from turtlelog.measure.metrics import (
+    ESSENTIAL_METRICS,
+    METRICS,
+    choose_metrics,
+    measure_run,
+    suggest_metrics,
+)
 from turtlelog.measure.path_file import read_reference_path
 from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, read_signal
@@ -31,4 +37,5 @@ __all__ = [
     "measure_run",
     "read_reference_path",
     "read_signal",
+    "suggest_metrics",
 ]

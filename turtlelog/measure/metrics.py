@@ -56,12 +56,12 @@ def _choose(patterns: tuple[str, ...]) -> tuple[str, ...]:
     for pattern in patterns:
         found = {name for name in METRICS if name == pattern or fnmatchcase(name, pattern)}
         if not found:
-            raise MeasureError(f"metric {pattern!r}: expected {_suggest(pattern)}")
+            raise MeasureError(f"metric {pattern!r}: expected {suggest_metrics(pattern)}")
         chosen |= found
     return tuple(name for name in METRICS if name in chosen)
 
 
-def _suggest(pattern: str) -> str:
+def suggest_metrics(pattern: str) -> str:
     """Return the ids nearest to a name that is none, or where they are listed."""
     near = difflib.get_close_matches(pattern, METRICS, n=3, cutoff=0.5)
     if not near:

@@ -67,7 +67,8 @@ def describe_damages(damages: Sequence[Damage]) -> str:
         return "no data is lost, only the summary is damaged"
     lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
     times = "1 place" if places == 1 else f"{places} places"
-    return f"{lost} bytes are lost in {times}: byte {damages[0].start}: {damages[0].reason}"
+    extent = f"{lost} bytes are lost in" if lost else "not whole in"
+    return f"{extent} {times}: byte {damages[0].start}: {damages[0].reason}"
 
 
 def _describe_dropped(samples: int) -> str:

@@ -1,0 +1,106 @@
+"""What `turtlelog explain` found, as JSON."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import turtlelog as tl
+
+if TYPE_CHECKING:
+    from turtlelog import Attribution, Identification
+
+
+_JSON: Final = {
+    "start_backlog": "loop.start_backlog",
+    "pause_ticks": "law.pause_ticks",
+    "dead_time_ticks": {"rotate": "dead_time.rotate", "translate": "dead_time.translate"},
+    "gains": {"angular": "law.kp_angular", "linear": "law.kp_linear"},
+    "limits": {"speed": "limits.speed_m_s", "turn_rate": "limits.turn_rate_rad_s"},
+    "heading_tolerance": "law.heading_tolerance_rad",
+    "position_tolerance": "law.position_tolerance_m",
+    "projection": "law.projection",
+    "wrap_error": "law.wrap_error",
+    "stop_reason": "stop_reason",
+    "lost_commands": "lost_commands",
+    "queue_policy": "loop.queue_policy",
+    "command_queue": "loop.command_queue",
+    "pose_queue": "loop.pose_queue",
+    "transport_delay_ticks": "loop.transport_delay_ticks",
+    "period_ticks": "loop.period_ticks",
+    "pose_precision": "loop.pose_precision",
+    "pause": {
+        "seconds": "pause.seconds",
+        "held_turn_rate": "pause.held_turn_rate_rad_s",
+        "turned": "pause.turned_rad",
+        "burst": "pause.burst",
+    },
+}
+"""What stands where in the answer's `identified`."""
+
+
+def describe_explanation(
+    file: Path, found: "Identification", attribution: "Attribution | None", obstacle: str
+) -> dict[str, Any]:
+    """Return the answer; `obstacle` says why there is no attribution."""
+    again = found.resimulation
+    return {
+        "file": str(file),
+        "name": found.name,
+        "identified": _nest(_JSON, found, "value"),
+        "reasons": {
+            key: finding.evidence
+            for key, finding in found.findings.items()
+            if finding.value is None
+        },
+        "findings": [
+            {
+                "key": key,
+                "value": finding.value,
+                "certainty": finding.certainty.value,
+                "evidence": finding.evidence,
+                "interval": finding.interval,
+                "candidates": finding.candidates,
+                "assumed": finding.assumed,
+            }
+            for key, finding in found.findings.items()
+        ],
+        "resimulation": None
+        if again is None
+        else {
+            "samples": again.samples,
+            "max_abs_error": {
+                "x": again.max_abs_error.x_m,
+                "y": again.max_abs_error.y_m,
+                "heading": again.max_abs_error.heading_rad,
+            },
+            "max_command_error": again.max_command_error,
+            "is_exact": again.is_exact,
+        },
+        "attribution": None if attribution is None else _describe_attribution(attribution),
+        "notes": [*found.notes, *([obstacle] if obstacle else [])],
+    }
+
+
+def _describe_attribution(found: "Attribution") -> dict[str, Any]:
+    return {
+        "metric": found.metric,
+        "unit": found.unit,
+        "as_built": found.as_built,
+        "without_all": found.without_all,
+        "shares": [
+            {"mechanism": share.mechanism, "share": share.share, "alone": share.alone}
+            for share in found.shares
+        ],
+        "others": [{"mechanism": share.mechanism, "alone": share.alone} for share in found.others],
+        "interaction": found.interaction,
+        "heading_tolerance_explains": found.bound,
+        "sentences": list(tl.write_sentences(found)),
+    }
+
+
+def _nest(places: dict[str, Any], found: "Identification", field: str) -> dict[str, Any]:
+    return {
+        name: _nest(key, found, field)
+        if isinstance(key, dict)
+        else getattr(found.findings.get(key), field, None)
+        for name, key in places.items()
+    }

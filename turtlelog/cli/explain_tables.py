@@ -1,0 +1,124 @@
+"""What `turtlelog explain` found, as tables and sentences."""
+
+import textwrap
+from dataclasses import replace
+from math import degrees
+from typing import TYPE_CHECKING, Any, Final
+
+import turtlelog as tl
+from turtlelog.cli.output import format_table
+
+if TYPE_CHECKING:
+    from turtlelog import Attribution, Identification
+    from turtlelog.explain import Finding
+
+
+_ROWS: Final = (
+    ("start backlog", "loop.start_backlog", "poses"),
+    ("pause", "law.pause_ticks", "ticks"),
+    ("  by the clock", "pause.seconds", "s"),
+    ("  command held in it", "pause.held_turn_rate_rad_s", "rad/s"),
+    ("  turned by its end", "pause.turned_rad", "rad"),
+    ("  answered at once", "pause.burst", "poses"),
+    ("dead time rotating", "dead_time.rotate", "ticks"),
+    ("dead time translating", "dead_time.translate", "ticks"),
+    ("lost commands", "lost_commands", ""),
+    ("queue policy", "loop.queue_policy", ""),
+    ("command queue", "loop.command_queue", ""),
+    ("pose queue", "loop.pose_queue", ""),
+    ("transport delay", "loop.transport_delay_ticks", "ticks"),
+    ("answers every", "loop.period_ticks", "ticks"),
+    ("Kp angular", "law.kp_angular", "1/s"),
+    ("Kp linear", "law.kp_linear", "1/s"),
+    ("turn rate limit", "limits.turn_rate_rad_s", "rad/s"),
+    ("speed limit", "limits.speed_m_s", "m/s"),
+    ("heading tolerance", "law.heading_tolerance_rad", "rad"),
+    ("position tolerance", "law.position_tolerance_m", "m"),
+    ("projection", "law.projection", ""),
+    ("wrapped error", "law.wrap_error", ""),
+    ("poses", "loop.pose_precision", ""),
+    ("stop reason", "stop_reason", ""),
+)
+"""What the table shows: its name, its key among the findings, its unit there."""
+
+_EVIDENCE_WIDTH: Final = 46
+
+
+def format_identification(found: "Identification") -> str:
+    """Return what was identified, with its evidence, and how the re-simulation compares."""
+    rows: list[tuple[str, ...]] = []
+    for name, key, unit in _ROWS:
+        if key in found.findings:
+            finding = found.findings[key]
+            evidence = "see below" if finding.evidence in found.notes else finding.evidence
+            rows += _format_finding(name, replace(finding, evidence=evidence), unit)
+    table = tl.Table(
+        title=f"What the log of {found.name} tells",
+        columns=tuple(tl.Column(title=title) for title in ("", "value", "how sure", "evidence")),
+        rows=tuple(rows),
+        notes=tuple(_capitalise(note) for note in found.notes),
+    )
+    return f"{format_table(table)}\n{_format_resimulation(found)}"
+
+
+def format_attribution(found: "Attribution") -> str:
+    """Return the shares, and what they mean."""
+    unit = found.unit
+    table = tl.Table(
+        title=f"What caused {found.metric}",
+        columns=(
+            tl.Column(title="mechanism"),
+            tl.Column(title="share", unit=unit),
+            tl.Column(title="without it alone", unit=unit),
+            tl.Column(title="without it means"),
+        ),
+        rows=tuple(
+            (
+                share.mechanism,
+                share.share,
+                share.alone,
+                tl.MECHANISMS[share.mechanism].meaning,
+            )
+            for share in (*found.shares, *found.others)
+        ),
+        notes=tl.write_sentences(found),
+    )
+    return f"\n{format_table(table)}"
+
+
+def _format_finding(name: str, finding: "Finding", unit: str) -> list[tuple[str, ...]]:
+    value = "-" if finding.value is None else _format_value(finding.value, unit)
+    evidence = finding.evidence
+    if finding.candidates:
+        evidence += ": " + ", ".join(map(str, finding.candidates))
+    if finding.value is not None and finding.interval is not None:
+        low, high = (_format_value(bound, unit, digits=4) for bound in finding.interval)
+        evidence += f": {low} to {high}"
+    first, *rest = textwrap.wrap(evidence, _EVIDENCE_WIDTH, break_on_hyphens=False)
+    return [(name, value, finding.certainty.value, first), *(("", "", "", line) for line in rest)]
+
+
+def _format_value(value: Any, unit: str, digits: int = 6) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value.replace("_", " ")
+    if unit in {"rad", "rad/s"}:
+        value, unit = degrees(value), unit.replace("rad", "deg")
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def _format_resimulation(found: "Identification") -> str:
+    again = found.resimulation
+    if again is None:
+        return "Nothing was simulated again.\n"
+    error = again.max_abs_error
+    return (
+        f"Simulated again: {again.samples} samples, largest differences x {error.x_m:.3g} m,"
+        f" y {error.y_m:.3g} m,\nheading {degrees(error.heading_rad):.3g} deg,"
+        f" commands {again.max_command_error:.3g}.\n"
+    )
+
+
+def _capitalise(note: str) -> str:
+    return f"{note[:1].upper()}{note[1:]}."
