@@ -1,13 +1,15 @@
 """What `turtlelog check` prints."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table, print_text
 
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Spec, Table
+
+_TITLES: Final = ("", "file", "check", "unit", "value", "limit", "margin")
 
 
 def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str, Any]:
@@ -48,31 +50,26 @@ def print_results(spec: "Spec", results: "Sequence[CheckResult]", *, files: int)
 
 
 def _tabulate(results: "Sequence[CheckResult]") -> "Table":
+    columns = [tl.Column(title=title) for title in _TITLES]
+    if any(result.first_violation_s is not None for result in results):
+        columns.append(tl.Column(title="violated", unit="s", digits=3))
+    rows = (
+        (
+            result.verdict.value,
+            result.file,
+            result.check,
+            result.unit,
+            result.value,
+            result.limit,
+            result.margin,
+            result.first_violation_s,
+        )
+        for result in results
+    )
     return tl.Table(
         title="Checks; times from the first sample",
-        columns=(
-            tl.Column(title=""),
-            tl.Column(title="file"),
-            tl.Column(title="check"),
-            tl.Column(title="unit"),
-            tl.Column(title="value"),
-            tl.Column(title="limit"),
-            tl.Column(title="margin"),
-            tl.Column(title="violated", unit="s", digits=3),
-        ),
-        rows=tuple(
-            (
-                result.verdict.value,
-                result.file,
-                result.check,
-                result.unit,
-                result.value,
-                result.limit,
-                result.margin,
-                result.first_violation_s,
-            )
-            for result in results
-        ),
+        columns=tuple(columns),
+        rows=tuple(row[: len(columns)] for row in rows),
     )
 
 
