@@ -1,8 +1,8 @@
 from pathlib import Path
 
 import pytest
-from rerun.chunk import RrdReader
 from mcap.writer import Writer
+from rerun.chunk import RrdReader
 
 from tests.cli.conftest import Call
 
