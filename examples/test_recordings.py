@@ -1,44 +1,37 @@
-"""A first test suite on replayed logs: copy it beside your recordings and change the figures."""
+"""A first test suite on replayed logs: copy it beside your recordings and change the figures.
 
-from pathlib import Path
+Run: pytest examples/test_recordings.py
+"""
 
 import pytest
 
-import turtlelog as tl
+from turtlelog import Recording, Tolerance, load_scenario, simulate_run
 
-RECORDINGS = Path(__file__).parents[1] / "recordings" / "paper"
-
-
-@pytest.fixture(scope="module", params=["kp1", "kp2", "kp4"])
-def recording(request: pytest.FixtureRequest) -> tl.Run:
-    return tl.read_recording(RECORDINGS / f"{request.param}.mcap")
+pytestmark = pytest.mark.recordings("../recordings/paper/kp[124].mcap")
 
 
-def test_the_controller_comes_to_its_own_end(recording: tl.Run) -> None:
-    assert recording.is_complete
+def test_the_controller_comes_to_its_own_end(recording: Recording) -> None:
+    assert recording.run.is_complete
 
 
-def test_the_turtle_stops_within_a_centimetre_of_the_goal(recording: tl.Run) -> None:
-    error = tl.measure_run(recording)["final.position_error"]
-    assert error.status is tl.Status.OK, error.reason
-    assert error.value is not None
-    assert error.value < 0.01
+def test_it_turns_without_overshoot_and_settles_in_time(recording: Recording) -> None:
+    rotate = recording.phase("rotate")
+    assert rotate.overshoot <= 1.0
+    assert rotate.settling_time(band=0.02) < 4.5
 
 
-def test_the_heading_overshoots_by_less_than_one_percent(recording: tl.Run) -> None:
-    overshoot = tl.measure_run(recording)["rotate.overshoot"]
-    assert overshoot.value is not None, overshoot.reason
-    assert overshoot.value < 1.0
+def test_it_stops_within_a_centimetre_of_the_goal(recording: Recording) -> None:
+    assert recording.metric("final.position_error") < 0.01
 
 
-def test_no_command_exceeds_the_limits(recording: tl.Run) -> None:
-    assert abs(recording.commands.speed_m_s).max() <= 1.0
-    assert abs(recording.commands.turn_rate_rad_s).max() <= 1.0
+def test_it_stays_on_its_line_and_within_the_limits(recording: Recording) -> None:
+    assert recording.holds("always(abs(cross_track) <= 0.05)", phase="translate")
+    assert recording.holds("always(abs(speed) <= 1 and abs(turn_rate) <= 1)")
 
 
-def test_todays_simulation_still_gives_the_recorded_run(recording: tl.Run) -> None:
-    today = tl.simulate_run(tl.load_scenario(recording.name))
-    comparison = tl.compare_runs(recording, today)
-    assert {
-        found.signal: found.largest for found in comparison.signals if found.largest > 1e-6
-    } == {}
+def test_todays_law_still_answers_as_it_did(recording: Recording) -> None:
+    assert recording.driven_by().matches(recording, tolerance=Tolerance(abs=1e-9))
+
+
+def test_todays_simulation_still_gives_the_recorded_run(recording: Recording) -> None:
+    assert recording.matches(simulate_run(load_scenario(recording.run.name)))

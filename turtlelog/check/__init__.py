@@ -4,6 +4,7 @@ from turtlelog.check.artifacts import Artifacts, write_artifacts
 from turtlelog.check.cut import cut_run
 from turtlelog.check.failures import MissingValueError, PartialLogError
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
+from turtlelog.check.recording import Recording
 from turtlelog.check.result import CheckResult, Verdict, format_number, join_verdicts
 from turtlelog.check.robustness import compute_robustness
 from turtlelog.check.runs import check_runs
@@ -19,6 +20,7 @@ __all__ = [
     "FormulaResult",
     "MissingValueError",
     "PartialLogError",
+    "Recording",
     "Signals",
     "Spec",
     "Steps",

@@ -1,5 +1,6 @@
 """What to say of a failed check: everything that one needs to go on from there."""
 
+import math
 import textwrap
 from collections.abc import Iterator
 
@@ -9,16 +10,28 @@ from turtlelog.run import Run
 
 _GAINS = ("law.kp_angular", "law.kp_linear")
 _WIDTH = 92
+_MOST = 3
 
 
-def describe_failure(run: Run, result: CheckResult) -> list[str]:
+def describe_failure(run: Run, *results: CheckResult) -> list[str]:
     """Return lines: value, limit, margin, first violation with the values around, gains, scenario.
 
     Args:
         run: That was checked.
-        result: What came of it.
+        results: What came of it; of many, the first violated are told in full.
     """
-    return [*_list_figures(result), *_list_violation(run, result), *_list_scenario(run, result)]
+    ordered = sorted(results, key=_read_first)
+    lines: list[str] = []
+    for result in ordered[:_MOST]:
+        lines += [*_list_figures(result), *_list_violation(run, result)]
+    if len(ordered) > _MOST:
+        others = ", ".join(result.check for result in ordered[_MOST:])
+        lines += textwrap.wrap(f"and {len(ordered) - _MOST} more: {others}", _WIDTH)
+    return [*lines, *_list_scenario(run, results[0])]
+
+
+def _read_first(result: CheckResult) -> float:
+    return math.inf if result.first_violation_s is None else result.first_violation_s
 
 
 def _list_figures(result: CheckResult) -> Iterator[str]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
 Partial = Annotated[bool, Parameter(name="--partial", negative="")]
+Connect = Annotated[str | None, Parameter(name="--connect")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
 
 

@@ -1,14 +1,16 @@
 """`turtlelog run`: simulate a scenario."""
 
-from collections.abc import Mapping
-from contextlib import ExitStack
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Json, Output, ScenarioOptions, load_changed_scenario
+from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_changed_scenario
 from turtlelog.cli.output import (
     describe_metrics,
     format_table,
@@ -21,10 +23,33 @@ from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
+    from turtlelog.runner import Sink
+    from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
 
 EXIT_FINE: Final = 0
 EXIT_INTERRUPTED: Final = 130
+
+_ADVICE: Final = (
+    "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"
+    " a picture, `--web` a page for a browser"
+)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveOptions:
+    """What happens while the loop runs.
+
+    Attributes:
+        realtime: Run at the speed of the wall clock.
+        live: Show the run in a viewer while it goes on, and until its window is closed.
+        connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
+    """
+
+    realtime: Annotated[bool, Parameter(negative="")] = False
+    live: Annotated[bool, Parameter(negative="")] = False
+    connect: Connect = None
 
 
 def run(
@@ -34,7 +59,7 @@ def run(
     options: ScenarioOptions | None = None,
     output: Output = None,
     rrd: Annotated[Path | None, Parameter(name="--rrd")] = None,
-    realtime: Annotated[bool, Parameter(negative="")] = False,
+    live: LiveOptions | None = None,
     json: Json = False,
 ) -> int:
     """Simulate a scenario in closed loop, print its metrics, record it.
@@ -43,26 +68,38 @@ def run(
 
     With --realtime the recording is written while the loop runs, to a new file that can be read up
     to the last second whatever happens. Ctrl-C ends the run, and the file is finished (exit code
-    130).
+    130). With --live a viewer shows it on the way; closing that does the run no harm.
 
     Args:
         scenario: A preset (paper-kp1, paper-kp2, paper-kp4, paper-kp10, paper, textbook) or a
             scenario file.
         output: Write the recording to this .mcap file.
-        realtime: Run at the speed of the wall clock.
         rrd: Write a Rerun recording to this .rrd file.
         json: Print one JSON object instead of tables.
     """
     require_new_target(output, [Path(scenario)], suffix=".mcap")
     require_new_target(rrd, [Path(scenario)], suffix=".rrd")
     chosen = load_changed_scenario(scenario, options)
-    result = _run_realtime(chosen, output) if realtime else _simulate(chosen)
+    live = live or LiveOptions()
+    with _open_viewer(live) as (window, url):
+        result = _run(chosen, output, live, url)
+        code = _answer(result, output, rrd, is_recorded=live.realtime, json=json)
+        if window is not None and code == EXIT_FINE:
+            sys.stdout.flush()
+            with suppress(KeyboardInterrupt):  # all is done: only the window is to be closed
+                window.wait()
+    return code
+
+
+def _answer(
+    result: "Run", output: Path | None, rrd: Path | None, *, is_recorded: bool, json: bool
+) -> int:
     code = EXIT_INTERRUPTED if result.stop_reason == "interrupted" else EXIT_FINE
     if code:
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
         print_note(f"{name.replace('_', ' ')}: {note}")
-    _write(result, None if realtime else output, rrd)
+    _write(result, None if is_recorded else output, rrd)
     for path in filter(None, (output, rrd)):
         print_note(f"wrote {path}")
     if json:
@@ -96,14 +133,33 @@ def _simulate(scenario: "Scenario") -> "Run":
     return collect_run(scenario, watch_ticks(iterate_ticks(scenario), scenario.max_duration_s))
 
 
-def _run_realtime(scenario: "Scenario", output: Path | None) -> "Run":
+@contextmanager
+def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str | None]]":
+    """Yield the window, if one was to be opened, and where the viewer takes data."""
+    if live.connect is not None or not live.live:
+        yield None, live.connect
+        return
+    with tl.open_window(_ADVICE) as (window, url):
+        yield window, url
+
+
+def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
+    if not live.realtime and url is None:
+        return _simulate(scenario)
     with ExitStack() as closing:
+        sinks: list[Sink] = []
+        viewer = None if url is None else tl.LiveViewer(scenario, url)
+        if viewer is not None:
+            closing.callback(viewer.close, {})  # also where nothing comes to run
+        if live.realtime and output is not None:
+            sinks.append(closing.enter_context(tl.Recorder(output, scenario)))
+        sinks += [] if viewer is None else [viewer]
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
-        watcher = _Watcher(closing.enter_context(progress))
-        if output is None:
-            return tl.run_live(scenario, [watcher], realtime=True)
-        recorder = closing.enter_context(tl.Recorder(output, scenario))
-        return tl.run_live(scenario, [recorder, watcher], realtime=True)
+        sinks.append(_Watcher(closing.enter_context(progress)))
+        result = tl.run_live(scenario, sinks, realtime=live.realtime)
+    if viewer is not None and viewer.lost:
+        print_note(f"viewer: {viewer.lost}; the run went on without it")
+    return result
 
 
 class _Watcher:

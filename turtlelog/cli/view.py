@@ -1,17 +1,56 @@
 """`turtlelog view`: look at recordings in Rerun."""
 
 import re
+import sys
 import tempfile
+import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, TopicOptions, read_runs, require_files
-from turtlelog.cli.output import print_note
+from turtlelog.cli.options import Connect, Files, TopicOptions, read_runs, require_files
+from turtlelog.cli.output import print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 
 _LONGEST_S = 1e9
+_HOUR_S = 3600.0
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureOptions:
+    """A picture in place of a window.
+
+    Attributes:
+        snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
+        at: Time of the picture, from the first sample [s]; otherwise the end.
+        size: Width and height of the picture [pixels].
+    """
+
+    snapshot: Path | None = None
+    at: float | None = None
+    size: str = "1600x900"
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindowOptions:
+    """Where to look in place of a window of its own.
+
+    Attributes:
+        web: Serve the view to browsers on this machine until Ctrl-C; needs no display.
+        follow: Show one recording while it is being written, and what comes until its end.
+        connect: With --follow: a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
+    """
+
+    web: Annotated[bool, Parameter(negative="")] = False
+    follow: Annotated[bool, Parameter(negative="")] = False
+    connect: Connect = None
 
 
 def view(
@@ -19,9 +58,8 @@ def view(
     /,
     *,
     save: Path | None = None,
-    snapshot: Path | None = None,
-    at: float | None = None,
-    size: str = "1600x900",
+    picture: PictureOptions | None = None,
+    window: WindowOptions | None = None,
     topics: TopicOptions | None = None,
 ) -> None:
     """Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.
@@ -31,26 +69,63 @@ def view(
     Args:
         files: Recordings (.mcap), bags, the paper's logs (.json, .csv), or .rrd files as they are.
         save: Write this .rrd file and open nothing.
-        snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
-        at: Time of the picture, from the first sample [s]; otherwise the end.
-        size: Width and height of the picture [pixels].
     """
+    picture, window = picture or PictureOptions(), window or WindowOptions()
     require_files(files)
-    if at is not None and (snapshot is None or not abs(at) < _LONGEST_S):
-        raise UsageError(f"--at: expected seconds together with --snapshot, found {at}")
+    _require_one_way(files, save, picture, window)
+    if picture.at is not None and (picture.snapshot is None or not abs(picture.at) < _LONGEST_S):
+        raise UsageError(f"--at: expected seconds together with --snapshot, found {picture.at}")
     require_new_target(save, files, suffix=".rrd")
-    require_new_target(snapshot, files, suffix=".png")
-    width_and_height = _parse_size(size)
+    require_new_target(picture.snapshot, files, suffix=".png")
+    width_and_height = _parse_size(picture.size)
+    if window.follow:
+        _follow(files[0], window.connect)
+        return
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        rrds = _prepare_rrds(files, save, snapshot, Path(folder), topics)
+        rrds = _prepare_rrds(files, save, picture.snapshot, Path(folder), topics)
         if save is not None:
             print_note(f"wrote {save}")
-        if snapshot is not None:
+        if picture.snapshot is not None:
             with show_progress("taking the picture"):
-                tl.write_snapshot(rrds[0], snapshot, at_s=at, size=width_and_height)
-            print_note(f"wrote {snapshot}")
-        if save is None and snapshot is None:
+                tl.write_snapshot(rrds[0], picture.snapshot, at_s=picture.at, size=width_and_height)
+            print_note(f"wrote {picture.snapshot}")
+        if window.web:
+            _serve(rrds)
+        elif save is None and picture.snapshot is None:
             tl.open_viewer(rrds)
+
+
+def _require_one_way(
+    files: list[Path], save: Path | None, picture: PictureOptions, window: WindowOptions
+) -> None:
+    writes = save is not None or picture.snapshot is not None
+    if window.connect is not None and not window.follow:
+        raise UsageError(f"--connect: expected together with --follow, found {window.connect}")
+    if window.follow and (window.web or writes):
+        raise UsageError("--follow: expected a window, found another option that opens none")
+    if window.follow and (len(files) > 1 or files[0].suffix.lower() != ".mcap"):
+        raise UsageError(
+            "--follow: expected one .mcap file that is being recorded,"
+            f" found {len(files) if len(files) > 1 else files[0]}"
+        )
+
+
+def _follow(path: Path, url: str | None) -> None:
+    run = tl.follow_recording(path, url)
+    if run.stop_reason is None:
+        print_note(f"{path}: not finished: followed up to {run.end_ns / 1e9:.3f} s")
+
+
+def _serve(rrds: list[Path]) -> None:
+    with tl.serve_recordings(rrds) as address:
+        print_text(address)
+        sys.stdout.flush()
+        print_note("open it in a browser on this machine; Ctrl-C ends it")
+        try:
+            while True:
+                time.sleep(_HOUR_S)
+        except KeyboardInterrupt:
+            return  # how it is meant to end
 
 
 def _parse_size(text: str) -> tuple[int, int]:

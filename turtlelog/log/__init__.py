@@ -10,6 +10,7 @@ from turtlelog.log.recording.partial import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_recording
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.log.recording.recovery_note import Loss
+from turtlelog.log.recording.tail import RecordingTail
 from turtlelog.log.recording.writer import write_columns, write_recording
 from turtlelog.log.recovery import RecoveryReport, recover_recording
 from turtlelog.log.ros2 import read_bag, read_bag_info
@@ -19,6 +20,7 @@ __all__ = [
     "PartialRecordingWarning",
     "Recorder",
     "RecordingInfo",
+    "RecordingTail",
     "RecoveryReport",
     "TopicColumns",
     "TopicInfo",

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError
-from turtlelog.laws import Pose
+from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.replay.difference import (
     Difference,
@@ -66,7 +66,13 @@ class LawReplay:
     answers: SampleColumns
 
 
-def replay_law(run: Run, scenario: Scenario | None = None, *, tolerance: float = 0.0) -> LawReplay:
+def replay_law(
+    run: Run,
+    scenario: Scenario | None = None,
+    *,
+    law: Law | None = None,
+    tolerance: float = 0.0,
+) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
     The law sees what the recorded one saw; its own commands have no effect on the poses. Of the
@@ -75,6 +81,7 @@ def replay_law(run: Run, scenario: Scenario | None = None, *, tolerance: float =
     Args:
         run: With samples.
         scenario: Otherwise that of the recording.
+        law: Takes the place of the scenario's.
         tolerance: Differences up to this one are none, in each signal's unit.
 
     Raises:
@@ -86,7 +93,8 @@ def replay_law(run: Run, scenario: Scenario | None = None, *, tolerance: float =
     if not len(run.samples):
         raise ReplayError(f"{run.name}: {_NOTHING_READ}: {run.source}")
     scenario = restore_scenario(run) if scenario is None else scenario
-    answers, blocks_ticks, last = _answer_poses(run, scenario)
+    law = build_law(scenario.law) if law is None else law
+    answers, blocks_ticks, last = _answer_poses(run, scenario, law)
     rows = slice(len(answers))
     pairings = [*pair_samples(run.samples, answers, rows=rows, others=rows)]
     pairings += _pair_pauses(run, blocks_ticks)
@@ -108,9 +116,11 @@ def replay_law(run: Run, scenario: Scenario | None = None, *, tolerance: float =
     )
 
 
-def _answer_poses(run: Run, scenario: Scenario) -> tuple[SampleColumns, NDArray[np.int64], Sample]:
+def _answer_poses(
+    run: Run, scenario: Scenario, law: Law
+) -> tuple[SampleColumns, NDArray[np.int64], Sample]:
     """Return the samples up to the law's end, the ticks that each blocks for, and the last."""
-    driver, read = LawDriver(scenario, build_law(scenario.law)), run.samples.pose_sequence
+    driver, read = LawDriver(scenario, law), run.samples.pose_sequence
     x_m, y_m = run.poses.xy_m[read].T
     columns = (run.samples.time_ns, read, x_m, y_m, run.poses.heading_rad[read])
     packed, blocks_ticks = bytearray(), []

@@ -12,25 +12,32 @@ if TYPE_CHECKING:
         write_figures,
         write_tables,
     )
+    from turtlelog.show.rerun.following import follow_recording
+    from turtlelog.show.rerun.live_viewer import LiveViewer, open_window
     from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
     from turtlelog.show.rerun.scene_explanation import write_explanation_rrd
     from turtlelog.show.rerun.scene_run import write_run_rrd
     from turtlelog.show.rerun.scene_violation import write_violation_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.rerun.viewer import open_viewer
+    from turtlelog.show.rerun.web import serve_recordings
     from turtlelog.show.tables import TABLE_FORMATS, format_table
 
 __all__ = [
     "FIGURES",
     "TABLE_FORMATS",
+    "LiveViewer",
     "Page",
     "ShownView",
     "ViewReport",
     "describe_run",
     "describe_runs",
     "draw_figure",
+    "follow_recording",
     "format_table",
     "open_viewer",
+    "open_window",
+    "serve_recordings",
     "write_comparison_rrd",
     "write_explanation_rrd",
     "write_figures",
@@ -47,12 +54,16 @@ _MODULES: Final = {
     "write_figures": "figures",
     "write_tables": "figures",
     "TABLE_FORMATS": "tables",
+    "LiveViewer": "rerun.live_viewer",
     "ShownView": "rerun.snapshot",
     "ViewReport": "rerun.snapshot",
     "describe_run": "documents",
     "describe_runs": "documents",
+    "follow_recording": "rerun.following",
     "format_table": "tables",
     "open_viewer": "rerun.viewer",
+    "open_window": "rerun.live_viewer",
+    "serve_recordings": "rerun.web",
     "write_comparison_rrd": "rerun.scene_comparison",
     "write_explanation_rrd": "rerun.scene_explanation",
     "write_run_rrd": "rerun.scene_run",

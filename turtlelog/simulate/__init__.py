@@ -1,6 +1,6 @@
 """Scenario -> samples -> Run: the plant, the queues, the closed loop."""
 
-from turtlelog.simulate.collect import collect_run, simulate_run
+from turtlelog.simulate.collect import RunCollector, collect_run, simulate_run
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import LawDriver, Sample, build_law
 from turtlelog.simulate.loop import Tick, iterate_ticks
@@ -12,6 +12,7 @@ __all__ = [
     "CommandQueue",
     "Controller",
     "LawDriver",
+    "RunCollector",
     "Sample",
     "Tick",
     "Turtle",

@@ -32,39 +32,66 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
     Raises:
         SimulationError: Where no pose was answered.
     """
-    poses, samples, commands = bytearray(), bytearray(), bytearray()
-    events: list[Event] = []
-    stop_reason: str | None = None
-    for tick in ticks:
-        pose = tick.pose
-        poses += _POSE_ROW.pack(
-            tick.time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
+    collector = RunCollector(scenario)
+    collector.take(ticks)
+    return collector.build_run()
+
+
+class RunCollector:
+    """Ticks packed as they come, and the run that they make so far."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._poses, self._samples, self._commands = bytearray(), bytearray(), bytearray()
+        self._events: list[Event] = []
+        self._stop_reason: str | None = None
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether there is a run yet: without a sample there is none."""
+        return bool(self._samples)
+
+    def take(self, ticks: Iterable[Tick]) -> None:
+        """Add the next ticks."""
+        poses, samples, commands = self._poses, self._samples, self._commands
+        for tick in ticks:
+            pose, time_ns = tick.pose, tick.time_ns
+            poses += _POSE_ROW.pack(
+                time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
+            )
+            for sample in tick.computed:
+                samples += pack_sample(sample)
+            for sample in tick.published:
+                commands += _COMMAND_ROW.pack(time_ns, sample.speed_m_s, sample.turn_rate_rad_s)
+            self._events += tick.events
+            self._stop_reason = tick.stop_reason
+
+    def build_run(self) -> Run:
+        """Return the run of all ticks so far.
+
+        Raises:
+            SimulationError: Where no pose was answered.
+        """
+        scenario = self._scenario
+        if not self.has_samples:
+            raise SimulationError(
+                f"{scenario.name}: expected a pose answered within max_duration_s ="
+                f" {scenario.max_duration_s}, found none: start_backlog ="
+                f" {scenario.loop.start_backlog} poses come first"
+            )
+        return Run(
+            name=scenario.name,
+            source="simulation",
+            poses=_build_poses(self._poses),
+            commands=_build_commands(self._commands),
+            samples=build_samples(self._samples),
+            goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m),
+            goal_heading_rad=scenario.goal.heading_rad,
+            parameters=flatten_scenario(scenario),
+            scenario_is_complete=True,
+            stop_reason=self._stop_reason,
+            events=tuple(self._events),
         )
-        for sample in tick.computed:
-            samples += pack_sample(sample)
-        for sample in tick.published:
-            commands += _COMMAND_ROW.pack(tick.time_ns, sample.speed_m_s, sample.turn_rate_rad_s)
-        events += tick.events
-        stop_reason = tick.stop_reason
-    if not samples:
-        raise SimulationError(
-            f"{scenario.name}: expected a pose answered within max_duration_s ="
-            f" {scenario.max_duration_s}, found none: start_backlog = {scenario.loop.start_backlog}"
-            f" poses come first"
-        )
-    return Run(
-        name=scenario.name,
-        source="simulation",
-        poses=_build_poses(poses),
-        commands=_build_commands(commands),
-        samples=build_samples(samples),
-        goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m),
-        goal_heading_rad=scenario.goal.heading_rad,
-        parameters=flatten_scenario(scenario),
-        scenario_is_complete=True,
-        stop_reason=stop_reason,
-        events=tuple(events),
-    )
 
 
 def _build_poses(packed: bytearray) -> PoseColumns:

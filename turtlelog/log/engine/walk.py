@@ -95,6 +95,27 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Damage]:
         yield found
 
 
+def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None, int]]:
+    """Yield what stands whole from `place`, the start of a record, and where to go on after it.
+
+    For files that are being written: it ends before the first record that is not whole yet, or
+    never will be. After the end of the data, where to go on is the end of the file.
+    """
+    window = FileWindow(stream)
+    while place < window.size:
+        try:
+            found, after = _read_record(window, place, Opcode.CHUNK)
+        except LogError:
+            return
+        place = window.size if after is None else after
+        if not found:
+            yield None, place
+        for section in found:
+            if isinstance(section, Damage):
+                return
+            yield section, place
+
+
 def _walk_records(window: FileWindow) -> Iterator[Section | Damage]:
     place: int | None = len(MCAP0_MAGIC)
     if (magic := window.read(0, len(MCAP0_MAGIC))) != MCAP0_MAGIC:

@@ -77,7 +77,7 @@ def _read_source(source: Source) -> Contents:
         found += piece.rest
         for topic, rows in piece.rows.items():
             parts.setdefault(topic, []).append(rows)
-    return _build_contents(found, source.catalogue, parts, ())
+    return build_contents(found, source.catalogue, parts, ())
 
 
 def salvage_contents(stream: BinaryIO) -> Contents:
@@ -105,15 +105,20 @@ def salvage_contents(stream: BinaryIO) -> Contents:
             damages.append(Damage(start=block.byte, end=block.byte, reason=reason))
         for topic, rows in piece.rows.items():
             parts.setdefault(topic, []).append(rows)
-    return _build_contents(found, catalogue, parts, damages)
+    return build_contents(found, catalogue, parts, damages)
 
 
-def _build_contents(
+def build_contents(
     records: Collection[Any],
     catalogue: Catalogue,
     parts: Mapping[str, list[Rows]],
     damages: Collection[Damage],
 ) -> Contents:
+    """Return what records outside chunks, and the rows of topics in parts, make together.
+
+    Raises:
+        LogError: Where they are no recording of ours, or a topic of ours has another type.
+    """
     head, topics = _find_head(records), {}
     plans = {plan.topic: plan for plan in catalogue.iterate_plans()}
     for topic in TOPICS:

@@ -49,7 +49,7 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
             if not allow_partial:
                 raise LogError(f"{err}: {_ADVICE}") from err
         contents, dropped = reconcile_contents(salvage_contents(stream))
-        run, lost = _build_run(contents), describe_damages(contents.damages) + dropped
+        run, lost = build_run(contents), describe_damages(contents.damages) + dropped
     warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=2)
     return replace(run, notes={**run.notes, "partial": lost})
 
@@ -57,13 +57,18 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
 def _build_whole_run(contents: Contents) -> Run:
     """Return the run of a file that is whole; one that was recovered may lack rows, and says so."""
     if not contents.recovered:
-        return _build_run(contents)
+        return build_run(contents)
     reconciled, dropped = reconcile_contents(contents)
     notes = {name: text + dropped for name, text in contents.recovered.items()}
-    return _build_run(replace(reconciled, recovered=notes))
+    return build_run(replace(reconciled, recovered=notes))
 
 
-def _build_run(contents: Contents) -> Run:
+def build_run(contents: Contents) -> Run:
+    """Return the run that a recording holds.
+
+    Raises:
+        LogError: Where it holds no pose, or what it holds is no run.
+    """
     head = contents.head
     tables, is_complete = parse_scenario_file(contents.attachments)
     columns = contents.topics

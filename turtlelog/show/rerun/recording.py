@@ -23,7 +23,7 @@ def open_recording(
         ShowError: Where the file cannot be written.
     """
     path = Path(path)
-    with replace_file(path) as part_path, _strict_mode():
+    with replace_file(path) as part_path, strict_mode():
         # The properties that Rerun would send hold the wall-clock time.
         with rr.RecordingStream(APPLICATION_ID, send_properties=False) as stream:
             stream.set_log_time_enabled(False)
@@ -46,7 +46,7 @@ def _save(stream: rr.RecordingStream, part_path: Path, path: Path, layout: rrb.B
 
 
 @contextmanager
-def _strict_mode() -> Iterator[None]:
+def strict_mode() -> Iterator[None]:
     """Make errors raise for a while: without it Rerun warns and drops the data."""
     before = rr.strict_mode()
     rr.set_strict_mode(True)

@@ -1,6 +1,5 @@
 """A picture of a recording, and what the viewer says about it, without a display."""
 
-import socket
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +9,10 @@ from rerun.experimental import ViewerClient
 
 from turtlelog.errors import ShowError
 from turtlelog.show.files import replace_file
+from turtlelog.show.rerun.connection import find_free_port, wait_for_viewer
 from turtlelog.show.rerun.entities import TIMELINE
 from turtlelog.show.rerun.viewer import ViewerProcess, require_recordings, start_viewer
 
-_START_S: Final = 30.0
 _LOAD_S: Final = 60.0
 _PICTURES: Final = 20
 _PAUSE_S: Final = 0.1
@@ -77,7 +76,7 @@ def write_snapshot(
         ShowError: Where the viewer cannot start, or the recording cannot be shown.
     """
     require_recordings([rrd_path])
-    port = _find_free_port()
+    port = find_free_port()
     width, height = size
     options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
     with start_viewer([*options, "--window-size", f"{width}x{height}"]) as viewer:
@@ -94,27 +93,14 @@ def write_snapshot(
     return report
 
 
-def _find_free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def _connect(viewer: ViewerProcess, port: int) -> ViewerClient:
-    deadline = time.monotonic() + _START_S
-    while True:
-        try:
-            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-            client.get_state()
-        except Exception as err:
-            if not viewer.has_ended and time.monotonic() < deadline:
-                time.sleep(_PAUSE_S)
-                continue
-            raise ShowError(
-                f"viewer: expected a graphics adapter or a software one (on Debian: apt-get install"
-                f" {_PACKAGES}), found: {viewer.read_error()}"
-            ) from err
-        return client
+    try:
+        return wait_for_viewer(viewer, port)
+    except ConnectionError as err:
+        raise ShowError(
+            f"viewer: expected a graphics adapter or a software one (on Debian: apt-get install"
+            f" {_PACKAGES}), found: {err}"
+        ) from err
 
 
 def _open(client: ViewerClient, path: Path) -> None:

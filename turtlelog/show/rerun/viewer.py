@@ -24,6 +24,11 @@ class ViewerProcess:
         self._process, self._messages = process, messages
 
     @property
+    def process_id(self) -> int:
+        """The number by which the system knows it."""
+        return self._process.pid
+
+    @property
     def has_ended(self) -> bool:
         """Whether the process is gone."""
         return self._process.poll() is not None

@@ -1,0 +1,189 @@
+"""Every metric under every operator: a run that is changed to violate a bound fails that check,
+and only that one; the run that it was changed from passes."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.check.recordings import simulate
+from turtlelog.check import CheckResult, check_runs, parse_spec
+
+OTHERS = 2
+
+LAGGING = {"loop__transport_delay_ticks": 6, "max_duration_s": 30.0}
+
+
+def dip(run: tl.Run, *, heading_rad: float, along_m: float) -> tl.Run:
+    """Let the turtle begin each phase in the wrong direction."""
+    rows = np.arange(len(run.poses))
+    starts_ns = [span.start_ns for span in run.find_phase_spans() if span.phase != 1]
+    first, second = (int(np.searchsorted(run.poses.time_ns, at_ns)) for at_ns in starts_ns)
+    turned = (rows > first) & (rows < first + 9)
+    moved = (rows > second) & (rows < second + 9)
+    bearing = float(run.samples.bearing_rad[0])
+    step_m = along_m * np.array([np.cos(bearing), np.sin(bearing)])
+    poses = replace(
+        run.poses,
+        heading_rad=run.poses.heading_rad - heading_rad * turned,
+        xy_m=run.poses.xy_m - step_m * moved[:, None],
+    )
+    return replace(run, poses=poses)
+
+
+def lose_pose(run: tl.Run) -> tl.Run:
+    """Lose a pose that no sample has read."""
+    unread = np.setdiff1d(np.arange(1, len(run.poses)), run.samples.pose_sequence)
+    if not len(unread):
+        raise AssertionError("expected a pose that no sample reads")
+    kept = np.arange(len(run.poses)) != unread[0]
+    taken = {
+        name: getattr(run.poses, name)[kept]
+        for name in ("time_ns", "xy_m", "heading_rad", "speed_m_s", "turn_rate_rad_s")
+    }
+    read = run.samples.pose_sequence
+    samples = replace(run.samples, pose_sequence=read - (read > unread[0]))
+    return replace(run, poses=replace(run.poses, **taken), samples=samples)
+
+
+def lose_sample(run: tl.Run) -> tl.Run:
+    """Lose a sample and keep the numbers of the others."""
+    kept = np.arange(len(run.samples)) != 100
+    columns = {
+        field.name: values[kept]
+        for field in fields(run.samples)
+        if (values := getattr(run.samples, field.name)) is not None
+    }
+    return replace(run, samples=replace(run.samples, **columns))
+
+
+CHANGES: Mapping[str, Callable[[], tl.Run]] = {
+    "gain": lambda: simulate("paper-kp10"),
+    "goal": lambda: simulate(goal__x_m=9.0, goal__y_m=2.0, goal__heading_rad=1.0),
+    "goal heading": lambda: simulate(goal__heading_rad=0.5),
+    "lag": lambda: simulate("paper-kp10", law__kp_angular=16.0, law__kp_linear=12.0, **LAGGING),
+    "less lag": lambda: simulate(
+        "paper-kp10", law__kp_angular=14.0, law__kp_linear=14.0, **LAGGING
+    ),
+    "slow loop": lambda: simulate(loop__period_ticks=5),
+    "no limits": lambda: simulate(limits__speed_m_s=2.0, limits__turn_rate_rad_s=3.0),
+    "textbook": lambda: simulate("textbook"),
+    "wrong direction": lambda: dip(simulate(), heading_rad=0.01, along_m=0.2),
+    "lost sample": lambda: lose_sample(simulate()),
+    "lost pose": lambda: lose_pose(simulate(loop__period_ticks=5)),
+    "notes": lambda: replace(simulate(), notes={"dropped_duplicates": "3", "sorted_rows": "2"}),
+    "pause": lambda: simulate(law__pause_ticks=60),
+}
+
+
+@cache
+def build(change: str) -> tl.Run:
+    return CHANGES[change]() if change else simulate()
+
+
+@cache
+def measure(change: str) -> Mapping[str, tl.Metric]:
+    return tl.measure_run(build(change))
+
+
+def choose_pair(name: str) -> tuple[str, str]:
+    """Return two runs with different values of a metric, the smaller one first."""
+    found = [change for change in ("", *CHANGES) if measure(change)[name].value is not None]
+    for change in found[1:]:
+        values = [measure(which)[name].value or 0.0 for which in (found[0], change)]
+        if abs(values[0] - values[1]) > 1e-9:
+            return (found[0], change) if values[0] < values[1] else (change, found[0])
+    raise AssertionError(f"{name}: expected a run with another value, found none")
+
+
+def bound(name: str, pair: tuple[str, str]) -> tuple[float, float, float]:
+    low, high = (measure(change)[name].value or 0.0 for change in pair)
+    return low, (low + high) / 2, high
+
+
+def write_spec(name: str, formula: str, pair: tuple[str, str]) -> dict[str, object]:
+    """Return the check of one metric, and loose ones of those that stand after it in the table."""
+    names = list(tl.METRICS)
+    checks = {name: {"expect": formula}}
+    for other in [*names[names.index(name) + 1 :], *names]:
+        values = [measure(change)[other].value for change in pair]
+        known = [value for value in values if value is not None]
+        if len(known) == len(pair) and other not in checks:
+            checks[other] = {"expect": f"{min(known) - 1!r} <= {other} <= {max(known) + 1!r}"}
+        if len(checks) > OTHERS:
+            break
+    return {"checks": checks}
+
+
+def find_failed(spec: dict[str, object], change: str) -> list[CheckResult]:
+    results = check_runs(parse_spec(spec), [(change, build(change))])
+    return [result for result in results if result.verdict == "FAIL"]
+
+
+@pytest.mark.parametrize("name", tl.METRICS)
+def test_a_run_changed_to_violate_a_bound_fails_that_check_alone(name: str) -> None:
+    pair = choose_pair(name)
+    low, middle, high = bound(name, pair)
+    small, large = pair
+    for operator, limit, good, bad in (
+        ("<", middle, small, large),
+        ("<=", low, small, large),
+        (">", middle, large, small),
+        (">=", high, large, small),
+        ("==", low, small, large),
+        ("!=", low, large, small),
+    ):
+        spec = write_spec(name, f"{name} {operator} {limit!r}", pair)
+        assert find_failed(spec, good) == [], operator
+        (failed,) = find_failed(spec, bad)
+        assert failed.check == name
+        assert failed.margin is not None
+        assert failed.margin < 0 or (operator == "!=" and failed.margin == 0)
+
+
+@pytest.mark.parametrize("name", tl.METRICS)
+def test_a_test_sees_the_same_as_a_spec(name: str) -> None:
+    from turtlelog.check.metric_value import MetricValue
+
+    pair = choose_pair(name)
+    low, middle, high = bound(name, pair)
+    noted: list[CheckResult] = []
+    small, large = (MetricValue(build(change), change, name, noted.append) for change in pair)
+    passed = [small < middle, small <= low, large > middle, large >= high]
+    passed += [small == low, large != low]
+    failed = [large < middle, large <= low, small > middle, small >= high]
+    failed += [large == low, small != low]
+    assert (all(passed), any(failed)) == (True, False)
+    assert [result.verdict for result in noted] == ["PASS"] * 6 + ["FAIL"] * 6
+
+
+FORMULAS = {
+    "always": ("always(abs(cross_track) <= 0.05)", "gain"),
+    "eventually": ("eventually[0, 12](distance <= 0.01)", "gain"),
+    "until": ("(speed == 0 or phase == 'translate') until phase == 'translate'", "wrong start"),
+    "not": ("not eventually(cross_track < -0.05)", "gain"),
+    "and": ("always(abs(speed) <= 1 and abs(turn_rate) <= 1)", "no limits"),
+    "or": ("always(phase == 'rotate' or abs(heading_error) < 0.01)", "gain"),
+    "implies": ("always(phase == 'translate' implies abs(heading_error) < 0.01)", "gain"),
+}
+
+
+@pytest.mark.parametrize(("formula", "change"), FORMULAS.values(), ids=FORMULAS)
+def test_a_run_changed_to_violate_a_formula_fails_it_alone(formula: str, change: str) -> None:
+    spec: dict[str, object] = {
+        "checks": {"it": {"holds": formula}, "other": {"holds": "always(distance < 20)"}}
+    }
+    run = simulate()
+    if change == "wrong start":
+        speeds = run.samples.speed_m_s.copy()
+        speeds[50] = 0.5
+        bad = replace(run, samples=replace(run.samples, speed_m_s=speeds))
+    else:
+        bad = build(change)
+    good, failed = (list(check_runs(parse_spec(spec), [("a", found)])) for found in (run, bad))
+    assert [result.verdict for result in good] == ["PASS", "PASS"]
+    assert [result.verdict for result in failed] == ["FAIL", "PASS"]
+    assert failed[0].first_violation_s is not None

@@ -1,0 +1,148 @@
+import pytest
+
+from tests.pytest_plugin.conftest import run
+
+OVERSHOOT = """
+def test_it(recording):
+    assert recording.phase("rotate").overshoot <= 0.5
+"""
+
+
+def test_every_recording_is_an_item_of_its_own(suite: pytest.Pytester) -> None:
+    result = run(suite, OVERSHOOT, "-v")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(["*::test_it[[]kp10[]] FAILED*", "*::test_it[[]kp4[]] PASSED*"])
+
+
+def test_a_failed_bound_says_all_there_is_to_say(suite: pytest.Pytester) -> None:
+    result = run(suite, OVERSHOOT)
+    result.stdout.fnmatch_lines(
+        [
+            "E * assert <rotate.overshoot = 1.0076 %> <= 0.5",
+            "E * rotate.overshoot of runs/kp10.mcap: expected <= 0.5 %",
+            "*-- turtlelog --*",
+            "rotate.overshoot: expected <= 0.5 %",
+            "  value           1.0076 %",
+            "  limit           0.5 %",
+            "  margin          -0.50756 %",
+            "  first violated  2.288 s (simulated time, from the first sample)",
+            "       t [[]s[]]  heading_error [[]rad[]]  turn_rate [[]rad/s[]]",
+            "       2.272            -0.004947           -0.04947",
+            "    >  2.288            -0.013074           -0.13074",
+            "       2.304            -0.018641           -0.18641",
+            "  recording       runs/kp10.mcap",
+            "  gains           law.kp_angular = 10.0, law.kp_linear = 10.0",
+            "  scenario        paper-kp10, max_duration_s = 60.0,*",
+        ]
+    )
+
+
+def test_a_formula_that_fails_says_where(suite: pytest.Pytester) -> None:
+    body = """
+def test_it(recording):
+    assert recording.holds("always(abs(cross_track) <= 0.05)", phase="translate")
+"""
+    run(suite, body).stdout.fnmatch_lines(
+        [
+            "E * assert <FAIL: 0.10774 m; always(abs(cross_track) <= 0.05); margin -0.057737 m;"
+            " first violated at 5.664 s>",
+            "holds: expected always(abs(cross_track) <= 0.05)",
+            "  margin          -0.057737 m",
+            "  first violated  5.664 s (simulated time, from the first sample)",
+            "    >  5.664         -0.05008",
+        ]
+    )
+
+
+@pytest.mark.parametrize("operator", ["<", "<=", ">", ">=", "==", "!="])
+def test_a_metric_without_a_value_fails_whatever_the_operator(
+    suite: pytest.Pytester, operator: str
+) -> None:
+    body = f"""
+def test_it(recording):
+    assert recording.metric("rotate.decay_ratio") {operator} 4
+"""
+    result = run(suite, body, marker='"runs/kp4.mcap"')
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            f"E *MissingValueError: runs/kp4.mcap: rotate.decay_ratio: expected {operator} 4, found"
+            " no value: not_reached (the response does not overshoot twice)",
+            "  reason          not_reached (the response does not overshoot twice)",
+        ]
+    )
+
+
+def test_a_metric_alone_is_no_assertion(suite: pytest.Pytester) -> None:
+    body = """
+def test_it(recording):
+    assert recording.phase("rotate").overshoot
+"""
+    run(suite, body).stdout.fnmatch_lines(
+        ["*rotate.overshoot: expected a comparison with a limit*"]
+    )
+
+
+def test_a_limit_that_is_no_number_never_passes(suite: pytest.Pytester) -> None:
+    body = """
+def test_it(recording):
+    assert recording.phase("rotate").overshoot != float("nan")
+"""
+    run(suite, body).stdout.fnmatch_lines(["*expected a number after !=, found nan"])
+
+
+def test_metrics_are_measured_with_settings(suite: pytest.Pytester) -> None:
+    body = """
+def test_it(recording):
+    rotate = recording.phase("rotate")
+    assert rotate.settling_time(band=0.2) < rotate.settling_time
+    assert 2 < rotate.settling_time < 3
+    assert 1e9 > float(rotate.settling_time) == pytest.approx(rotate.settling_time.value)
+    assert rotate.settling_time == pytest.approx(2.2, rel=0.1)
+    assert not rotate.overshoot > 50
+"""
+    result = run(suite, body)
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["turtlelog: 2 recordings, 8 checks, worst margins: *"])
+
+
+def test_two_metrics_compare_in_one_unit_only(suite: pytest.Pytester) -> None:
+    body = """
+def test_it(recording):
+    assert recording.phase("rotate").overshoot < recording.phase("rotate").settling_time
+"""
+    run(suite, body).stdout.fnmatch_lines(["*rotate.overshoot: expected two of one unit, found*"])
+
+
+UNKNOWN = {
+    'metric("rotate.overshot") < 1': "*metric: expected rotate.overshoot * found 'rotate.overshot'",
+    'phase("rotat")': "*phase: expected rotate*, found 'rotat'",
+    'phase("rotate").overshot < 1': "*metric of rotate: expected overshoot*, found 'overshot'",
+    'holds("always(cros_track < 1)")': "*column 8: unknown name 'cros_track'; *cross_track*",
+    'holds("always(x < ")': "*holds: column 11: expected a number or name, found the end",
+    'holds("x < 1", phase="rotat")': "*phase: expected rotate, found 'rotat'",
+    'metric("rotate.overshoot", bnad=1) < 1': "*expected settings among band, *, found bnad",
+    'matches("nothing.mcap")': "*nothing.mcap: expected a reference, found no such file*",
+}
+
+
+@pytest.mark.parametrize(("asked", "message"), UNKNOWN.items(), ids=range(len(UNKNOWN)))
+def test_what_there_is_not_is_told_with_what_is_near(
+    suite: pytest.Pytester, asked: str, message: str
+) -> None:
+    result = run(suite, f"def test_it(recording):\n    assert recording.{asked}\n")
+    result.assert_outcomes(failed=2)
+    result.stdout.fnmatch_lines([message])
+
+
+def test_a_truncated_recording_fails_unless_it_may_be(suite: pytest.Pytester) -> None:
+    path = suite.path / "runs" / "kp4.mcap"
+    path.write_bytes(path.read_bytes()[:-2000])
+    body = "def test_it(recording):\n    assert recording.metric('run.duration') > 0\n"
+    result = run(suite, body, marker='"runs/kp4.mcap"')
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(
+        ["E *PartialLogError: runs/kp4.mcap: expected a whole recording, found one that is not:*"]
+    )
+    run(suite, body, marker='"runs/kp4.mcap", allow_partial=True').assert_outcomes(passed=1)
+    run(suite, body, "-o", "turtlelog_allow_partial=true").assert_outcomes(passed=2)

@@ -1,0 +1,38 @@
+"""What a question to a recording comes to: true where all of its results pass."""
+
+from dataclasses import dataclass
+
+from turtlelog.check.junit import describe_result
+from turtlelog.check.result import CheckResult, Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CheckOutcome:
+    """Stands for True or False in an assert, and says why.
+
+    Attributes:
+        results: Of everything that was looked at.
+    """
+
+    results: tuple[CheckResult, ...]
+
+    def __bool__(self) -> bool:
+        return not self.failures
+
+    @property
+    def failures(self) -> tuple[CheckResult, ...]:
+        """The results that fail."""
+        return tuple(result for result in self.results if result.verdict is Verdict.FAIL)
+
+    @property
+    def margin(self) -> float | None:
+        """The smallest margin; None where none has one."""
+        margins = [result.margin for result in self.results if result.margin is not None]
+        return min(margins, default=None)
+
+    def __repr__(self) -> str:
+        if not self.failures:
+            return f"<PASS: {len(self.results)} checked>"
+        more = len(self.failures) - 1
+        others = f" (and {more} more)" if more else ""
+        return f"<FAIL: {describe_result(self.failures[0])}{others}>"

@@ -1,0 +1,189 @@
+"""A recording that tests ask questions of: read once, when the first is asked."""
+
+import warnings
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+from turtlelog.check.driven import DrivenRecording
+from turtlelog.check.failures import PartialLogError
+from turtlelog.check.judge_formula import judge_check
+from turtlelog.check.matching import AnyTolerance, Expected, match_run
+from turtlelog.check.message import describe_failure
+from turtlelog.check.metric_value import MetricValue
+from turtlelog.check.outcome import CheckOutcome
+from turtlelog.check.reference import Reference
+from turtlelog.check.result import CheckResult, Verdict
+from turtlelog.check.runs import find_loss
+from turtlelog.check.spec import Check
+from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
+from turtlelog.errors import CheckError
+from turtlelog.expressions import parse_expression
+from turtlelog.laws import Law
+from turtlelog.log import PartialRecordingWarning, read_run
+from turtlelog.measure import METRICS
+from turtlelog.run import Run
+from turtlelog.scenario import Scenario
+
+_PARTS = tuple(dict.fromkeys(name.split(".", 1)[0] for name in METRICS))
+
+
+class Watch(Protocol):
+    """Is told of every recording that is used, and of every check."""
+
+    def __call__(self, recording: "Recording", result: CheckResult | None, /) -> None:
+        """Take a result, or None where a recording was used."""
+
+
+class UnknownMetricError(CheckError, AttributeError):
+    """A metric of a phase that is none; an AttributeError, as it is asked for as an attribute."""
+
+
+class Recording:
+    """One recording, read when something is first asked of it.
+
+    Args:
+        path: A recording, a bag or a log.
+        name: What to call it in messages; its path where None.
+        allow_partial: Whether it may have lost something.
+        watch: Is told of every check.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        name: str | None = None,
+        allow_partial: bool = False,
+        watch: Watch | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.file = name or str(path)
+        self._allow_partial, self._watch = allow_partial, watch
+
+    def __repr__(self) -> str:
+        return f"<recording {self.file}>"
+
+    @property
+    def run(self) -> Run:
+        """Its columns.
+
+        Raises:
+            PartialLogError: Where it has lost something and may not have.
+            LogError: Where it cannot be read.
+        """
+        run = self._run
+        if self._watch is not None:
+            self._watch(self, None)
+        lost = None if self._allow_partial else find_loss(run)
+        if lost is not None:
+            result = CheckResult(
+                file=self.file, check="recording", verdict=Verdict.FAIL, reason=lost
+            )
+            self._note(result)
+            raise PartialLogError(f"{self.file}: {lost}; allow_partial=True lets it pass")
+        return run
+
+    @cached_property
+    def _run(self) -> Run:
+        with warnings.catch_warnings():
+            # What is lost is told by the note, which decides.
+            warnings.simplefilter("ignore", PartialRecordingWarning)
+            return read_run(self.path, allow_partial=True)
+
+    def metric(self, name: str, **settings: Any) -> MetricValue:
+        """Return a metric by its id, as measured with settings of `MeasureSettings`.
+
+        Raises:
+            CheckError: Where there is no such metric; with those nearest to it.
+        """
+        if name not in METRICS:
+            raise CheckError(f"metric: {describe_nearest(name, tuple(METRICS))}")
+        return MetricValue(self.run, self.file, name, self._note, settings)
+
+    def phase(self, name: str) -> "PhaseMetrics":
+        """Return the metrics of a phase (`rotate`, `translate`), of `final` or `run`.
+
+        Raises:
+            CheckError: Where there is no such phase; with those nearest to it.
+        """
+        if name not in _PARTS:
+            raise CheckError(f"phase: {describe_nearest(name, _PARTS)}")
+        return PhaseMetrics(self, name)
+
+    def holds(self, formula: str, *, phase: str | None = None) -> CheckOutcome:
+        """Return whether a formula over signals, metrics and parameters holds.
+
+        Args:
+            formula: As in `always(abs(cross_track) <= 0.05)`.
+            phase: The stretch to look at; the whole run where None.
+
+        Raises:
+            ExpressionError: Where it does not parse or names what is not there.
+            CheckError: Where there is no such phase.
+        """
+        parsed = parse_expression(formula, source="holds")
+        if phase is not None:
+            require_phase(phase)
+        require_known_names(parsed, over_time=True, run=self.run)
+        check = Check(name="holds", kind="holds", formula=parsed, phase=phase)
+        return self._conclude([judge_check(check, self.run, file=self.file)])
+
+    def matches(self, reference: Expected, *, tolerance: AnyTolerance = None) -> CheckOutcome:
+        """Return whether the recording is as a reference is.
+
+        Args:
+            reference: A recording, a run, a path to one or to metrics as `turtlelog metrics --json`
+                prints them, or the fixture `reference`.
+            tolerance: For every signal or metric; `Tolerances` or a tolerance file name those that
+                are judged. Where None, signals may be 1e-6 apart, and metrics worse by a millionth.
+
+        Raises:
+            CheckError: Where there is no reference, or the tolerance does not fit it.
+            CompareError: Where the runs do not overlap.
+        """
+        run = self.run
+        if isinstance(reference, Reference) and reference.is_accepting:
+            reference.accept(run, self.path)
+            return CheckOutcome(results=())
+        if isinstance(reference, Recording):
+            reference = reference.run
+        return self._conclude(match_run(run, reference, tolerance, file=self.file))
+
+    def driven_by(self, law: Law | Scenario | None = None) -> DrivenRecording:
+        """Return what a law makes of the recorded poses.
+
+        Args:
+            law: An instance, or a scenario with one; that of the recording where None.
+        """
+        return DrivenRecording(self.run, law, self._conclude, file=self.file)
+
+    def describe(self, *results: CheckResult) -> list[str]:
+        """Return all that there is to say of failed checks, line by line."""
+        return describe_failure(self._run, *results)
+
+    def _conclude(self, results: Sequence[CheckResult]) -> CheckOutcome:
+        for result in results:
+            self._note(result)
+        return CheckOutcome(results=tuple(results))
+
+    def _note(self, result: CheckResult) -> None:
+        if self._watch is not None:
+            self._watch(self, result)
+
+
+class PhaseMetrics:
+    """The metrics of one phase as attributes: `rotate.overshoot`."""
+
+    def __init__(self, recording: Recording, name: str) -> None:
+        self._recording, self._name = recording, name
+
+    def __getattr__(self, name: str) -> MetricValue:
+        if f"{self._name}.{name}" in METRICS:
+            return self._recording.metric(f"{self._name}.{name}")
+        if name.startswith("__"):
+            raise AttributeError(name)
+        prefix = f"{self._name}."
+        known = tuple(found.removeprefix(prefix) for found in METRICS if found.startswith(prefix))
+        raise UnknownMetricError(f"metric of {self._name}: {describe_nearest(name, known)}")

@@ -1,0 +1,139 @@
+"""The pytest plugin: recordings as fixtures, failures that say where. docs/checking.md explains it.
+
+pytest loads this in every session: it imports neither numpy nor rerun, nor anything of turtlelog
+that does, before a test asks for a recording.
+"""
+
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from turtlelog.pytest_plugin.choosing import choose_recordings, find_reference, name_recordings
+from turtlelog.pytest_plugin.session import SESSION, Session
+from turtlelog.pytest_plugin.summary import SUMMARY, Summary
+from turtlelog.pytest_plugin.tracebacks import end_at_test
+
+if TYPE_CHECKING:
+    from turtlelog.check.recording import Recording
+    from turtlelog.check.reference import Reference
+
+_MARKERS = (
+    "recordings(*patterns, allow_partial=False): run the test once per recording; patterns are"
+    " relative to the test's folder, else to the root",
+    "reference(path): what recording.matches(reference) compares with; {stem} is the recording's",
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the plugin's options."""
+    group = parser.getgroup("turtlelog", "recordings of turtlelog")
+    group.addoption(
+        "--turtlelog-accept",
+        action="store_true",
+        help="write references anew from the recordings instead of comparing",
+    )
+    group.addoption(
+        "--turtlelog-artifacts",
+        metavar="DIR",
+        help="put a Rerun view, a picture and the cut recording of what fails into DIR",
+    )
+    parser.addini("turtlelog_reference", "reference of tests without the marker", default="")
+    parser.addini(
+        "turtlelog_allow_partial",
+        "whether recordings may have lost something",
+        type="bool",
+        default=False,
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the markers, and open the books."""
+    for marker in _MARKERS:
+        config.addinivalue_line("markers", marker)
+    config.stash[SESSION] = Session(config)
+    config.stash[SUMMARY] = Summary()
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Make one test item per recording."""
+    marker = metafunc.definition.get_closest_marker("recordings")
+    if marker is None or "recording" not in metafunc.fixturenames:
+        return
+    paths, allow_partial = choose_recordings(metafunc, marker)
+    names = name_recordings(paths, metafunc.config.rootpath)
+    cases = [(str(path), allow_partial) for path in paths]
+    metafunc.parametrize("recording", cases, ids=names, indirect=True)
+
+
+@pytest.fixture
+def recording(request: pytest.FixtureRequest) -> "Recording":
+    """One of the recordings that the test's marker names, read when it is first asked."""
+    if not hasattr(request, "param"):
+        raise pytest.UsageError(
+            f'{request.node.nodeid}: expected @pytest.mark.recordings("runs/*.mcap"), found none'
+        )
+    path, allow_partial = request.param
+    return request.config.stash[SESSION].open_recording(Path(path), allow_partial=allow_partial)
+
+
+@pytest.fixture
+def reference(request: pytest.FixtureRequest) -> "Reference":
+    """What recordings are held to: the file that the marker or the ini option names."""
+    has_recording = "recording" in request.fixturenames
+    stem = request.getfixturevalue("recording").path.stem if has_recording else None
+    path = find_reference(request, stem)
+    return request.config.stash[SESSION].open_reference(path)
+
+
+@pytest.fixture
+def simulate(request: pytest.FixtureRequest, tmp_path: Path) -> "Callable[..., Recording]":
+    """Simulate a scenario, record it and read it back: `simulate("paper", kp=4)`."""
+    from turtlelog.check.fresh import FreshRuns
+
+    return FreshRuns(tmp_path, request.config.stash[SESSION].watch).simulate
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Begin a test with empty books."""
+    item.config.stash[SESSION].begin()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Give the report what was checked: properties, the whole message, artifacts."""
+    session = item.config.stash[SESSION]
+    if call.when == "call":
+        item.user_properties += session.list_properties()
+        end_at_test(call.excinfo)
+    report = yield
+    if call.when == "call":
+        session.complete_report(item, report)
+    return report
+
+
+def pytest_assertrepr_compare(op: str, left: object, right: object) -> list[str] | None:
+    """Say all there is to say where a comparison of a metric fails."""
+    if "turtlelog.check.metric_value" not in _list_homes(left, right):
+        return None
+    from turtlelog.pytest_plugin.explaining import explain_comparison
+
+    return explain_comparison(op, left, right)
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Print the one line."""
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            config.stash[SUMMARY].add(getattr(report, "turtlelog", None))
+    line = config.stash[SUMMARY].format_line()
+    if line:
+        terminalreporter.write_line(line)
+
+
+def _list_homes(*values: object) -> set[str]:
+    return {type(value).__module__ for value in values}

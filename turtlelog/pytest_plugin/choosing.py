@@ -1,0 +1,94 @@
+"""Which recordings and references a test asks for."""
+
+import glob
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+
+def choose_recordings(
+    metafunc: pytest.Metafunc, marker: pytest.Mark
+) -> tuple[list[Path], bool | None]:
+    """Return the files of a marker, and whether they may have lost something; None: as usual.
+
+    Patterns are looked for beside the test, then below the root.
+
+    Raises:
+        CollectError: Where the marker is wrong, or a pattern has no file.
+    """
+    place = f"{metafunc.definition.nodeid}: recordings"
+    unknown = sorted(marker.kwargs.keys() - {"allow_partial"})
+    if unknown:
+        _refuse(f"{place}: expected allow_partial, found {unknown[0]}")
+    if not marker.args:
+        _refuse(f'{place}: expected a pattern such as "runs/*.mcap", found none')
+    folders = [metafunc.definition.path.parent, metafunc.config.rootpath]
+    paths: dict[Path, None] = {}
+    for pattern in marker.args:
+        if not isinstance(pattern, str | os.PathLike):
+            _refuse(f"{place}: expected a pattern, found {pattern!r}")
+        found = _find_files(os.fspath(pattern), folders)
+        if not found:
+            where = " or ".join(dict.fromkeys(map(str, folders)))
+            _refuse(f"{place}: expected files for {os.fspath(pattern)!r} in {where}, found none")
+        paths |= dict.fromkeys(found)
+    return list(paths), marker.kwargs.get("allow_partial")
+
+
+def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
+    """Return a name for every file, as short as tells them apart."""
+    stems = Counter(path.stem for path in paths)
+    return [path.stem if stems[path.stem] == 1 else show_path(path, root) for path in paths]
+
+
+def show_path(path: Path, root: Path) -> str:
+    """Return a path as seen from the root, where it lies below."""
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else str(path)
+
+
+def find_reference(request: pytest.FixtureRequest, stem: str | None) -> Path:
+    """Return the file that a test's marker or the ini option names.
+
+    Raises:
+        UsageError: Where neither names one, or the name cannot be filled in.
+    """
+    marker = request.node.get_closest_marker("reference")
+    given: Any = request.config.getini("turtlelog_reference") or None
+    folders = [request.config.rootpath]
+    if marker is not None:
+        given = marker.args[0] if len(marker.args) == 1 and not marker.kwargs else None
+        folders = [request.node.path.parent, request.config.rootpath]
+    if not isinstance(given, str | os.PathLike):
+        raise pytest.UsageError(
+            f'{request.node.nodeid}: expected @pytest.mark.reference("good.mcap") or'
+            " turtlelog_reference = ... in the ini file, found none"
+        )
+    name = os.fspath(given)
+    if "{stem}" in name and stem is None:
+        raise pytest.UsageError(
+            f"{request.node.nodeid}: reference {name!r}: expected a recording beside it, found none"
+        )
+    name = name.replace("{stem}", stem or "")
+    places = [folder / name for folder in folders]
+    return next((place for place in places if place.exists()), places[0])
+
+
+def _find_files(pattern: str, folders: Sequence[Path]) -> list[Path]:
+    for folder in folders:
+        # A name that is there is itself, whatever signs are in it.
+        if (folder / pattern).exists():
+            return [folder / pattern]
+        start = glob.escape(str(folder)) + os.sep
+        whole = pattern if Path(pattern).is_absolute() else start + pattern
+        found = sorted(Path(path) for path in glob.glob(whole, recursive=True))  # noqa: PTH207
+        if found:
+            return found
+    return []
+
+
+def _refuse(message: str) -> NoReturn:
+    raise pytest.Collector.CollectError(message)

@@ -1,0 +1,139 @@
+"""The books of one session: recordings by file, and what the test at hand has checked."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from turtlelog.pytest_plugin.choosing import show_path
+
+if TYPE_CHECKING:
+    from turtlelog.check import CheckResult
+    from turtlelog.check.recording import Recording
+    from turtlelog.check.reference import Reference
+
+
+class Session:
+    """What lives as long as the session of one process: with xdist, of one worker."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._recordings: dict[tuple[Path, bool], Recording] = {}
+        self._references: dict[Path, Reference] = {}
+        self._used: dict[str, Recording] = {}
+        self._results: list[tuple[Recording, CheckResult]] = []
+
+    def open_recording(self, path: Path, *, allow_partial: bool | None) -> "Recording":
+        """Return the one recording of a file; it is read once, when it is first asked."""
+        from turtlelog.check.recording import Recording
+
+        if allow_partial is None:
+            allow_partial = bool(self._config.getini("turtlelog_allow_partial"))
+        key = path.resolve(), allow_partial
+        if key not in self._recordings:
+            name = show_path(path, self._config.rootpath)
+            self._recordings[key] = Recording(
+                path, name=name, allow_partial=allow_partial, watch=self.watch
+            )
+        return self._recordings[key]
+
+    def open_reference(self, path: Path) -> "Reference":
+        """Return the one reference of a file."""
+        from turtlelog.check.reference import Reference
+
+        is_accepting = bool(self._config.getoption("--turtlelog-accept"))
+        return self._references.setdefault(
+            path.resolve(), Reference(path=path, is_accepting=is_accepting)
+        )
+
+    def begin(self) -> None:
+        """Forget what the test before has done."""
+        self._used, self._results = {}, []
+
+    def watch(self, recording: "Recording", result: "CheckResult | None") -> None:
+        """Note that a recording was used, or what a check came to."""
+        self._used[recording.file] = recording
+        if result is not None:
+            self._results.append((recording, result))
+
+    def list_properties(self) -> list[tuple[str, object]]:
+        """Return every metric of the recordings that were used; none where no report wants them."""
+        if not self._config.getoption("xmlpath", None):
+            return []
+        return [found for name in self._used for found in self._list_metrics(name)]
+
+    def _list_metrics(self, name: str) -> Iterator[tuple[str, object]]:
+        from turtlelog.check import PartialLogError
+        from turtlelog.errors import TurtlelogError
+        from turtlelog.measure import measure_run
+
+        try:
+            metrics = measure_run(self._used[name].run)
+        except (TurtlelogError, PartialLogError):
+            # The test has failed of it.
+            return
+        yield "recording", name
+        prefix = f"{name}: " if len(self._used) > 1 else ""
+        for metric in metrics.values():
+            unit = "" if metric.unit == "1" else f" [{metric.unit}]"
+            value = metric.status.value if metric.value is None else repr(metric.value)
+            yield f"{prefix}{metric.id}{unit}", value
+
+    def complete_report(self, item: pytest.Item, report: pytest.TestReport) -> None:
+        """Give a report its checks, and one of a failure its message and artifacts."""
+        if not self._used:
+            return
+        has_failed = report.failed
+        accepted = [str(path) for path, found in self._references.items() if found.accepted]
+        report.turtlelog = {  # type: ignore[attr-defined]
+            "recordings": list(self._used),
+            "checks": [_pack(result, has_failed=has_failed) for _, result in self._results],
+            "accepted": accepted,
+        }
+        failed: dict[Recording, dict[tuple[str, str], CheckResult]] = {}
+        for recording, result in self._results:
+            if result.verdict == "FAIL":
+                failed.setdefault(recording, {})[result.check, result.expected] = result
+        if has_failed and failed:
+            self._explain(item, report, {who: [*found.values()] for who, found in failed.items()})
+
+    def _explain(
+        self,
+        item: pytest.Item,
+        report: pytest.TestReport,
+        failed: "dict[Recording, list[CheckResult]]",
+    ) -> None:
+        from turtlelog.pytest_plugin.explaining import explain_failures, keep_artifacts
+
+        folder = self._config.getoption("--turtlelog-artifacts")
+        lines: list[str] = []
+        for recording, results in failed.items():
+            lines += [*explain_failures(recording, results), ""]
+        for recording, results in failed.items() if folder else ():
+            lines += keep_artifacts(recording, results, self._root(folder), prefix=item.name)
+        add_section: Any = getattr(report.longrepr, "addsection", None)
+        if add_section is not None:
+            add_section("turtlelog", "\n".join(lines).rstrip())
+
+    def _root(self, folder: str) -> Path:
+        return self._config.invocation_params.dir / folder
+
+
+def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:
+    """Return what the summary needs, in types that travel between processes."""
+    margin = result.margin
+    if not has_failed and margin is not None:
+        # What was denied, as in `assert not overshoot > 2`, was to be so.
+        result, margin = replace(result, verdict=type(result.verdict)("PASS")), abs(margin)
+    return {
+        "file": result.file,
+        "check": result.check,
+        "verdict": result.verdict.value,
+        "margin": margin,
+        "unit": result.unit,
+    }
+
+
+SESSION = pytest.StashKey[Session]()
