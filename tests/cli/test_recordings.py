@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
+from rerun.chunk import RrdReader
 
 from tests.cli.conftest import Call
 
@@ -82,7 +83,12 @@ def test_metrics_answers_in_json_with_null_where_there_is_no_value(
 def test_view_saves_one_run_and_several(call: Call, kp4: Path, kp10: Path, tmp_path: Path) -> None:
     assert call("view", kp4, "--save", tmp_path / "one.rrd").code == 0
     assert call("view", kp4, kp10, "--save", tmp_path / "two.rrd").code == 0
-    assert (tmp_path / "two.rrd").stat().st_size > (tmp_path / "one.rrd").stat().st_size
+    one, two = (
+        {chunk.entity_path for chunk in RrdReader(tmp_path / f"{name}.rrd").stream()}
+        for name in ("one", "two")
+    )
+    assert "/plane/turtle" in one
+    assert {f"/runs/paper-{name}/plane/turtle" for name in ("kp4", "kp10")} < two
 
 
 def test_import_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> None:
