@@ -30,7 +30,7 @@ recordings: .venv/installed
 		$(BIN)/python -m turtlelog run paper-kp$$kp -o recordings/paper/kp$$kp.mcap > /dev/null || exit 1; \
 	done
 
-# The pictures of the README, drawn by the headless viewer.
+# The pictures of the pages: of the headless viewer, and figures as for print.
 pictures: .venv/installed
 	$(BIN)/python -m turtlelog view recordings/paper/kp1.mcap recordings/paper/kp2.mcap \
 		recordings/paper/kp4.mcap recordings/paper/kp10.mcap \
@@ -41,6 +41,9 @@ pictures: .venv/installed
 		--rrd .venv/explanation.rrd > /dev/null
 	$(BIN)/python -m turtlelog view .venv/explanation.rrd \
 		--snapshot docs/images/explanation.png --at 3 --size 1200x860
+	$(BIN)/python -m turtlelog plot recordings/paper/kp1.mcap recordings/paper/kp2.mcap \
+		recordings/paper/kp4.mcap recordings/paper/kp10.mcap \
+		-o docs/images --only heading,wanted-speed,plane --format svg
 
 bench: .venv/installed-dev
 	for file in benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done

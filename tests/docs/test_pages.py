@@ -13,7 +13,6 @@ import turtlelog as tl
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-SCRIPTS = [ROOT / "examples" / "first_run.py"]
 
 
 def find_blocks(language: str) -> list[object]:
@@ -73,12 +72,6 @@ def test_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text("utf-8"), flags=re.S)
     targets = re.findall(r"\]\((?!https?:)([^)#]+)", text)
     assert [target for target in targets if not (page.parent / target).exists()] == []
-
-
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_example_scripts_run(script: Path, tmp_path: Path) -> None:
-    printed = run_python("-W", "error", str(script), folder=tmp_path)
-    assert "without queue and pause: final.position_error = 0.0051 m" in printed
 
 
 def test_the_example_law_reaches_the_goal(tmp_path: Path) -> None:

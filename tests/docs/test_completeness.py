@@ -1,0 +1,87 @@
+"""The pages name everything that there is: places of the tree, commands, pages."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "turtlelog"
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+ENTRANCES = {"__init__.py", "__main__.py", "__pycache__", "py.typed"}
+
+
+def read_page(name: str) -> str:
+    return (ROOT / name).read_text("utf-8")
+
+
+def list_places() -> list[str]:
+    rows = re.findall(r"^\| (`[^|]+) \|", read_page("docs/architecture.md"), re.M)
+    return [place for row in rows for place in re.findall(r"`([^`]+)`", row)]
+
+
+def list_commands() -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-m", "turtlelog", "--help"],
+        cwd=ROOT,
+        env={**os.environ, "COLUMNS": "100", "PYTHONUTF8": "1"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    return re.findall(r"^│ ([a-z]+)  ", done.stdout, re.M)
+
+
+@pytest.mark.parametrize("place", list_places())
+def test_places_on_the_page_are_in_the_tree(place: str) -> None:
+    path = PACKAGE / place
+    assert path.is_dir() if place.endswith("/") else path.is_file()
+
+
+def test_places_in_the_tree_are_on_the_page() -> None:
+    found = {f"{path.name}{'/' * path.is_dir()}" for path in PACKAGE.iterdir()}
+    assert found - ENTRANCES - {"__pycache__/"} - set(list_places()) == set()
+
+
+def test_no_place_stands_twice() -> None:
+    places = list_places()
+    assert len(places) == len(set(places))
+
+
+def test_every_stage_is_in_the_picture() -> None:
+    picture = read_page("docs/images/architecture.svg")
+    stages = {place for place in list_places() if place.count("/") == 1 and place.endswith("/")}
+    assert {stage for stage in stages if stage not in picture} == set()
+
+
+def test_commands_stand_on_their_page_in_the_order_of_help() -> None:
+    assert re.findall(r"^## (.+)$", read_page("docs/commands.md"), re.M) == list_commands()
+
+
+def test_every_command_has_an_example_on_its_page() -> None:
+    sections = re.split(r"^## ", read_page("docs/commands.md"), flags=re.M)[1:]
+    shown = {
+        section.split()[0]
+        for section in sections
+        if re.search(rf"```console\n(?:.*\n)*?\$ turtlelog {section.split()[0]} ", section)
+    }
+    assert [name for name in list_commands() if name not in shown] == []
+
+
+def test_every_command_says_what_its_json_holds() -> None:
+    sections = re.split(r"^## ", read_page("docs/commands.md"), flags=re.M)[1:]
+    assert [section.split()[0] for section in sections if "`--json`" not in section] == []
+
+
+def test_the_readme_names_every_command() -> None:
+    rows = re.findall(r"^\| `turtlelog ([a-z]+)", read_page("README.md"), re.M)
+    assert sorted(rows) == list_commands()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_readme_leads_to_every_page(page: Path) -> None:
+    assert f"](docs/{page.name})" in read_page("README.md")
