@@ -91,7 +91,7 @@ def test_a_shorter_run_does_not_match(suite: pytest.Pytester) -> None:
 
 
 BAD = {
-    "empty": ("{}", "*LogError: *good.json: expected *"),
+    "empty": ("{}", "*LogError: good.json: data: expected a JSON object*"),
     "none": ('{"metrics": []}', "*metrics: expected at least one, found none"),
     "id": ('{"metrics": [{"id": "a"}]}', "*metrics[[]0[]].id: expected the id of a metric*'a'"),
     "unit": (
