@@ -3,12 +3,13 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
+from turtlelog.cli.exit_codes import EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.options import Json, Output, TopicOptions, iterate_files, require_files
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.targets import require_apart, require_new_target
@@ -17,8 +18,6 @@ from turtlelog.errors import UsageError
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Run, Spec
 
-EXIT_FINE: Final = 0
-EXIT_FAILED: Final = 1
 
 Words = Annotated[list[Path], Parameter(name="SPEC RUN", negative="")]
 
