@@ -2,6 +2,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -100,7 +101,8 @@ def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -
         tl.run_live(SHORT, [sink, Watch()], realtime=True)
         assert time.monotonic() - start_s < 20.0
     assert sink.lost == "no answer for 0.5 s"
-    assert max(lags_s) < 1.0
+    # A busy machine is late now and then; a loop that waits for a viewer is late from then on.
+    assert median(lags_s) < 0.5
 
 
 def test_a_recording_in_progress_is_followed_to_its_end(tmp_path: Path) -> None:
