@@ -1,8 +1,8 @@
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -87,22 +87,34 @@ def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> N
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot stop a process for a while")
 def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_live, "_FLUSH_S", 0.5)
+    # Long enough to fill what a connection takes without an answer, however few batches it makes.
+    scenario = tl.override_scenario(SHORT, {"max_duration_s": 3.0})
     lags_s: list[float] = []
+    taken_s: list[float] = []
 
     class Watch:
-        def receive(self, tick: Tick) -> None:
-            lags_s.append(time.monotonic() - start_s - tick.time_ns / 1e9)
+        """Hands the ticks on, and notes how long that takes and how late the loop is."""
 
-        def close(self, notes: object) -> None: ...
+        def __init__(self, sink: tl.LiveViewer) -> None:
+            self.sink = sink
+
+        def receive(self, tick: Tick) -> None:
+            before_s = time.monotonic()
+            self.sink.receive(tick)
+            taken_s.append(time.monotonic() - before_s)
+            lags_s.append(before_s - start_s - tick.time_ns / 1e9)
+
+        def close(self, notes: Mapping[str, str]) -> None:
+            self.sink.close(notes)
 
     with start_headless() as viewer, viewer.hold():
-        sink = tl.LiveViewer(SHORT, viewer.url)
+        sink = tl.LiveViewer(scenario, viewer.url)
         start_s = time.monotonic()
-        tl.run_live(SHORT, [sink, Watch()], realtime=True)
+        tl.run_live(scenario, [Watch(sink)], realtime=True)
         assert time.monotonic() - start_s < 20.0
     assert sink.lost == "no answer for 0.5 s"
-    # A busy machine is late now and then; a loop that waits for a viewer is late from then on.
-    assert median(lags_s) < 0.5
+    assert max(taken_s) < 0.25  # One wait for the viewer would take 0.5 s.
+    assert max(lags_s) < 1.0
 
 
 def test_a_recording_in_progress_is_followed_to_its_end(tmp_path: Path) -> None:
