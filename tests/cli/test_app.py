@@ -46,8 +46,9 @@ def test_starting_up_loads_nothing_heavy(code: str) -> None:
 def test_every_public_name_can_be_used() -> None:
     assert all(getattr(tl, name) is not None for name in tl.__all__)
     assert set(tl.__all__) <= set(dir(tl))
-    with pytest.raises(AttributeError, match="no attribute 'nosuch'"):
-        _ = tl.nosuch
+    unknown = "nosuch"
+    with pytest.raises(AttributeError, match="turtlelog attribute nosuch"):
+        getattr(tl, unknown)
 
 
 def test_a_reader_that_goes_away_ends_the_command_quietly(tmp_path: Path) -> None:

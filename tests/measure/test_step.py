@@ -3,8 +3,7 @@ import math
 import control
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from turtlelog.measure import find_overshoot, find_settling_time

@@ -3,8 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.replay.changes import change_scenario, change_value, scenarios, write_law

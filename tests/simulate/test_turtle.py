@@ -1,8 +1,7 @@
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from turtlelog.simulate import Turtle, round_to_float32
 from turtlelog.turtlesim import SPAWN_XY_M, TICK_S, WORLD_SIZE_M

@@ -50,8 +50,7 @@ class Progress:
 
     def _animate(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
-        from rich.progress import Progress as Bar
+        from rich.progress import BarColumn, Progress as Bar, TextColumn, TimeElapsedColumn
 
         columns = TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn()
         with Bar(

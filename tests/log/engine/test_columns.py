@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.log.engine.files import CODES, POINT, Row, pack, write_points, write_rows

@@ -2,8 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.log.runs import assert_same, make_bare_run, make_run, simulate_preset, simulate_short_run
 from turtlelog.errors import LogError
