@@ -285,6 +285,15 @@ def test_run_that_only_rotates_has_one_span() -> None:
     assert run.find_phase_spans() == (PhaseSpan(phase=ROTATE, start_ns=10, end_ns=30),)
 
 
+@pytest.mark.parametrize(
+    "commands", [make_commands(2), make_commands(3, time_ns=np.array([10, 20, 35]))]
+)
+def test_run_that_ends_blocked_while_rotating_ends_in_a_pause(commands: CommandColumns) -> None:
+    samples = make_samples(3, time_ns=np.array([10, 20, 30]))
+    run = make_run(poses=make_poses(rows=5), commands=commands, samples=samples)
+    assert list_spans(run) == [("rotate", 10, 30), ("pause", 30, 40)]
+
+
 def test_last_span_ends_with_the_run() -> None:
     run = make_run_of_phases([TRANSLATE, TRANSLATE], [0, 10])
     assert list_spans(run) == [("translate", 0, run.end_ns)]

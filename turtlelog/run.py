@@ -254,23 +254,30 @@ class Run:
         return self.stop_reason not in {None, "max_duration", "interrupted"}
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
-        """Return the phases in order; the silence after a rotation's last sample is PAUSE."""
+        """Return the phases in order; the silence after a rotation's last sample is PAUSE.
+
+        A run that ends while its controller is blocked ends in that silence.
+        """
         phase, time_ns = self.samples.phase, self.samples.time_ns
         if not len(phase):
             return ()
         firsts = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist()]
+        afters = [*firsts[1:], len(phase)]
+        ends_ns = [*time_ns[firsts[1:]].tolist(), self.end_ns]
         spans = []
-        for first, after in zip(firsts, [*firsts[1:], None], strict=True):
+        for first, after, end_ns in zip(firsts, afters, ends_ns, strict=True):
             kind, start_ns = Phase(int(phase[first])), int(time_ns[first])
-            if after is None:
-                spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=self.end_ns))
-                continue
-            end_ns, last_ns = int(time_ns[after]), int(time_ns[after - 1])
-            if kind is Phase.ROTATE:
+            if kind is Phase.ROTATE and (after < len(phase) or self._ends_blocked()):
+                last_ns = int(time_ns[after - 1])
                 spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=last_ns))
                 kind, start_ns = Phase.PAUSE, last_ns
             spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=end_ns))
         return tuple(spans)
+
+    def _ends_blocked(self) -> bool:
+        """Whether the last sample's command went out later than its pose was answered, or never."""
+        published, answered = self.commands.time_ns, self.samples.time_ns
+        return len(published) < len(answered) or bool(published[-1] > answered[-1])
 
 
 def _list_fields(value: Any) -> dict[str, Any]:

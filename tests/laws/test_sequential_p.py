@@ -93,6 +93,7 @@ def test_rotation_ends_within_its_tolerance_and_pauses(offset_rad: float) -> Non
     decision = law.step(TICK_NS, Pose(5.5, 5.5, BEARING_RAD + offset_rad))
     assert get_command(decision) == (0.0, 0.0)
     assert (decision.phase, decision.blocks_ticks) == (Phase.ROTATE, 34)
+    assert decision.ends_phase
     assert law.step(TICK_NS, Pose(5.5, 5.5, 0.0)).phase is Phase.TRANSLATE
 
 

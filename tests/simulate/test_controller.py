@@ -115,6 +115,13 @@ def test_block_within_a_burst_keeps_the_rest_waiting() -> None:
     ]
 
 
+def test_law_that_goes_on_with_a_phase_it_ended_is_refused() -> None:
+    controller = make_controller(Script({"ends_phase": True}, {}))
+    line = "sample 1: expected another phase than TRANSLATE, which had ended, found it again"
+    with pytest.raises(SimulationError, match=line):
+        run_ticks(controller, range(2))
+
+
 def test_nothing_is_answered_after_the_last_sample() -> None:
     controller = make_controller(Script({}, {"stop_reason": "standstill"}), start_backlog=5)
     assert run_ticks(controller, range(5))[-1] == ([0, 1], [0, 1])

@@ -52,6 +52,8 @@ class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
         world_v_x_m_s: Gain times error before projection [m/s].
         world_v_y_m_s: Gain times error before projection [m/s].
         blocks_ticks: Ticks that the law blocks for before its command goes out.
+        ends_phase: Whether the next sample is of another phase. A law that blocks says so here, so
+            that a live recording tells of the pause while it lasts.
         stop_reason: Why this is the last sample, in one word; None while it is not.
     """
 
@@ -65,6 +67,7 @@ class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     world_v_x_m_s: float = 0.0
     world_v_y_m_s: float = 0.0
     blocks_ticks: int = 0
+    ends_phase: bool = False
     stop_reason: str | None = None
 
 

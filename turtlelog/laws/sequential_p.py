@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final, Literal
 
 from msgspec import Meta
+from msgspec.structs import replace
 
 from turtlelog.angles import wrap_angle
 from turtlelog.laws.base import Decision, Goal, Pose
@@ -90,11 +91,10 @@ class SequentialP:
         if abs(error_rad) > parameters.heading_tolerance_rad:
             return self._decide_rotation(pose, turn_rate_rad_s=parameters.kp_angular * error_rad)
         self._phase = _TRANSLATE
-        return self._decide_rotation(pose, turn_rate_rad_s=0.0, blocks_ticks=parameters.pause_ticks)
+        decision = self._decide_rotation(pose, turn_rate_rad_s=0.0)
+        return replace(decision, blocks_ticks=parameters.pause_ticks, ends_phase=True)
 
-    def _decide_rotation(
-        self, pose: Pose, *, turn_rate_rad_s: float, blocks_ticks: int = 0
-    ) -> Decision:
+    def _decide_rotation(self, pose: Pose, *, turn_rate_rad_s: float) -> Decision:
         return Decision(
             speed_m_s=0.0,
             turn_rate_rad_s=turn_rate_rad_s,
@@ -103,7 +103,6 @@ class SequentialP:
             heading_error_rad=self._heading_error_rad,
             error_x_m=self._goal.x_m - pose.x_m,
             error_y_m=self._goal.y_m - pose.y_m,
-            blocks_ticks=blocks_ticks,
         )
 
     def _translate(self, time_ns: int, pose: Pose) -> Decision:

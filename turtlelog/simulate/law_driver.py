@@ -66,7 +66,7 @@ Samples = tuple[Sample, ...]
 class LawDriver:
     """Asks a law for its decision on each pose, checks it and clips it; knows no queue or delay."""
 
-    __slots__ = ("_goal", "_kind", "_law", "_limits", "_sequence")
+    __slots__ = ("_ended", "_goal", "_kind", "_law", "_limits", "_sequence")
 
     def __init__(self, scenario: Scenario, law: Law) -> None:
         """Take goal and limits from a scenario; the law begins at the first pose."""
@@ -74,6 +74,7 @@ class LawDriver:
         self._goal = Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
         self._limits = scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s
         self._sequence = 0
+        self._ended: Phase | None = None
 
     def answer(self, time_ns: int, pose_sequence: int, pose: Pose) -> Sample:
         """Return the sample that a pose makes, with its command clipped.
@@ -89,6 +90,7 @@ class LawDriver:
             decision = self._law.step(time_ns, pose)
             speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
             _require_sound(decision)
+            self._follow_phase(decision)
         except (Exception, SystemExit) as err:
             reason = str(err) if isinstance(err, SimulationError) else describe_error(err)
             raise SimulationError(f"law {self._kind}, sample {sequence}: {reason}") from err
@@ -106,6 +108,14 @@ class LawDriver:
             turn_rate,
             hypot(decision.error_x_m, decision.error_y_m),
         )
+
+    def _follow_phase(self, decision: Decision) -> None:
+        if decision.phase is self._ended:
+            name = decision.phase.name
+            raise SimulationError(
+                f"expected another phase than {name}, which had ended, found it again"
+            )
+        self._ended = decision.phase if decision.ends_phase else None
 
 
 def build_law(choice: LawChoice) -> Law:

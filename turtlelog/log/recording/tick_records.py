@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
+from turtlelog.laws import Decision
 from turtlelog.log.channels import describe_topics
 from turtlelog.log.container import ChunkRows
 from turtlelog.log.encode import CODES, encode_fields
@@ -30,7 +31,8 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate import Tick
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
-_CUT_SHORT: Final = frozenset({None, "max_duration", "interrupted"})
+_CUT_SHORT: Final = frozenset({"max_duration", "interrupted"})
+_ROTATE: Final = Phase.ROTATE
 
 
 def _build_struct(topic: Topic) -> Struct:
@@ -86,8 +88,9 @@ class _Messages:
 class TickRecords:
     """Numbers and packs what ticks bring, as `build_messages` does for a whole run.
 
-    The pause after a rotation is known only when it is over: its message comes late, with the log
-    time at which it began. Poses in double precision are recorded where the scenario asks for them.
+    The message of a pause comes with the sample that begins it, where the law blocks and says that
+    its phase ends; otherwise the next sample tells, and the message carries the earlier time. Poses
+    in double precision are recorded where the scenario asks for them.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -98,6 +101,7 @@ class TickRecords:
         self._pose, self._pose64 = self._messages[POSE], self._messages[POSE64]
         self._control, self._command = self._messages[CONTROL], self._messages[COMMAND]
         self._phase: Phase | None = None
+        self._is_paused = self._is_blocked = False
         self._sample_ns = 0
         self._records = bytearray()
 
@@ -112,11 +116,9 @@ class TickRecords:
                 values = sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.turn_rate_rad_s
                 self._add(self._command, time_ns, sample.sequence, *values)
             for sample in tick.computed:
-                if sample.decision.phase is not self._phase:
-                    self._change_phase(time_ns, sample.decision.phase)
-                self._sample_ns = time_ns
-            if tick.stop_reason not in _CUT_SHORT and self._phase is not None:
-                self._add_varied(PHASE, time_ns, {"data": Phase.DONE.label})
+                self._follow_phase(time_ns, sample.decision)
+            if tick.stop_reason is not None and self._phase is not None:
+                self._end_phase(time_ns, tick.stop_reason)
             for event in tick.events:
                 self._add_varied(EVENT, event.time_ns, describe_event(event))
         return self._collect()
@@ -131,11 +133,29 @@ class TickRecords:
         if self._is_exact:
             self._add(self._pose64, time_ns, number, *values)
 
-    def _change_phase(self, time_ns: int, phase: Phase) -> None:
-        if self._phase is Phase.ROTATE:
-            self._add_varied(PHASE, self._sample_ns, {"data": Phase.PAUSE.label})
+    def _follow_phase(self, time_ns: int, decision: Decision) -> None:
+        if decision.phase is not self._phase:
+            if self._phase is _ROTATE:
+                self._add_pause()
+            self._phase, self._is_paused = decision.phase, False
+            self._add_phase(time_ns, decision.phase)
+        self._sample_ns, self._is_blocked = time_ns, decision.blocks_ticks > 0
+        if self._is_blocked and decision.ends_phase and self._phase is _ROTATE:
+            self._add_pause()
+
+    def _end_phase(self, time_ns: int, stop_reason: str) -> None:
+        if self._is_blocked and self._phase is _ROTATE:
+            self._add_pause()
+        if stop_reason not in _CUT_SHORT:
+            self._add_phase(time_ns, Phase.DONE)
+
+    def _add_pause(self) -> None:
+        if not self._is_paused:
+            self._add_phase(self._sample_ns, Phase.PAUSE)
+        self._is_paused = True
+
+    def _add_phase(self, time_ns: int, phase: Phase) -> None:
         self._add_varied(PHASE, time_ns, {"data": phase.label})
-        self._phase = phase
 
     def _add(self, messages: _Messages, time_ns: int, sequence: int, *values: float) -> None:
         messages.entries += (time_ns, len(self._records))
