@@ -23,6 +23,7 @@ with atheris.instrument_imports(include=["turtlelog.log", "mcap"]):
         read_columns,
         read_info,
         read_recording,
+        recover_recording,
     )
     from turtlelog.log.engine import read_raw
 
@@ -47,13 +48,26 @@ def read_anyhow(data: bytes) -> None:
         read_info,
         read_raw,
         lambda path: list(iter_columns(path, rows=2)),
+        lambda path: read_info(path, allow_partial=True),
         lambda path: read_recording(path, allow_partial=True),
+        recover_soundly,
     ):
         try:
             read(path)
         except LogError as err:
             if "\n" in str(err) or any(bug in str(err) for bug in BUGS):
                 raise RuntimeError(str(err)) from err
+
+
+def recover_soundly(path: Path) -> None:
+    """Recover a file; what is written must be whole."""
+    target = FOLDER / "recovered.mcap"
+    report = recover_recording(path, target)
+    found = read_info(target)
+    if not found.complete or sum(topic.count for topic in found.topics) != sum(
+        report.recovered.values()
+    ):
+        raise RuntimeError(f"expected a whole file of what was recovered, found {found}")
 
 
 def write_corpus() -> Path:

@@ -114,6 +114,37 @@ def test_padding_up_to_four_bytes_does_no_harm(tmp_path: Path) -> None:
     assert list(read_columns(path)["/a"].fields["s"]) == ["abcd"]
 
 
+# As ROS 2 with Fast DDS serialises it; behind the fields are 8 bytes that nothing was written to.
+PARAMETER = (
+    "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\nstring string_value\n"
+    "byte[] byte_array_value\nbool[] bool_array_value\nint64[] integer_array_value\n"
+    "float64[] double_array_value\nstring[] string_array_value\n"
+)
+OVERESTIMATED = bytes.fromhex(
+    "00010000 00000000 a0e84b51 00000000 00000000 00000000 00000000 02000000 6100552e 01000000"
+    "016e552e 02000000 0100552e 00000000 00000000 00000000 706f552e 1f7f0000"
+)
+
+
+def write_parameter(path: Path, data: bytes) -> Path:
+    rows = [Row(topic="/a", time_ns=0, data=data)]
+    return write_rows(path / "a.mcap", {"/a": ("test/msg/Parameter", PARAMETER)}, rows)
+
+
+def test_what_ros_2_sets_aside_for_empty_sequences_does_no_harm(tmp_path: Path) -> None:
+    found = read_columns(write_parameter(tmp_path, OVERESTIMATED))["/a"].fields
+    assert found["string_value"].tolist() == ["a"]
+    assert found["bool_array_value"][0].tolist() == [True, False]
+    for kind in ("integer", "double", "string"):
+        assert list(found[f"{kind}_array_value"][0]) == []
+
+
+def test_more_than_ros_2_sets_aside_is_refused(tmp_path: Path) -> None:
+    path = write_parameter(tmp_path, OVERESTIMATED + bytes(12))
+    with pytest.raises(LogError, match="message 0: expected 64 bytes, found 84"):
+        read_columns(path)
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [

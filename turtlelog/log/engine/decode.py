@@ -15,6 +15,11 @@ Places = NDArray[np.int64]
 
 _PADDING: Final = 4  # some middlewares fill a message up to a multiple of this [bytes]
 
+# Before it writes a message, ROS 2 with Fast DDS estimates its size as if an empty sequence were
+# padded for the numbers that it lacks, and hands on what is left over. After a sequence's length
+# only numbers of this size need padding, and it may carry more with it [bytes].
+_LARGEST_NUMBER: Final = 8
+
 
 def decode_messages(
     fields: tuple[Field, ...], data: bytes, starts: Places, ends: Places, order: Order
@@ -37,19 +42,24 @@ def decode_messages(
     cursor = _Cursor(data, starts, ends, order)
     columns: dict[str, Column] = {}
     cursor.take_fields(fields, "", columns)
-    rest = ends - cursor.places
-    if (rest >= _PADDING).any():
-        number = int((rest >= _PADDING).argmax())
+    is_long = ends - cursor.places >= _PADDING + cursor.overestimates
+    if is_long.any():
+        number = int(is_long.argmax())
         expected, found = (cursor.places - starts)[number] + 4, (ends - starts)[number] + 4
         raise LogError(f"message {number}: expected {expected} bytes, found {found}")
     return columns
 
 
 class _Cursor:
-    """A place in every message, moved over one field at a time."""
+    """A place in every message, moved over one field at a time.
+
+    Attributes:
+        places: Where the next field starts, or the one before ends, shape (n,).
+        overestimates: How many bytes too many a writer may have set aside so far, shape (n,).
+    """
 
     def __init__(self, data: bytes, starts: Places, ends: Places, order: Order) -> None:
-        self.places = starts.copy()
+        self.places, self.overestimates = starts.copy(), np.zeros_like(starts)
         self._data, self._starts, self._ends, self._order = data, starts, ends, order
         self._numbers = np.arange(len(starts))
 
@@ -133,6 +143,8 @@ class _Cursor:
         code = np.dtype(kind.replace("?", "u1"))
         # An empty sequence is not padded.
         self.places += np.where(lengths > 0, (self._starts - self.places) % code.itemsize, 0)
+        if code.itemsize == _LARGEST_NUMBER:
+            self.overestimates += np.where(lengths > 0, 0, _LARGEST_NUMBER)
         self._require(lengths * code.itemsize)
         stored, arrays = code.newbyteorder(self._order), np.empty(len(lengths), dtype=object)
         rows = zip(self.places.tolist(), lengths.tolist(), strict=True)
@@ -153,6 +165,7 @@ class _Cursor:
             for row, value in zip(rows, inner.take_values(kind), strict=True):
                 lists[row].append(value)
             self.places[rows] = inner.places
+            self.overestimates[rows] += inner.overestimates
         return lists
 
     def take_values(self, kind: str | tuple[Field, ...]) -> list[object]:
