@@ -44,8 +44,13 @@ def test_a_log_of_the_papers_is_imported() -> None:
 @pytest.mark.parametrize(
     ("name", "content", "line"),
     [
-        ("a.db3", b"SQLite format 3\0" + bytes(100), "expected MCAP, found a bag in SQLite"),
+        (
+            "a.db3",
+            b"SQLite format 3\0" + bytes(100),
+            ".* found a bag in SQLite: ros2 bag convert makes MCAP of it",
+        ),
         ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
+        ("a.txt", b"timestamp,time", ".* found text: turtlelog import makes a recording of a log"),
         ("a.json", b"{", r"expected JSON, found"),
     ],
 )

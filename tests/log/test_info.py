@@ -6,6 +6,7 @@ from mcap.reader import make_reader
 from mcap.writer import IndexType, Writer
 
 from tests.log.runs import find_shared, make_bare_run, simulate_preset
+from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_info, read_recording, write_recording
 
 
@@ -86,3 +87,20 @@ def test_info_agrees_with_the_messages(tmp_path: Path) -> None:
     assert sum(topic.count for topic in info.topics) == len(times)
     assert info.duration_s == np.ptp(times) / 1e9
     assert read_recording(tmp_path / "run.mcap").parameters == info.parameters
+
+
+@pytest.mark.parametrize(
+    ("start", "found"),
+    [
+        (b"", "an empty file"),
+        (b"\xef\xbb\xbftime,x", "text: turtlelog import makes a recording of a log in JSON or CSV"),
+        (b"SQLite format 3\0", "a bag in SQLite: ros2 bag convert makes MCAP of it"),
+        (b"\x89PNG", "0x89504e47"),
+    ],
+)
+def test_what_is_no_mcap_is_told_with_what_helps(start: bytes, found: str, tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(start)
+    with pytest.raises(
+        LogError, match=rf"a: byte 0: expected an MCAP file \(\w+\), found {found}$"
+    ):
+        read_info(tmp_path / "a")

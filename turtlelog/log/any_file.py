@@ -14,7 +14,6 @@ from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag
 from turtlelog.run import Run
 
-_SQLITE_MAGIC: Final = b"SQLite format 3\0"
 _LOG_SUFFIXES: Final = frozenset({".json", ".csv"})
 
 
@@ -40,13 +39,10 @@ def read_run(
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
     if not is_folder:
-        start = _read_start(path)
-        if start.startswith(_SQLITE_MAGIC):
-            raise LogError(
-                f"{path}: expected MCAP, found a bag in SQLite: ros2 bag convert makes MCAP of it"
-            )
-        if not start.startswith(MCAP0_MAGIC):
-            # What should be a recording is told so; everything else may be a log.
+        with name_file(path, expected="a recording, a bag or a log"), path.open("rb") as stream:
+            is_mcap = stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        if not is_mcap:
+            # What should be a recording is told so.
             is_log = path.suffix.lower() in _LOG_SUFFIXES
             return import_log(path) if is_log else read_recording(path)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
@@ -55,11 +51,6 @@ def read_run(
     if own is not None:
         return read_recording(own, allow_partial=allow_partial)
     return read_bag(path, pose_topic=pose_topic, command_topic=command_topic)
-
-
-def _read_start(path: Path) -> bytes:
-    with name_file(path, expected="a recording, a bag or a log"), path.open("rb") as stream:
-        return stream.read(len(_SQLITE_MAGIC))
 
 
 def _find_own_recording(path: Path) -> Path | None:

@@ -18,6 +18,10 @@ _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary off
 _DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
 _UNCHECKED: Final = 4 + len(MCAP0_MAGIC)  # the footer's checksum and what follows it
 _STEP: Final = 2**20  # bytes
+_SQLITE: Final = b"SQLite format 3\0"
+_BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
+START_SIZE: Final = len(_SQLITE)
+"""Bytes at the start of a file that tell what it is."""
 
 
 class DamageError(LogError):
@@ -54,10 +58,25 @@ def check_start(stream: BinaryIO) -> None:
         LogError: Where the file is no MCAP.
     """
     stream.seek(0)
-    start = stream.read(len(MCAP0_MAGIC))
-    if start != MCAP0_MAGIC:
-        found = f"0x{start.hex()}" if start else "an empty file"
-        raise LogError(f"byte 0: expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}")
+    reason = find_wrong_start(stream.read(START_SIZE))
+    if reason is not None:
+        raise LogError(f"byte 0: {reason}")
+
+
+def find_wrong_start(start: bytes) -> str | None:
+    """Return why the first bytes of a file are none of MCAP, and what may help; None if sound."""
+    if start.startswith(MCAP0_MAGIC):
+        return None
+    found = f"0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "an empty file"
+    if start.startswith(_SQLITE):
+        found = "a bag in SQLite: ros2 bag convert makes MCAP of it"
+    elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
+        found = "text: turtlelog import makes a recording of a log in JSON or CSV"
+    return f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}"
+
+
+def _is_text(start: bytes) -> bool:
+    return all(byte in b"\t\n\r" or 0x20 <= byte < 0x7F for byte in start)
 
 
 def read_ends(stream: BinaryIO) -> Ends:

@@ -14,6 +14,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.ends import START_SIZE, find_wrong_start
 from turtlelog.log.engine.framing import (
     RECORD,
     SUMMARY_ONLY,
@@ -118,9 +119,9 @@ def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None,
 
 def _walk_records(window: FileWindow) -> Iterator[Section | Damage]:
     place: int | None = len(MCAP0_MAGIC)
-    if (magic := window.read(0, len(MCAP0_MAGIC))) != MCAP0_MAGIC:
-        reason = f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found 0x{magic.hex()}"
-        yield Damage(start=0, end=len(magic), reason=reason)
+    reason = find_wrong_start(window.read(0, START_SIZE))
+    if reason is not None:
+        yield Damage(start=0, end=min(len(MCAP0_MAGIC), window.size), reason=reason)
     kind = 0  # what stood first: chunks, messages of their own, or what comes before both
     while place is not None:
         start = place
