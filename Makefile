@@ -12,7 +12,8 @@ demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
 
 test: .venv/installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime and not torture"
+	$(BIN)/python -m pytest -m "realtime or torture"
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check .

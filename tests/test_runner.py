@@ -121,6 +121,7 @@ def test_a_run_that_keeps_no_time_never_sleeps() -> None:
     assert clock.sleeps == [0.0]
 
 
+@pytest.mark.realtime
 def test_a_real_clock_paces_a_run() -> None:
     start = time.monotonic()
     run_live(make_scenario(max_duration_s=0.5), realtime=True)
@@ -230,6 +231,7 @@ def test_the_notes_of_a_run_are_recorded(tmp_path: Path) -> None:
     assert "late_ticks" in run.notes
 
 
+@pytest.mark.realtime
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_to_the_process_finishes_the_file(number: signal.Signals, tmp_path: Path) -> None:

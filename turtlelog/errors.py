@@ -3,6 +3,11 @@
 A message is one line: the place, what was expected, what was found.
 """
 
+from collections.abc import Iterable
+from typing import Final
+
+_LISTED: Final = 14
+
 
 class TurtlelogError(Exception):
     """Root of every error that turtlelog raises on purpose."""
@@ -11,6 +16,19 @@ class TurtlelogError(Exception):
 def describe_error(err: BaseException) -> str:
     """Return an error of somebody else's in one line, with its kind."""
     return f"{type(err).__name__}: {' '.join(str(err).split())}".removesuffix(": ")
+
+
+def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
+    """Return what a name that is none may stand for: those nearest to it, else the first ones."""
+    import difflib  # Only mistakes pay for it.
+
+    listed = list(known)
+    near = difflib.get_close_matches(name, listed, n=most)
+    near = near or [found for found in listed if name and found.startswith(name)]
+    if not near and len(listed) > _LISTED:
+        return f"{', '.join(listed[:_LISTED])}, ..."
+    *others, last = near or listed or ["none"]
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 class ExpressionError(TurtlelogError):

@@ -86,7 +86,7 @@ def test_a_bag_of_poses_and_commands_tells_little(call: Call) -> None:
     [
         (["--metric", "luck"], "metric 'luck': expected an id such as"),
         (["--metric", "final.postion_error"], "expected one like final.position_error"),
-        (["--mechanisms", "queue,luck"], "mechanism 'luck': expected one of queue, pause"),
+        (["--mechanisms", "queue,luck"], "mechanism: expected queue, pause"),
         (["--mechanisms", "queue,queue"], "mechanisms: expected 1 to 6 different ones"),
         (["--rrd", "why.txt"], "expected a name that ends in .rrd"),
         (["--scenario", "found.txt"], "expected a name that ends in .toml"),

@@ -136,6 +136,8 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--dead-time", "1001"], "expected a whole number from 0 to 1000, found 1001"),
         (["--reference-path", "none.csv"], "none.csv: expected a file of points, found: No such"),
         (["--jobs", "0"], "jobs: expected at least 1 process, found 0"),
+        (["--jobs", "1.5"], "--jobs: expected a whole number, found '1.5'"),
+        (["--dead-time", "1.5"], "--dead-time: expected a whole number, found '1.5'"),
         (["--csv", "--json"], "--json: expected one format, found --csv beside it"),
         (["--markdown", "--latex"], "--latex: expected one format, found --markdown beside it"),
     ],

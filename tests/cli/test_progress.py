@@ -124,6 +124,7 @@ def test_measuring_shows_how_many_files_are_done(
     assert "reading 1/3 files" in terminal.read()
 
 
+@pytest.mark.realtime
 @on_terminals
 def test_a_live_run_shows_its_seconds_on_a_terminal_and_nothing_elsewhere() -> None:
     words = ("run", "paper", "--set", "max_duration_s=1.7", "--realtime")

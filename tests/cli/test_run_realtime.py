@@ -10,6 +10,8 @@ import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.log.live import ROOT, read_messages
 
+pytestmark = pytest.mark.realtime
+
 SHORT = ("--set", "max_duration_s=0.6")
 
 

@@ -51,7 +51,7 @@ def test_tables_of_other_stages_are_left_to_them(tmp_path: Path) -> None:
             "format = 1\n[metrics.'run.durations']\nabs = 1",
             "metrics.run.durations: expected run.dur",
         ),
-        ("format = 1\n[signals.'']", "signals.: expected x or y"),
+        ("format = 1\n[signals.'']", "signals.: expected x, y"),
         ("format = 1\n[metrics.'run.durations']", "metrics.run.durations: expected .*run.duration"),
         (
             "format = 1\n[metrics.rotate.overshoot]",

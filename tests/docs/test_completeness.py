@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "turtlelog"
 PAGES = sorted((ROOT / "docs").glob("*.md"))
-ENTRANCES = {"__init__.py", "__main__.py", "__pycache__", "py.typed"}
+ENTRANCES = {"__init__.py", "__init__.pyi", "__main__.py", "__pycache__", "py.typed"}
 
 
 def read_page(name: str) -> str:

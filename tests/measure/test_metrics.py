@@ -127,6 +127,12 @@ def test_a_phase_that_was_cut_has_no_length_and_no_final_error() -> None:
     assert metrics["rotate.duration"].reason == "the run was cut in this phase"
 
 
+def test_a_phase_cut_inside_the_band_has_settled_as_far_as_is_recorded() -> None:
+    cut, whole = measure("paper-kp4", max_duration_s=9.5), measure("paper-kp4")
+    assert cut["translate.overshoot"].status == tl.Status.TOO_SHORT
+    assert cut["translate.settling_time"] == whole["translate.settling_time"]
+
+
 def test_a_return_to_a_phase_does_not_lengthen_it() -> None:
     run = tl.simulate_run(tl.load_scenario("paper-kp4"))
     phase = run.samples.phase.copy()

@@ -112,7 +112,8 @@ def test_commands_are_held_and_poses_joined_by_lines(kind: Any) -> None:
 
 
 def test_unknown_signal_is_refused_with_those_that_are_known() -> None:
-    line = f"signal 'z': expected one of {', '.join(SIGNALS)}"
+    *others, last = SIGNALS
+    line = f"signal 'z': expected {', '.join(others)} or {last}"
     with pytest.raises(MeasureError, match=rf"\A{re.escape(line)}\Z"):
         read_signal(make_run(), "z")
     with pytest.raises(MeasureError, match=r"'headin': expected heading or heading_error\Z"):

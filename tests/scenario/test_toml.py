@@ -136,7 +136,7 @@ def test_whole_numbers_serve_as_numbers() -> None:
     assert (scenario.goal.x_m, scenario.law.parameters.kp_linear) == (3.0, 4.0)
 
 
-KEYS = "kp_angular or kp_linear or heading_tolerance_rad or position_tolerance_m or"
+KEYS = "kp_angular, kp_linear, heading_tolerance_rad, position_tolerance_m,"
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ KEYS = "kp_angular or kp_linear or heading_tolerance_rad or position_tolerance_m
         ("law.kp_lin = 1", "law.kp_lin: expected kp_linear, found an unknown key"),
         (
             "law.q = 1",
-            f"law.q: expected {KEYS} projection or wrap_error or pause_ticks, found an unknown key",
+            f"law.q: expected {KEYS} projection, wrap_error or pause_ticks, found an unknown key",
         ),
     ],
 )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.options import Whole
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class MeasureOptions:
     initial: str | None = None
     final: str | None = None
     reference_path: Path | None = None
-    dead_time: int | None = None
+    dead_time: Whole | None = None
 
     def list_patterns(self) -> list[str] | None:
         """Return the ids and patterns that are asked for, None where none are."""

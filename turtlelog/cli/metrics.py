@@ -11,7 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.measuring import MeasureOptions
-from turtlelog.cli.options import Files, TopicOptions, require_files
+from turtlelog.cli.options import Files, TopicOptions, Whole, require_files
 from turtlelog.cli.output import (
     describe_metrics,
     print_csv,
@@ -34,7 +34,7 @@ def metrics(
     *,
     measuring: MeasureOptions | None = None,
     all_: Annotated[bool, Parameter(name="--all", negative="")] = False,
-    jobs: int = 1,
+    jobs: Whole = 1,
     formats: FormatOptions | None = None,
     topics: TopicOptions | None = None,
 ) -> int:

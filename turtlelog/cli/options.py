@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.output import print_run_notes
@@ -16,11 +16,23 @@ from turtlelog.errors import UsageError
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario, TopicChoice
 
+
+def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
+    text = tokens[0].value
+    try:
+        return int(text)
+    except ValueError as err:
+        found = f"found {text[:60]!r}"
+        raise UsageError(f"{tokens[0].keyword}: expected a whole number, {found}") from err
+
+
 Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
 Partial = Annotated[bool, Parameter(name="--partial", negative="")]
 Connect = Annotated[str | None, Parameter(name="--connect")]
 Json = Annotated[bool, Parameter(name="--json", negative="")]
+Whole = Annotated[int, Parameter(converter=_read_whole)]
+"""A whole number; a plain int would cut 1.5 to 1."""
 
 
 @Parameter(name="*")

@@ -1,12 +1,9 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Final
-
-from cyclopts import Parameter, Token
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.options import Json
+from turtlelog.cli.options import Json, Whole
 from turtlelog.cli.output import format_table, print_json, print_text
 from turtlelog.cli.theory_tables import compute_limits, list_dead_times, tabulate_theory
 from turtlelog.errors import UsageError
@@ -17,20 +14,11 @@ if TYPE_CHECKING:
 _MOST_GAINS: Final = 100
 
 
-def _read_ticks(_: Any, tokens: Sequence[Token]) -> int:
-    """Return a whole number; a plain int option would cut 1.5 to 1."""
-    text = tokens[0].value
-    try:
-        return int(text)
-    except ValueError as err:
-        raise UsageError(f"--dead-time: expected a whole number, found {text[:60]!r}") from err
-
-
 def theory(
     *,
     kp: str = "1,2,4,10",
     period: float = 0.016,
-    dead_time: Annotated[int, Parameter(converter=_read_ticks)] = 0,
+    dead_time: Whole = 0,
     json: Json = False,
 ) -> None:
     """Say what theory expects of an integrator under proportional feedback.

@@ -1,14 +1,13 @@
 """A common clock for two runs: where time zero of each is, and which stretch both cover."""
 
 import dataclasses
-import difflib
 from dataclasses import dataclass
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import CompareError
+from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import Signal
 from turtlelog.run import Phase, Run
 
@@ -49,8 +48,8 @@ def align_runs(reference: Run, run: Run, alignment: str) -> Clock:
             do not overlap.
     """
     if alignment not in ALIGNMENTS:
-        near = difflib.get_close_matches(alignment, ALIGNMENTS, n=2) or ALIGNMENTS
-        raise CompareError(f"alignment: expected {' or '.join(near)}, found {alignment!r}")
+        expected = suggest_names(alignment, ALIGNMENTS)
+        raise CompareError(f"alignment: expected {expected}, found {alignment!r}")
     if alignment == "sample":
         return _align_by_number(reference, run)
     if alignment == "recorded":

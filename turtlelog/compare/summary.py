@@ -1,13 +1,12 @@
 """Runs in short, for tables of many: what they were, and how well they did."""
 
-import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.errors import CompareError
+from turtlelog.errors import CompareError, suggest_names
 from turtlelog.expressions import evaluate_expression, parse_expression
 from turtlelog.measure import METRICS, Metric, measure_run
 from turtlelog.run import Parameter, Run
@@ -193,8 +192,7 @@ def _list_names(summaries: Sequence[RunSummary]) -> list[str]:
 
 def _require_name(name: str, known: Sequence[str], source: str) -> None:
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=3) or ["an id such as run.duration"]
-        raise CompareError(f"{source}: expected {' or '.join(near)}, found {name!r}")
+        raise CompareError(f"{source}: expected {suggest_names(name, known)}, found {name!r}")
 
 
 def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:

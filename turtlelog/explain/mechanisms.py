@@ -1,13 +1,12 @@
 """The effects of an implementation, each a switch of the scenario."""
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.errors import ExplainError
+from turtlelog.errors import ExplainError, suggest_names
 from turtlelog.explain.finer import FINER, simulate_finer
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, override_scenario
@@ -88,6 +87,5 @@ def find_mechanism(name: str) -> Mechanism:
         ExplainError: Where no mechanism has that name.
     """
     if name not in MECHANISMS:
-        near = difflib.get_close_matches(name, MECHANISMS, n=1) or MECHANISMS
-        raise ExplainError(f"mechanism {name!r}: expected one of {', '.join(near)}")
+        raise ExplainError(f"mechanism: expected {suggest_names(name, MECHANISMS)}, found {name!r}")
     return MECHANISMS[name]

@@ -4,10 +4,10 @@ From loosest to tightest: implies (to the right), or, and, until (to the right),
 comparisons (chained), + -, * /, unary -, ** (to the right).
 """
 
-import difflib
 import math
 from typing import Any, Final, NoReturn, cast
 
+from turtlelog.errors import suggest_names
 from turtlelog.expressions.functions import ARGUMENTS, describe_arguments
 from turtlelog.expressions.place import build_error
 from turtlelog.expressions.tokens import Token, split_tokens
@@ -226,8 +226,7 @@ class _Parser:
 
     def _parse_call(self, token: Token) -> Node:
         if token.text not in ARGUMENTS:
-            known = difflib.get_close_matches(token.text, ARGUMENTS, n=3) or list(ARGUMENTS)
-            self._fail(token, f"expected a function like {', '.join(known)}")
+            self._fail(token, f"expected a function like {suggest_names(token.text, ARGUMENTS)}")
         arguments = [] if self._is_next(")") else [self._parse_level(1)]
         while self._takes(","):
             arguments.append(self._parse_level(1))

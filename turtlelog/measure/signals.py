@@ -1,6 +1,5 @@
 """The signals of a run by name: the one table that metrics, comparison and pictures share."""
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.errors import MeasureError
+from turtlelog.errors import MeasureError, suggest_names
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -61,9 +60,7 @@ def read_signal(run: Run, name: str) -> Signal | None:
         MeasureError: Where no signal has that name.
     """
     if name not in SIGNALS:
-        near = difflib.get_close_matches(name, SIGNALS, n=3)
-        wanted = " or ".join(near) if near else f"one of {', '.join(SIGNALS)}"
-        raise MeasureError(f"signal {name!r}: expected {wanted}")
+        raise MeasureError(f"signal {name!r}: expected {suggest_names(name, SIGNALS)}")
     kind = SIGNALS[name]
     values = kind.read(run)
     if values is None or (kind.source == "sample" and not len(run.samples)):

@@ -1,7 +1,6 @@
 """Nested tables to scenarios and back; the one place that judges keys and values."""
 
 import dataclasses
-import difflib
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -9,7 +8,7 @@ from typing import Any, get_type_hints
 
 import msgspec
 
-from turtlelog.errors import LawError, ScenarioError
+from turtlelog.errors import LawError, ScenarioError, suggest_names
 from turtlelog.laws import find_law
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
@@ -108,8 +107,7 @@ def flatten_tables(tables: Mapping[str, Any]) -> dict[str, Parameter]:
 
 def describe_unknown_key(key: str, known: list[str]) -> str:
     """Return the end of an error line for a key that is not known, with the nearest that are."""
-    near = difflib.get_close_matches(key, known, n=2) or known
-    return f"expected {' or '.join(near)}, found an unknown key"
+    return f"expected {suggest_names(key, known, most=2)}, found an unknown key"
 
 
 def _list_unknown(run: Run) -> str:

@@ -15,6 +15,8 @@ from turtlelog.show.rerun import scene_live
 from turtlelog.show.rerun.growing_stream import GrowingStream
 from turtlelog.simulate import RunCollector, Tick, iterate_ticks
 
+pytestmark = pytest.mark.realtime
+
 SHORT = tl.override_scenario(tl.load_scenario("paper-kp4"), {"max_duration_s": 1.0})
 
 
