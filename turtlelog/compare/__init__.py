@@ -13,7 +13,7 @@ from turtlelog.compare.difference import (
     compare_runs,
     iter_comparisons,
 )
-from turtlelog.compare.files import TopicChoice, summarise_files
+from turtlelog.compare.files import summarise_files
 from turtlelog.compare.gains import USUAL_METRICS, mark_metric, tabulate_runs
 from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
 from turtlelog.compare.names import name_runs
@@ -45,7 +45,6 @@ __all__ = [
     "Table",
     "Tolerance",
     "Tolerances",
-    "TopicChoice",
     "choose_columns",
     "compare_runs",
     "format_cell",

@@ -4,31 +4,18 @@ import multiprocessing
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 from turtlelog.compare.summary import RunSummary, summarise_run
 from turtlelog.errors import CompareError, TurtlelogError
-from turtlelog.log import PartialRecordingWarning, read_run
+from turtlelog.log import PartialRecordingWarning, TopicChoice, read_run
 from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
 from turtlelog.run import Run
 
 _AT_ONCE: Final = 16
 """Files that a process takes at a time."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TopicChoice:
-    """Which topics of somebody else's bags to read, and whether recordings may be unfinished.
-
-    Topics are None where but one can be meant.
-    """
-
-    pose_topic: str | None = None
-    command_topic: str | None = None
-    allow_partial: bool = False
 
 
 def summarise_files(

@@ -1,6 +1,6 @@
 """Run <-> files: topics and schemas, writers, readers, columns of any file, importers, recovery."""
 
-from turtlelog.log.any_file import read_run
+from turtlelog.log.any_file import TopicChoice, read_run
 from turtlelog.log.atomic import replace_when_complete
 from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
 from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
@@ -22,6 +22,7 @@ __all__ = [
     "RecordingInfo",
     "RecordingTail",
     "RecoveryReport",
+    "TopicChoice",
     "TopicColumns",
     "TopicInfo",
     "export_csv",

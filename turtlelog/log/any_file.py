@@ -1,5 +1,6 @@
 """Any file -> Run: the kind is told by what is in it."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,18 @@ from turtlelog.log.ros2 import list_bag_files, read_bag
 from turtlelog.run import Run
 
 _LOG_SUFFIXES: Final = frozenset({".json", ".csv"})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicChoice:
+    """Which topics of somebody else's bags to read, and whether recordings may be unfinished.
+
+    Topics are None where but one can be meant.
+    """
+
+    pose_topic: str | None = None
+    command_topic: str | None = None
+    allow_partial: bool = False
 
 
 def read_run(

@@ -22,7 +22,7 @@ from turtlelog.log.ros2.columns_of_types import (
 )
 from turtlelog.log.ros2.rows import Rows, order_rows, separate_times
 from turtlelog.log.ros2.topic_choice import (
-    TopicChoice,
+    ChosenTopic,
     choose_command_topic,
     choose_pose_topic,
 )
@@ -91,7 +91,7 @@ def _merge(topics: Sequence[TopicInfo]) -> list[TopicInfo]:
 
 
 def _build_run(
-    path: Path, found: _Found, pose_topic: TopicChoice, command_topic: TopicChoice | None
+    path: Path, found: _Found, pose_topic: ChosenTopic, command_topic: ChosenTopic | None
 ) -> Run:
     poses = _order(found, pose_topic, extract_poses)
     commands = None if command_topic is None else _order(found, command_topic, extract_commands)
@@ -129,7 +129,7 @@ def _build_run(
 
 
 def _order(
-    found: _Found, choice: TopicChoice, extract: Callable[[str, Fields], dict[str, Values]]
+    found: _Found, choice: ChosenTopic, extract: Callable[[str, Fields], dict[str, Values]]
 ) -> Rows:
     """Return the rows of a topic from all files."""
     messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]

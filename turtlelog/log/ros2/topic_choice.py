@@ -21,14 +21,14 @@ _TURTLE_COMMANDS: Final = re.compile(r"/turtle\d+/cmd_vel")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TopicChoice:
+class ChosenTopic:
     """A topic and the type of its messages."""
 
     topic: str
     type: str
 
 
-def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicChoice:
+def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> ChosenTopic:
     """Return the topic that was asked for, or else the one that can be meant.
 
     Raises:
@@ -48,7 +48,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicCh
 
 def choose_command_topic(
     topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
-) -> TopicChoice | None:
+) -> ChosenTopic | None:
     """Return the topic that was asked for, or the one that can be meant; None where there is none.
 
     The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others.
@@ -72,10 +72,10 @@ def choose_command_topic(
 
 def _find_asked(
     present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
-) -> TopicChoice:
+) -> ChosenTopic:
     for topic in present:
         if topic.topic == asked and topic.type in types:
-            return TopicChoice(topic=topic.topic, type=topic.type)
+            return ChosenTopic(topic=topic.topic, type=topic.type)
     found = next((f"{topic.type}" for topic in present if topic.topic == asked), None)
     if found is None:
         names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
@@ -87,11 +87,11 @@ def _list_fitting(present: Collection[TopicInfo], types: tuple[str, ...]) -> lis
     return [topic for topic in present if topic.type in types]
 
 
-def _require_one(chosen: list[TopicInfo], name: str, option: str) -> TopicChoice:
+def _require_one(chosen: list[TopicInfo], name: str, option: str) -> ChosenTopic:
     if len(chosen) > 1:
         names = ", ".join(topic.topic for topic in chosen)
         raise LogError(f"{name}: expected one topic, found {names}: choose with {option}")
-    return TopicChoice(topic=chosen[0].topic, type=chosen[0].type)
+    return ChosenTopic(topic=chosen[0].topic, type=chosen[0].type)
 
 
 def _shorten(text: str) -> str:
