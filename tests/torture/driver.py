@@ -1,16 +1,15 @@
-"""A live recording that is about to be killed, and a journal of what was handed to it when.
+"""A live recording that is about to be killed, and a journal of what was handed to it when."""
 
-Run as `python -m tests.torture.driver PRESET RECORDING JOURNAL`.
-"""
-
-import sys
+import struct
 import time
 from pathlib import Path
 
 import turtlelog as tl
-from tests.torture.kills import ENTRY
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.simulate import iterate_ticks
+
+ENTRY = struct.Struct("<qq")
+"""Wall clock after a tick was handed over, and the tick's own time [ns]."""
 
 
 def record_live(preset: str, recording: Path, journal: Path) -> None:
@@ -22,7 +21,3 @@ def record_live(preset: str, recording: Path, journal: Path) -> None:
             time.sleep(max(wait_ns, 0) / 1e9)
             recorder.receive(tick)
             entries.write(ENTRY.pack(time.time_ns(), tick.time_ns))
-
-
-if __name__ == "__main__":
-    record_live(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]))

@@ -1,22 +1,22 @@
 """Live recordings killed at random moments, and whether they kept what they must."""
 
-import struct
+import multiprocessing
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import turtlelog as tl
+from tests.torture.driver import ENTRY, record_live
 from tests.torture.recordings import Record, list_messages
 from turtlelog.errors import LogError
 from turtlelog.log.recovery import recover_recording
 
 ROOT = Path(__file__).parents[2]
-ENTRY = struct.Struct("<qq")
-"""Wall clock after a tick was handed over, and the tick's own time [ns]."""
-
 MAY_LOSE_NS = 1_100_000_000
 """Of the last moments before the end; everything older must come back."""
 
@@ -40,8 +40,10 @@ class Killed:
     at_ns: int
 
 
-def kill_recorders(folder: Path, count: int, *, at_once: int, seed: int) -> list[Killed]:
-    """Start live recordings, some at once, and kill each 1.2 to 6 s after its first tick."""
+def kill_recorders(
+    folder: Path, count: int, *, at_once: int, latest_s: float, seed: int
+) -> list[Killed]:
+    """Start live recordings, some at once; kill each 1.2 to `latest_s` after its first tick."""
     random, killed = Random(seed), []
     for first in range(0, count, at_once):
         numbers = range(first, min(first + at_once, count))
@@ -49,12 +51,12 @@ def kill_recorders(folder: Path, count: int, *, at_once: int, seed: int) -> list
         for process, found in started:
             _await_first_tick(process, found)
         begun = time.monotonic()
-        moments = sorted(random.uniform(1.2, 6.0) for _ in started)
+        moments = sorted(random.uniform(1.2, latest_s) for _ in started)
         for moment, (process, found) in zip(moments, started, strict=True):
             time.sleep(max(begun + moment - time.monotonic(), 0.0))
             at_ns = time.time_ns()
             process.kill()
-            process.wait()
+            process.join()
             killed.append(
                 Killed(preset=found.preset, path=found.path, journal=found.journal, at_ns=at_ns)
             )
@@ -99,23 +101,25 @@ def simulate_messages(preset: str, folder: Path) -> list[Record]:
     return list_messages(path.read_bytes())
 
 
-def _start(folder: Path, number: int) -> tuple["subprocess.Popen[bytes]", Killed]:
+def _start(folder: Path, number: int) -> tuple[BaseProcess, Killed]:
     preset = PRESETS[number % len(PRESETS)]
     path, journal = folder / f"{number}.mcap", folder / f"{number}.journal"
-    words = [sys.executable, "-m", "tests.torture.driver", preset, str(path), str(journal)]
-    with (folder / f"{number}.errors").open("wb") as errors:
-        process = subprocess.Popen(words, cwd=ROOT, stderr=errors)
+    # Forked from a process that has imported all of it, where there is such a thing.
+    is_forked = "forkserver" in multiprocessing.get_all_start_methods()
+    context: Any = multiprocessing.get_context("forkserver" if is_forked else "spawn")
+    context.set_forkserver_preload([record_live.__module__])
+    process = context.Process(target=record_live, args=(preset, path, journal), daemon=True)
+    process.start()
     return process, Killed(preset=preset, path=path, journal=journal, at_ns=0)
 
 
-def _await_first_tick(process: "subprocess.Popen[bytes]", found: Killed) -> None:
+def _await_first_tick(process: BaseProcess, found: Killed) -> None:
     deadline = time.monotonic() + 60.0
     while not (found.journal.exists() and found.journal.stat().st_size):
-        if process.poll() is not None or time.monotonic() > deadline:
+        if not process.is_alive() or time.monotonic() > deadline:
             process.kill()
-            process.wait()
-            reason = found.path.with_suffix(".errors").read_text("utf-8")
-            raise RuntimeError(f"expected a recorder that runs, found: {reason}")
+            process.join()
+            raise RuntimeError(f"expected a recorder that runs, found exit code {process.exitcode}")
         time.sleep(0.01)
 
 

@@ -1,6 +1,6 @@
 """Reads damaged files with little memory to spare, in a process of its own; Linux.
 
-Run as `python -m tests.torture.memory RECORDING SEED COUNT`: prints each damage that needed more.
+Run as `python -m tests.torture.memory SEED COUNT RECORDING...`: prints what needed more.
 """
 
 import json
@@ -48,21 +48,26 @@ def limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (peak + SPARE, peak + SPARE))
 
 
-def main(path: Path, seed: int, count: int) -> None:
-    sound = path.read_bytes()
-    lies = list_lies(sound)
-    harms = Random(seed).sample(lies, min(count, len(lies))) + sample_harms(sound, count, seed)
+def main(seed: int, count: int, paths: list[Path]) -> None:
+    sounds = [path.read_bytes() for path in paths]
     with tempfile.TemporaryDirectory() as folder:
-        readers = Readers(sound, Path(folder))
-        for _ in readers.try_all(sound):
-            pass
+        all_readers = [Readers(sound, Path(folder)) for sound in sounds]
+        for sound, readers in zip(sounds, all_readers, strict=True):
+            for _ in readers.try_all(sound):
+                pass
         limit_memory()
-        for harm in harms:
-            for name, _, text in readers.try_all(harm.apply(sound)):
-                if re.search(r"memory|alloc", text, re.IGNORECASE):
-                    sys.stdout.write(json.dumps([name, repr(harm), text]) + "\n")
-    sys.stdout.write(json.dumps(len(harms)) + "\n")
+        tried = 0
+        for path, sound, readers in zip(paths, sounds, all_readers, strict=True):
+            lies = list_lies(sound)
+            chosen = Random(seed).sample(lies, min(count, len(lies)))
+            for harm in [*chosen, *sample_harms(sound, count, seed)]:
+                tried += 1
+                for name, _, text in readers.try_all(harm.apply(sound)):
+                    if re.search(r"memory|alloc", text, re.IGNORECASE):
+                        found = [path.name, name, repr(harm), text]
+                        sys.stdout.write(json.dumps(found) + "\n")
+    sys.stdout.write(json.dumps(tried) + "\n")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
+    main(int(sys.argv[1]), int(sys.argv[2]), [Path(name) for name in sys.argv[3:]])
