@@ -16,7 +16,6 @@ from turtlelog.errors import LogError
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary offsets, crc
 _DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
-_UNCHECKED: Final = 4 + len(MCAP0_MAGIC)  # the footer's checksum and what follows it
 _STEP: Final = 2**20  # bytes
 _SQLITE: Final = b"SQLite format 3\0"
 _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
@@ -33,22 +32,31 @@ class UnfinishedError(DamageError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SummaryBytes:
+    """The summary section of a file, its checksum held where it has one.
+
+    Attributes:
+        start: Its byte in the file; where it is empty, that of the footer.
+        data: Its records, summary offsets included.
+    """
+
+    start: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Ends:
     """Where the parts of a whole file are.
 
     Attributes:
-        size: Of the file [bytes].
         data_end: Byte of the record that ends the data section.
         data_crc: Checksum of all bytes before it, 0 where there is none.
-        summary_start: Byte of the summary section; where it is empty, that of the footer.
-        summary: Its bytes, summary offsets included, checked.
+        summary: What comes after it.
     """
 
-    size: int
     data_end: int
     data_crc: int
-    summary_start: int
-    summary: bytes
+    summary: SummaryBytes
 
 
 def check_start(stream: BinaryIO) -> None:
@@ -87,34 +95,22 @@ def read_ends(stream: BinaryIO) -> Ends:
         DamageError: Where it is cut short, or its summary is damaged.
     """
     check_start(stream)
-    size = stream.seek(0, io.SEEK_END)
-    tail = _FOOTER.size + len(MCAP0_MAGIC)
-    stream.seek(max(size - tail, 0))
-    footer, end = stream.read(_FOOTER.size), stream.read()
-    if size < len(MCAP0_MAGIC) + tail or end != MCAP0_MAGIC:
-        raise UnfinishedError(
-            f"byte {size}: expected the end of an MCAP file, found none:"
-            " cut short, or never finished"
-        )
-    place = size - tail
-    opcode, length, summary_start, _, checksum = _FOOTER.unpack(footer)
-    if opcode != Opcode.FOOTER or length != 20 or summary_start > place:
-        raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")
-    summary_start = summary_start or place
-    data_end, data_crc = _read_data_end(stream, summary_start)
-    summary = stream.read(size - _UNCHECKED - summary_start)
-    if checksum and checksum != (found := zlib.crc32(summary)):
-        raise DamageError(
-            f"byte {summary_start}: expected a summary of checksum {checksum:#010x},"
-            f" found {found:#010x}"
-        )
-    return Ends(
-        size=size,
-        data_end=data_end,
-        data_crc=data_crc,
-        summary_start=summary_start,
-        summary=summary[: place - summary_start],
-    )
+    footer = _read_footer(stream)
+    data_end, data_crc = _read_data_end(stream, footer.summary_start)
+    summary = _read_summary(stream, footer)
+    return Ends(data_end=data_end, data_crc=data_crc, summary=summary)
+
+
+def read_summary(stream: BinaryIO) -> SummaryBytes:
+    """Return the summary section of a file, whatever its data are like.
+
+    Raises:
+        DamageError: Where the file is cut short, or its footer or summary is damaged.
+    """
+    footer = _read_footer(stream)
+    if not footer.checksum:  # then only this bears out where it starts
+        _read_data_end(stream, footer.summary_start)
+    return _read_summary(stream, footer)
 
 
 def check_data(stream: BinaryIO, ends: Ends) -> None:
@@ -123,15 +119,63 @@ def check_data(stream: BinaryIO, ends: Ends) -> None:
     Raises:
         DamageError: Where they are not those that were written.
     """
-    stream.seek(0)
-    found = 0
-    for start in range(0, ends.data_end if ends.data_crc else 0, _STEP):
-        found = zlib.crc32(stream.read(min(_STEP, ends.data_end - start)), found)
+    found = _compute_checksum(stream, 0, ends.data_end if ends.data_crc else 0)
     if found != ends.data_crc:
         raise DamageError(
             f"byte {ends.data_end}: expected data of checksum {ends.data_crc:#010x},"
             f" found {found:#010x}"
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Footer:
+    """The last record.
+
+    Attributes:
+        place: Its byte in the file.
+        summary_start: Byte of the summary section; where it is empty, that of the footer.
+        checksum: Of the summary and the footer up to it, 0 where there is none.
+    """
+
+    place: int
+    summary_start: int
+    checksum: int
+
+
+def _read_footer(stream: BinaryIO) -> _Footer:
+    size = stream.seek(0, io.SEEK_END)
+    place = size - _FOOTER.size - len(MCAP0_MAGIC)
+    stream.seek(max(place, 0))
+    footer, end = stream.read(_FOOTER.size), stream.read()
+    if place < len(MCAP0_MAGIC) or end != MCAP0_MAGIC:
+        raise UnfinishedError(
+            f"byte {size}: expected the end of an MCAP file, found none:"
+            " cut short, or never finished"
+        )
+    opcode, length, start, _, checksum = _FOOTER.unpack(footer)
+    if opcode != Opcode.FOOTER or length != 20 or start > place:
+        raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")
+    return _Footer(place=place, summary_start=start or place, checksum=checksum)
+
+
+def _read_summary(stream: BinaryIO, footer: _Footer) -> SummaryBytes:
+    start, expected = footer.summary_start, footer.checksum
+    end = footer.place + _FOOTER.size - 4  # the checksum covers the footer up to itself
+    # Held before anything is read: a damaged footer may claim that all of the file is summary.
+    if expected and expected != (found := _compute_checksum(stream, start, end)):
+        raise DamageError(
+            f"byte {start}: expected a summary of checksum {expected:#010x}, found {found:#010x}"
+        )
+    stream.seek(start)
+    return SummaryBytes(start=start, data=stream.read(footer.place - start))
+
+
+def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:
+    stream.seek(start)
+    found = 0
+    for place in range(start, end, _STEP):
+        found = zlib.crc32(stream.read(min(_STEP, end - place)), found)
+    return found
 
 
 def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:

@@ -181,6 +181,6 @@ def _check_counts(source: Source, counts: Counter[int], channels: Collection[int
     for channel, expected in statistics.channel_message_counts.items() if statistics else ():
         if (channels is None or channel in channels) and counts[channel] != expected:
             raise DamageError(
-                f"byte {source.ends.summary_start}: channel {channel}: expected {expected} messages"
+                f"byte {source.ends.summary.start}: channel {channel}: expected {expected} messages"
                 f" as the statistics say, found {counts[channel]}"
             )

@@ -51,9 +51,9 @@ class Source:
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self.ends: Ends = read_ends(stream)
-        summary = parse_summary(self.ends)
+        summary = parse_summary(self.ends.summary)
         self.catalogue = Catalogue()
-        self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary_start)
+        self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary.start)
         lone = find_lone_records(stream, self.ends, summary)
         self.statistics = summary.statistics
         self._named = summary.named

@@ -11,7 +11,7 @@ from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statis
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import describe_error
-from turtlelog.log.engine.ends import DamageError, Ends
+from turtlelog.log.engine.ends import DamageError, Ends, SummaryBytes
 from turtlelog.log.engine.parsing import HEADING, Place, iterate_places, parse_record
 
 _TIMES: Final = struct.Struct("<QQQQI")  # start, end, place, length, bytes of the offsets
@@ -71,7 +71,7 @@ class Summary:
     named: Mapping[int, tuple[int, str]]
 
 
-def parse_summary(ends: Ends) -> Summary:
+def parse_summary(section: SummaryBytes) -> Summary:
     """Return what the summary section says.
 
     Raises:
@@ -79,7 +79,7 @@ def parse_summary(ends: Ends) -> Summary:
     """
     chunks: list[ChunkEntry] = []
     records: list[Any] = []
-    data, byte = ends.summary, ends.summary_start
+    data, byte = section.data, section.start
     for place in iterate_places(data, 0, len(data), byte):
         if place.opcode == Opcode.CHUNK_INDEX:
             chunks.append(_parse_entry(data, place, byte))
