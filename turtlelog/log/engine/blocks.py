@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
 from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.gather import gather_bytes
-from turtlelog.log.engine.parsing import HEADING, Place, iterate_places, parse_record
+from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 from turtlelog.log.engine.summary import ChunkEntry
 
 Offsets = NDArray[np.int64]
@@ -59,13 +60,13 @@ def build_indexed_block(entry: ChunkEntry, stored: bytes) -> Block:
         DamageError: Where chunk, indexes and summary are not sound, or do not agree.
     """
     byte = entry.start
-    opcode, length = HEADING.unpack_from(stored) if len(stored) > HEADING.size else (0, 0)
-    if opcode != Opcode.CHUNK or HEADING.size + length != entry.length:
+    opcode, length = RECORD.unpack_from(stored) if len(stored) > RECORD.size else (0, 0)
+    if opcode != Opcode.CHUNK or RECORD.size + length != entry.length:
         raise DamageError(
             f"byte {byte}: expected a chunk of {entry.length} bytes,"
-            f" found opcode {opcode} with {HEADING.size + length}"
+            f" found opcode {opcode} with {RECORD.size + length}"
         )
-    body = stored[HEADING.size : entry.length]
+    body = stored[RECORD.size : entry.length]
     head = parse_chunk_head(body, byte)
     found = (head.start_ns, head.end_ns, head.size)
     if found != (entry.start_ns, entry.end_ns, entry.size):
@@ -89,10 +90,10 @@ def build_walked_block(data: bytes, byte: int) -> Block:
     rest = []
     for place in iterate_places(data, 0, len(data), byte):
         if place.opcode == Opcode.MESSAGE:
-            if place.length < MESSAGE_HEAD - HEADING.size:
+            if place.length < MESSAGE_HEAD - RECORD.size:
                 raise DamageError(f"byte {byte}: expected a message, found {place.length} bytes")
             offsets[data[place.start] | data[place.start + 1] << 8].append(
-                place.start - HEADING.size
+                place.start - RECORD.size
             )
         else:
             rest.append(parse_record(place, data[place.start : place.end], byte))
@@ -139,7 +140,7 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> tup
     for gap in gaps:
         for place in _walk_gap(data, gap, marks, byte):
             rest.append((place.start, parse_record(place, data[place.start : place.end], byte)))
-            filled += HEADING.size + place.length
+            filled += RECORD.size + place.length
         if filled > len(data):
             break
     if filled != len(data):
@@ -158,10 +159,10 @@ def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: 
     if (heads["opcode"] != Opcode.MESSAGE).any() or (heads["channel"] != channels).any():
         raise _mistrust(byte, "another record than a message of the channel")
     lengths = heads["length"]
-    shortest = MESSAGE_HEAD - HEADING.size
+    shortest = MESSAGE_HEAD - RECORD.size
     if lengths.min() < shortest or lengths.max() > len(data):
         raise _mistrust(byte, f"messages of {lengths.min()} to {lengths.max()} bytes")
-    ends = starts + lengths.astype(np.int64) + HEADING.size
+    ends = starts + lengths.astype(np.int64) + RECORD.size
     if ends.max() > len(data):
         raise _mistrust(byte, f"a message up to {ends.max()} of {len(data)} bytes")
     return ends

@@ -1,11 +1,10 @@
 """The bytes of MCAP records -> values; the rare kinds through the mcap library."""
 
-import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -20,11 +19,11 @@ from mcap.records import (
     Statistics,
 )
 
-from turtlelog.errors import describe_error
+from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.framing import RECORD
 
-HEADING: Final = struct.Struct("<BQ")
-"""Opcode and length of every record."""
+Rare = TypeVar("Rare")
 
 _RARE: Final[dict[int, Any]] = {
     Opcode.HEADER: Header,
@@ -75,10 +74,10 @@ def iterate_places(data: bytes, start: int, end: int, byte: int) -> Iterator[Pla
         DamageError: Where one goes over the end.
     """
     while start < end:
-        if start + HEADING.size > end:
+        if start + RECORD.size > end:
             raise DamageError(f"byte {byte}: expected a record, found {end - start} bytes more")
-        opcode, length = HEADING.unpack_from(data, start)
-        place = Place(opcode, start + HEADING.size, length)
+        opcode, length = RECORD.unpack_from(data, start)
+        place = Place(opcode, start + RECORD.size, length)
         if not opcode or place.end > end:
             left = end - place.start
             raise DamageError(
@@ -99,21 +98,34 @@ def parse_record(place: Place, body: bytes, byte: int) -> Any:
     if kind is None:
         return None
     try:
-        stream = ReadDataStream(_ExactBytes(body))
-        record = kind.read(stream)
-    except Exception as err:
-        found = describe_error(err)
-        raise DamageError(f"byte {byte}: expected {kind.__name__}, found {found}") from err
+        record, size = parse_body(kind, body)
+    except LogError as err:
+        raise DamageError(f"byte {byte}: {err}") from err
     if kind is Attachment:
         # Some writers leave bytes behind the checksum, so it is not just the last four.
-        _check_attachment(body[: stream.count], byte)
+        _check_attachment(body[:size], byte)
     return record
+
+
+def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
+    """Return a record and how many bytes it takes; bytes that a later version appended follow.
+
+    Raises:
+        LogError: One clause, where there are fewer than it claims.
+    """
+    stream = ReadDataStream(_ExactBytes(body))
+    try:
+        record: Rare = kind.read(stream)  # type: ignore[attr-defined]
+    except Exception as err:  # the library raises nearly everything
+        found = describe_error(err)
+        raise LogError(f"expected a sound {kind.__name__} record, found {found}") from err
+    return record, stream.count
 
 
 def read_record(stream: BinaryIO, place: Place) -> Any:
     """Return a record of a rare kind that stands alone in a file."""
     stream.seek(place.start)
-    return parse_record(place, stream.read(place.length), place.start - HEADING.size)
+    return parse_record(place, stream.read(place.length), place.start - RECORD.size)
 
 
 def _check_attachment(body: bytes, byte: int) -> None:

@@ -12,7 +12,8 @@ from mcap.records import Statistics
 from turtlelog.log.engine.blocks import Block, build_indexed_block, build_walked_block
 from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.ends import DamageError, Ends, check_data, check_start, read_ends
-from turtlelog.log.engine.parsing import HEADING, Place, read_record
+from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.parsing import Place, read_record
 from turtlelog.log.engine.summary import ChunkEntry, find_lone_records, parse_summary
 from turtlelog.log.engine.walk import Damage, walk_sections
 
@@ -68,7 +69,7 @@ class Source:
         for place in self.index.lone:
             if place.opcode not in opcodes:
                 continue
-            record, byte = read_record(self._stream, place), place.start - HEADING.size
+            record, byte = read_record(self._stream, place), place.start - RECORD.size
             # Metadata has no checksum; the summary has, and it says what must be there.
             found = place.opcode, getattr(record, "name", "")
             if named.pop(byte, found) != found:

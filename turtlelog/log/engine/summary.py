@@ -12,7 +12,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import describe_error
 from turtlelog.log.engine.ends import DamageError, Ends, SummaryBytes
-from turtlelog.log.engine.parsing import HEADING, Place, iterate_places, parse_record
+from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 
 _TIMES: Final = struct.Struct("<QQQQI")  # start, end, place, length, bytes of the offsets
 _OFFSET: Final = np.dtype([("channel", "<u2"), ("offset", "<u8")])
@@ -137,13 +138,13 @@ def _find_between(stream: BinaryIO, start: int, end: int) -> list[Place] | None:
     found = []
     while start < end:
         stream.seek(start)
-        heading = stream.read(HEADING.size)
-        if len(heading) < HEADING.size:
+        heading = stream.read(RECORD.size)
+        if len(heading) < RECORD.size:
             return None
-        opcode, length = HEADING.unpack(heading)
+        opcode, length = RECORD.unpack(heading)
         if opcode in {0, Opcode.CHUNK, Opcode.MESSAGE}:
             return None
-        place = Place(opcode, start + HEADING.size, length)
+        place = Place(opcode, start + RECORD.size, length)
         if place.opcode in _ALONE:
             found.append(place)
         start = place.end
