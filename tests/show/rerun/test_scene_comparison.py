@@ -191,6 +191,18 @@ def test_twenty_runs_have_colours_and_a_legend_of_their_own(tmp_path: Path) -> N
     assert "Runs" in read_layout(path)
 
 
+def test_runs_stand_in_the_order_of_their_gains_however_they_were_given(
+    comparison_rrd: Path, tmp_path: Path
+) -> None:
+    path, runs = tmp_path / "sorted.rrd", [simulate_preset(name) for name in sorted(PAPER_RUNS)]
+    write_comparison_rrd(runs, path)
+    assert read_static(path, "/__properties/runs", "name") == list(PAPER_RUNS)
+    for name in PAPER_RUNS:
+        entity, component = f"/runs/{name}/distance", "SeriesLines:colors"
+        expected = read_static(comparison_rrd, entity, component)
+        assert read_static(path, entity, component) == expected
+
+
 def test_runs_without_samples_show_their_position(tmp_path: Path) -> None:
     path = tmp_path / "bags.rrd"
     write_comparison_rrd([make_foreign_run(300), make_foreign_run(1)], path)
