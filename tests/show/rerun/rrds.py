@@ -61,11 +61,14 @@ def make_foreign_run(rows: int) -> Run:
     )
 
 
-def read_times(path: Path, entity: str, timeline: str = "sim_time") -> NDArray[np.int64]:
+def read_times(
+    path: Path, entity: str, timeline: str = "sim_time", component: str | None = None
+) -> NDArray[np.int64]:
     return np.concatenate(
         [
             batch.column(batch.schema.get_field_index(timeline)).cast("int64").to_numpy()
             for batch in _read_batches(path, entity, is_static=False)
+            if component is None or component in batch.schema.names
         ]
     )
 
@@ -74,6 +77,7 @@ def read_rows(path: Path, entity: str, component: str) -> list[list[Any]]:
     return [
         row
         for batch in _read_batches(path, entity, is_static=False)
+        if component in batch.schema.names
         for row in batch.column(batch.schema.get_field_index(component)).to_pylist()
     ]
 

@@ -285,7 +285,7 @@ def test_scenario_and_metrics_are_properties(run_rrd: Path) -> None:
 
 def test_ticks_count_the_poses(run_rrd: Path) -> None:
     assert list_timelines(run_rrd) == {"sim_time", "tick"}
-    ticks = read_times(run_rrd, "/plane/turtle", "tick")
+    ticks = read_times(run_rrd, "/plane/turtle", "tick", "Transform3D:translation")
     np.testing.assert_array_equal(ticks, np.arange(len(RUN.poses)))
     at = read_times(run_rrd, "/speed/commanded", "tick")
     np.testing.assert_array_equal(RUN.poses.time_ns[at], RUN.samples.time_ns)
