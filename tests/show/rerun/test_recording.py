@@ -35,7 +35,7 @@ def test_a_file_that_rerun_did_not_write_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rr.RecordingStream, "save", lambda *_, **__: None)
-    with pytest.raises(ShowError, match="found none"):
+    with pytest.raises(ShowError, match="found: none"):
         write_run_rrd(RUN, tmp_path / "run.rrd")
 
 

@@ -50,7 +50,7 @@ class Single:
         content = describe_content([self.run], [""], [self.series], self.references, documents)
         return replace(
             content,
-            corners=choose_corners(self.series, content.ranges, RUN_LEGENDS),
+            corners=choose_corners(self.series, self.marks, content.ranges, RUN_LEGENDS),
             series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
             lines=(join_path(_EVENT_LINES),) if self.run.events else (),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
