@@ -3,6 +3,7 @@
 import subprocess
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from turtlelog.measure import read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show.rerun.viewer import find_viewer
@@ -59,6 +61,21 @@ def make_foreign_run(rows: int) -> Run:
         stop_reason=None,
         events=(),
     )
+
+
+def read_values(name: str) -> NDArray[np.float64]:
+    """Return a signal of the run that most tests are of."""
+    signal = read_signal(simulate_preset("paper-kp10"), name)
+    assert signal is not None
+    return signal.values
+
+
+def join_strips(path: Path, entity: str) -> NDArray[np.float64]:
+    """Return the points of strips that begin where the last one ended."""
+    strips = [np.array(strip) for strip in read_static(path, entity, "LineStrips2D:strips")]
+    for before, after in pairwise(strips):
+        np.testing.assert_array_equal(before[-1], after[0])
+    return np.concatenate([strips[0], *(strip[1:] for strip in strips[1:])])
 
 
 def read_times(
