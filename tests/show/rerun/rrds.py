@@ -142,6 +142,27 @@ def read_layout(path: Path) -> dict[str, list[str]]:
     return {name: contents.get(view, []) for view, name in names.items()}
 
 
+def read_blueprint(path: Path, entity: str) -> dict[str, Any]:
+    """Return the components of one part of the embedded layout, by name."""
+    reader = RrdReader(path)
+    chunks = reader.stream(store=reader.blueprints()[0])
+    batches = [chunk.to_record_batch() for chunk in chunks if chunk.entity_path == entity]
+    return {
+        name: batch.column(name).to_pylist()[0]
+        for batch in batches
+        for name in batch.schema.names
+        if ":" in name and not name.startswith("rerun")
+    }
+
+
+def read_blueprint_parts(path: Path, component: str) -> list[Any]:
+    """Return the values of a component in all parts of the embedded layout."""
+    reader = RrdReader(path)
+    batches = [chunk.to_record_batch() for chunk in reader.stream(store=reader.blueprints()[0])]
+    found = [batch.column(component) for batch in batches if component in batch.schema.names]
+    return [value for column in found for value in column.to_pylist()[0]]
+
+
 def verify(path: Path) -> None:
     command = [str(find_viewer()), "rrd", "verify", str(path)]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)

