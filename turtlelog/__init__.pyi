@@ -40,6 +40,7 @@ from .compare import (
     load_tolerances as load_tolerances,
     mark_metric as mark_metric,
     name_runs as name_runs,
+    order_by_gain as order_by_gain,
     select_runs as select_runs,
     sort_runs as sort_runs,
     summarise_files as summarise_files,

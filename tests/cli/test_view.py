@@ -7,6 +7,7 @@ from urllib.request import ProxyHandler, build_opener
 
 import pytest
 
+import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.log.live import ROOT
 
@@ -51,6 +52,7 @@ def test_web_serves_on_this_machine_only_until_it_is_ended(kp10: Path) -> None:
         (["a.mcap", "--follow", "--web"], "expected a window"),
         (["a.mcap", "--follow", "--save", "a.rrd"], "expected a window"),
         (["a.mcap", "--connect", "rerun+http://127.0.0.1:9/proxy"], "together with --follow"),
+        (["a.mcap", "--timeline", "translate_time"], "expected together with --snapshot"),
         (["a.mcap", "--follow"], "a.mcap: expected a recording, found no such file"),
     ],
 )
@@ -61,6 +63,20 @@ def test_ways_to_look_that_exclude_each_other_are_refused(
     answer = call("view", *words)
     assert (answer.code, answer.out) == (2, "")
     assert found in answer.err
+
+
+@pytest.mark.parametrize(
+    ("ending", "option"), [("open_viewer", None), ("follow_recording", "--follow")]
+)
+def test_ctrl_c_ends_a_look_as_well_as_the_windows_own_button(
+    ending: str, option: str | None, kp10: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def press_ctrl_c(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(tl, ending, press_ctrl_c)
+    answer = call("view", kp10, *filter(None, [option]))
+    assert (answer.code, answer.out, answer.err) == (0, "", "")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have a display")

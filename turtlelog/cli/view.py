@@ -4,9 +4,10 @@ import re
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -29,11 +30,14 @@ class PictureOptions:
     Attributes:
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
         at: Time of the picture, from the first sample [s]; otherwise the end.
+        timeline: What --at tells: sim_time, or of several runs also translate_time, from the start
+            of each one's translation.
         size: Width and height of the picture [pixels].
     """
 
     snapshot: Path | None = None
     at: float | None = None
+    timeline: Literal["sim_time", "translate_time"] = "sim_time"
     size: str = "1600x900"
 
 
@@ -73,13 +77,13 @@ def view(
     picture, window = picture or PictureOptions(), window or WindowOptions()
     require_files(files)
     _require_one_way(files, save, picture, window)
-    if picture.at is not None and (picture.snapshot is None or not abs(picture.at) < _LONGEST_S):
-        raise UsageError(f"--at: expected seconds together with --snapshot, found {picture.at}")
+    _require_picture(picture)
     require_new_target(save, files, suffix=".rrd")
     require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)
     if window.follow:
-        _follow(files[0], window.connect)
+        with suppress(KeyboardInterrupt):  # as closing the window does
+            _follow(files[0], window.connect)
         return
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
         rrds = _prepare_rrds(files, save, picture.snapshot, Path(folder), topics)
@@ -87,12 +91,26 @@ def view(
             print_note(f"wrote {save}")
         if picture.snapshot is not None:
             with show_progress("taking the picture"):
-                tl.write_snapshot(rrds[0], picture.snapshot, at_s=picture.at, size=width_and_height)
+                tl.write_snapshot(
+                    rrds[0],
+                    picture.snapshot,
+                    at_s=picture.at,
+                    timeline=picture.timeline,
+                    size=width_and_height,
+                )
             print_note(f"wrote {picture.snapshot}")
-        if window.web:
-            _serve(rrds)
-        elif save is None and picture.snapshot is None:
-            tl.open_viewer(rrds)
+        with suppress(KeyboardInterrupt):  # a look ends so, too
+            if window.web:
+                _serve(rrds)
+            elif save is None and picture.snapshot is None:
+                tl.open_viewer(rrds)
+
+
+def _require_picture(picture: PictureOptions) -> None:
+    if picture.at is not None and (picture.snapshot is None or not abs(picture.at) < _LONGEST_S):
+        raise UsageError(f"--at: expected seconds together with --snapshot, found {picture.at}")
+    if picture.timeline != "sim_time" and picture.snapshot is None:
+        raise UsageError(f"--timeline: expected together with --snapshot, found {picture.timeline}")
 
 
 def _require_one_way(
@@ -121,11 +139,8 @@ def _serve(rrds: list[Path]) -> None:
         print_text(address)
         sys.stdout.flush()
         print_note("open it in a browser on this machine; Ctrl-C ends it")
-        try:
-            while True:
-                time.sleep(_HOUR_S)
-        except KeyboardInterrupt:
-            return  # how it is meant to end
+        while True:
+            time.sleep(_HOUR_S)
 
 
 def _parse_size(text: str) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from turtlelog.compare.files import summarise_files
 from turtlelog.compare.gains import USUAL_METRICS, mark_metric, tabulate_runs
 from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
 from turtlelog.compare.names import name_runs
+from turtlelog.compare.order import order_by_gain
 from turtlelog.compare.summary import (
     RunSummary,
     choose_columns,
@@ -53,6 +54,7 @@ __all__ = [
     "load_tolerances",
     "mark_metric",
     "name_runs",
+    "order_by_gain",
     "parse_tolerances",
     "read_tables",
     "select_runs",

@@ -6,6 +6,7 @@ from typing import Final
 
 from turtlelog.compare.difference import Comparison
 from turtlelog.compare.names import name_runs
+from turtlelog.compare.order import order_by_gain
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.verdict_table import describe_alignment
 from turtlelog.measure import SIGNALS, measure_run
@@ -44,7 +45,7 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
         *([Column(title="paper", unit="m", digits=6)] if beside_paper else []),
     ]
     rows = []
-    for name, run in _sort_by_gain(runs):
+    for name, run in _name_in_order(runs):
         metrics = measure_run(run, only=_TABLE1)
         ours = [metrics[name].value for name in _TABLE1]
         paper: Sequence[float | None] = PAPER_ERRORS.get(_get_gain(run) or 0.0, (None, None))
@@ -65,7 +66,7 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
 def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
     """Return Table 1 without its window: each run to its own end, settling times measured."""
     rows = []
-    for name, run in _sort_by_gain(runs):
+    for name, run in _name_in_order(runs):
         metrics = measure_run(run, only=[name for name, _ in _WHOLE_RUN])
         rows.append(
             (*_describe_run(name, run), *(metrics[metric].value for metric, _ in _WHOLE_RUN))
@@ -150,6 +151,6 @@ def _get_gain(run: Run) -> float | None:
     return float(gain)
 
 
-def _sort_by_gain(runs: Sequence[Run]) -> list[tuple[str, Run]]:
-    named = zip(name_runs(runs), runs, strict=True)
-    return sorted(named, key=lambda pair: _get_gain(pair[1]) or 0.0)
+def _name_in_order(runs: Sequence[Run]) -> list[tuple[str, Run]]:
+    ordered = order_by_gain(runs)
+    return list(zip(name_runs(ordered), ordered, strict=True))

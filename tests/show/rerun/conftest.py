@@ -4,7 +4,12 @@ import pytest
 
 from tests.show.rerun.rrds import simulate_preset
 from turtlelog.scenario import PAPER_RUNS
-from turtlelog.show import write_comparison_rrd, write_explanation_rrd, write_run_rrd
+from turtlelog.show import (
+    write_comparison_rrd,
+    write_explanation_rrd,
+    write_run_rrd,
+    write_violation_rrd,
+)
 
 DOCUMENTS = {"Table 1": "| Kp |\n| --- |\n| 10 |\n", "Läufer / notes": "# Notes"}
 
@@ -32,4 +37,12 @@ def explanation_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_explanation_rrd(
         simulate_preset("paper-kp10"), without, shares, path, documents={"Notes": "# Notes"}
     )
+    return path
+
+
+@pytest.fixture(scope="session")
+def violation_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("violation") / "violation.rrd"
+    run, message = simulate_preset("paper-kp10"), "speed <= 0.5: found 1 m/s"
+    write_violation_rrd(run, path, at_s=3.2, title="speed <= 0.5", message=message)
     return path

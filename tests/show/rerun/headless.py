@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -44,6 +45,20 @@ class Headless:
         while not any(end >= end_ns for end in self.list_ends()):
             assert time.monotonic() < deadline, self.list_ends()
             time.sleep(0.05)
+
+    def open(self, path: Path) -> None:
+        self.client.open(str(path))
+
+    def wait_for_time(self, time_ns: int) -> None:
+        """Return when the cursor of the recording stands at a time."""
+        deadline = time.monotonic() + PATIENCE_S
+        while (found := self.list_times()) != [time_ns]:
+            assert time.monotonic() < deadline, found
+            self.client.take_screenshot(max_size=16)  # it moves when the viewer paints
+
+    def list_times(self) -> list[int]:
+        found = [recording.current_time for recording in self.client.get_state().recordings]
+        return [at for at in found if at is not None]
 
     def list_ends(self) -> list[int]:
         recordings = self.client.get_state().recordings

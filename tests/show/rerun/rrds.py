@@ -3,6 +3,7 @@
 import subprocess
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from turtlelog.measure import read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show.rerun.viewer import find_viewer
@@ -61,11 +63,29 @@ def make_foreign_run(rows: int) -> Run:
     )
 
 
-def read_times(path: Path, entity: str, timeline: str = "sim_time") -> NDArray[np.int64]:
+def read_values(name: str) -> NDArray[np.float64]:
+    """Return a signal of the run that most tests are of."""
+    signal = read_signal(simulate_preset("paper-kp10"), name)
+    assert signal is not None
+    return signal.values
+
+
+def join_strips(path: Path, entity: str) -> NDArray[np.float64]:
+    """Return the points of strips that begin where the last one ended."""
+    strips = [np.array(strip) for strip in read_static(path, entity, "LineStrips2D:strips")]
+    for before, after in pairwise(strips):
+        np.testing.assert_array_equal(before[-1], after[0])
+    return np.concatenate([strips[0], *(strip[1:] for strip in strips[1:])])
+
+
+def read_times(
+    path: Path, entity: str, timeline: str = "sim_time", component: str | None = None
+) -> NDArray[np.int64]:
     return np.concatenate(
         [
             batch.column(batch.schema.get_field_index(timeline)).cast("int64").to_numpy()
             for batch in _read_batches(path, entity, is_static=False)
+            if component is None or component in batch.schema.names
         ]
     )
 
@@ -74,6 +94,7 @@ def read_rows(path: Path, entity: str, component: str) -> list[list[Any]]:
     return [
         row
         for batch in _read_batches(path, entity, is_static=False)
+        if component in batch.schema.names
         for row in batch.column(batch.schema.get_field_index(component)).to_pylist()
     ]
 
@@ -119,6 +140,27 @@ def read_layout(path: Path) -> dict[str, list[str]]:
         if "ViewContents:query" in columns:
             contents[view] = columns["ViewContents:query"].to_pylist()[0]
     return {name: contents.get(view, []) for view, name in names.items()}
+
+
+def read_blueprint(path: Path, entity: str) -> dict[str, Any]:
+    """Return the components of one part of the embedded layout, by name."""
+    reader = RrdReader(path)
+    chunks = reader.stream(store=reader.blueprints()[0])
+    batches = [chunk.to_record_batch() for chunk in chunks if chunk.entity_path == entity]
+    return {
+        name: batch.column(name).to_pylist()[0]
+        for batch in batches
+        for name in batch.schema.names
+        if ":" in name and not name.startswith("rerun")
+    }
+
+
+def read_blueprint_parts(path: Path, component: str) -> list[Any]:
+    """Return the values of a component in all parts of the embedded layout."""
+    reader = RrdReader(path)
+    batches = [chunk.to_record_batch() for chunk in reader.stream(store=reader.blueprints()[0])]
+    found = [batch.column(component) for batch in batches if component in batch.schema.names]
+    return [value for column in found for value in column.to_pylist()[0]]
 
 
 def verify(path: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import rerun as rr
 
+from tests.log.live import ROOT
 from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.errors import ShowError
 from turtlelog.show import write_run_rrd
@@ -35,8 +36,35 @@ def test_a_file_that_rerun_did_not_write_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rr.RecordingStream, "save", lambda *_, **__: None)
-    with pytest.raises(ShowError, match="found none"):
+    with pytest.raises(ShowError, match="found: none"):
         write_run_rrd(RUN, tmp_path / "run.rrd")
+
+
+LIMITED = """
+import resource, sys
+from pathlib import Path
+import turtlelog as tl
+
+run = tl.simulate_run(tl.load_scenario("paper-kp10"))
+folder, limit = Path(sys.argv[1]), int(sys.argv[2])
+tl.write_run_rrd(run, folder / "a.rrd")
+size = (folder / "a.rrd").stat().st_size
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit if limit > 0 else size + limit,) * 2)
+try:
+    tl.write_run_rrd(run, folder / "b.rrd")
+except tl.TurtlelogError as err:
+    print(err)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows knows no largest size of files")
+@pytest.mark.parametrize("limit", [1, 100_000, 600_000, -20_000], ids=str)
+def test_a_file_that_can_grow_no_further_is_one_line(limit: int, tmp_path: Path) -> None:
+    words = [sys.executable, "-c", LIMITED, str(tmp_path), str(limit)]
+    answer = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT, timeout=60)
+    assert "b.rrd: expected a place that can be written, found: File too large" in answer.stdout
+    assert (answer.stdout.count("\n"), answer.stderr) == (1, "")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.rrd"]
 
 
 def fail_in_recording(path: Path) -> None:

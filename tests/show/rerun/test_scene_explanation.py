@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import numpy as np
@@ -49,8 +50,16 @@ def test_pause_and_dead_time_are_marked_on_the_time_axis(explanation_rrd: Path) 
     ticks = (np.diff(dead_ns)[::2] // 16_000_000).tolist()
     assert ticks == [4, 6]
     assert dead_ns[::2].tolist() == [spans["rotate"].start_ns, spans["translate"].start_ns]
-    contents = read_layout(explanation_rrd)["Turn rate [rad/s]"]
-    assert {f"{RECORDED}/lines/pause", f"{RECORDED}/lines/dead_time"} < set(contents)
+
+
+def test_the_lines_of_pause_and_dead_time_stand_in_every_plot(explanation_rrd: Path) -> None:
+    lines = {f"{RECORDED}/lines/pause", f"{RECORDED}/lines/dead_time"}
+    layout = read_layout(explanation_rrd)
+    plots = [view for view in layout if re.search(r"\[(deg|m|m/s|rad/s)\]$", view)]
+    plots.remove("Shares of final.position_error [m]")
+    assert len(plots) == 9
+    assert all(lines < set(layout[view]) for view in plots)
+    assert f"{RECORDED}/dead_time" in layout["Phases (brown: pause, pink: dead time)"]
 
 
 def test_the_shares_are_a_table_too(explanation_rrd: Path) -> None:

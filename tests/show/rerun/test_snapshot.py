@@ -27,7 +27,7 @@ def read_size(png: Path) -> tuple[int, int]:
     return width, height
 
 
-@pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd", "explanation_rrd"])
+@pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"])
 def test_viewer_shows_every_view_without_problems(
     scene: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
@@ -47,6 +47,22 @@ def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, tmp_path: Path) 
     take_snapshot(run_rrd, tmp_path / "early.png")
     write_snapshot(run_rrd, tmp_path / "end.png", size=(1000, 700))
     assert (tmp_path / "early.png").read_bytes() != (tmp_path / "end.png").read_bytes()
+
+
+def test_a_picture_may_be_told_from_the_start_of_translation(
+    comparison_rrd: Path, tmp_path: Path
+) -> None:
+    take_snapshot(comparison_rrd, tmp_path / "aligned.png")
+    png = tmp_path / "translating.png"
+    write_snapshot(comparison_rrd, png, at_s=6.0, timeline="translate_time", size=(1000, 700))
+    assert png.read_bytes() != (tmp_path / "aligned.png").read_bytes()
+
+
+def test_a_timeline_that_a_recording_lacks_is_named(run_rrd: Path, tmp_path: Path) -> None:
+    take_snapshot(run_rrd, tmp_path / "x.png")
+    with pytest.raises(ShowError, match="expected sim_time, tick, found translate_time"):
+        write_snapshot(run_rrd, tmp_path / "y.png", timeline="translate_time")
+    assert not (tmp_path / "y.png").exists()
 
 
 def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:

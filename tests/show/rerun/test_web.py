@@ -27,6 +27,7 @@ def test_a_browser_gets_the_page_the_program_and_every_recording(tmp_path: Path)
         assert root.startswith("http://127.0.0.1:")
         assert b"re_viewer.js" in fetch(address)
         assert fetch(f"{root}re_viewer_bg.wasm")[:4] == b"\0asm"
+        assert parse_qs(urlsplit(address).query)["theme"] == ["dark"]
         named = parse_qs(urlsplit(address).query)["url"]
         assert [fetch(url) for url in named] == [path.read_bytes() for path in paths]
         for wrong, host in (("c.rrd", None), ("../c.rrd", None), ("", "elsewhere.example:80")):

@@ -4,14 +4,15 @@ import os
 
 
 def _import_rerun() -> None:
-    """Import Rerun without what it logs about viewers that go away: turtlelog says so in a line.
+    """Import Rerun without what it logs of viewers that go away and of full disks.
 
-    It reads its log filter once, here; one of the user's own stays.
+    turtlelog says so in a line. Rerun reads its log filter once, here; one of the user's own stays.
     """
     name = "RUST_LOG"
     if name in os.environ:
         return
-    os.environ[name] = "warn,re_grpc_client=off,re_sdk::recording_stream=off"
+    ours = ("re_grpc_client", "re_sdk::recording_stream", "re_log_encoding::rrd")
+    os.environ[name] = ",".join(["warn", *(f"{module}=off" for module in ours)])
     try:
         import rerun  # noqa: F401
     finally:

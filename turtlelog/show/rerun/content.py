@@ -1,13 +1,14 @@
 """What a recording holds, as far as its layout must know."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Phase, Run
 from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.corners import Corners
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.series import Reference, Series
 from turtlelog.show.rerun.surroundings import Bounds, find_goal_bounds, find_plane_bounds
@@ -40,6 +41,7 @@ class Content:
         plane: What the plane shows.
         goal: What the close-up of the goal shows, None without one.
         ranges: Fixed ranges of values, by plot.
+        corners: Where the legends of plots stand, if not in their usual places.
     """
 
     prefixes: tuple[str, ...]
@@ -56,6 +58,7 @@ class Content:
     plane: Bounds
     goal: Bounds | None
     ranges: Mapping[str, tuple[float, float]]
+    corners: Corners = field(default_factory=dict)
 
     def list_curves(self, plot: str) -> list[str]:
         """Return the entity paths of a plot's curves: of its own name, and below it."""

@@ -1,6 +1,6 @@
 """Layouts: which views a recording opens with, and where. A view without data is left out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Final
 
@@ -8,11 +8,10 @@ import rerun.blueprint as rrb
 
 from turtlelog.show.rerun import entities, views
 from turtlelog.show.rerun.content import Content
+from turtlelog.show.rerun.corners import Corners
 from turtlelog.show.rerun.entities import TIMELINE
 
-Legends = Mapping[str, rrb.Corner2D]
-
-_RUN_LEGENDS: Final[Legends] = MappingProxyType(
+RUN_LEGENDS: Final[Corners] = MappingProxyType(
     {
         entities.HEADING: rrb.Corner2D.RightBottom,
         entities.HEADING_ERROR: rrb.Corner2D.RightBottom,
@@ -26,7 +25,7 @@ _RUN_LEGENDS: Final[Legends] = MappingProxyType(
         entities.WORLD_VELOCITY: rrb.Corner2D.RightTop,
     }
 )
-"""Where the curves leave room."""
+"""Where curves usually leave room."""
 
 _TURNING: Final = (
     (entities.HEADING,),
@@ -54,7 +53,7 @@ _LARGEST_PHASE_SHARE: Final = 0.4
 
 def build_run_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run alone: plane, heading loop, position loop, phases below."""
-    return _build_blueprint(content, (_TURNING, _RUN_MOVING), _RUN_LEGENDS)
+    return _build_blueprint(content, (_TURNING, _RUN_MOVING), {**RUN_LEGENDS, **content.corners})
 
 
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
@@ -67,7 +66,7 @@ def build_explanation_layout(content: Content) -> rrb.Blueprint:
     return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), {})
 
 
-def _choose_legend(content: Content) -> Legends:
+def _choose_legend(content: Content) -> Corners:
     """Return the one legend's place: a run keeps its colour in every view."""
     if content.legend_names:
         return {}
@@ -77,7 +76,7 @@ def _choose_legend(content: Content) -> Legends:
 
 
 def _build_blueprint(
-    content: Content, columns: Sequence[Sequence[Sequence[str]]], legends: Legends
+    content: Content, columns: Sequence[Sequence[Sequence[str]]], legends: Corners
 ) -> rrb.Blueprint:
     left = _list_left_views(content)
     parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
@@ -118,7 +117,7 @@ def _build_plane(content: Content) -> rrb.View | rrb.Container:
 
 
 def _list_cells(
-    content: Content, column: Sequence[Sequence[str]], legends: Legends
+    content: Content, column: Sequence[Sequence[str]], legends: Corners
 ) -> list[rrb.View | rrb.Container]:
     cells: list[rrb.View | rrb.Container] = []
     for cell in column:

@@ -16,9 +16,13 @@ from turtlelog.show.rerun.series import Series
 
 Shape = Literal["Circle", "Diamond", "Right", "Up"]
 
+_SIGNS: Final[Mapping[Shape, str]] = {"Circle": "●", "Diamond": "◆", "Right": "▶", "Up": "▲"}
+"""How the marks look, for the legend, which has but a dot for each."""
+
 _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
 _ROUNDING_NS: Final = 1_000
+_DECADES: Final = 10.0 ** -np.arange(8.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +77,7 @@ class Mark:
     Attributes:
         plot: Where the curve stands.
         label: Legend: what it is, with its value.
+        unit: Of the value.
         shape: Rerun's name of a marker.
         time_ns: In the run's own time [ns].
         level: In the unit of the curve.
@@ -80,6 +85,7 @@ class Mark:
 
     plot: str
     label: str
+    unit: str
     shape: Shape
     time_ns: int
     level: float
@@ -105,6 +111,7 @@ def list_marks(
             Mark(
                 plot=curve.plot,
                 label=f"{kind.word} {metric.value:.3g} {metric.unit}",
+                unit=metric.unit,
                 shape=kind.shape,
                 time_ns=time_ns,
                 level=_read_level(curve, time_ns),
@@ -118,7 +125,7 @@ def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
     for entity in dict.fromkeys(mark.entity for mark in marks):
         found = [mark for mark in marks if mark.entity == entity]
         style = rr.SeriesPoints(
-            names=[mark.label for mark in found],
+            names=_name_marks(found),
             colors=palette.pack_colors([palette.MARK] * len(found)),
             markers=[mark.shape for mark in found],
             marker_sizes=[_SIZE] * len(found),
@@ -129,6 +136,14 @@ def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
         np.fill_diagonal(levels, [mark.level for mark in found])
         times_ns = [mark.time_ns for mark in found]
         run_stream.send_few(entity, times_ns, rr.Scalars.columns(scalars=levels))
+
+
+def _name_marks(marks: Sequence[Mark]) -> list[str]:
+    """Return a name for each mark; those of one unit share it, and so a line of the legend."""
+    of_unit: dict[str, list[str]] = {}
+    for mark in sorted(marks, key=lambda found: found.time_ns):
+        of_unit.setdefault(mark.unit, []).append(f"{_SIGNS[mark.shape]} {mark.label}")
+    return ["  ".join(of_unit[mark.unit]) for mark in marks]
 
 
 def draw_lines(
@@ -151,8 +166,11 @@ def draw_lines(
         aggregation_policy="Off",
     )
     run_stream.log(entity, style)
-    levels = np.tile([-largest, largest, np.nan], len(times_ns))
-    run_stream.send_few(entity, np.repeat(times_ns, 3), rr.Scalars.columns(scalars=levels))
+    # The viewer cannot draw a line of many thousand plots' height: it goes by powers of ten.
+    steps = largest * _DECADES
+    line = [*-steps, *steps[::-1], np.nan]
+    levels = np.tile(line, len(times_ns))
+    run_stream.send_few(entity, np.repeat(times_ns, len(line)), rr.Scalars.columns(scalars=levels))
 
 
 def _read_level(curve: Series, time_ns: int) -> float:

@@ -1,4 +1,4 @@
-"""Colours: the same for a run in every view, told apart by colour-blind readers on dark ground."""
+"""Colours: one for a run in every view, told apart by colour-blind readers, best on dark ground."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -32,12 +32,15 @@ _RAMP: Final[tuple[Color, ...]] = (
 )
 """Rises in lightness from end to end, so that order can be read from it."""
 
+GROUND: Final[Color] = (13, 13, 13)
+"""Of planes, also in a light theme; plots follow the theme, as their cursor does."""
+
 REFERENCE: Final[Color] = (150, 150, 150)
 """Goal bearing, goal position, limits, world border."""
 
 GOAL: Final[Color] = (255, 255, 255)
 
-START: Final[Color] = (150, 150, 150)
+START: Final[Color] = (190, 190, 190)
 
 MAIN: Final[Color] = QUALITATIVE[0]
 """What a single run did."""
@@ -60,8 +63,8 @@ EVENT: Final[Color] = QUALITATIVE[5]
 ERROR: Final[Color] = QUALITATIVE[4]
 """From the turtle to the goal."""
 
-MARK: Final[Color] = (255, 255, 255)
-"""A metric where it has its place."""
+MARK: Final[Color] = (165, 165, 165)
+"""A metric where it has its place, to be seen on light ground too."""
 
 NO_PHASE: Final = -1
 

@@ -83,16 +83,19 @@ def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
 
 
 def draw_turtle(run_stream: RunStream, run: Run, color: palette.Color, half_size_m: float) -> None:
-    """Draw the turtle where it is at the cursor, with an arrow along its heading."""
-    point = rr.Points2D([(0.0, 0.0)], radii=rr.Radius.ui_points(_TURTLE_RADIUS), colors=[color])
-    run_stream.log(entities.TURTLE, point)
-    heading = rr.Arrows2D(
-        vectors=[(half_size_m * _ARROW_SHARE, 0.0)],
-        radii=rr.Radius.ui_points(_ARROW_RADIUS),
-        colors=[color],
-    )
-    run_stream.log(entities.ARROW, heading)
+    """Draw the turtle where it is at the cursor, with an arrow along its heading.
+
+    Both begin with the first pose: a turtle without one would stand at the origin.
+    """
     poses = run.poses
+    point = rr.Points2D.from_fields(radii=rr.Radius.ui_points(_TURTLE_RADIUS), colors=[color])
+    run_stream.log(entities.TURTLE, point)
+    places = rr.Points2D.columns(positions=[(0.0, 0.0)])
+    run_stream.send_few(entities.TURTLE, poses.time_ns[:1], places)
+    heading = rr.Arrows2D.from_fields(radii=rr.Radius.ui_points(_ARROW_RADIUS), colors=[color])
+    run_stream.log(entities.ARROW, heading)
+    arrows = rr.Arrows2D.columns(vectors=[(half_size_m * _ARROW_SHARE, 0.0)])
+    run_stream.send_few(entities.ARROW, poses.time_ns[:1], arrows)
     values = np.column_stack([poses.xy_m, poses.heading_rad])
     run_stream.send(entities.TURTLE, poses.time_ns, values, _build_transforms)
 

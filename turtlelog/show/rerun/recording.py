@@ -1,9 +1,11 @@
 """One recording in one .rrd file: strict, without wall-clock time, complete or not there at all."""
 
 import os
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -11,6 +13,14 @@ import rerun.blueprint as rrb
 from turtlelog.errors import ShowError
 from turtlelog.show.files import replace_file
 from turtlelog.show.rerun.entities import APPLICATION_ID
+
+_PATIENCE_S: Final = 5.0
+"""A file that has not grown for so long, though there is more to write, will not grow any more."""
+
+_DISCONNECT_S: Final = 1.0
+_END: Final = b"RRF2FOOT"
+_END_BYTES: Final = 64
+_PROBE: Final = bytes(2**20)
 
 
 @contextmanager
@@ -25,24 +35,80 @@ def open_recording(
     path = Path(path)
     with replace_file(path) as part_path, strict_mode():
         # The properties that Rerun would send hold the wall-clock time.
-        with rr.RecordingStream(APPLICATION_ID, send_properties=False) as stream:
-            stream.set_log_time_enabled(False)
-            _save(stream, part_path, path, layout)
+        stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
+        require_enabled(stream, str(path))
+        stream.set_log_time_enabled(False)
+        try:
+            _await(lambda: stream.save(part_path, default_blueprint=layout), part_path, path)
             stream.send_recording_name(name)
             yield stream
-        stream.disconnect()
-        if not part_path.stat().st_size:
-            raise ShowError(f"{path}: expected Rerun to write the file, found none")
+            _await(stream.flush, part_path, path)
+            _await(stream.disconnect, part_path, path)
+        except BaseException:
+            abandon_stream(stream)
+            raise
+        _require_end(part_path, path)
 
 
-def _save(stream: rr.RecordingStream, part_path: Path, path: Path, layout: rrb.Blueprint) -> None:
+def require_enabled(stream: rr.RecordingStream, name: str) -> None:
+    """Raise ShowError where the environment switches Rerun off."""
     if not rr.is_enabled(stream):
         found = f"found RERUN={os.environ.get('RERUN', '')!r} in the environment"
-        raise ShowError(f"{path}: expected Rerun to be switched on, {found}")
+        raise ShowError(f"{name}: expected Rerun to be switched on, {found}")
+
+
+def abandon_stream(stream: rr.RecordingStream) -> None:
+    """End a stream, but wait for nobody who hangs: Rerun would, and let nobody interrupt.
+
+    The thread that waits in our place keeps the stream, which would wait where it is dropped.
+    """
+    thread = threading.Thread(target=stream.disconnect, name="disconnect", daemon=True)
+    thread.start()
+    thread.join(_DISCONNECT_S)
+    if thread.is_alive():
+        rr.unregister_shutdown()
+
+
+def _await(call: Callable[[], None], part_path: Path, path: Path) -> None:
+    """Call Rerun and wait, as long as its file grows: once the disk is full it may never return."""
+    failures: list[Exception] = []
+    thread = threading.Thread(target=_try, args=(call, failures), name="rerun", daemon=True)
+    thread.start()
+    thread.join(_PATIENCE_S)
+    size = -1
+    while thread.is_alive():
+        before, size = size, part_path.stat().st_size
+        if size == before:
+            raise _find_error(part_path, path, "no end of writing")
+        thread.join(_PATIENCE_S)
+    for err in failures:
+        raise _find_error(part_path, path, str(err)) from err
+
+
+def _try(call: Callable[[], None], failures: list[Exception]) -> None:
     try:
-        stream.save(part_path, default_blueprint=layout)
+        call()
     except Exception as err:
-        raise ShowError(f"{path}: expected a file that can be written: {err}") from err
+        failures.append(err)
+
+
+def _require_end(part_path: Path, path: Path) -> None:
+    """Refuse a file that was cut: where the disk is full at the very end, Rerun does not fail."""
+    with part_path.open("rb") as stream:
+        stream.seek(max(part_path.stat().st_size - _END_BYTES, 0))
+        end = stream.read()
+    if _END not in end:
+        raise _find_error(part_path, path, "a file without its end" if end else "none")
+
+
+def _find_error(part_path: Path, path: Path, found: str) -> ShowError | OSError:
+    """Return the error that Rerun has met: where the disk is full, writing on meets it again."""
+    try:
+        with part_path.open("ab") as stream:
+            stream.write(_PROBE)
+    except OSError as err:
+        return err
+    return ShowError(f"{path}: expected Rerun to write the file, found: {found}")
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from turtlelog.compare import name_runs
+from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
@@ -23,7 +23,7 @@ def write_comparison_rrd(
     On the timeline `translate_time` it is the start of each one's translation.
 
     Args:
-        runs: At least one; each keeps its colour in every view.
+        runs: At least one; each keeps its colour in every view, in the order of `order_by_gain`.
         path: The .rrd file; replaced when the new one is complete.
         documents: Markdown texts by title, shown as tabs; `describe_runs` where None.
 
@@ -32,6 +32,7 @@ def write_comparison_rrd(
     """
     if not runs:
         raise ShowError(f"{path}: expected at least one run to compare, found none")
+    runs = order_by_gain(runs)
     metrics, overlay = [measure_run(run) for run in runs], build_overlay(runs, name_runs(runs))
     if documents is None:
         documents = describe_runs(runs, metrics=metrics)

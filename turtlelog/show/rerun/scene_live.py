@@ -1,7 +1,5 @@
 """One run in a viewer while it grows: the scene of a finished run, drawn again with what is new."""
 
-import os
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,7 +17,11 @@ from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE
 from turtlelog.show.rerun.growing_stream import GrowingStream
 from turtlelog.show.rerun.layout import build_run_layout
-from turtlelog.show.rerun.recording import strict_mode
+from turtlelog.show.rerun.recording import (
+    abandon_stream,
+    require_enabled,
+    strict_mode,
+)
 from turtlelog.show.rerun.run_stream import RunStream, add_thinning
 from turtlelog.show.rerun.series import Reference
 from turtlelog.show.rerun.signals import list_references, list_series
@@ -27,7 +29,6 @@ from turtlelog.show.rerun.single import build_single, draw_single
 from turtlelog.show.rerun.surroundings import draw_surroundings
 
 _FLUSH_S: Final = 5.0
-_DISCONNECT_S: Final = 1.0
 _HEADROOM: Final = 1.25
 
 
@@ -110,9 +111,7 @@ def connect_scene(url: str) -> Iterator[LiveScene]:
         ShowError: Where the address is none, or Rerun is switched off.
     """
     stream = GrowingStream(APPLICATION_ID)
-    if not rr.is_enabled(stream):
-        found = f"found RERUN={os.environ.get('RERUN', '')!r} in the environment"
-        raise ShowError(f"viewer: expected Rerun to be switched on, {found}")
+    require_enabled(stream, "viewer")
     stream.set_log_time_enabled(False)
     try:
         stream.connect_grpc(url)
@@ -121,7 +120,7 @@ def connect_scene(url: str) -> Iterator[LiveScene]:
     try:
         yield LiveScene(stream)
     finally:
-        _disconnect(stream)
+        abandon_stream(stream)
 
 
 def _open_up(content: Content, references: Sequence[Reference]) -> Content:
@@ -146,15 +145,3 @@ def _flush(stream: rr.RecordingStream) -> None:
         raise ConnectionError(
             f"no answer for {_FLUSH_S:g} s" if hangs else "the connection has ended"
         ) from err
-
-
-def _disconnect(stream: rr.RecordingStream) -> None:
-    """End the connection, but wait for no viewer that hangs: Rerun would, and let nobody interrupt.
-
-    The thread that waits in our place keeps the stream, which would wait where it is dropped.
-    """
-    thread = threading.Thread(target=stream.disconnect, name="disconnect", daemon=True)
-    thread.start()
-    thread.join(_DISCONNECT_S)
-    if thread.is_alive():
-        rr.unregister_shutdown()

@@ -11,7 +11,9 @@ from turtlelog.run import Run
 from turtlelog.show.rerun import drawing, entities, palette, plane
 from turtlelog.show.rerun.clock import build_run_clock, read_span
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
+from turtlelog.show.rerun.corners import choose_corners
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.layout import RUN_LEGENDS
 from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks
 from turtlelog.show.rerun.properties import send_run_properties
 from turtlelog.show.rerun.responses import list_responses
@@ -48,6 +50,7 @@ class Single:
         content = describe_content([self.run], [""], [self.series], self.references, documents)
         return replace(
             content,
+            corners=choose_corners(self.series, self.marks, content.ranges, RUN_LEGENDS),
             series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
             lines=(join_path(_EVENT_LINES),) if self.run.events else (),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,

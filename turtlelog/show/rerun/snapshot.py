@@ -83,11 +83,14 @@ def write_snapshot(
         client = _connect(viewer, port)
         try:
             _open(client, Path(rrd_path))
-            _arrange(client, at_s, zoom, timeline)
+            _set_time(client, at_s, timeline)
+            _arrange(client, zoom)
             picture = _take_picture(client)
             report = _read_report(client)
         except (RuntimeError, OSError) as err:
-            raise ShowError(f"{rrd_path}: expected a recording to show: {err}") from err
+            raise ShowError(
+                f"viewer: expected a picture of {width}x{height} pixels, found: {err}"
+            ) from err
     with replace_file(png_path) as part_path:
         part_path.write_bytes(picture)
     return report
@@ -115,24 +118,26 @@ def _open(client: ViewerClient, path: Path) -> None:
         time.sleep(_PAUSE_S)
 
 
-def _arrange(client: ViewerClient, at_s: float | None, zoom: float, timeline: str) -> None:
-    """Set time and zoom, and hide the bar of menus and of remarks on the graphics driver."""
-    cursor_s = _find_end(client, timeline) if at_s is None else at_s
-    if cursor_s is not None:
-        client.set_time(timeline, duration=cursor_s, play_state="paused")
+def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
+    """Put the cursor at a time, or at the end; a recording without times has no cursor."""
+    ends_ns: dict[str, int] = {}
+    for recording in client.get_state().recordings:
+        for timeline in recording.timelines:
+            if timeline.end is not None:
+                ends_ns[timeline.name] = max(timeline.end, ends_ns.get(timeline.name, 0))
+    if name in ends_ns:
+        cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
+        client.set_time(name, duration=cursor_s, play_state="paused")
+    elif at_s is not None or name != TIMELINE:
+        known = ", ".join(sorted(ends_ns)) or "one, of which there is none"
+        raise ShowError(f"timeline: expected {known}, found {name}")
+
+
+def _arrange(client: ViewerClient, zoom: float) -> None:
+    """Set the zoom, and hide the bar of menus and of remarks on the graphics driver."""
     client.run_command("ui.toggle_top_panel")
     for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
         client.run_command("ui.zoom_in_ui")
-
-
-def _find_end(client: ViewerClient, name: str) -> float | None:
-    ends_ns = [
-        timeline.end
-        for recording in client.get_state().recordings
-        for timeline in recording.timelines
-        if timeline.name == name and timeline.end is not None
-    ]
-    return max(ends_ns) / 1e9 if ends_ns else None
 
 
 def _take_picture(client: ViewerClient) -> bytes:

@@ -15,7 +15,8 @@ from turtlelog.turtlesim import WORLD_SIZE_M
 
 _WORLD_MARGIN = 0.03
 _MARGIN = 0.12
-_NAME_ASIDE = 0.22
+_GOAL_ASIDE = 0.22
+_START_ASIDE = 0.32  # beside the turtle's arrow
 _NAME_UP = 0.11  # The viewer writes a name below its point.
 _ARRIVED_M = 1.0
 _MARKER_RADIUS = 3.5  # [points]
@@ -100,11 +101,13 @@ def _draw_names(
 ) -> None:
     """Name start and goal beside them, each on the side where the path is not."""
     (start_x_m, start_y_m), (goal_x_m, goal_y_m) = start, goal
-    aside_m, up_m = _NAME_ASIDE * half_size_m, _NAME_UP * half_size_m
-    if goal_x_m > start_x_m:
-        aside_m = -aside_m
+    aside_m = half_size_m if goal_x_m <= start_x_m else -half_size_m
+    up_m = _NAME_UP * half_size_m
     names = rr.Points2D(
-        [(start_x_m + aside_m, start_y_m + up_m), (goal_x_m - aside_m, goal_y_m + up_m)],
+        [
+            (start_x_m + _START_ASIDE * aside_m, start_y_m + up_m),
+            (goal_x_m - _GOAL_ASIDE * aside_m, goal_y_m + up_m),
+        ],
         radii=rr.Radius.ui_points(0.0),
         colors=[palette.START, palette.GOAL],
         labels=["start", "goal"],

@@ -6,7 +6,7 @@ from typing import Final
 
 import rerun.blueprint as rrb
 
-from turtlelog.show.rerun import entities
+from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.drawing import name_document
 from turtlelog.show.rerun.entities import TIMELINE, join_path
@@ -44,6 +44,7 @@ def view_plane(content: Content) -> rrb.View:
         origin="/",
         contents=[*_list_planes(content), f"- {join_path(entities.SPEED_PATH)}/**"],
         name="Plane",
+        background=palette.GROUND,
         visual_bounds=_turn_bounds(content.plane),
     )
 
@@ -55,6 +56,7 @@ def view_speed(content: Content, highest_m_s: float) -> rrb.View:
         origin="/",
         contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
         name=f"By speed, 0 to {highest_m_s:.3g} m/s",
+        background=palette.GROUND,
         visual_bounds=_turn_bounds(content.plane),
     )
 
@@ -68,6 +70,7 @@ def view_goal(content: Content, bounds: Bounds) -> rrb.View:
         origin="/",
         contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
         name=f"At the goal, ±{_format_length(bounds.half_size_m)}",
+        background=palette.GROUND,
         visual_bounds=_turn_bounds(bounds),
     )
 
@@ -78,7 +81,7 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None) -> rrb.V
     has_several = len(contents) > 1 or plot in {*content.references, *_PAIRS}
     if plot in content.references:
         contents.insert(0, join_path(entities.REFERENCE, plot))
-    if plot not in _CROWDED:
+    if legend is None or plot not in _CROWDED:
         contents += content.lines
     title, limits = _TITLES[plot], content.ranges.get(plot)
     is_close_up = plot == entities.HEADING_ERROR and limits is not None
@@ -119,6 +122,7 @@ def view_legend(names: Sequence[str]) -> rrb.View:
         origin="/",
         contents=[join_path(entities.LEGEND)],
         name="Runs",
+        background=palette.GROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=grid.x_range, y_range=grid.y_range),
     )
 

@@ -56,7 +56,8 @@ def serve_recordings(paths: Sequence[str | Path]) -> Iterator[str]:
 
 
 def _build_address(root: str, names: Sequence[str]) -> str:
-    return f"{root}?{urlencode([('url', root + quote(name)) for name in names])}"
+    words = [("theme", "dark"), *(("url", root + quote(name)) for name in names)]
+    return f"{root}?{urlencode(words)}"
 
 
 def _fetch_page() -> dict[str, bytes]:

@@ -1,0 +1,27 @@
+"""The order in which several runs stand in one table or picture, however they were named."""
+
+import math
+import re
+from collections.abc import Sequence
+
+from turtlelog.run import Run
+
+
+def order_by_gain(runs: Sequence[Run]) -> tuple[Run, ...]:
+    """Return runs in rising order of their gains, that along the track first.
+
+    Runs of the same gains stand in the natural order of their names (`run2` before `run10`), those
+    of one name as they were; a run without gains comes after those that have them.
+    """
+    return tuple(sorted(runs, key=lambda run: (*_get_gains(run), _split_numbers(run.name))))
+
+
+def _get_gains(run: Run) -> tuple[float, ...]:
+    gains = (run.parameters.get(f"law.kp_{loop}") for loop in ("linear", "angular"))
+    return tuple(float(gain) if isinstance(gain, int | float) else math.inf for gain in gains)
+
+
+def _split_numbers(name: str) -> list[str | int]:
+    """Return text and numbers by turns, beginning with text, so that names can be compared."""
+    parts = re.split(r"([0-9]+)", name)
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)]
