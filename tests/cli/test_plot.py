@@ -48,7 +48,7 @@ def test_json_names_files_titles_and_the_paper_s_figures(
         (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),
         (["--format", ""], "--format: expected names"),
         (["--columns", "3"], "--columns"),
-        (["--text-width", "nan"], "text width: expected 40 to 1000 mm, found nan"),
+        (["--text-width", "nan"], "text width: expected 120 to 1000 mm, found nan"),
         (["none.mcap"], "none.mcap"),
     ],
 )
