@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import turtlelog as tl
-from turtlelog.scenario import get_preset
+from turtlelog.scenario import get_preset, override_scenario
 
 Values = Any
 Read = Callable[[tl.Run], Values]
@@ -113,8 +113,15 @@ def draw(name: str) -> Figure:
 
 
 @cache
+def simulate_unequal() -> tl.Run:
+    """Return a run that turns with a gain of 4 and drives with one of 10."""
+    changes = {"law.kp_angular": 4.0, "name": "unequal"}
+    return tl.simulate_run(override_scenario(get_preset("paper-kp10"), changes))
+
+
+@cache
 def draw_alone(name: str) -> Figure:
-    return tl.draw_figure(name, [simulate(10)])
+    return tl.draw_figure(name, [simulate_unequal()])
 
 
 def find_lines(axes: Axes, label: str) -> Iterator[tuple[Values, Values]]:
@@ -163,14 +170,14 @@ def test_what_samples_tell_is_drawn_over_their_time(name: str, panel: int, read:
 
 @pytest.mark.parametrize(("name", "panel"), IDEAL)
 def test_the_ideal_response_is_that_of_the_same_gain(name: str, panel: int) -> None:
-    run = simulate(10)
-    ((_, whole),) = find_lines(draw_alone(name).axes[panel], "paper-kp10")
+    run = simulate_unequal()
+    ((_, whole),) = find_lines(draw_alone(name).axes[panel], "unequal")
     ((time_s, ideal),) = find_lines(draw_alone(name).axes[panel], "ideal")
     rotate, _, translate = run.find_phase_spans()[:3]
-    span = rotate if (name, panel) in TURNING else translate
+    span, gain = (rotate, 4.0) if (name, panel) in TURNING else (translate, 10.0)
     assert time_s[0] == pytest.approx((span.start_ns - run.start_ns) / 1e9, abs=0.016)
     target = TARGETS.get((name, panel), 0.0)
-    decay = (ideal[0] - target) * np.exp(-10.0 * (time_s - time_s[0]))
+    decay = (ideal[0] - target) * np.exp(-gain * (time_s - time_s[0]))
     assert ideal - target == pytest.approx(decay, abs=1e-4)
     assert ideal[0] == pytest.approx(whole[-len(ideal)])
 
@@ -222,7 +229,7 @@ def test_the_tolerance_stands_around_the_goal_close_up() -> None:
     ],
 )
 def test_one_run_s_commands_are_wanted_commanded_and_applied(name: str, stages: list[str]) -> None:
-    run, axes = simulate(10), draw_alone(name).axes[0]
+    run, axes = simulate_unequal(), draw_alone(name).axes[0]
     # turtlesim publishes no sign of the speed.
     labels = ["wanted", "commanded", "|applied|" if name == "speed" else "applied"]
     for label, column, source in zip(
@@ -238,6 +245,26 @@ def test_one_run_s_commands_are_wanted_commanded_and_applied(name: str, stages: 
 def test_a_logarithmic_axis_spans_what_was_measured() -> None:
     for panel, read in ((0, heading_error), (1, distance)):
         axes = draw_alone("error-log").axes[panel]
-        sizes = np.abs(read(simulate(10)))
+        sizes = np.abs(read(simulate_unequal()))
         assert axes.get_yscale() == "log"
         assert axes.get_ylim() == pytest.approx((0.6 * sizes.min(), 1.8 * sizes.max()))
+
+
+def test_what_was_wanted_is_linear_to_the_limit_and_logarithmic_beyond() -> None:
+    axis = draw("wanted-speed").axes[0].yaxis
+    heights = axis.get_transform().transform([0.0, 0.5, 1.0, 10.0, 100.0])
+    near, up_to_limit, first_decade, second_decade = np.diff(heights)
+    assert near == pytest.approx(up_to_limit)
+    assert first_decade == pytest.approx(second_decade)
+    assert {-1.0, 0.0, 1.0, 10.0, 50.0} <= set(axis.get_majorticklocs())
+
+
+def test_ideal_steps_enter_the_two_percent_band_before_four_tau() -> None:
+    axes = draw("step-responses").axes[0]
+    (band,) = axes.patches
+    low = float(band.get_path().get_extents(band.get_patch_transform()).y0)
+    assert low == pytest.approx(0.98)
+    dots = [line.get_xydata() for line in axes.get_lines() if line.get_marker() == "o"]
+    expected = [[4.0 / kp, 1.0 - np.exp(-4.0)] for kp in (2, 10)]
+    assert np.concatenate(dots) == pytest.approx(np.array(expected))
+    assert 1.0 - np.exp(-4.0) > low
