@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 import turtlelog as tl
 from turtlelog.errors import ShowError
-from turtlelog.run import CommandColumns, SampleColumns
+from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show.figures.page import choose_lines
 
@@ -275,6 +275,13 @@ def test_metrics_of_many_runs_stand_in_rows(tmp_path: Path) -> None:
     assert r"    paper-kp10 & 10 & " in metrics
 
 
+def test_a_run_of_one_pose_is_a_dot() -> None:
+    poses = PoseColumns(time_ns=np.array([0]), xy_m=np.zeros((1, 2)), heading_rad=np.zeros(1))
+    figure = tl.draw_figure("position", [replace(keep_poses(simulate(4)), poses=poses)])
+    (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == "paper-kp4")
+    assert (len(np.asarray(line.get_xdata())), line.get_marker()) == (1, "o")
+
+
 def test_a_long_run_is_thinned_and_says_so() -> None:
     poses = tl.simulate_run(get_preset("textbook")).poses
     rows = np.arange(30_000)
@@ -286,6 +293,11 @@ def test_a_long_run_is_thinned_and_says_so() -> None:
         speed_m_s=None,
         turn_rate_rad_s=None,
     )
-    figure = tl.draw_figure("position", [replace(keep_poses(simulate(4)), poses=long)])
-    (note,) = figure.axes[0].texts
-    assert note.get_text().endswith("of 30,000 points drawn, extremes kept")
+    run = replace(keep_poses(simulate(4)), poses=long)
+    for name in ("position", "plane"):
+        figure = tl.draw_figure(name, [run])
+        (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == run.name)
+        drawn = np.asarray(line.get_ydata())
+        assert len(drawn) < 21_000
+        assert drawn.max() == long.xy_m[:, 0 if name == "position" else 1].max()
+        assert "over 20,000 points are\nthinned" in figure.get_supxlabel()

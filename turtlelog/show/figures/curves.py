@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Phase, Run
-from turtlelog.show.thinning import choose_rows
+from turtlelog.show.thinning import MOST_POINTS, choose_rows
 from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
@@ -106,13 +106,20 @@ def find_target(run: Run, signal_name: str) -> float | None:
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
-    """Draw a curve, as stairs where it holds; a note says where points were left out."""
-    rows = choose_rows(curve.values)
-    time_s, values = curve.time_s, curve.values
+    """Draw a curve, as stairs where it holds; a long one is thinned."""
+    drawstyle = "steps-post" if curve.holds else "default"
+    draw_thinned(axes, curve.time_s, curve.values, curve.values, drawstyle=drawstyle, **looks)
+
+
+def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
+    """Draw a line; where points are left out the extremes of `kept` stay, and a note says so."""
+    rows = choose_rows(kept)
     if rows is not None:
-        time_s, values = time_s[rows], values[rows]
-        _note_thinning(axes, len(curve.values), len(rows))
-    axes.plot(time_s, values, drawstyle="steps-post" if curve.holds else "default", **looks)
+        across, up = across[rows], up[rows]
+        note = f"curves of over {MOST_POINTS:,} points are\nthinned for drawing, extremes kept"
+        axes.figure.supxlabel(note, fontsize=7.0, color="0.4")
+    # A line of one point would be none.
+    axes.plot(across, up, marker="o" if len(up) == 1 else None, markersize=3.0, **looks)
 
 
 def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
@@ -129,15 +136,3 @@ def _read_world_velocity(run: Run, axis: int) -> Curve | None:
         return None
     time_s = (run.samples.time_ns - run.start_ns) / 1e9
     return Curve(time_s=time_s, values=run.samples.world_velocity_m_s[:, axis], holds=True)
-
-
-def _note_thinning(axes: Axes, rows: int, kept: int) -> None:
-    if not axes.texts:
-        axes.text(
-            0.01,
-            0.01,
-            f"{kept:,} of {rows:,} points drawn, extremes kept",
-            transform=axes.transAxes,
-            fontsize=7.0,
-            color="0.4",
-        )

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from turtlelog.run import Run
+from turtlelog.show.figures.curves import draw_thinned
 from turtlelog.show.figures.legend import label_runs
 from turtlelog.show.figures.page import REFERENCE, choose_lines
-from turtlelog.show.thinning import choose_rows
 
 _ARRIVED_M = 1.0
 
@@ -28,9 +28,8 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     for run, name, looks in zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True):
-        rows = choose_rows(run.poses.xy_m)
-        xy_m = run.poses.xy_m if rows is None else run.poses.xy_m[rows]
-        axes.plot(*xy_m.T, **looks, label=name)
+        xy_m = run.poses.xy_m
+        draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
         axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
     axes.plot(*runs[0].poses.xy_m[0], "s", ms=4.0, color="0.3", label="start", zorder=3)
     goals = _list_goals(runs)

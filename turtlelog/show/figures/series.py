@@ -173,3 +173,4 @@ def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: str) -> None:
 def _finish(axes: Axes, label: str) -> None:
     axes.set(xlabel="time from the first sample [s]", ylabel=label)
     axes.margins(x=0.01)
+    axes.locator_params(axis="x", nbins=6)
