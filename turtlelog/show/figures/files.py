@@ -1,6 +1,6 @@
 """Figures as files."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -68,6 +68,7 @@ def write_figures(
     only: Collection[str] | None = None,
     formats: Collection[str] = FIGURE_FORMATS,
     page: Page | None = None,
+    on_written: Callable[[Path], None] | None = None,
 ) -> list[Path]:
     """Write figures as `<folder>/<name>.<format>` and return the files.
 
@@ -77,6 +78,7 @@ def write_figures(
         only: Names of `FIGURES`; otherwise all that the runs hold the data for.
         formats: Some of `FIGURE_FORMATS`.
         page: Where they will stand.
+        on_written: Called with each file as it is complete.
 
     Raises:
         ShowError: Where a name or format is unknown, the runs lack what a named figure needs, or
@@ -99,6 +101,8 @@ def write_figures(
             with replace_file(path) as part, mpl.rc_context(dict(LOOKS)):
                 figure.savefig(part, format=form, dpi=_DPI, metadata=_NO_DATE[form])
             written.append(path)
+            if on_written:
+                on_written(path)
     return written
 
 
