@@ -1,6 +1,7 @@
 """Each figure draws the columns of its runs, in the units of its labels, with what they aim at."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -200,6 +201,11 @@ def test_goals_limits_and_tolerances_are_drawn_in(
     name: str, panel: int, label: str, levels: list[float]
 ) -> None:
     assert find_levels(draw_alone(name).axes[panel], label) == pytest.approx(levels, abs=1e-3)
+
+
+def test_a_goal_at_zero_is_drawn_in_as_any_other() -> None:
+    figure = tl.draw_figure("position", [replace(simulate(2), goal_xy_m=(0.0, 0.0))])
+    assert [find_levels(axes, "goal") for axes in figure.axes] == [[0.0], [0.0]]
 
 
 @pytest.mark.parametrize("panel", [0, 1])

@@ -206,11 +206,12 @@ def test_runs_stay_apart_in_grey(count: int) -> None:
     ("name", "shown"),
     [
         ("_first", " _first"),
+        ("ideal", "run ideal"),
         ("cost $5 and $x_", "cost \\$5 and \\$x_"),
         ("\u9f9f \u03c4", "? \u03c4"),
         ("a-long-name-of-a-run-" * 5, "a-long-name-of…ame-of-a-run-"),
     ],
-    ids=["hidden", "dollars", "no glyph", "long"],
+    ids=["hidden", "taken", "dollars", "no glyph", "long"],
 )
 def test_names_of_all_kinds_can_be_printed(name: str, shown: str) -> None:
     figure = tl.draw_figure("heading", [replace(simulate(1), name=name)])

@@ -14,6 +14,8 @@ from turtlelog.run import Run
 from turtlelog.show.figures.page import IDEAL
 
 _MOST_LETTERS: Final = 28
+_NAMES: Final = frozenset({"goal", "goal bearing", "ideal", "limit", "start", "tolerance"})
+"""What figures name beside runs."""
 _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
 
@@ -65,6 +67,8 @@ def _clean(name: str) -> str:
     shown = "".join(
         letter if font.get_char_index(ord(letter)) else "?" for letter in " ".join(name.split())
     )
+    if shown in _NAMES:
+        return f"run {shown}"
     # A name that begins with `_` would be left out.
     return f" {shown}" if shown.startswith("_") else shown
 

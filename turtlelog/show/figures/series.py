@@ -25,6 +25,7 @@ from turtlelog.show.figures.page import IDEAL, REFERENCE, choose_lines
 
 _LIMITS = {"speed": "limits.speed_m_s", "turn_rate": "limits.turn_rate_rad_s"}
 _TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
+_GOALS = {"heading": "goal bearing", "x": "goal", "y": "goal", "along_track": "goal"}
 _UNITS = {"speed": "m/s", "turn_rate": "rad/s"}
 _LIMIT = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "limit"}
 _TOLERANCE = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "tolerance"}
@@ -32,12 +33,10 @@ _TOLERANCE = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "tolerance"}
 
 def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
     """Draw one signal of every run, with its goal and the ideal response where there are."""
-    targets = {find_target(run, signal) for run in runs} - {None}
-    name = "goal bearing" if signal == "heading" else "goal"
-    if targets and targets != {0.0}:
-        draw_level(axes, sorted(filter(None, targets)), **REFERENCE, label=name)
-    else:
-        draw_level(axes, [0.0], **REFERENCE)
+    found = {find_target(run, signal) for run in runs}
+    targets = sorted(target for target in found if target is not None)
+    name = _GOALS.get(signal)
+    draw_level(axes, targets if name else [0.0], **REFERENCE, label=name)
     for run, looks in _style_runs(runs):
         if (ideal := compute_ideal(run, signal)) is not None:
             draw_curve(axes, ideal, **{**looks, **IDEAL})
