@@ -220,6 +220,13 @@ def test_the_plane_shows_where_each_run_drove_and_ended(panel: int) -> None:
     assert (x_m[0], y_m[0]) == tuple(simulate(2).poses.xy_m[0])
 
 
+def test_every_start_is_marked() -> None:
+    elsewhere = override_scenario(get_preset("paper-kp2"), {"start.x_m": 7.0})
+    figure = tl.draw_figure("plane", [simulate(2), tl.simulate_run(elsewhere)])
+    ((x_m, _),) = find_lines(figure.axes[0], "start")
+    assert x_m == pytest.approx([5.5444446, 7.0])
+
+
 def test_the_tolerance_stands_around_the_goal_close_up() -> None:
     box = draw("plane").axes[1].patches[0]
     assert box.get_label() == "tolerance"

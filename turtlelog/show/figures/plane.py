@@ -31,7 +31,8 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
         xy_m = run.poses.xy_m
         draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
         axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
-    axes.plot(*runs[0].poses.xy_m[0], "s", ms=4.0, color="0.3", label="start", zorder=3)
+    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
+    axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
     goals = _list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
