@@ -44,7 +44,8 @@ pictures: .venv/installed
 		--snapshot docs/images/explanation.png --at 3 --size 1200x860
 	$(BIN)/python -m turtlelog plot recordings/paper/kp1.mcap recordings/paper/kp2.mcap \
 		recordings/paper/kp4.mcap recordings/paper/kp10.mcap \
-		-o docs/images --only heading,wanted-speed,plane --format svg
+		-o docs/images --format svg \
+		--only plant,step-responses,root-locus,heading,panel,speed,wanted-speed,plane
 
 bench: .venv/installed-dev
 	for file in benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done

@@ -1,4 +1,5 @@
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,17 @@ def test_plot_writes_what_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFix
     assert (code, err) == (0, "")
     assert out == f"wrote {tmp_path / 'heading.svg'}\nwrote {tmp_path / 'plane.svg'}\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["heading.svg", "plane.svg"]
+
+
+def test_many_runs_are_drawn_in_the_order_of_their_gains(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [str(RECORDING.with_name(f"{name}.mcap")) for name in ("kp10", "kp2")]
+    words = [*paths, "-o", str(tmp_path), "--only", "heading", "--format", "svg,svg"]
+    code, out, _ = run_plot(capsys, *words)
+    assert (code, out) == (0, f"wrote {tmp_path / 'heading.svg'}\n")
+    comments = re.findall("<!-- (paper-kp[0-9]+) -->", (tmp_path / "heading.svg").read_text())
+    assert comments == ["paper-kp2", "paper-kp10"]
 
 
 def test_json_names_files_titles_and_the_paper_s_figures(
@@ -48,7 +60,7 @@ def test_json_names_files_titles_and_the_paper_s_figures(
         (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),
         (["--format", ""], "--format: expected names"),
         (["--columns", "3"], "--columns"),
-        (["--text-width", "nan"], "text width: expected 40 to 1000 mm, found nan"),
+        (["--text-width", "nan"], "text width: expected 120 to 1000 mm, found nan"),
         (["none.mcap"], "none.mcap"),
     ],
 )

@@ -57,6 +57,37 @@ def test_latex_uses_booktabs_and_escapes_its_special_characters() -> None:
     assert all(rule in text for rule in (r"\toprule", r"\midrule", r"\bottomrule"))
 
 
+def test_latex_units_stand_below_the_titles() -> None:
+    lines = tl.format_table(TABLE, "tex").splitlines()
+    head = lines.index(r"    \toprule")
+    assert lines[head + 1 : head + 3] == [r"    run & error & status \\", r"     & [m] &  \\"]
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(-0.5, "$-0.5$"), (2.5e-7, r"$2.5 \times 10^{-7}$"), (-3, "$-3$")]
+)
+def test_latex_numbers_have_a_minus_and_powers(value: float, shown: str) -> None:
+    table = tl.Table(title="t", columns=(tl.Column(title="a"),), rows=((value,),))
+    assert f"    {shown} \\\\\n" in tl.format_table(table, "tex")
+
+
+def test_no_name_is_a_command_to_latex() -> None:
+    table = tl.Table(
+        title="t", columns=(tl.Column(title="n"),), rows=(("[1pt]",), ("*",), ("a<b|c>\nd^2",))
+    )
+    lines = tl.format_table(table, "tex").splitlines()
+    assert r"    {}[1pt] \\" in lines
+    assert r"    {}* \\" in lines
+    assert r"    a\textless{}b\textbar{}c\textgreater{} d\textsuperscript{2} \\" in lines
+    assert "| a<b\\|c> d^2 |" in tl.format_table(table, "md")
+
+
+def test_a_wide_latex_table_spans_both_columns() -> None:
+    wide = tl.Table(title="t", columns=TABLE.columns, rows=(("x" * 60, 1.0, "ok"),))
+    assert tl.format_table(wide, "tex").startswith("\\begin{table*}\n")
+    assert tl.format_table(TABLE, "tex").startswith("\\begin{table}\n")
+
+
 def test_an_unknown_format_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ShowError, match="expected one of txt, md, csv, tex, found 'html'"):
         tl.format_table(TABLE, "html")

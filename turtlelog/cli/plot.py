@@ -8,6 +8,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
 
@@ -39,20 +40,24 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
             error-log, plane, panel. Otherwise all that the recordings hold the data for.
         formats: Some of pdf, png, svg, with commas.
         columns: How many of two columns a figure spans; side-by-side panels always span both.
-        text_width: Width of the page's text [mm].
+        text_width: Width of the page's text [mm], 120 to 1000.
         json: Print one JSON object instead of lines.
     """
     if output.exists() and not output.is_dir():
         raise UsageError(f"{output}: expected a folder to write to, found a file")
     page = tl.Page(text_width_mm=text_width, columns=columns)
     runs = read_runs(files, topics) if files else []
-    figures = tl.write_figures(
-        runs,
-        output,
-        only=None if only is None else _split(only, "--only"),
-        formats=_split(formats, "--format"),
-        page=page,
-    )
+    names = None if only is None else _split(only, "--only")
+    kinds = _split(formats, "--format")
+    most = len(kinds) * len(tl.FIGURES if names is None else names)
+    with show_progress("drawing", most, "files at most") as progress:
+
+        def count(_: Path) -> None:
+            progress.done += 1
+
+        figures = tl.write_figures(
+            runs, output, only=names, formats=kinds, page=page, on_written=count
+        )
     tables = tl.write_tables(runs, output) if runs and only is None else []
     if json:
         print_json(_describe(files or [], figures, tables))

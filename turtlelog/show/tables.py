@@ -2,11 +2,13 @@
 
 import csv
 import io
+import re
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
 from turtlelog.compare import Column, Mark, Table, format_cell
+from turtlelog.compare.table import Cell
 from turtlelog.errors import ShowError
 from turtlelog.show.text_tables import format_text
 
@@ -36,25 +38,34 @@ def format_csv(table: Table) -> str:
     return text.getvalue()
 
 
-def format_latex(table: Table) -> str:
-    """Return a table as LaTeX for the booktabs package."""
+def format_latex(table: Table, *, label: str = "") -> str:
+    """Return a table as LaTeX for the booktabs package; a wide one spans both of two columns.
+
+    Args:
+        table: What to format.
+        label: Of LaTeX, to refer to it by; none where empty.
+    """
     alignment = "".join("r" if _is_numeric(table, i) else "l" for i in range(len(table.columns)))
+    rows = _format_rows(table, "tex")
+    size = r"\footnotesize" if _is_wide(table) else r"\small"
+    star = "*" if _is_wide(table) else ""
     lines = [
-        r"\begin{table}",
+        rf"\begin{{table{star}}}",
+        rf"  \centering{size}\setlength{{\tabcolsep}}{{4pt}}",
         rf"  \caption{{{_escape_latex(table.title)}}}",
+        *([rf"  \label{{{label}}}"] if label else []),
         rf"  \begin{{tabular}}{{{alignment}}}",
         r"    \toprule",
-        "    " + _join_latex([_join_title(column) for column in table.columns]),
+        *(_join_latex(head) for head in _list_heads(table)),
         r"    \midrule",
         *(
-            (r"    \addlinespace" "\n" if row in table.breaks else "")
-            + f"    {' & '.join(cells)} \\\\"
-            for row, cells in enumerate(_format_rows(table, "tex"))
+            (r"    \addlinespace" "\n" if row in table.breaks else "") + _join_latex(cells)
+            for row, cells in enumerate(rows)
         ),
         r"    \bottomrule",
         r"  \end{tabular}",
-        *(rf"  \par\footnotesize {note}" for note in _list_notes(table, "tex")),
-        r"\end{table}",
+        *(rf"  \par {note}" for note in _list_notes(table, "tex")),
+        rf"\end{{table{star}}}",
     ]
     return "\n".join(lines) + "\n"
 
@@ -86,14 +97,21 @@ def format_table(table: Table, kind: str = "txt", *, width: int | None = None) -
 
 def _format_rows(table: Table, kind: str) -> list[list[str]]:
     """Return the cells as a format writes them, escaped and marked."""
-    escape, marks = _ESCAPES[kind], _MARKS[kind]
+    marks = _MARKS[kind]
     return [
         [
-            marks.get(table.marks.get((row, index)), "{}").format(escape(format_cell(cell, column)))
+            marks.get(table.marks.get((row, index)), "{}").format(_format(cell, column, kind))
             for index, (cell, column) in enumerate(zip(cells, table.columns, strict=True))
         ]
         for row, cells in enumerate(table.rows)
     ]
+
+
+def _format(cell: Cell, column: Column, kind: str) -> str:
+    text = format_cell(cell, column)
+    if kind == "tex" and isinstance(cell, float | int):
+        return _typeset_number(text)
+    return _ESCAPES[kind](text)
 
 
 def _list_notes(table: Table, kind: str) -> list[str]:
@@ -111,18 +129,50 @@ def _join_title(column: Column) -> str:
 
 
 def _escape_markdown(text: str) -> str:
-    return text.replace("|", r"\|")
+    return " ".join(text.splitlines()).replace("|", r"\|")
+
+
+def _is_wide(table: Table) -> bool:
+    """Return whether the cells of a row are more than one of two columns has room for."""
+    rows = [list(map(format_cell, row, table.columns)) for row in table.rows]
+    titles = [max(column.lines or (column.title,), key=len) for column in table.columns]
+    columns = zip(titles, *rows, strict=True)
+    return sum(max(map(len, column)) for column in columns) > _NARROW_LETTERS
+
+
+def _list_heads(table: Table) -> list[list[str]]:
+    """Return the lines of the head: titles, broken where they are long, and the units below."""
+    titles = [list(map(_escape_latex, column.lines or (column.title,))) for column in table.columns]
+    height = max(map(len, titles))
+    heads = [[*[""] * (height - len(title)), *title] for title in titles]
+    units = [f"[{_escape_latex(column.unit)}]" if column.unit else "" for column in table.columns]
+    return [*map(list, zip(*heads, strict=True)), *([units] if any(units) else [])]
 
 
 def _join_latex(cells: list[str]) -> str:
-    return " & ".join(map(_escape_latex, cells)) + r" \\"
+    # After a rule or the end of a row LaTeX would take `[` or `*` for its own.
+    guard = "{}" if cells[0][:1] in {"[", "*"} else ""
+    return f"    {guard}{' & '.join(cells)} \\\\"
+
+
+def _typeset_number(text: str) -> str:
+    """Return a number with a minus that is none of a hyphen, and its power of ten."""
+    mantissa, _, power = text.partition("e")
+    if power:
+        return rf"${mantissa} \times 10^{{{int(power)}}}$"
+    return f"${text}$" if text.startswith("-") else text
 
 
 def _escape_latex(text: str) -> str:
     special = {character: f"\\{character}" for character in "&%$#_{}"}
     special |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    return "".join(special.get(character, character) for character in text)
+    special |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"}
+    escaped = "".join(special.get(letter, letter) for letter in " ".join(text.splitlines()))
+    return re.sub(r"\\textasciicircum{}(\d+)", r"\\textsuperscript{\1}", escaped)
 
+
+_NARROW_LETTERS: Final = 42
+"""What one of two columns holds in a row [letters]."""
 
 _MARKS: Final[Mapping[str, Mapping[Mark | None, str]]] = MappingProxyType(
     {

@@ -1,18 +1,21 @@
 """What figures show, read from their structure."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import turtlelog as tl
 from turtlelog.errors import ShowError
-from turtlelog.run import CommandColumns, SampleColumns
+from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show.figures.page import choose_lines
 
@@ -27,35 +30,16 @@ def simulate(kp: int) -> tl.Run:
     return tl.simulate_run(get_preset(f"paper-kp{kp}"))
 
 
-def list_runs() -> list[tl.Run]:
-    return [simulate(kp) for kp in GAINS]
+RUNS = [simulate(kp) for kp in GAINS]
+
+
+def list_legend(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
 def find_line(figure: Figure, label: str, axes: int = 0) -> tuple[np.ndarray, np.ndarray]:
     (line,) = [line for line in figure.axes[axes].get_lines() if line.get_label() == label]
     return np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
-
-
-def list_labels(figure: Figure, axes: int = 0) -> list[str]:
-    labels = [str(line.get_label()) for line in figure.axes[axes].get_lines()]
-    return [label for label in labels if not label.startswith("_")]
-
-
-def test_the_heading_is_the_recorded_one_in_degrees() -> None:
-    run = simulate(10)
-    time_s, values = find_line(tl.draw_figure("heading", [run]), "paper-kp10")
-    assert np.array_equal(time_s, (run.poses.time_ns - run.start_ns) / 1e9)
-    assert np.array_equal(values, np.degrees(np.unwrap(run.poses.heading_rad)))
-
-
-def test_the_goal_bearing_and_the_ideal_response_stand_beside_the_heading() -> None:
-    run = simulate(1)
-    figure = tl.draw_figure("heading", [run])
-    _, bearing = find_line(figure, "goal bearing")
-    time_s, ideal = find_line(figure, "ideal")
-    expected = float(np.degrees(run.samples.bearing_rad[0]))
-    assert bearing[0] == expected
-    assert ideal == pytest.approx(expected * (1.0 - np.exp(-time_s)), abs=1e-9)
 
 
 @pytest.mark.parametrize("kp", GAINS)
@@ -76,17 +60,6 @@ def test_the_plant_answers_a_ramp_with_a_parabola() -> None:
     assert ramp[:, 1] == pytest.approx(ramp[:, 0] ** 2 / 2.0)
 
 
-def test_commands_of_one_run_stand_wanted_commanded_applied() -> None:
-    run = simulate(10)
-    figure = tl.draw_figure("speed", [run])
-    assert list_labels(figure) == ["limit", "wanted", "commanded", "applied"]
-    _, commanded = find_line(figure, "commanded")
-    assert np.array_equal(commanded, run.samples.speed_m_s)
-    low, high = figure.axes[0].get_ylim()
-    assert low < run.samples.speed_m_s.min()
-    assert 1.0 < high < 2.0
-
-
 def test_commands_hold_until_the_next() -> None:
     (line,) = [
         line
@@ -97,7 +70,7 @@ def test_commands_hold_until_the_next() -> None:
 
 
 def test_what_the_law_wanted_reaches_57_metres_a_second() -> None:
-    figure = tl.draw_figure("wanted-speed", list_runs())
+    figure = tl.draw_figure("wanted-speed", RUNS)
     largest = [float(find_line(figure, f"paper-kp{kp}")[1].max()) for kp in GAINS]
     assert largest == pytest.approx([5.69, 11.39, 22.77, 56.94], abs=0.02)
 
@@ -113,19 +86,12 @@ def test_errors_stand_on_a_logarithmic_scale_where_exponentials_are_straight() -
 
 
 def test_the_plane_keeps_its_proportions_and_shows_how_runs_end() -> None:
-    figure = tl.draw_figure("plane", list_runs())
+    figure = tl.draw_figure("plane", RUNS)
     whole, close = figure.axes
     assert (whole.get_aspect(), close.get_aspect()) == (1.0, 1.0)
     low, high = close.get_xlim()
     assert high - low < 0.5
     assert low < 2.0 < high
-
-
-def test_runs_differ_in_colour_and_in_dashes() -> None:
-    figure = tl.draw_figure("heading-error", list_runs())
-    lines = [line for line in figure.axes[0].get_lines() if "paper" in str(line.get_label())]
-    assert len({line.get_color() for line in lines}) == 4
-    assert len({str(looks["linestyle"]) for looks in choose_lines(4)}) == 4
 
 
 @pytest.mark.parametrize(("columns", "width_mm"), [(1, 87.5), (2, 181.0)])
@@ -134,46 +100,10 @@ def test_figures_are_as_wide_as_the_page_has_room(columns: int, width_mm: float)
     assert figure.get_size_inches()[0] * 25.4 == pytest.approx(width_mm)
 
 
-@pytest.mark.parametrize("text_width_mm", [0.0, 39.0, 1001.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("text_width_mm", [0.0, 119.0, 1001.0, float("nan"), float("inf")])
 def test_a_page_of_no_sensible_width_is_refused(text_width_mm: float) -> None:
-    with pytest.raises(ShowError, match="text width: expected 40 to 1000 mm"):
+    with pytest.raises(ShowError, match="text width: expected 120 to 1000 mm"):
         tl.Page(text_width_mm=text_width_mm)
-
-
-def test_figures_are_written_in_every_format(tmp_path: Path) -> None:
-    names = ["plant", "heading", "plane"]
-    written = tl.write_figures([simulate(4)], tmp_path, only=names)
-    assert [path.name for path in written] == [
-        f"{name}.{form}" for name in names for form in ("pdf", "png", "svg")
-    ]
-    starts = {path: path.read_bytes()[:5] for path in written}
-    known = {".pdf": b"%PDF-", ".png": b"\x89PNG\r", ".svg": b"<?xml"}
-    assert all(start == known[path.suffix] for path, start in starts.items())
-
-
-@pytest.mark.parametrize("name", tl.FIGURES)
-def test_every_figure_is_drawn_for_one_run_and_for_several(name: str) -> None:
-    alone, several = (tl.draw_figure(name, runs) for runs in ([simulate(10)], list_runs()))
-    assert alone.axes
-    assert len(alone.axes) == len(several.axes)
-    assert all(axes.get_xlabel() or axes.get_ylabel() for axes in several.axes)
-
-
-def test_fonts_stand_in_the_pdf(tmp_path: Path) -> None:
-    (path,) = tl.write_figures([], tmp_path, only=["plant"], formats=["pdf"])
-    assert b"/FontFile2" in path.read_bytes()
-
-
-def test_the_same_runs_give_the_same_files(tmp_path: Path) -> None:
-    names = ["heading"]
-    first = tl.write_figures([simulate(4)], tmp_path / "a", only=names)
-    again = tl.write_figures([simulate(4)], tmp_path / "b", only=names)
-    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in again]
-
-
-def test_without_runs_there_is_theory(tmp_path: Path) -> None:
-    written = tl.write_figures([], tmp_path, formats=["svg"])
-    assert [path.stem for path in written] == THEORY
 
 
 def keep_poses(run: tl.Run) -> tl.Run:
@@ -186,8 +116,117 @@ def empty(columns: Columns) -> Columns:
     return replace(columns, **{name: table[:0] for name, table in tables.items()})
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Write a figure twice in every format."""
+    folders = [tmp_path_factory.mktemp(name) for name in ("once", "again")]
+    return [path for folder in folders for path in tl.write_figures(RUNS, folder, only=["heading"])]
+
+
+def test_figures_are_written_in_every_format(written: list[Path]) -> None:
+    assert [path.name for path in written[:3]] == ["heading.pdf", "heading.png", "heading.svg"]
+    starts = [path.read_bytes()[:5] for path in written[:3]]
+    assert starts == [b"%PDF-", b"\x89PNG\r", b"<?xml"]
+
+
+def test_fonts_stand_in_the_pdf_as_truetype(written: list[Path]) -> None:
+    pdf = written[0].read_bytes()
+    assert b"/FontFile2" in pdf
+    assert b"/Type3" not in pdf
+
+
+def test_files_have_the_size_of_the_page(written: list[Path]) -> None:
+    points = re.search(rb"/MediaBox \[ 0 0 ([0-9.]+)", written[0].read_bytes())
+    assert points is not None
+    assert float(points[1]) / 72.0 * 25.4 == pytest.approx(87.5, abs=0.01)
+    pixels = int.from_bytes(written[1].read_bytes()[16:20])
+    assert pixels / 300.0 * 25.4 == pytest.approx(87.5, abs=0.1)
+
+
+def test_the_same_runs_give_the_same_files(written: list[Path]) -> None:
+    assert [path.read_bytes() for path in written[:3]] == [
+        path.read_bytes() for path in written[3:]
+    ]
+
+
+def test_without_runs_there_is_theory() -> None:
+    assert [name for name, kind in tl.FIGURES.items() if not kind.find_lack([])] == THEORY
+
+
+def test_runs_stand_in_the_order_of_their_gains() -> None:
+    figure = tl.draw_figure("heading", [simulate(10), simulate(2), simulate(4), simulate(1)])
+    assert list_legend(figure)[2:] == ["paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10"]
+
+
+@pytest.mark.parametrize(
+    ("name", "runs"), [("heading", 1), ("panel", 4), ("plane", 20), ("root-locus", 20)]
+)
+def test_a_legend_names_everything_once_and_covers_no_curve(name: str, runs: int) -> None:
+    drawn = (RUNS * 5)[:runs]
+    figure = tl.draw_figure(name, drawn, page=tl.Page(text_width_mm=120.0))
+    figure.draw_without_rendering()
+    names = list_legend(figure)
+    assert len(set(names)) == len(names)
+    box = figure.legends[0].get_window_extent()
+    # The last pixel of each side is the renderer's rounding.
+    assert box.x0 > -1.0
+    assert box.x1 < figure.bbox.x1 + 1.0
+    assert box.y1 < figure.bbox.y1 + 1.0
+    assert all(axes.get_window_extent().y1 <= box.y0 + 1.0 for axes in figure.axes)
+
+
+@pytest.mark.parametrize("name", tl.FIGURES)
+def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
+    figure = tl.draw_figure(name, RUNS, page=tl.Page(text_width_mm=120.0))
+    figure.draw_without_rendering()
+    page = figure.bbox
+    left, low, right, high = np.multiply(figure.get_tightbbox().extents, figure.dpi)
+    assert left > -1.0
+    assert low > -1.0
+    assert right < page.x1 + 1.0
+    assert high < page.y1 + 1.0
+
+
+@pytest.mark.parametrize("count", [2, 4, 7, 20])
+def test_runs_differ_in_colour_and_neighbours_in_dashes(count: int) -> None:
+    looks = choose_lines(count)
+    assert len({to_rgb(look["color"]) for look in looks}) == count
+    assert all(one["linestyle"] != other["linestyle"] for one, other in pairwise(looks))
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 20])
+def test_runs_stay_apart_in_grey(count: int) -> None:
+    red_green_blue = np.array([to_rgb(look["color"]) for look in choose_lines(count)])
+    greys = np.sort(red_green_blue @ [0.299, 0.587, 0.114])
+    assert np.diff(greys).min() > (0.08 if count <= 4 else 0.02)
+    assert greys.max() < 0.8  # of white
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("_first", " _first"),
+        ("ideal", "run ideal"),
+        ("cost $5 and $x_", "cost \\$5 and \\$x_"),
+        ("\u9f9f \u03c4", "? \u03c4"),
+        ("a-long-name-of-a-run-" * 5, "a-long-name-of…ame-of-a-run-"),
+    ],
+    ids=["hidden", "taken", "dollars", "no glyph", "long"],
+)
+def test_names_of_all_kinds_can_be_printed(name: str, shown: str) -> None:
+    figure = tl.draw_figure("heading", [replace(simulate(1), name=name)])
+    figure.draw_without_rendering()
+    assert list_legend(figure) == ["goal bearing", "ideal", shown]
+
+
+def test_names_that_differ_in_the_middle_stay_apart() -> None:
+    runs = [replace(simulate(1), name=f"{'a' * 40}{part}{'b' * 40}") for part in "xy"]
+    first, second = list_legend(tl.draw_figure("heading", runs))[2:]
+    assert (first[:2], second[:2]) == ("1:", "2:")
+
+
 def test_poses_alone_give_position_and_plane(tmp_path: Path) -> None:
-    written = tl.write_figures([keep_poses(simulate(4))], tmp_path, formats=["png"])
+    written = tl.write_figures([keep_poses(simulate(4))], tmp_path, formats=["svg"])
     assert [path.stem for path in written] == [*THEORY, "position", "plane"]
 
 
@@ -219,11 +258,29 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
         tl.write_figures([], tmp_path / "file")
 
 
-def test_tables_are_written_as_latex(tmp_path: Path) -> None:
-    written = tl.write_tables(list_runs(), tmp_path)
-    texts = [path.read_text("utf-8") for path in written]
+def test_tables_are_written_as_latex_in_the_order_of_gains(tmp_path: Path) -> None:
+    written = tl.write_tables([simulate(10), simulate(2)], tmp_path)
     assert [path.name for path in written] == ["table1.tex", "whole-runs.tex", "metrics.tex"]
-    assert all(r"\toprule" in text and r"\bottomrule" in text for text in texts)
+    for path in written:
+        text = path.read_text("utf-8")
+        assert rf"\label{{tab:{path.stem}}}" in text
+        assert r"\toprule" in text
+        assert r"\bottomrule" in text
+        assert text.index("paper-kp2") < text.index("paper-kp10")
+    assert r"\caption{Errors 15 s after the first sample}" in written[0].read_text("utf-8")
+
+
+def test_metrics_of_many_runs_stand_in_rows(tmp_path: Path) -> None:
+    metrics = tl.write_tables([*RUNS, simulate(1)], tmp_path)[2].read_text("utf-8")
+    assert metrics.count("paper-kp") == 5
+    assert r"    paper-kp10 & 10 & " in metrics
+
+
+def test_a_run_of_one_pose_is_a_dot() -> None:
+    poses = PoseColumns(time_ns=np.array([0]), xy_m=np.zeros((1, 2)), heading_rad=np.zeros(1))
+    figure = tl.draw_figure("position", [replace(keep_poses(simulate(4)), poses=poses)])
+    (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == "paper-kp4")
+    assert (len(np.asarray(line.get_xdata())), line.get_marker()) == (1, "o")
 
 
 def test_a_long_run_is_thinned_and_says_so() -> None:
@@ -237,6 +294,11 @@ def test_a_long_run_is_thinned_and_says_so() -> None:
         speed_m_s=None,
         turn_rate_rad_s=None,
     )
-    figure = tl.draw_figure("position", [replace(keep_poses(simulate(4)), poses=long)])
-    (note,) = figure.axes[0].texts
-    assert note.get_text().endswith("of 30,000 points drawn, extremes kept")
+    run = replace(keep_poses(simulate(4)), poses=long)
+    for name in ("position", "plane"):
+        figure = tl.draw_figure(name, [run])
+        (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == run.name)
+        drawn = np.asarray(line.get_ydata())
+        assert len(drawn) < 21_000
+        assert drawn.max() == long.xy_m[:, 0 if name == "position" else 1].max()
+        assert "over 20,000 points are\nthinned" in figure.get_supxlabel()

@@ -97,12 +97,12 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
             needs="poses",
         ),
         "heading-error": FigureKind(
-            title="Heading error",
+            title="Heading error and the ideal response",
             paper="9-16",
             draw=_stack(_signal("heading_error", "heading error [deg]")),
         ),
         "position-error": FigureKind(
-            title="Position error",
+            title="Position error and the ideal response",
             paper="9-16",
             draw=_stack(_signal("error_x", "error in x [m]"), _signal("error_y", "error in y [m]")),
             height=0.95,
@@ -115,7 +115,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
         ),
         "speed": FigureKind(
             title="Speed, its limits",
-            paper="9-16",
+            paper="14",
             draw=_stack(partial(series.draw_command, command="speed", label="speed")),
         ),
         "wanted-speed": FigureKind(
@@ -127,13 +127,13 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
             title="Gain times error in the world frame, before projection and clipping",
             paper="9-16",
             draw=_stack(
-                partial(series.draw_world_velocity, axis=0),
-                partial(series.draw_world_velocity, axis=1),
+                _signal("world_velocity_x", "$K_p e_x$ [m/s]"),
+                _signal("world_velocity_y", "$K_p e_y$ [m/s]"),
             ),
             height=0.95,
         ),
         "error-log": FigureKind(
-            title="Magnitude of the errors on a logarithmic scale",
+            title="Magnitude of the errors on a logarithmic scale, the ideal decay, the tolerances",
             paper="",
             draw=_stack(
                 _magnitude("heading_error", "|heading error| [deg]"),
@@ -145,7 +145,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
             title="Paths in the plane, and how each run ends",
             paper="17",
             draw=draw_plane,
-            height=0.52,
+            height=0.57,
             needs="poses",
         ),
         "panel": FigureKind(

@@ -1,6 +1,7 @@
 """Figures as files."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
@@ -8,17 +9,30 @@ from typing import Final
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from turtlelog.compare import tabulate_metrics, tabulate_table1, tabulate_whole_runs
+from turtlelog.compare import (
+    order_by_gain,
+    summarise_run,
+    tabulate_metrics,
+    tabulate_runs,
+    tabulate_table1,
+    tabulate_whole_runs,
+)
 from turtlelog.errors import ShowError
+from turtlelog.measure import ESSENTIAL_METRICS
 from turtlelog.run import Run
 from turtlelog.show.figures.catalogue import FIGURES, FigureKind
+from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import LOOKS, Page
 from turtlelog.show.files import replace_file
-from turtlelog.show.tables import format_table
+from turtlelog.show.tables import format_latex
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 
 _DPI: Final = 300
+_LEAST_INCH: Final = 3.0
+"""A narrower figure is no lower: its lettering is the same."""
+_MOST_COLUMNS: Final = 4
+"""More runs than these stand as rows."""
 _WIDE: Final = frozenset({"plant", "plane", "panel"})
 _NO_DATE: Final = {
     "pdf": {"CreationDate": None, "ModDate": None},
@@ -31,6 +45,8 @@ _NO_DATE: Final = {
 def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None) -> Figure:
     """Return one figure, drawn; several panels side by side take the whole text width.
 
+    Runs stand in the order of their gains.
+
     Raises:
         ShowError: Where there is no such figure, or the runs do not hold what it needs.
     """
@@ -38,9 +54,10 @@ def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None
     if name in _WIDE:
         page = Page(text_width_mm=page.text_width_mm, columns=2)
     with mpl.rc_context(dict(LOOKS)):
-        size = (page.width_inch, page.width_inch * kind.height)
+        size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.height)
         figure = Figure(figsize=size, layout="constrained")
-        kind.draw(figure, runs)
+        kind.draw(figure, order_by_gain(runs))
+        add_legend(figure)
     return figure
 
 
@@ -51,6 +68,7 @@ def write_figures(
     only: Collection[str] | None = None,
     formats: Collection[str] = FIGURE_FORMATS,
     page: Page | None = None,
+    on_written: Callable[[Path], None] | None = None,
 ) -> list[Path]:
     """Write figures as `<folder>/<name>.<format>` and return the files.
 
@@ -60,6 +78,7 @@ def write_figures(
         only: Names of `FIGURES`; otherwise all that the runs hold the data for.
         formats: Some of `FIGURE_FORMATS`.
         page: Where they will stand.
+        on_written: Called with each file as it is complete.
 
     Raises:
         ShowError: Where a name or format is unknown, the runs lack what a named figure needs, or
@@ -76,12 +95,23 @@ def write_figures(
     written = []
     for name in names if only is None else dict.fromkeys(only):
         figure = draw_figure(name, runs, page=page)
-        for form in formats:
+        _settle_layout(figure)
+        for form in dict.fromkeys(formats):
             path = folder / f"{name}.{form}"
             with replace_file(path) as part, mpl.rc_context(dict(LOOKS)):
                 figure.savefig(part, format=form, dpi=_DPI, metadata=_NO_DATE[form])
             written.append(path)
+            if on_written:
+                on_written(path)
     return written
+
+
+def _settle_layout(figure: Figure) -> None:
+    """Lay a figure out once for all of its formats; the second pass sees the ticks of the first."""
+    with mpl.rc_context(dict(LOOKS)):
+        figure.draw_without_rendering()
+        figure.draw_without_rendering()
+    figure.set_layout_engine("none")
 
 
 def _find_kind(name: str, runs: Sequence[Run]) -> FigureKind:
@@ -106,21 +136,28 @@ def _make_folder(folder: str | Path) -> Path:
 
 
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
-    """Write Table 1, the whole runs and all metrics as LaTeX with booktabs; return the files.
+    """Write Table 1, the whole runs and the first metrics as LaTeX with booktabs; return the files.
 
     Raises:
         ShowError: Where the folder cannot be written.
     """
+    runs = order_by_gain(runs)
+    if len(runs) <= _MOST_COLUMNS:
+        metrics = tabulate_metrics(runs, only=ESSENTIAL_METRICS)
+    else:
+        metrics = tabulate_runs([summarise_run(run) for run in runs])
+    table1 = tabulate_table1(runs)
+    # LaTeX counts tables itself.
     tables = {
-        "table1": tabulate_table1(runs),
+        "table1": replace(table1, title=table1.title.removeprefix("Table 1: ").capitalize()),
         "whole-runs": tabulate_whole_runs(runs),
-        "metrics": tabulate_metrics(runs),
+        "metrics": metrics,
     }
     folder = _make_folder(folder)
     written = []
     for name, table in tables.items():
         path = folder / f"{name}.tex"
         with replace_file(path) as part:
-            part.write_text(format_table(table, "tex"), "utf-8")
+            part.write_text(format_latex(table, label=f"tab:{name}"), "utf-8")
         written.append(path)
     return written

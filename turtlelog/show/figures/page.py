@@ -5,11 +5,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
+import numpy as np
+from matplotlib import colormaps
+
 from turtlelog.errors import ShowError
 
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
-_NARROWEST_MM, _WIDEST_MM = 40.0, 1000.0
+_NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -20,10 +23,10 @@ LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
         "xtick.labelsize": 7.0,
         "ytick.labelsize": 7.0,
         "legend.fontsize": 7.0,
-        "legend.framealpha": 0.9,
-        "legend.edgecolor": "0.8",
-        "legend.borderpad": 0.3,
-        "legend.handlelength": 2.6,
+        "legend.frameon": False,
+        "legend.borderpad": 0.0,
+        "legend.columnspacing": 1.0,
+        "legend.handlelength": 2.3,
         "axes.linewidth": 0.6,
         "axes.grid": True,
         "axes.axisbelow": True,
@@ -34,18 +37,17 @@ LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
         "lines.linewidth": 1.1,
         "xtick.major.width": 0.6,
         "ytick.major.width": 0.6,
-        "axes.unicode_minus": True,
+        "axes.formatter.useoffset": False,
         # TrueType in PDF, outlines in SVG: the page looks the same without the font installed.
         "pdf.fonttype": 42,
         "svg.fonttype": "path",
         "svg.hashsalt": "turtlelog",
-        "path.simplify": True,
     }
 )
 """Settings of matplotlib under which every figure is drawn and written."""
 
-_INKS: Final = ("#0072B2", "#D55E00", "#009E73", "#000000", "#CC79A7", "#56B4E9", "#E69F00")
-"""The palette of Okabe and Ito, in an order that stays apart in grey as far as it can."""
+_INKS: Final = ("#0072B2", "#E69F00", "#000000", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
+"""The palette of Okabe and Ito; the first four are the furthest apart in grey."""
 
 _DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
 """Patterns of lines: what tells runs apart where colours are gone."""
@@ -54,9 +56,9 @@ REFERENCE: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.45", "linewi
 """Goals, limits, zeros."""
 
 IDEAL: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": "0.35", "linewidth": 0.8, "linestyle": (0, (1, 1.5))}
+    {"linewidth": 0.7, "linestyle": (0, (1, 1.5)), "zorder": 1.8, "label": "ideal"}
 )
-"""What theory says."""
+"""What theory says; in the colour of its run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +66,7 @@ class Page:
     """Where figures will stand.
 
     Attributes:
-        text_width_mm: Width of the text block [mm], 40 to 1000.
+        text_width_mm: Width of the text block [mm], 120 to 1000.
         columns: How many columns a figure spans: `1` of two, or `2`, the whole width.
 
     Raises:
@@ -91,8 +93,16 @@ class Page:
 
 
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
-    """Return colour and dashes for each of several runs; no two of 28 are alike."""
+    """Return colour and dashes for each of several runs.
+
+    More runs than the palette has inks shade from dark to light, which stays an order in grey, and
+    the first lie on top: the fast swings of a large gain would cover all others.
+    """
+    dashes = [_DASHES[index % len(_DASHES)] for index in range(count)]
+    if count <= len(_INKS):
+        return [{"color": _INKS[i], "linestyle": dashes[i]} for i in range(count)]
+    shades = colormaps["viridis"](np.linspace(0.0, 0.9, count))
     return [
-        {"color": _INKS[index % len(_INKS)], "linestyle": _DASHES[index % len(_DASHES)]}
-        for index in range(count)
+        {"color": shades[i], "linestyle": dashes[i], "zorder": 2.9 - 0.9 * i / count}
+        for i in range(count)
     ]

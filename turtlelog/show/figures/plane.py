@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from turtlelog.compare import name_runs
 from turtlelog.run import Run
+from turtlelog.show.figures.curves import draw_thinned
+from turtlelog.show.figures.legend import label_runs
 from turtlelog.show.figures.page import REFERENCE, choose_lines
-from turtlelog.show.thinning import choose_rows
 
 _ARRIVED_M = 1.0
 
@@ -21,18 +21,18 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     _draw_paths(whole, runs)
     points = np.concatenate([run.poses.xy_m for run in runs] + [_list_goals(runs)])
     _show_square(whole, points.min(axis=0), points.max(axis=0), 0.08)
-    whole.legend(loc="best")
+    whole.set(title="whole paths")
     _draw_paths(close, runs)
     _close_up(close, runs)
 
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
-    for run, name, looks in zip(runs, name_runs(runs), choose_lines(len(runs)), strict=True):
-        rows = choose_rows(run.poses.xy_m)
-        xy_m = run.poses.xy_m if rows is None else run.poses.xy_m[rows]
-        axes.plot(*xy_m.T, **looks, label=name)
+    for run, name, looks in zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True):
+        xy_m = run.poses.xy_m
+        draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
         axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
-    axes.plot(*runs[0].poses.xy_m[0], "s", ms=4.0, color="0.3", label="start", zorder=3)
+    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
+    axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
     goals = _list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
@@ -52,9 +52,17 @@ def _close_up(axes: Axes, runs: Sequence[Run]) -> None:
         if run.goal_xy_m is not None and isinstance(tolerance_m, int | float):
             corner = (run.goal_xy_m[0] - tolerance_m, run.goal_xy_m[1] - tolerance_m)
             axes.add_patch(
-                Rectangle(corner, 2 * tolerance_m, 2 * tolerance_m, fill=False, **REFERENCE)
+                Rectangle(
+                    corner,
+                    2 * tolerance_m,
+                    2 * tolerance_m,
+                    fill=False,
+                    label="tolerance",
+                    **REFERENCE,
+                )
             )
     axes.set(title="how each run ends", ylabel="")
+    axes.locator_params(nbins=5)
 
 
 def _list_goals(runs: Sequence[Run]) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":

@@ -1,6 +1,7 @@
 """Figures over time: what the robot did, what it missed, and what it was told."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -8,46 +9,62 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import SymmetricalLogLocator
 
-from turtlelog.compare import name_runs
 from turtlelog.run import Run
 from turtlelog.show.figures.curves import (
-    Curve,
     compute_ideal,
     draw_curve,
     draw_level,
+    find_target,
     read_applied,
     read_curve,
-    read_world_velocity,
 )
+from turtlelog.show.figures.legend import label_runs
 from turtlelog.show.figures.page import IDEAL, REFERENCE, choose_lines
 
 _LIMITS = {"speed": "limits.speed_m_s", "turn_rate": "limits.turn_rate_rad_s"}
+_TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
+_GOALS = {"heading": "goal bearing", "x": "goal", "y": "goal", "along_track": "goal"}
 _UNITS = {"speed": "m/s", "turn_rate": "rad/s"}
-_MOST_IN_LEGEND = 8
+_LIMIT = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "limit"}
+_TOLERANCE = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "tolerance"}
 
 
 def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
     """Draw one signal of every run, with its goal and the ideal response where there are."""
-    _draw_targets(axes, runs, signal)
-    is_named = False
+    found = {find_target(run, signal) for run in runs}
+    targets = sorted(target for target in found if target is not None)
+    name = _GOALS.get(signal)
+    draw_level(axes, targets if name else [0.0], **REFERENCE, label=name)
     for run, looks in _style_runs(runs):
-        if signal in {"heading", "x", "y"} and (ideal := compute_ideal(run, signal)) is not None:
-            draw_curve(axes, ideal, **IDEAL, label=None if is_named else "ideal")
-            is_named = True
+        if (ideal := compute_ideal(run, signal)) is not None:
+            draw_curve(axes, ideal, **{**looks, **IDEAL})
         if (curve := read_curve(run, signal)) is not None:
             draw_curve(axes, curve, **looks)
     _finish(axes, label)
 
 
 def draw_error_magnitude(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
-    """Draw the magnitude of an error on a logarithmic scale: what is exponential is straight."""
-    for run, looks in _style_runs(runs):
-        if (curve := read_curve(run, signal)) is not None:
-            sizes = np.abs(curve.values)
-            sizes = np.where(sizes > 0.0, sizes, np.nan)
-            draw_curve(axes, Curve(time_s=curve.time_s, values=sizes), **looks)
+    """Draw the magnitude of an error on a logarithmic scale: what is exponential is straight.
+
+    The axis spans what was measured; an error of zero is a gap.
+    """
     axes.set_yscale("log")
+    _draw_tolerances(axes, runs, signal)
+    extremes: list[float] = []
+    for run, looks in _style_runs(runs):
+        if (curve := read_curve(run, signal)) is None:
+            continue
+        sizes = np.where(curve.values == 0.0, np.nan, np.abs(curve.values))
+        known = sizes[np.isfinite(sizes)]
+        extremes += [known.min(), known.max()] if len(known) else []
+        if (ideal := compute_ideal(run, signal)) is not None:
+            decay = replace(ideal, values=np.abs(ideal.values))
+            draw_curve(axes, decay, **{**looks, **IDEAL})
+        draw_curve(axes, replace(curve, values=sizes), **looks)
+    if extremes:
+        axes.set_ylim(0.6 * min(extremes), 1.8 * max(extremes))
     _finish(axes, label)
 
 
@@ -66,31 +83,24 @@ def draw_command(axes: Axes, runs: Sequence[Run], *, command: str, label: str) -
 
 def draw_wanted(axes: Axes, runs: Sequence[Run], *, command: str, label: str) -> None:
     """Draw commands before clipping, on a symmetric logarithmic scale that is linear to 1."""
+    axes.set_yscale("symlog", linthresh=1.0)
+    ticks = SymmetricalLogLocator(base=10.0, linthresh=1.0, subs=(1.0, 2.0, 5.0))
+    axes.yaxis.set_major_locator(ticks)
+    axes.yaxis.set_major_formatter("{x:g}")
     _draw_limits(axes, runs, command)
     for run, looks in _style_runs(runs):
         if (curve := read_curve(run, f"wanted_{command}")) is not None:
             draw_curve(axes, curve, **looks)
-    axes.set_yscale("symlog", linthresh=1.0)
     _finish(axes, f"{label} [{_UNITS[command]}]")
 
 
-def draw_world_velocity(axes: Axes, runs: Sequence[Run], *, axis: int) -> None:
-    """Draw a component of gain times error in the world frame, before projection and clipping."""
-    for run, looks in _style_runs(runs):
-        if (curve := read_world_velocity(run, axis)) is not None:
-            draw_curve(axes, curve, **looks)
-    _finish(axes, f"Kp e_{'xy'[axis]} [m/s]")
-
-
 def draw_stack(figure: Figure, runs: Sequence[Run], *, panels: Sequence[Any]) -> None:
-    """Draw panels over each other on one time axis, with one legend."""
+    """Draw panels over each other on one time axis."""
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
     for axes, panel in zip(grid[:, 0], panels, strict=True):
         panel(axes, runs)
-    for axes, below in pairwise(grid[:, 0]):
+    for axes, _ in pairwise(grid[:, 0]):
         axes.set_xlabel("")
-        if _list_labels(axes) == _list_labels(below):
-            _drop_legend(below)
 
 
 def draw_panel(figure: Figure, runs: Sequence[Run]) -> None:
@@ -106,49 +116,43 @@ def draw_panel(figure: Figure, runs: Sequence[Run]) -> None:
     )
     for axes, panel in zip(grid.flat, panels, strict=True):
         panel(axes, runs)
-        if axes is not grid[0, 1] and len(runs) > 1:
-            _drop_legend(axes)
     for axes in grid[:-1].flat:
         axes.set_xlabel("")
 
 
 def _style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
-    styled = zip(runs, name_runs(runs), choose_lines(len(runs)), strict=True)
+    styled = zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True)
     return [(run, {**looks, "label": name}) for run, name, looks in styled]
 
 
-def _draw_targets(axes: Axes, runs: Sequence[Run], signal: str) -> None:
-    levels: set[float] = set()
-    if signal == "heading":
-        levels = {float(np.degrees(run.samples.bearing_rad[0])) for run in runs if len(run.samples)}
-    elif signal in {"x", "y"}:
-        axis = "xy".index(signal)
-        levels = {run.goal_xy_m[axis] for run in runs if run.goal_xy_m is not None}
-    elif "error" in signal or signal in {"cross_track", "distance"}:
-        draw_level(axes, [0.0], **REFERENCE)
-    if levels:
-        name = "goal bearing" if signal == "heading" else "goal"
-        draw_level(axes, sorted(levels), **REFERENCE, label=name)
+def _draw_tolerances(axes: Axes, runs: Sequence[Run], signal: str) -> None:
+    found = _find_parameters(runs, _TOLERANCES[signal])
+    levels = np.degrees(found) if signal == "heading_error" else found
+    draw_level(axes, list(levels), **_TOLERANCE)
 
 
 def _draw_limits(axes: Axes, runs: Sequence[Run], command: str) -> None:
-    limits = _find_limits(runs, command)
     draw_level(axes, [0.0], color="0.8", linewidth=0.5)
-    levels = [sign * limit for limit in limits for sign in (1.0, -1.0)]
-    draw_level(axes, levels, **REFERENCE, linestyle=(0, (5, 2)), label="limit")
+    levels = [
+        sign * limit for limit in _find_parameters(runs, _LIMITS[command]) for sign in (1.0, -1.0)
+    ]
+    draw_level(axes, levels, **_LIMIT)
 
 
-def _find_limits(runs: Sequence[Run], command: str) -> list[float]:
-    found = {run.parameters.get(_LIMITS[command]) for run in runs}
-    return sorted(float(limit) for limit in found if isinstance(limit, int | float) and limit < 1e9)
+def _find_parameters(runs: Sequence[Run], key: str) -> list[float]:
+    """Return the values that the runs have of a parameter; what is boundless is none."""
+    found = {run.parameters.get(key) for run in runs}
+    return sorted(float(value) for value in found if isinstance(value, int | float) and value < 1e9)
 
 
 def _draw_stages(axes: Axes, run: Run, command: str) -> None:
     lines = choose_lines(3)
+    # The plant tells its speed without a sign.
+    applied = "|applied|" if command == "speed" else "applied"
     stages = (
-        ("wanted", read_curve(run, f"wanted_{command}"), {**lines[1], "linewidth": 0.8}),
-        ("commanded", read_curve(run, command), {**lines[0], "linewidth": 1.6}),
-        ("applied", read_applied(run, command), {**lines[2], "linewidth": 0.8}),
+        ("wanted", read_curve(run, f"wanted_{command}"), {**lines[1], "linewidth": 0.9}),
+        ("commanded", read_curve(run, command), {**lines[0], "linewidth": 1.7}),
+        (applied, read_applied(run, command), {**lines[2], "linewidth": 0.8}),
     )
     for name, curve, looks in stages:
         if curve is not None:
@@ -157,7 +161,7 @@ def _draw_stages(axes: Axes, run: Run, command: str) -> None:
 
 def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: str) -> None:
     """End the axis a little beyond the limits: what was wanted may lie far outside."""
-    limits = _find_limits(runs, command)
+    limits = _find_parameters(runs, _LIMITS[command])
     if not limits:
         return
     curves = [read_curve(run, command) for run in runs]
@@ -165,19 +169,7 @@ def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: str) -> None:
     axes.set_ylim(min(1.3 * low, -0.2 * limits[-1]), 1.3 * limits[-1])
 
 
-def _drop_legend(axes: Axes) -> None:
-    legend = axes.get_legend()
-    if legend is not None:
-        legend.remove()
-
-
-def _list_labels(axes: Axes) -> list[str]:
-    labels = [str(line.get_label()) for line in axes.get_lines()]
-    return [label for label in labels if not label.startswith("_")]
-
-
 def _finish(axes: Axes, label: str) -> None:
     axes.set(xlabel="time from the first sample [s]", ylabel=label)
     axes.margins(x=0.01)
-    if len(_list_labels(axes)) > 1:
-        axes.legend(ncols=1 if len(_list_labels(axes)) <= _MOST_IN_LEGEND else 2)
+    axes.locator_params(axis="x", nbins=6)

@@ -18,9 +18,9 @@ def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: 
     """Draw the plant 1/s answering an impulse, a step and a ramp."""
     time_s = np.linspace(0.0, _LAST_S, 201)
     responses = (
-        ("impulse", np.ones_like(time_s), "stays at 1"),
-        ("step", time_s, "grows without bound"),
-        ("ramp", time_s**2 / 2.0, "grows without bound"),
+        ("impulse", np.ones_like(time_s), "bounded"),
+        ("step", time_s, "unbounded"),
+        ("ramp", time_s**2 / 2.0, "unbounded"),
     )
     for axes, (name, values, end) in zip(figure.subplots(1, 3), responses, strict=True):
         axes.plot(time_s, values, **choose_lines(1)[0])
@@ -39,30 +39,30 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
         axes.plot(time_s, compute_step_response(gain, time_s), label=f"Kp = {gain:g}", **looks)
         settled_s = compute_settling_time(gain)
         level = compute_step_response(gain, np.array([settled_s]))
-        label = "4 tau" if gain == gains[-1] else None
+        label = "4 τ" if gain == gains[-1] else None
         axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"], label=label)
-    axes.set(xlabel="time [s]", ylabel="response [of the step]", xlim=(0.0, last_s), ylim=(0, 1.1))
-    axes.legend(loc="lower right")
+    axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
 
 
 def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the closed loop's pole s = -Kp, from the plant's at the origin leftward."""
     axes, gains = figure.subplots(), find_gains(runs)
     left = -1.25 * max(gains)
-    axes.axvspan(0.0, -0.12 * left, color="0.94", zorder=0.5)
-    axes.text(-0.06 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
+    axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
+    axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
     axes.plot([0.0, left], [0.0, 0.0], color="0.3", label="s = -Kp")
     axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
     for gain, looks in zip(gains, choose_lines(len(gains)), strict=True):
         axes.plot([-gain], [0.0], "o", ms=4.5, color=looks["color"], label=f"Kp = {gain:g}")
-    axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.12 * left))
+    axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
     axes.set_ylim(-1.0, 1.0)
-    axes.legend(loc="lower left", ncols=2)
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
     """Return the gains of the runs in rising order, the paper's where none is recorded."""
     keys = ("law.kp_angular", "law.kp_linear")
     found = {run.parameters.get(key) for run in runs for key in keys}
-    gains = sorted(float(gain) for gain in found if isinstance(gain, int | float) and gain > 0.0)
+    gains = sorted(
+        float(gain) for gain in found if isinstance(gain, int | float) and 0.0 < gain < np.inf
+    )
     return tuple(gains) or PAPER_GAINS
