@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from turtlelog.check.operators import measure_margin
+from turtlelog.check.operators import MIRRORED, measure_margin
 from turtlelog.expressions import (
     Call,
     Comparison,
@@ -55,8 +55,6 @@ def read_sides(expression: Expression, values: Mapping[str, Any], margin: float 
 
 Pair = tuple[Node, str, Node]
 
-_MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
-
 
 def _read_over_time(
     expression: Expression, values: Mapping[str, Any], margin: float | None
@@ -106,7 +104,7 @@ def _order(pair: Pair) -> Pair:
     """Return a pair with what is measured on the left."""
     left, operator, right = pair
     if _is_measured(right) and not _is_measured(left):
-        return right, _MIRRORED.get(operator, operator), left
+        return right, MIRRORED[operator], left
     return pair
 
 

@@ -109,7 +109,8 @@ def pytest_runtest_makereport(
     session = item.config.stash[SESSION]
     if call.when == "call":
         item.user_properties += session.list_properties()
-        end_at_test(call.excinfo)
+        if call.excinfo is not None and not item.config.getoption("fulltrace"):
+            end_at_test(call.excinfo.value)
     report = yield
     if call.when == "call":
         session.complete_report(item, report)
