@@ -22,7 +22,7 @@ def test_a_failed_bound_says_all_there_is_to_say(suite: pytest.Pytester) -> None
             "E * rotate.overshoot of runs/kp10.mcap: expected <= 0.5 %",
             "*-- turtlelog --*",
             "rotate.overshoot: expected <= 0.5 %",
-            "  value           1.0076 %",
+            "  value           1.0076 % at 2.336 s",
             "  limit           0.5 %",
             "  margin          -0.50756 %",
             "  first violated  2.288 s (simulated time, from the first sample)",
@@ -44,12 +44,30 @@ def test_it(recording):
 """
     run(suite, body).stdout.fnmatch_lines(
         [
-            "E * assert <FAIL: 0.10774 m; always(abs(cross_track) <= 0.05); margin -0.057737 m;"
-            " first violated at 5.664 s>",
-            "holds: expected always(abs(cross_track) <= 0.05)",
+            "E * assert <FAIL: 0.10774 m; always(abs(cross_track) <= 0.05) in translate;"
+            " margin -0.057737 m; first violated at 5.664 s>",
+            "expected always(abs(cross_track) <= 0.05) in translate",
+            "  value           0.10774 m at 8.784 s",
             "  margin          -0.057737 m",
             "  first violated  5.664 s (simulated time, from the first sample)",
             "    >  5.664         -0.05008",
+        ]
+    )
+
+
+def test_a_formula_of_several_comparisons_names_the_one_that_decides(
+    suite: pytest.Pytester,
+) -> None:
+    body = """
+def test_it(recording):
+    assert recording.holds("always(abs(turn_rate) <= 1 and abs(cross_track) <= 0.05)")
+"""
+    run(suite, body).stdout.fnmatch_lines(
+        [
+            "E * decided by abs(cross_track) <= 0.05; margin -0.057737 m; *",
+            "  decided by      abs(cross_track) <= 0.05",
+            "  value           0.10774 m at * s",
+            "  limit           0.05 m",
         ]
     )
 
@@ -103,7 +121,7 @@ def test_it(recording):
 """
     result = run(suite, body)
     result.assert_outcomes(passed=2)
-    result.stdout.fnmatch_lines(["turtlelog: 2 recordings, 8 checks, worst margins: *"])
+    result.stdout.fnmatch_lines(["turtlelog: 2 recordings, 10 checks, worst margins: *"])
 
 
 def test_two_metrics_compare_in_one_unit_only(suite: pytest.Pytester) -> None:

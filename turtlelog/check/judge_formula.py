@@ -1,16 +1,17 @@
 """A formula on a run -> result: does it hold, by what margin, and since when not."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.moments import find_metric_violation
 from turtlelog.check.result import CheckResult, Verdict
-from turtlelog.check.sides import read_sides
 from turtlelog.check.spec import Check
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.check.vocabulary import find_window, require_known_names
-from turtlelog.expressions import Comparison, Expression, Name, Temporal
+from turtlelog.expressions import Comparison, Expression, Name, Temporal, iterate_nodes
 from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
 from turtlelog.run import Run
 
@@ -50,10 +51,9 @@ def _judge_condition(
 
 
 def _judge_metrics(check: Check, run: Run, file: str) -> CheckResult:
-    values = _read_values(check.formula, run)
-    found = check_formula(values, check.formula)
-    failed_s = None if found.holds else _find_moment(check.formula, run)
-    return _describe(check, found, values, file, failed_s)
+    found = check_formula(_read_values(check.formula, run), check.formula)
+    failed_s = None if found.holds else _find_moment(check.formula, found.limit, run)
+    return replace(_describe(check, found, file), first_violation_s=failed_s)
 
 
 def _judge_over_time(check: Check, run: Run, file: str) -> CheckResult:
@@ -62,14 +62,16 @@ def _judge_over_time(check: Check, run: Run, file: str) -> CheckResult:
         reason = f"no_phase (the run has no phase {check.phase})"
         return _build(check, file, verdict=Verdict.FAIL, reason=reason)
     found = check_run(run, check.formula, window_ns=window_ns)
-    failed_s = found.first_violation_s
-    if failed_s is not None:
-        failed_s += (window_ns[0] - run.start_ns) / 1e9
-    result = _describe(check, found, found.values, file, failed_s)
     if found.holds and not _is_told(found, check.formula, run):
         reason = "the recording ends before the formula's window does, and the run had not ended"
         return _build(check, file, verdict=Verdict.FAIL, reason=reason)
-    return result
+    begun_s = (window_ns[0] - run.start_ns) / 1e9
+    value_s, failed_s = (
+        None if time_s is None else time_s + begun_s
+        for time_s in (found.margin_s, found.first_violation_s)
+    )
+    result = _describe(check, found, file)
+    return replace(result, value_s=value_s, first_violation_s=failed_s)
 
 
 def _is_told(found: FormulaResult, formula: Expression, run: Run) -> bool:
@@ -78,35 +80,31 @@ def _is_told(found: FormulaResult, formula: Expression, run: Run) -> bool:
     return found.is_covered or run.is_complete or is_reached
 
 
-def _describe(
-    check: Check,
-    found: FormulaResult,
-    values: Mapping[str, Any],
-    file: str,
-    failed_s: float | None,
-) -> CheckResult:
-    sides = read_sides(check.formula, values, found.margin)
-    return CheckResult(
-        file=file,
-        check=check.name,
-        verdict=Verdict.PASS if found.holds else Verdict.FAIL,
-        expected=check.formula.text,
-        value=sides.value,
-        limit=sides.limit,
-        margin=found.margin if found.margin not in {float("inf"), float("-inf")} else None,
-        unit=sides.unit,
-        first_violation_s=failed_s,
-        reason="" if found.holds else found.reason,
-        names=choose_signals(check.formula.names),
+def _describe(check: Check, found: FormulaResult, file: str) -> CheckResult:
+    is_finite = found.margin is not None and math.isfinite(found.margin)
+    return replace(
+        _build(check, file, verdict=Verdict.PASS if found.holds else Verdict.FAIL),
+        value=found.value,
+        limit=found.limit,
+        margin=found.margin if is_finite else None,
+        unit=found.unit,
+        decided_by=found.decided_by if _has_several(check.formula) else "",
+        reason=found.reason,
     )
 
 
-def _build(check: Check, file: str, *, verdict: Verdict, reason: str) -> CheckResult:
+def _has_several(formula: Expression) -> bool:
+    """Whether a formula holds more than one comparison."""
+    links = [node.operators for node in iterate_nodes(formula.root) if isinstance(node, Comparison)]
+    return sum(map(len, links)) > 1
+
+
+def _build(check: Check, file: str, *, verdict: Verdict, reason: str = "") -> CheckResult:
     return CheckResult(
         file=file,
         check=check.name,
         verdict=verdict,
-        expected=check.formula.text,
+        expected=check.describe(),
         reason=reason,
         names=choose_signals(check.formula.names),
     )
@@ -143,13 +141,12 @@ def _read_values(formula: Expression, run: Run) -> dict[str, Any]:
     return values | {name: run.parameters[name] for name in formula.names if name in run.parameters}
 
 
-def _find_moment(formula: Expression, run: Run) -> float | None:
+def _find_moment(formula: Expression, limit: float | None, run: Run) -> float | None:
     """Return when a bound on one metric is first violated; None where there are several."""
     metrics = list(_measure(formula, run).values())
     if len(metrics) != 1:
         return None
     metric, root = metrics[0], formula.root
-    limit = read_sides(formula, _read_values(formula, run), None).limit
     if isinstance(root, Comparison) and len(root.operands) == 2 and limit is not None:
         left = root.operands[0]
         if isinstance(left, Name) and left.name == metric.id:

@@ -147,18 +147,21 @@ class MetricValue(FloatArithmetic):
             limit, expected = self._read_limit(operator, other.expected), repr(other)
             off = other.tolerance - abs(value - limit)
             margin = off if operator == "==" else -off
+            holds = OPERATORS[operator](value, other)
         else:
             limit = self._read_limit(operator, other)
             expected, margin = self._format(limit), measure_margin(value, operator, limit)
+            holds = OPERATORS[operator](value, limit)
         return CheckResult(
             file=self._file,
             check=self._label,
-            verdict=Verdict.PASS if OPERATORS[operator](value, other) else Verdict.FAIL,
+            verdict=Verdict.PASS if holds else Verdict.FAIL,
             expected=f"{operator} {expected}",
             value=value,
             limit=limit,
             margin=margin,
             unit=self.unit,
+            value_s=self.at_s,
             names=choose_signals([self.metric.id]),
         )
 

@@ -91,7 +91,7 @@ class Margins:
         self._trace = trace
         self._exact = exact
         self._unknown = unknown
-        self._found: dict[tuple[int, int], Steps] = {}
+        self._found: dict[tuple[int, int], tuple[Node, Steps]] = {}
 
     def compute(self, node: Node, sign: int = 1) -> Steps:
         """Return the margin of part of the formula at every moment.
@@ -102,8 +102,9 @@ class Margins:
         """
         key = id(node), sign
         if key not in self._found:
-            self._found[key] = self._compute(node, sign)
-        return self._found[key]
+            # Kept beside its margin, a node keeps its id.
+            self._found[key] = node, self._compute(node, sign)
+        return self._found[key][1]
 
     def _compute(self, node: Node, sign: int) -> Steps:
         match node:
