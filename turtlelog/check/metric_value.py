@@ -142,9 +142,9 @@ class MetricValue(FloatArithmetic):
             CheckError: Where it is nothing to compare with.
             MissingValueError: Where either has no value.
         """
-        value = self._require_value(f"{operator} {other!r}")
+        value = self._require_value(f"{operator} {_show(other)}")
         if isinstance(other, Approximate):
-            limit, expected = self._read_limit(operator, other.expected), repr(other)
+            limit, expected = self._read_limit(operator, other.expected), _show(other, self.unit)
             off = other.tolerance - abs(value - limit)
             margin = off if operator == "==" else -off
             holds = OPERATORS[operator](value, other)
@@ -217,6 +217,12 @@ class MetricValue(FloatArithmetic):
     def _name(self, name: str) -> str:
         asked = ", ".join(f"{key}={value}" for key, value in self._asked.items())
         return f"{name}({asked})" if asked else name
+
+
+def _show(other: object, unit: str = "") -> str:
+    if isinstance(other, Approximate):
+        return f"{format_number(float(other.expected), unit)} ± {other.tolerance:.2g}"
+    return format_number(other) if isinstance(other, float) else repr(other)
 
 
 Real.register(MetricValue)  # pytest.approx compares with nothing else

@@ -1,10 +1,9 @@
 """What a failure says; loaded when there is one."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from turtlelog.check import CheckResult, write_artifacts
+from turtlelog.check import ArtifactWriter, CheckResult
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.operators import MIRRORED
 from turtlelog.errors import TurtlelogError
@@ -37,13 +36,13 @@ def explain_failures(recording: "Recording", results: Sequence[CheckResult]) -> 
 
 
 def keep_artifacts(
-    recording: "Recording", results: Sequence[CheckResult], folder: Path, *, prefix: str
+    recording: "Recording", results: Sequence[CheckResult], writer: ArtifactWriter, *, prefix: str
 ) -> list[str]:
     """Write what there is to look at of the first violation, and say where, or what went wrong."""
     dated = [result for result in results if result.first_violation_s is not None]
     result = min(dated, key=lambda found: found.first_violation_s or 0.0, default=results[0])
     try:
-        found = write_artifacts(recording.run, result, folder, prefix=prefix)
+        found = writer.write(recording.run, result, prefix=prefix)
     except (TurtlelogError, OSError) as err:
         return [f"artifacts: {err}"]
     return [*(f"wrote {path}" for path in found.files), *found.notes]
