@@ -50,7 +50,7 @@ class _Descent:
                 return self.find(operand, sign, int(body.time_ns[best]))
             case Until():
                 return self._find_in_until(node, sign, time_ns)
-            case Comparison(operators=operators, operands=operands):
+            case Comparison(operators=operators, operands=operands) if len(operators) > 1:
                 pairs = zip(operators, operands, operands[1:], strict=False)
                 links = [Comparison(operators=(op,), operands=(a, b)) for op, a, b in pairs]
                 least = min(links, key=lambda link: self._read(link, sign, time_ns))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
-from turtlelog.check.judge_formula import judge_check
+from turtlelog.check.judge_formula import judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict, format_number
 from turtlelog.check.spec import Spec
 from turtlelog.check.spec_file import require_reference
@@ -56,8 +56,9 @@ def judge_run(
     if lost is not None:
         yield CheckResult(file=file, check="recording", verdict=Verdict.FAIL, reason=lost)
         return
+    metrics = measure_named(spec.checks, run)
     for check in spec.checks:
-        yield judge_check(check, run, file=file)
+        yield judge_check(check, run, file=file, metrics=metrics)
     if reference is not None:
         yield from _judge_tolerances(spec, reference, run, file)
 
