@@ -174,7 +174,10 @@ def test_the_schema_in_the_docs_is_the_one_that_is_printed(call: Call) -> None:
 BAD = {
     "nothing": ([], "SPEC: expected a specification and recordings, found none"),
     "no runs": (["spec.toml"], "FILE: expected at least one recording, found none"),
-    "no spec": (["none.toml", "kp4"], "none.toml: expected a tolerance file, found: No such file"),
+    "no spec": (
+        ["none.toml", "kp4"],
+        "none.toml: expected a specification or tolerance file, found: No such file",
+    ),
     "no run": (["spec.toml", "runs/*.mcap"], "runs/*.mcap: expected a recording"),
     "output": (["spec.toml", "kp4", "-o", "x.toml"], "--output: expected --init beside it"),
     "init": (["--init", "kp4", "spec.toml"], "--init: expected one good run and no other file"),

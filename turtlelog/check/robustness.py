@@ -8,7 +8,7 @@ until the next and the last one for ever.
 import functools
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,9 @@ from turtlelog.expressions import (
 )
 
 Values = NDArray[np.float64]
+
+_LONGEST_S: Final = 1e18
+"""Beyond all traces."""
 
 
 def compute_robustness(
@@ -181,5 +184,9 @@ class Margins:
 
 def convert_window(node: Temporal | Until) -> tuple[int, int | None]:
     """Return the ends of a node's window [ns], None for no end."""
-    last_ns = None if math.isinf(node.end_s) else round(node.end_s * 1e9)
-    return round(node.start_s * 1e9), last_ns
+    last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
+    return _convert(node.start_s), last_ns
+
+
+def _convert(time_s: float) -> int:
+    return round(min(time_s, _LONGEST_S) * 1e9)
