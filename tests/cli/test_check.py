@@ -76,6 +76,19 @@ def test_junit_has_cases_and_every_metric(
     assert "law.kp_angular = 10.0, law.kp_linear = 10.0" in failure.text
 
 
+def test_junit_holds_any_name_and_reason(call: Call, kp4: Path, tmp_path: Path) -> None:
+    spec, target = tmp_path / "spec.toml", tmp_path / "report.xml"
+    name = r"a <b> & \"c\" ü \u0001"
+    text = f'format = 1\n[checks."{name}"]\nexpect = "run.duration < 1"\nreason = "]]> \\u0002"'
+    spec.write_text(text, encoding="utf-8")
+    run = tmp_path / "i & 'j'.mcap"
+    run.write_bytes(kp4.read_bytes())
+    assert call("check", spec, run, "--junit", target).code == 1
+    case = Xml.parse(target).getroot().find("testsuite/testcase")
+    assert case is not None
+    assert (case.get("name"), case.get("classname")) == ('a <b> & "c" ü ?', str(run))
+
+
 def test_artifacts_are_written_of_what_fails(
     call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:
@@ -143,8 +156,14 @@ def matches(value: Any, schema: dict[str, Any], root: dict[str, Any] | None = No
 
 
 def has_fitting_keys(value: Any, schema: dict[str, Any], root: dict[str, Any]) -> bool:
-    alternatives = schema.get("oneOf", [schema])
-    if sum(set(one.get("required", ())) <= set(value) for one in alternatives) != 1:
+    found = [
+        [set(one.get("required", ())) <= set(value) for one in schema.get(word, [schema])]
+        for word in ("oneOf", "anyOf")
+    ]
+    needs = schema.get("dependentRequired", {})
+    if sum(found[0]) != 1 or not any(found[1]):
+        return False
+    if not all(set(needs[key]) <= set(value) for key in value if key in needs):
         return False
     inner = schema.get("properties", {})
     others = schema["additionalProperties"]
@@ -161,7 +180,8 @@ def test_the_schema_accepts_the_examples_and_refuses_what_the_reader_does(
         assert matches(tomllib.loads(path.read_text("utf-8")), schema), path
     assert matches(tomllib.loads(SPEC), schema)
     assert matches(tomllib.loads(call("check", "--init", kp4).out), schema)
-    for wrong in ('[checks.a]\nfase = "b"', "[checks.a]\nexpect = 3", "[signals.z]\nabs = 1"):
+    wrong_ones = ('[checks.a]\nfase = "b"', "[checks.a]\nexpect = 3", "[signals.z]\nabs = 1", "")
+    for wrong in (*wrong_ones, '[checks.a]\nexpect = "true"\nphase = "rotate"'):
         assert not matches(tomllib.loads(f"format = 1\n{wrong}"), schema), wrong
     assert not matches({"format": 2}, schema)
 
