@@ -4,6 +4,7 @@ __all__: list[str]
 
 from .check import (
     Artifacts as Artifacts,
+    ArtifactWriter as ArtifactWriter,
     Check as Check,
     CheckResult as CheckResult,
     FormulaResult as FormulaResult,

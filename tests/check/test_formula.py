@@ -55,13 +55,42 @@ def test_what_always_holds_is_first_violated_where_its_body_is(
 
 @settings(deadline=None)
 @given(formulas, signals)
-def test_the_margin_of_always_is_found_where_it_comes_from(
+def test_the_margin_is_that_of_the_deciding_comparison_at_its_time(
     tree: Node, trace: dict[str, Column]
 ) -> None:
-    text = f"always({format_expression(tree)})"
-    found = check_formula(trace, parse_expression(text), window_ns=(0, 10**11))
+    found = check_formula(trace, parse_expression(format_expression(tree)), window_ns=(0, 10**11))
+    assert found.margin is not None
     assert found.margin_s is not None
-    assert Definition(tree, trace)(round(found.margin_s * 2)) == found.margin
+    decisive = parse_expression(found.decided_by).root
+    there = Definition(decisive, trace)(round(found.margin_s * 2))
+    assert abs(there) == abs(found.margin)
+    assert found.value is not None
+    assert found.limit is not None
+    assert abs(found.value - found.limit) == abs(found.margin)
+
+
+@pytest.mark.parametrize(
+    ("text", "decided_by", "at_s"),
+    [
+        ("always(x < 5 and y < 5)", "y < 5", 2.0),
+        ("always(x < 5) and always(y > -9)", "x < 5", 3.0),
+        ("always(x > 3 or y > 3)", "y > 3", 0.0),
+        ("always(x > 2.5 implies y > 3)", "x > 2.5", 3.0),
+        ("not eventually(x > 3.5)", "x > 3.5", 3.0),
+        ("always(0 <= x <= 5)", "0 <= x", 0.0),
+        ("always(eventually[0, 1](x > 2))", "x > 2", 4.0),
+        ("y < 6 until x > 3.5", "x > 3.5", 3.0),
+        ("y < 4.2 until x > 3.5", "y < 4.2", 2.0),
+        ("true and x < 1", "x < 1", 0.0),
+        ("kind == 'q' and x < 1", 'kind == "q"', 0.0),
+    ],
+)
+def test_a_finding_names_the_comparison_that_decides(
+    text: str, decided_by: str, at_s: float
+) -> None:
+    y = (TIMES, np.array([1.0, 2.0, 4.5, 1.0, 1.0]))
+    found = check(text, y=y, kind="p")
+    assert (found.decided_by, found.margin_s) == (decided_by, at_s)
 
 
 @pytest.mark.parametrize(
@@ -82,6 +111,9 @@ def test_the_margin_of_always_is_found_where_it_comes_from(
         ("always(x < 4) and eventually[0, 2](x > 3)", 2.0),
         ("x == 0 implies always(x < 3)", 1.0),
         ("x == 1 implies always(x < 3)", None),
+        ("always[1e300, inf](x > 3)", 4.0),
+        ("eventually[0, 1e300](x > 5)", 4.0),
+        ("x < 5 until[9, 1e300] x > 5", 4.0),
         ("x < 3.5 until x > 5", 3.0),
         ("x < 5 until[0, 2] x > 3.5", 2.0),
         ("not eventually(x > 3)", 0.0),

@@ -10,11 +10,12 @@ import pytest
 
 import turtlelog as tl
 from tests.check.recordings import simulate
-from turtlelog.check import CheckResult, check_runs, parse_spec
+from turtlelog.check import CheckResult, Spec, check_runs, parse_spec
 
-OTHERS = 2
+LEAST = 100
+"""How many checks a specification holds at least: some metrics have no value in both runs."""
 
-LAGGING = {"loop__transport_delay_ticks": 6, "max_duration_s": 30.0}
+LAGGING = {"loop__transport_delay_ticks": 6, "max_duration_s": 40.0}
 
 
 def dip(run: tl.Run, *, heading_rad: float, along_m: float) -> tl.Run:
@@ -64,10 +65,8 @@ CHANGES: Mapping[str, Callable[[], tl.Run]] = {
     "gain": lambda: simulate("paper-kp10"),
     "goal": lambda: simulate(goal__x_m=9.0, goal__y_m=2.0, goal__heading_rad=1.0),
     "goal heading": lambda: simulate(goal__heading_rad=0.5),
-    "lag": lambda: simulate("paper-kp10", law__kp_angular=16.0, law__kp_linear=12.0, **LAGGING),
-    "less lag": lambda: simulate(
-        "paper-kp10", law__kp_angular=14.0, law__kp_linear=14.0, **LAGGING
-    ),
+    "lag": lambda: simulate("paper-kp10", law__kp_angular=8.0, law__kp_linear=12.0, **LAGGING),
+    "less lag": lambda: simulate("paper-kp10", law__kp_angular=7.0, law__kp_linear=12.0, **LAGGING),
     "slow loop": lambda: simulate(loop__period_ticks=5),
     "no limits": lambda: simulate(limits__speed_m_s=2.0, limits__turn_rate_rad_s=3.0),
     "textbook": lambda: simulate("textbook"),
@@ -89,14 +88,20 @@ def measure(change: str) -> Mapping[str, tl.Metric]:
     return tl.measure_run(build(change))
 
 
+@cache
+def list_known(change: str) -> set[str]:
+    return {name for name, metric in measure(change).items() if metric.value is not None}
+
+
 def choose_pair(name: str) -> tuple[str, str]:
-    """Return two runs with different values of a metric, the smaller one first."""
-    found = [change for change in ("", *CHANGES) if measure(change)[name].value is not None]
-    for change in found[1:]:
-        values = [measure(which)[name].value or 0.0 for which in (found[0], change)]
-        if abs(values[0] - values[1]) > 1e-9:
-            return (found[0], change) if values[0] < values[1] else (change, found[0])
-    raise AssertionError(f"{name}: expected a run with another value, found none")
+    """Return two runs with different values of a metric, the smaller one first.
+
+    Of all such, two that have values of as many metrics as can be.
+    """
+    runs = [change for change in ("", *CHANGES) if name in list_known(change)]
+    values = {change: measure(change)[name].value or 0.0 for change in runs}
+    pairs = [(a, b) for a in runs for b in runs if values[a] < values[b] - 1e-9]
+    return max(pairs, key=lambda pair: len(list_known(pair[0]) & list_known(pair[1])))
 
 
 def bound(name: str, pair: tuple[str, str]) -> tuple[float, float, float]:
@@ -104,44 +109,46 @@ def bound(name: str, pair: tuple[str, str]) -> tuple[float, float, float]:
     return low, (low + high) / 2, high
 
 
-def write_spec(name: str, formula: str, pair: tuple[str, str]) -> dict[str, object]:
-    """Return the check of one metric, and loose ones of those that stand after it in the table."""
-    names = list(tl.METRICS)
-    checks = {name: {"expect": formula}}
-    for other in [*names[names.index(name) + 1 :], *names]:
-        values = [measure(change)[other].value for change in pair]
-        known = [value for value in values if value is not None]
-        if len(known) == len(pair) and other not in checks:
-            checks[other] = {"expect": f"{min(known) - 1!r} <= {other} <= {max(known) + 1!r}"}
-        if len(checks) > OTHERS:
-            break
-    return {"checks": checks}
+def write_spec(name: str, pair: tuple[str, str]) -> Spec:
+    """Return a check of every metric, as tight as both runs allow, and eight that part them.
+
+    The large run violates the first four of these, one for each operator, the small run the others.
+    """
+    small, large = pair
+    low, middle, high = bound(name, pair)
+    first = {"<": middle, "<=": low, "==": low, "!=": high}
+    second = {">": middle, ">=": high, "==": high, "!=": low}
+    checks = {
+        f"{operator} {limit!r}": f"{name} {operator} {limit!r}"
+        for operator, limit in (*first.items(), *second.items())
+    }
+    others = sorted(list_known(small) & list_known(large) - {name})
+    for place, other in enumerate(others, start=len(name)):
+        values = [measure(change)[other].value or 0.0 for change in pair]
+        bounds = (f"{other} <= {max(values)!r}", f"{min(values)!r} <= {other}")
+        checks[other] = bounds[place % 2]  # either, by and by
+    return parse_spec({"checks": {check: {"expect": text} for check, text in checks.items()}})
 
 
-def find_failed(spec: dict[str, object], change: str) -> list[CheckResult]:
-    results = check_runs(parse_spec(spec), [(change, build(change))])
+def find_failed(spec: Spec, change: str) -> list[CheckResult]:
+    results = check_runs(spec, [(change, build(change))])
     return [result for result in results if result.verdict == "FAIL"]
 
 
 @pytest.mark.parametrize("name", tl.METRICS)
-def test_a_run_changed_to_violate_a_bound_fails_that_check_alone(name: str) -> None:
+def test_a_run_changed_to_violate_the_bounds_on_a_metric_fails_these_and_no_other(
+    name: str,
+) -> None:
     pair = choose_pair(name)
-    low, middle, high = bound(name, pair)
-    small, large = pair
-    for operator, limit, good, bad in (
-        ("<", middle, small, large),
-        ("<=", low, small, large),
-        (">", middle, large, small),
-        (">=", high, large, small),
-        ("==", low, small, large),
-        ("!=", low, large, small),
-    ):
-        spec = write_spec(name, f"{name} {operator} {limit!r}", pair)
-        assert find_failed(spec, good) == [], operator
-        (failed,) = find_failed(spec, bad)
-        assert failed.check == name
-        assert failed.margin is not None
-        assert failed.margin < 0 or (operator == "!=" and failed.margin == 0)
+    spec = write_spec(name, pair)
+    names = [check.name for check in spec.checks]
+    assert len(names) >= LEAST
+    small, large = (find_failed(spec, change) for change in pair)
+    assert [result.check for result in large] == names[:4]
+    assert [result.check for result in small] == names[4:8]
+    for result in (*small, *large):
+        assert result.margin is not None
+        assert result.margin < 0 or (result.check.startswith("!=") and result.margin == 0)
 
 
 @pytest.mark.parametrize("name", tl.METRICS)
@@ -161,29 +168,51 @@ def test_a_test_sees_the_same_as_a_spec(name: str) -> None:
 
 
 FORMULAS = {
-    "always": ("always(abs(cross_track) <= 0.05)", "gain"),
-    "eventually": ("eventually[0, 12](distance <= 0.01)", "gain"),
-    "until": ("(speed == 0 or phase == 'translate') until phase == 'translate'", "wrong start"),
-    "not": ("not eventually(cross_track < -0.05)", "gain"),
-    "and": ("always(abs(speed) <= 1 and abs(turn_rate) <= 1)", "no limits"),
-    "or": ("always(phase == 'rotate' or abs(heading_error) < 0.01)", "gain"),
-    "implies": ("always(phase == 'translate' implies abs(heading_error) < 0.01)", "gain"),
+    "always": "always(abs(cross_track) <= 0.05)",
+    "eventually": "eventually[0, 12](distance <= 0.01)",
+    "until": "(speed == 0 or phase == 'translate') until phase == 'translate'",
+    "not": "not eventually(turn_rate < -0.5)",
+    "and": "always(abs(speed) <= 1 and abs(turn_rate) <= 1)",
+    "or": "always(phase == 'rotate' or abs(turn_rate) < 0.9)",
+    "implies": "always(phase == 'translate' implies speed > -0.1)",
+}
+TURNING, DRIVING = 50, 300
+
+
+def step_aside(run: tl.Run) -> tl.Run:
+    """Move the turtle 10 cm to the left of its line for one pose."""
+    row, bearing = run.samples.pose_sequence[DRIVING], float(run.samples.bearing_rad[0])
+    xy_m = run.poses.xy_m.copy()
+    xy_m[row] += 0.1 * np.array([-np.sin(bearing), np.cos(bearing)])
+    return replace(run, poses=replace(run.poses, xy_m=xy_m))
+
+
+def command(column: str, row: int, value: float) -> tl.Run:
+    """Change one command of one sample."""
+    run = simulate()
+    values = getattr(run.samples, column).copy()
+    values[row] = value
+    return replace(run, samples=replace(run.samples, **{column: values}))
+
+
+VIOLATIONS: Mapping[str, Callable[[], tl.Run]] = {
+    "always": lambda: step_aside(simulate()),
+    "eventually": lambda: build("slow loop"),
+    "until": lambda: command("speed_m_s", TURNING, 0.5),
+    "not": lambda: command("turn_rate_rad_s", TURNING, -0.6),
+    "and": lambda: command("speed_m_s", DRIVING, 1.5),
+    "or": lambda: command("turn_rate_rad_s", DRIVING, 0.95),
+    "implies": lambda: command("speed_m_s", DRIVING, -0.5),
 }
 
 
-@pytest.mark.parametrize(("formula", "change"), FORMULAS.values(), ids=FORMULAS)
-def test_a_run_changed_to_violate_a_formula_fails_it_alone(formula: str, change: str) -> None:
-    spec: dict[str, object] = {
-        "checks": {"it": {"holds": formula}, "other": {"holds": "always(distance < 20)"}}
-    }
+@pytest.mark.parametrize("operator", FORMULAS)
+def test_a_run_changed_to_violate_a_formula_fails_it_and_no_other(operator: str) -> None:
+    spec = parse_spec({"checks": {name: {"holds": text} for name, text in FORMULAS.items()}})
     run = simulate()
-    if change == "wrong start":
-        speeds = run.samples.speed_m_s.copy()
-        speeds[50] = 0.5
-        bad = replace(run, samples=replace(run.samples, speed_m_s=speeds))
-    else:
-        bad = build(change)
-    good, failed = (list(check_runs(parse_spec(spec), [("a", found)])) for found in (run, bad))
-    assert [result.verdict for result in good] == ["PASS", "PASS"]
-    assert [result.verdict for result in failed] == ["FAIL", "PASS"]
-    assert failed[0].first_violation_s is not None
+    assert list(run.samples.phase[[TURNING, DRIVING]]) == [tl.Phase.ROTATE, tl.Phase.TRANSLATE]
+    assert {result.verdict for result in check_runs(spec, [("good", run)])} == {"PASS"}
+    results = check_runs(spec, [("bad", VIOLATIONS[operator]())])
+    (failed,) = [result for result in results if result.verdict == "FAIL"]
+    assert failed.check == operator
+    assert failed.first_violation_s is not None

@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
+from tests.check.recordings import simulate
 
 CHECK = '[checks.near]\nexpect = "final.position_error < 0.02"\n'
 
@@ -100,6 +101,31 @@ BAD = {
         r"spec.toml: alignment: expected phase:rotate.*, found 'phase:rotat'",
     ),
     "no TOML": ("format = ", r"spec.toml: expected TOML, found"),
+    "nothing at all": ("", r"spec.toml: format: expected 1, found none"),
+    "binary": ("\0\1\2", r"spec.toml: expected TOML, found"),
+    "format as text": (f'format = "1"\n{CHECK}', r"spec.toml: format: expected 1, found '1'"),
+    "array": ("format = 1\n[[checks]]\nexpect = 'a'", r"checks: expected tables, found"),
+    "no number": ("format = 1\n[checks.a]\nexpect = nan", r"expect: expected text, found nan"),
+    "nan": (
+        'format = 1\n[checks.a]\nexpect = "run.duration < nan"',
+        r"checks.a.expect: column 16: unknown name 'nan'",
+    ),
+    "too large": (
+        'format = 1\n[checks.a]\nexpect = "run.duration < 1e400"',
+        r"checks.a.expect: column 16: expected a number below 1.8e308, or inf, found '1e400'",
+    ),
+    "window": (
+        'format = 1\n[checks.a]\nholds = "always[5, 2](x < 3)"',
+        r"checks.a.holds: column 11: expected a second bound of at least 5 s, found '2'",
+    ),
+    "deep": (
+        f'format = 1\n[checks.a]\nexpect = "{"(" * 500}run.duration{")" * 500} > 1"',
+        r"checks.a.expect: column 101: expected at most 100 levels of nesting",
+    ),
+    "long": (
+        f'format = 1\n[checks.a]\nexpect = "{"run.duration > 0 and " * 2000}true"',
+        r"checks.a.expect: column 1: expected at most 20,000 characters, found",
+    ),
 }
 
 
@@ -113,3 +139,12 @@ def test_a_wrong_spec_is_refused_with_file_and_key(text: str, message: str, tmp_
 def test_a_spec_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(tl.TurtlelogError, match=r"nothing.toml: expected .*, found: No such file"):
         tl.load_spec(tmp_path / "nothing.toml")
+
+
+def test_a_spec_of_a_thousand_checks_is_read_and_checked(tmp_path: Path) -> None:
+    text = "".join(f'[checks.a{i}]\nexpect = "run.duration < {i}"\n' for i in range(1000))
+    spec = tl.load_spec(write(tmp_path, f"format = 1\n{text}"))
+    run = simulate()
+    passed = [result.verdict == "PASS" for result in tl.check_runs(spec, [("a", run)])]
+    duration_s = (run.end_ns - run.start_ns) / 1e9
+    assert passed == [duration_s < limit_s for limit_s in range(1000)]

@@ -7,6 +7,7 @@ from xml.etree import ElementTree as Xml
 import pytest
 
 import turtlelog as tl
+from tests.check.artifact_files import read_mark
 from tests.cli.conftest import Call
 
 SPEC = """format = 1
@@ -75,14 +76,30 @@ def test_junit_has_cases_and_every_metric(
     assert "law.kp_angular = 10.0, law.kp_linear = 10.0" in failure.text
 
 
+def test_junit_holds_any_name_and_reason(call: Call, kp4: Path, tmp_path: Path) -> None:
+    spec, target = tmp_path / "spec.toml", tmp_path / "report.xml"
+    name = r"a <b> & \"c\" ü \u0001"
+    text = f'format = 1\n[checks."{name}"]\nexpect = "run.duration < 1"\nreason = "]]> \\u0002"'
+    spec.write_text(text, encoding="utf-8")
+    run = tmp_path / "i & 'j'.mcap"
+    run.write_bytes(kp4.read_bytes())
+    assert call("check", spec, run, "--junit", target).code == 1
+    case = Xml.parse(target).getroot().find("testsuite/testcase")
+    assert case is not None
+    assert (case.get("name"), case.get("classname")) == ('a <b> & "c" ü ?', str(run))
+
+
 def test_artifacts_are_written_of_what_fails(
-    call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path
+    call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:
+    for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(variable, "/none")  # no viewer, no pictures
     folder = tmp_path / "failed"
     answer = call("check", spec, kp4, kp10, "--artifacts", folder)
-    suffixes = sorted(path.suffix for path in folder.iterdir())
-    assert suffixes in ([".mcap", ".png", ".rrd"], [".mcap", ".rrd"])
-    assert (".png" in suffixes) == ("no picture" not in answer.err)
+    assert sorted(path.suffix for path in folder.iterdir()) == [".mcap", ".rrd"]
+    assert ".png: no picture: viewer: expected a graphics adapter" in answer.err
+    (rrd,) = folder.glob("kp10-overshoot-*.rrd")
+    assert read_mark(rrd).cursor_s == (2.288, 2.288)
     (cut,) = folder.glob("kp10-overshoot-*.mcap")
     times_s = (tl.read_recording(cut).poses.time_ns - tl.read_recording(kp10).start_ns) / 1e9
     assert 1.28 <= times_s.min() <= times_s.max() <= 3.29
@@ -139,8 +156,14 @@ def matches(value: Any, schema: dict[str, Any], root: dict[str, Any] | None = No
 
 
 def has_fitting_keys(value: Any, schema: dict[str, Any], root: dict[str, Any]) -> bool:
-    alternatives = schema.get("oneOf", [schema])
-    if sum(set(one.get("required", ())) <= set(value) for one in alternatives) != 1:
+    found = [
+        [set(one.get("required", ())) <= set(value) for one in schema.get(word, [schema])]
+        for word in ("oneOf", "anyOf")
+    ]
+    needs = schema.get("dependentRequired", {})
+    if sum(found[0]) != 1 or not any(found[1]):
+        return False
+    if not all(set(needs[key]) <= set(value) for key in value if key in needs):
         return False
     inner = schema.get("properties", {})
     others = schema["additionalProperties"]
@@ -157,7 +180,8 @@ def test_the_schema_accepts_the_examples_and_refuses_what_the_reader_does(
         assert matches(tomllib.loads(path.read_text("utf-8")), schema), path
     assert matches(tomllib.loads(SPEC), schema)
     assert matches(tomllib.loads(call("check", "--init", kp4).out), schema)
-    for wrong in ('[checks.a]\nfase = "b"', "[checks.a]\nexpect = 3", "[signals.z]\nabs = 1"):
+    wrong_ones = ('[checks.a]\nfase = "b"', "[checks.a]\nexpect = 3", "[signals.z]\nabs = 1", "")
+    for wrong in (*wrong_ones, '[checks.a]\nexpect = "true"\nphase = "rotate"'):
         assert not matches(tomllib.loads(f"format = 1\n{wrong}"), schema), wrong
     assert not matches({"format": 2}, schema)
 
@@ -170,7 +194,10 @@ def test_the_schema_in_the_docs_is_the_one_that_is_printed(call: Call) -> None:
 BAD = {
     "nothing": ([], "SPEC: expected a specification and recordings, found none"),
     "no runs": (["spec.toml"], "FILE: expected at least one recording, found none"),
-    "no spec": (["none.toml", "kp4"], "none.toml: expected a tolerance file, found: No such file"),
+    "no spec": (
+        ["none.toml", "kp4"],
+        "none.toml: expected a specification or tolerance file, found: No such file",
+    ),
     "no run": (["spec.toml", "runs/*.mcap"], "runs/*.mcap: expected a recording"),
     "output": (["spec.toml", "kp4", "-o", "x.toml"], "--output: expected --init beside it"),
     "init": (["--init", "kp4", "spec.toml"], "--init: expected one good run and no other file"),

@@ -22,7 +22,7 @@ def test_a_failed_bound_says_all_there_is_to_say(suite: pytest.Pytester) -> None
             "E * rotate.overshoot of runs/kp10.mcap: expected <= 0.5 %",
             "*-- turtlelog --*",
             "rotate.overshoot: expected <= 0.5 %",
-            "  value           1.0076 %",
+            "  value           1.0076 % at 2.336 s",
             "  limit           0.5 %",
             "  margin          -0.50756 %",
             "  first violated  2.288 s (simulated time, from the first sample)",
@@ -44,9 +44,10 @@ def test_it(recording):
 """
     run(suite, body).stdout.fnmatch_lines(
         [
-            "E * assert <FAIL: 0.10774 m; always(abs(cross_track) <= 0.05); margin -0.057737 m;"
-            " first violated at 5.664 s>",
-            "holds: expected always(abs(cross_track) <= 0.05)",
+            "E * assert <FAIL: 0.10774 m; always(abs(cross_track) <= 0.05) in translate;"
+            " margin -0.057737 m; first violated at 5.664 s>",
+            "expected always(abs(cross_track) <= 0.05) in translate",
+            "  value           0.10774 m at 8.784 s",
             "  margin          -0.057737 m",
             "  first violated  5.664 s (simulated time, from the first sample)",
             "    >  5.664         -0.05008",
@@ -54,41 +55,77 @@ def test_it(recording):
     )
 
 
-@pytest.mark.parametrize("operator", ["<", "<=", ">", ">=", "==", "!="])
-def test_a_metric_without_a_value_fails_whatever_the_operator(
-    suite: pytest.Pytester, operator: str
+def test_a_formula_of_several_comparisons_names_the_one_that_decides(
+    suite: pytest.Pytester,
 ) -> None:
-    body = f"""
+    body = """
 def test_it(recording):
-    assert recording.metric("rotate.decay_ratio") {operator} 4
+    assert recording.holds("always(abs(turn_rate) <= 1 and abs(cross_track) <= 0.05)")
 """
-    result = run(suite, body, marker='"runs/kp4.mcap"')
-    result.assert_outcomes(failed=1)
-    result.stdout.fnmatch_lines(
+    run(suite, body).stdout.fnmatch_lines(
         [
-            f"E *MissingValueError: runs/kp4.mcap: rotate.decay_ratio: expected {operator} 4, found"
-            " no value: not_reached (the response does not overshoot twice)",
-            "  reason          not_reached (the response does not overshoot twice)",
+            "E * decided by abs(cross_track) <= 0.05; margin -0.057737 m; *",
+            "  decided by      abs(cross_track) <= 0.05",
+            "  value           0.10774 m at * s",
+            "  limit           0.05 m",
         ]
     )
 
 
-def test_a_metric_alone_is_no_assertion(suite: pytest.Pytester) -> None:
-    body = """
-def test_it(recording):
+NONE = "rotate.decay_ratio"
+
+
+def test_a_metric_without_a_value_fails_whatever_the_operator(suite: pytest.Pytester) -> None:
+    operators = ["<", "<=", ">", ">=", "==", "!="]
+    tests = [
+        f"def test_{i}(recording):\n    assert recording.metric('{NONE}') {operator} 4\n"
+        for i, operator in enumerate(operators)
+    ]
+    result = run(suite, "\n".join(tests), marker='"runs/kp4.mcap"')
+    result.assert_outcomes(failed=6)
+    for operator in operators:
+        result.stdout.fnmatch_lines(
+            [
+                f"E *MissingValueError: runs/kp4.mcap: rotate.decay_ratio: expected {operator} 4,"
+                " found no value: not_reached (the response does not overshoot twice)",
+                "  reason          not_reached (the response does not overshoot twice)",
+            ]
+        )
+
+
+UNUSUAL = """
+def test_bool(recording):
     assert recording.phase("rotate").overshoot
-"""
-    run(suite, body).stdout.fnmatch_lines(
-        ["*rotate.overshoot: expected a comparison with a limit*"]
-    )
 
-
-def test_a_limit_that_is_no_number_never_passes(suite: pytest.Pytester) -> None:
-    body = """
-def test_it(recording):
+def test_nan(recording):
     assert recording.phase("rotate").overshoot != float("nan")
+
+def test_approx(recording):
+    assert recording.phase("rotate").overshoot == pytest.approx(0.5, abs=0.1)
+
+def test_abs(recording):
+    assert abs(recording.metric("final.cross_track")) <= 0.05
+
+def test_units(recording):
+    assert recording.phase("rotate").overshoot < recording.phase("rotate").settling_time
 """
-    run(suite, body).stdout.fnmatch_lines(["*expected a number after !=, found nan"])
+
+
+def test_unusual_comparisons_say_what_is_wrong(suite: pytest.Pytester) -> None:
+    result = run(suite, UNUSUAL, marker='"runs/kp10.mcap"')
+    result.assert_outcomes(failed=5)
+    result.stdout.fnmatch_lines(
+        [
+            "*rotate.overshoot: expected a comparison with a limit*",
+            "*expected a number after !=, found nan",
+            "rotate.overshoot: expected == 0.5 % ± 0.1",
+            "  margin          -0.40756 %",
+            "*abs(final.cross_track) of runs/kp10.mcap: expected <= 0.05 m",
+            "  value           0.10673 m at *",
+            "  first violated  *",
+            "*rotate.overshoot: expected two of one unit, found*",
+        ]
+    )
 
 
 def test_metrics_are_measured_with_settings(suite: pytest.Pytester) -> None:
@@ -103,15 +140,7 @@ def test_it(recording):
 """
     result = run(suite, body)
     result.assert_outcomes(passed=2)
-    result.stdout.fnmatch_lines(["turtlelog: 2 recordings, 8 checks, worst margins: *"])
-
-
-def test_two_metrics_compare_in_one_unit_only(suite: pytest.Pytester) -> None:
-    body = """
-def test_it(recording):
-    assert recording.phase("rotate").overshoot < recording.phase("rotate").settling_time
-"""
-    run(suite, body).stdout.fnmatch_lines(["*rotate.overshoot: expected two of one unit, found*"])
+    result.stdout.fnmatch_lines(["turtlelog: 2 recordings, 10 checks, worst margins: *"])
 
 
 UNKNOWN = {
@@ -126,13 +155,20 @@ UNKNOWN = {
 }
 
 
-@pytest.mark.parametrize(("asked", "message"), UNKNOWN.items(), ids=range(len(UNKNOWN)))
-def test_what_there_is_not_is_told_with_what_is_near(
-    suite: pytest.Pytester, asked: str, message: str
+def test_what_there_is_not_is_told_with_what_is_near_and_without_our_own_frames(
+    suite: pytest.Pytester,
 ) -> None:
-    result = run(suite, f"def test_it(recording):\n    assert recording.{asked}\n")
-    result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines([message])
+    tests = [f"def test_{i}(recording):\n    recording.{a}\n" for i, a in enumerate(UNKNOWN)]
+    result = run(suite, "\n".join(tests), marker='"runs/kp4.mcap"')
+    result.assert_outcomes(failed=len(UNKNOWN))
+    for message in UNKNOWN.values():
+        result.stdout.fnmatch_lines([message])
+    assert "turtlelog/check" not in result.stdout.str()
+
+
+def test_the_whole_traceback_is_there_when_asked_for(suite: pytest.Pytester) -> None:
+    body = "def test_it(recording):\n    recording.metric('no')\n"
+    assert "turtlelog/check" in run(suite, body, "--full-trace").stdout.str()
 
 
 def test_a_truncated_recording_fails_unless_it_may_be(suite: pytest.Pytester) -> None:

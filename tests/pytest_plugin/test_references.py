@@ -94,6 +94,21 @@ BAD = {
     "empty": ("{}", "*LogError: good.json: data: expected a JSON object*"),
     "none": ('{"metrics": []}', "*metrics: expected at least one, found none"),
     "id": ('{"metrics": [{"id": "a"}]}', "*metrics[[]0[]].id: expected the id of a metric*'a'"),
+    "wrong kind": ('{"metrics": [{"id": ["a"]}]}', "*expected the id of a metric, found [[]'a'[]]"),
+    "two runs": (
+        '[{"metrics": []}, {"metrics": []}]',
+        "*good.json: expected the metrics of one run, found 2",
+    ),
+    "no JSON": ("\\0\\1", "*LogError: good.json: expected *"),
+    "nan": (
+        '{"metrics": [{"id": "run.duration", "unit": "s", "status": "ok", "value": NaN}]}',
+        "*value: expected one that goes with ok, found nan",
+    ),
+    "huge": (
+        '{"metrics": [{"id": "run.duration", "unit": "s", "status": "ok", "value": 9'
+        + f"{'9' * 400}}}]}}",
+        "*value: expected one that goes with ok, found 999*",
+    ),
     "unit": (
         '{"metrics": [{"id": "run.duration", "unit": "m"}]}',
         "*unit: expected s, found 'm'",

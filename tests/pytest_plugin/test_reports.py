@@ -3,9 +3,12 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import turtlelog as tl
+from tests.check.artifact_files import read_mark
 from tests.pytest_plugin.conftest import run
 
 ROOT = Path(__file__).parents[2]
@@ -42,13 +45,21 @@ def test_junit_has_every_metric_as_a_property(suite: pytest.Pytester) -> None:
     assert "first violated  2.288 s" in (failure.text or "")
 
 
-def test_artifacts_stand_in_the_folder_that_is_asked_for(suite: pytest.Pytester) -> None:
+def test_artifacts_show_the_violation(suite: pytest.Pytester) -> None:
     result = run(suite, BODY, "--turtlelog-artifacts=failed")
     folder = suite.path / "failed"
-    result.stdout.fnmatch_lines([f"wrote {folder}/test_it-kp10-*rotate.overshoot-*.rrd"])
-    suffixes = sorted(path.suffix for path in folder.iterdir())
-    assert suffixes in ([".mcap", ".png", ".rrd"], [".mcap", ".rrd"])
-    assert (".png" in suffixes) == ("no picture" not in result.stdout.str())
+    result.stdout.fnmatch_lines([f"wrote {folder}/test_it-kp10-rotate.overshoot-*.rrd"])
+    files = {path.suffix: path for path in folder.iterdir()}
+    mark = read_mark(files[".rrd"])
+    assert (mark.cursor_s, mark.label) == ((2.288, 2.288), "rotate.overshoot")
+    assert "first violated  2.288 s" in mark.message
+    cut, whole = tl.read_recording(files[".mcap"]), tl.read_recording(suite.path / "runs/kp10.mcap")
+    around = np.abs((whole.poses.time_ns - whole.start_ns) / 1e9 - 2.288) <= 1.0
+    np.testing.assert_array_equal(cut.poses.heading_rad, whole.poses.heading_rad[around])
+    if "no picture" in result.stdout.str():
+        result.stdout.fnmatch_lines(["*no picture: viewer: expected a graphics adapter*"])
+    else:
+        assert imread(files[".png"]).std() > 0.05
 
 
 def test_artifacts_that_cannot_be_written_are_told(suite: pytest.Pytester) -> None:
@@ -58,22 +69,41 @@ def test_artifacts_that_cannot_be_written_are_told(suite: pytest.Pytester) -> No
     result.stdout.fnmatch_lines(["artifacts: *failed: expected a folder to write to*"])
 
 
-def test_workers_tell_the_same(suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
-    suite.makepyfile(f'import pytest\npytestmark = pytest.mark.recordings("runs/*")\n{BODY}')
-    words = ("-n", "2", "-p", "turtlelog.pytest_plugin", "--junitxml=report.xml")
+ACCEPT = """
+@pytest.mark.reference("all.json")
+def test_accept(recording, reference):
+    assert recording.matches(reference)
+"""
+
+
+def test_workers_tell_the_same_and_do_not_write_over_each_other(
+    suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    head = 'import pytest\npytestmark = pytest.mark.recordings("../runs/*")\n'
+    for part in ("a", "b"):
+        (suite.mkdir(part) / f"test_{part}.py").write_text(head + BODY)
+    (suite.path / "a" / "test_c.py").write_text(head + ACCEPT)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    result = suite.runpytest_subprocess(*words)
-    result.assert_outcomes(passed=1, failed=1)
+    for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(variable, "/none")
+    words = ("-n", "2", "-p", "turtlelog.pytest_plugin", "--junitxml=report.xml")
+    artifacts = "--turtlelog-artifacts=failed"
+    result = suite.runpytest_inprocess(*words, artifacts, "--turtlelog-accept")
+    result.assert_outcomes(passed=3, failed=3)
     result.stdout.fnmatch_lines(
         [
             "rotate.overshoot: expected <= 0.5 %",
             "  first violated  2.288 s (simulated time, from the first sample)",
-            "turtlelog: 2 recordings, 3 checks (1 failed), worst margins: -0.50756 %*",
+            "*no picture: viewer: expected a graphics adapter*",
+            "turtlelog: 2 recordings, 6 checks (2 failed), worst margins: -0.50756 %*,"
+            " accepted *all.json",
         ]
     )
+    result.stdout.fnmatch_lines(["*expected one recording to accept, found *{stem}*"])
+    assert len(list((suite.path / "failed").glob("test_it-kp10-rotate.overshoot-*.rrd"))) == 2
     cases = Xml.parse(suite.path / "report.xml").getroot().findall("testsuite/testcase")
     counts = [len(case.findall("properties/property")) for case in cases]
-    assert counts == [1 + len(tl.METRICS)] * 2
+    assert counts == [1 + len(tl.METRICS)] * 6
 
 
 IMPORT = """

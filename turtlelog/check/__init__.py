@@ -1,6 +1,6 @@
 """Assertions on recordings."""
 
-from turtlelog.check.artifacts import Artifacts, write_artifacts
+from turtlelog.check.artifacts import Artifacts, ArtifactWriter, write_artifacts
 from turtlelog.check.cut import cut_run
 from turtlelog.check.failures import MissingValueError, PartialLogError
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
@@ -14,6 +14,7 @@ from turtlelog.check.spec_file import load_spec, parse_spec
 from turtlelog.check.steps import Steps
 
 __all__ = [
+    "ArtifactWriter",
     "Artifacts",
     "Check",
     "CheckResult",

@@ -1,10 +1,11 @@
 """What to look at when a check fails: a Rerun view of the violation, its picture, the stretch."""
 
 import re
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from turtlelog.check.cut import cut_run
 from turtlelog.check.message import describe_failure
@@ -13,8 +14,12 @@ from turtlelog.errors import CheckError, ShowError
 from turtlelog.log import write_recording
 from turtlelog.run import Run
 
+if TYPE_CHECKING:
+    from turtlelog.show.rerun.snapshot import Camera
+
 _AROUND_S: Final = 1.0
 _LONGEST: Final = 60
+_SIZE: Final = (1400, 900)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,6 +35,67 @@ class Artifacts:
     notes: tuple[str, ...] = ()
 
 
+class ArtifactWriter:
+    """Writes what there is to look at of many failures; one viewer takes all pictures.
+
+    The viewer is started for the first picture and ended by `close`, or at the end of a `with`.
+
+    Args:
+        folder: Made where it is not there.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        self._folder = Path(folder)
+        self._viewer = ExitStack()
+        self._camera: Camera | None = None
+        self._has_seen = self._is_blind = False
+
+    def __enter__(self) -> "ArtifactWriter":
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the viewer."""
+        self._camera = None
+        self._viewer.close()
+
+    def write(self, run: Run, result: CheckResult, *, prefix: str = "") -> Artifacts:
+        """Write the files of one failure, as `write_artifacts` does."""
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as err:
+            found = f"found: {err.strerror}"
+            raise CheckError(f"{self._folder}: expected a folder to write to, {found}") from err
+        from turtlelog.show import write_violation_rrd
+
+        base = self._folder / name_files(result, prefix)
+        rrd, png, mcap = (base.with_name(base.name + end) for end in (".rrd", ".png", ".mcap"))
+        at_s = result.first_violation_s
+        shown_s = (run.end_ns - run.start_ns) / 1e9 if at_s is None else at_s
+        message = "\n".join(describe_failure(run, result))
+        write_violation_rrd(run, rrd, at_s=shown_s, title=result.check, message=message)
+        write_recording(_cut(run, at_s), mcap)
+        if self._is_blind:
+            return Artifacts(files=(rrd, mcap))
+        try:
+            self._open_camera().take(rrd, png, at_s=shown_s)
+        except ShowError as err:
+            self._is_blind = not self._has_seen  # as now, so for the next failure
+            self.close()
+            return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {err}",))
+        self._has_seen = True
+        return Artifacts(files=(rrd, png, mcap))
+
+    def _open_camera(self) -> "Camera":
+        from turtlelog.show.rerun.snapshot import open_camera
+
+        if self._camera is None:
+            self._camera = self._viewer.enter_context(open_camera(size=_SIZE))
+        return self._camera
+
+
 def write_artifacts(
     run: Run, result: CheckResult, folder: str | Path, *, prefix: str = ""
 ) -> Artifacts:
@@ -41,32 +107,15 @@ def write_artifacts(
         run: That failed.
         result: What came of the check.
         folder: Made where it is not there.
-        prefix: In front of the names of the files: of the test that failed.
+        prefix: Id of the test that failed; the end of it stands in front of the files' names.
 
     Raises:
         CheckError: Where the folder cannot be made.
         LogError: Where the recording cannot be written.
         ShowError: Where the view cannot be written.
     """
-    from turtlelog.show import write_snapshot, write_violation_rrd
-
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as err:
-        raise CheckError(f"{folder}: expected a folder to write to, found: {err.strerror}") from err
-    base = folder / _name_files(result, prefix)
-    rrd, png, mcap = (base.with_name(base.name + end) for end in (".rrd", ".png", ".mcap"))
-    at_s = result.first_violation_s
-    shown_s = (run.end_ns - run.start_ns) / 1e9 if at_s is None else at_s
-    message = "\n".join(describe_failure(run, result))
-    write_violation_rrd(run, rrd, at_s=shown_s, title=result.check, message=message)
-    write_recording(_cut(run, at_s), mcap)
-    try:
-        write_snapshot(rrd, png, at_s=shown_s, size=(1400, 900))
-    except ShowError as err:
-        return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {err}",))
-    return Artifacts(files=(rrd, png, mcap))
+    with ArtifactWriter(folder) as writer:
+        return writer.write(run, result, prefix=prefix)
 
 
 def _cut(run: Run, at_s: float | None) -> Run:
@@ -78,9 +127,10 @@ def _cut(run: Run, at_s: float | None) -> Run:
     return replace(cut, scenario_is_complete=False, stop_reason=None)
 
 
-def _name_files(result: CheckResult, prefix: str) -> str:
+def name_files(result: CheckResult, prefix: str) -> str:
     """Return a name that every file system takes, one of its own for every file and check."""
-    words = [prefix, Path(result.file).stem, result.check]
-    plain = re.sub(r"[^A-Za-z0-9._-]+", "-", "-".join(filter(None, words))).strip("-.")
+    stem, test = Path(result.file).stem, prefix.rpartition("::")[2]
+    words = [test, "" if f"[{stem}]" in test else stem, result.check]
+    plain = re.sub(r"[^A-Za-z0-9._]+", "-", "-".join(filter(None, words))).strip("-.")
     key = sha256("\0".join([prefix, result.file, result.check]).encode()).hexdigest()[:6]
     return f"{plain[:_LONGEST]}-{key}"

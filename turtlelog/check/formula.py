@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from turtlelog.check.deciding import find_decision
 from turtlelog.check.robustness import Margins
+from turtlelog.check.sides import read_sides
 from turtlelog.check.signals import Signals, Trace, check_names, read_signals
-from turtlelog.check.violation import find_first_violation, find_margin_time
-from turtlelog.expressions import Expression, Node, Temporal, Until
+from turtlelog.check.violation import find_first_violation
+from turtlelog.expressions import Expression, Node, Temporal, Until, format_expression
 from turtlelog.measure import METRICS, SIGNALS
 from turtlelog.run import Run
 
@@ -24,6 +26,11 @@ class FormulaResult:
             comparison that decides: positive where it holds. inf or -inf where nothing with a
             distance decides; None where it is unknown.
         margin_s: Time from which the margin comes [s]; None where it is unknown.
+        decided_by: The comparison from which the margin comes then.
+        value: Of what is measured in that comparison; None where that is no number.
+        limit: What it is held to; None where that is no number.
+        unit: Of the three, as signals and metrics of these names have it; empty where it is not
+            plain.
         first_violation_s: First time at which it is violated [s]; None where it is not.
         values: What every name stands for at the first violation, or else at `margin_s`, or else
             at the beginning; None for no value.
@@ -39,6 +46,10 @@ class FormulaResult:
     first_violation_s: float | None
     values: Mapping[str, Any]
     is_covered: bool
+    decided_by: str = ""
+    value: float | None = None
+    limit: float | None = None
+    unit: str = ""
     reason: str = ""
 
 
@@ -61,18 +72,31 @@ def check_formula(
     trace = Trace.open(signals, expression, window_ns=window_ns)
     holds, margins = _decide(expression, trace)
     failed_ns = find_first_violation(expression, trace) if holds is False else None
-    at_ns = trace.start_ns
-    if holds is not None:
-        at_ns = find_margin_time(margins, expression.root, trace)
-    return FormulaResult(
+    values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
+    unknown = FormulaResult(
         formula=expression.text,
-        holds=holds,
-        margin=None if holds is None else _read_first(margins, expression) + 0.0,
-        margin_s=None if holds is None else (at_ns - trace.start_ns) / 1e9,
+        holds=None,
+        margin=None,
+        margin_s=None,
         first_violation_s=None if failed_ns is None else (failed_ns - trace.start_ns) / 1e9,
-        values=trace.read_values(at_ns if failed_ns is None else failed_ns),
+        values=values,
         is_covered=_is_covered(expression, trace),
-        reason=_explain_unknown(trace) if holds is None else "",
+    )
+    if holds is None:
+        return replace(unknown, reason=_explain_unknown(trace))
+    decision = find_decision(margins, expression.root, trace)
+    decisive = trace.read_values(decision.time_ns)
+    sides = read_sides(expression, decision.node, decisive)
+    return replace(
+        unknown,
+        holds=holds,
+        margin=_read_first(margins, expression) + 0.0,
+        margin_s=(decision.time_ns - trace.start_ns) / 1e9,
+        values=decisive if failed_ns is None else values,
+        decided_by=format_expression(decision.node),
+        value=sides.value,
+        limit=sides.limit,
+        unit=sides.unit,
     )
 
 

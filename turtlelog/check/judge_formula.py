@@ -1,75 +1,151 @@
 """A formula on a run -> result: does it hold, by what margin, and since when not."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.moments import find_metric_violation
 from turtlelog.check.result import CheckResult, Verdict
-from turtlelog.check.sides import read_sides
 from turtlelog.check.spec import Check
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.check.vocabulary import find_window, require_known_names
-from turtlelog.expressions import Comparison, Expression, Name, Temporal
+from turtlelog.expressions import Comparison, Expression, Name, Temporal, iterate_nodes
 from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
 from turtlelog.run import Run
 
 
-def judge_check(check: Check, run: Run, *, file: str) -> CheckResult:
+def judge_check(
+    check: Check, run: Run, *, file: str, metrics: Mapping[str, Metric] | None = None
+) -> CheckResult:
     """Return what one check comes to; a metric without a value fails it, whatever the formula.
+
+    Args:
+        check: What is to hold.
+        run: That it is to hold of.
+        file: Its name.
+        metrics: Those that the check names, if they have been measured.
 
     Raises:
         ExpressionError: Where a name is not there or the kinds do not go together.
     """
-    if check.when is not None:
-        skipped = _judge_condition(check, check.when, run, file)
-        if skipped is not None:
-            return skipped
-    require_known_names(check.formula, over_time=check.kind == "holds", run=run)
-    lacking = _find_lacking(check.formula, run)
-    if lacking:
-        return _build(check, file, verdict=Verdict.FAIL, reason=lacking)
-    judge = _judge_over_time if check.kind == "holds" else _judge_metrics
-    return judge(check, run, file)
+    return _Judge(check, run, file, measure_named([check], run) if metrics is None else metrics)()
 
 
-def _judge_condition(
-    check: Check, condition: Expression, run: Run, file: str
-) -> CheckResult | None:
-    """Return why a check is skipped, or fails as nobody can tell; None where it applies."""
-    require_known_names(condition, over_time=False, run=run)
-    lacking = _find_lacking(condition, run)
-    if lacking:
-        return _build(check, file, verdict=Verdict.FAIL, reason=f"when: {lacking}")
-    found = check_formula(_read_values(condition, run), condition)
-    if found.holds:
-        return None
-    values = ", ".join(f"{name} = {value}" for name, value in found.values.items())
-    reason = f"only when {condition.text}; here {values}"
-    return _build(check, file, verdict=Verdict.SKIPPED, reason=reason)
+def measure_named(checks: Sequence[Check], run: Run) -> Mapping[str, Metric]:
+    """Return the metrics of a run that checks name."""
+    formulas = [found for check in checks for found in (check.formula, check.when) if found]
+    ids = {name for formula in formulas for name in formula.names if name in METRICS}
+    return measure_run(run, only=sorted(ids)) if ids else {}
 
 
-def _judge_metrics(check: Check, run: Run, file: str) -> CheckResult:
-    values = _read_values(check.formula, run)
-    found = check_formula(values, check.formula)
-    failed_s = None if found.holds else _find_moment(check.formula, run)
-    return _describe(check, found, values, file, failed_s)
+class _Judge:
+    def __init__(self, check: Check, run: Run, file: str, metrics: Mapping[str, Metric]) -> None:
+        self._check, self._run, self._file, self._metrics = check, run, file, metrics
 
+    def __call__(self) -> CheckResult:
+        check, formula = self._check, self._check.formula
+        if check.when is not None:
+            skipped = self._judge_condition(check.when)
+            if skipped is not None:
+                return skipped
+        require_known_names(formula, over_time=check.kind == "holds", run=self._run)
+        lacking = self._find_lacking(formula)
+        if lacking:
+            return self._build(Verdict.FAIL, reason=lacking)
+        return self._judge_over_time() if check.kind == "holds" else self._judge_metrics()
 
-def _judge_over_time(check: Check, run: Run, file: str) -> CheckResult:
-    window_ns = find_window(run, check.phase)
-    if window_ns is None:
-        reason = f"no_phase (the run has no phase {check.phase})"
-        return _build(check, file, verdict=Verdict.FAIL, reason=reason)
-    found = check_run(run, check.formula, window_ns=window_ns)
-    failed_s = found.first_violation_s
-    if failed_s is not None:
-        failed_s += (window_ns[0] - run.start_ns) / 1e9
-    result = _describe(check, found, found.values, file, failed_s)
-    if found.holds and not _is_told(found, check.formula, run):
-        reason = "the recording ends before the formula's window does, and the run had not ended"
-        return _build(check, file, verdict=Verdict.FAIL, reason=reason)
-    return result
+    def _judge_condition(self, condition: Expression) -> CheckResult | None:
+        """Return why a check is skipped, or fails as nobody can tell; None where it applies."""
+        require_known_names(condition, over_time=False, run=self._run)
+        lacking = self._find_lacking(condition)
+        if lacking:
+            return self._build(Verdict.FAIL, reason=f"when: {lacking}")
+        found = check_formula(self._read_values(condition), condition)
+        if found.holds:
+            return None
+        values = ", ".join(f"{name} = {value}" for name, value in found.values.items())
+        reason = f"only when {condition.text}; here {values}"
+        return self._build(Verdict.SKIPPED, reason=reason)
+
+    def _judge_metrics(self) -> CheckResult:
+        formula = self._check.formula
+        found = check_formula(self._read_values(formula), formula)
+        failed_s = None if found.holds else self._find_moment(found.limit)
+        return replace(self._describe(found), first_violation_s=failed_s)
+
+    def _judge_over_time(self) -> CheckResult:
+        check, run = self._check, self._run
+        window_ns = find_window(run, check.phase)
+        if window_ns is None:
+            reason = f"no_phase (the run has no phase {check.phase})"
+            return self._build(Verdict.FAIL, reason=reason)
+        found = check_run(run, check.formula, window_ns=window_ns)
+        if found.holds and not _is_told(found, check.formula, run):
+            reason = (
+                "the recording ends before the formula's window does, and the run had not ended"
+            )
+            return self._build(Verdict.FAIL, reason=reason)
+        begun_s = (window_ns[0] - run.start_ns) / 1e9
+        value_s, failed_s = (
+            None if time_s is None else time_s + begun_s
+            for time_s in (found.margin_s, found.first_violation_s)
+        )
+        return replace(self._describe(found), value_s=value_s, first_violation_s=failed_s)
+
+    def _describe(self, found: FormulaResult) -> CheckResult:
+        is_finite = found.margin is not None and math.isfinite(found.margin)
+        return replace(
+            self._build(Verdict.PASS if found.holds else Verdict.FAIL, reason=found.reason),
+            value=found.value,
+            limit=found.limit,
+            margin=found.margin if is_finite else None,
+            unit=found.unit,
+            decided_by=found.decided_by if _has_several(self._check.formula) else "",
+        )
+
+    def _build(self, verdict: Verdict, *, reason: str) -> CheckResult:
+        return CheckResult(
+            file=self._file,
+            check=self._check.name,
+            verdict=verdict,
+            expected=self._check.describe(),
+            reason=reason,
+            names=choose_signals(self._check.formula.names),
+        )
+
+    def _find_lacking(self, formula: Expression) -> str:
+        """Return the names without a value and why; empty where all have one."""
+        lacking = []
+        for name in formula.names:
+            if name in SIGNALS or name in self._run.parameters:
+                continue
+            metric = self._metrics.get(name)
+            if metric is None:
+                lacking.append(f"{name}: the recording does not hold it")
+            elif metric.value is None:
+                lacking.append(f"{name}: {describe_status(metric)}")
+        return "; ".join(lacking)
+
+    def _read_values(self, formula: Expression) -> dict[str, Any]:
+        return {
+            name: self._metrics[name].value if name in METRICS else self._run.parameters[name]
+            for name in formula.names
+        }
+
+    def _find_moment(self, limit: float | None) -> float | None:
+        """Return when a bound on one metric is first violated; None where there are several."""
+        formula = self._check.formula
+        named = [name for name in formula.names if name in METRICS]
+        if len(named) != 1:
+            return None
+        metric, root = self._metrics[named[0]], formula.root
+        if isinstance(root, Comparison) and len(root.operands) == 2 and limit is not None:
+            left = root.operands[0]
+            if isinstance(left, Name) and left.name == metric.id:
+                return find_metric_violation(self._run, metric, root.operators[0], limit)
+        return metric.at_s
 
 
 def _is_told(found: FormulaResult, formula: Expression, run: Run) -> bool:
@@ -78,80 +154,12 @@ def _is_told(found: FormulaResult, formula: Expression, run: Run) -> bool:
     return found.is_covered or run.is_complete or is_reached
 
 
-def _describe(
-    check: Check,
-    found: FormulaResult,
-    values: Mapping[str, Any],
-    file: str,
-    failed_s: float | None,
-) -> CheckResult:
-    sides = read_sides(check.formula, values, found.margin)
-    return CheckResult(
-        file=file,
-        check=check.name,
-        verdict=Verdict.PASS if found.holds else Verdict.FAIL,
-        expected=check.formula.text,
-        value=sides.value,
-        limit=sides.limit,
-        margin=found.margin if found.margin not in {float("inf"), float("-inf")} else None,
-        unit=sides.unit,
-        first_violation_s=failed_s,
-        reason="" if found.holds else found.reason,
-        names=choose_signals(check.formula.names),
-    )
-
-
-def _build(check: Check, file: str, *, verdict: Verdict, reason: str) -> CheckResult:
-    return CheckResult(
-        file=file,
-        check=check.name,
-        verdict=verdict,
-        expected=check.formula.text,
-        reason=reason,
-        names=choose_signals(check.formula.names),
-    )
-
-
-def _find_lacking(formula: Expression, run: Run) -> str:
-    """Return the names without a value and why; empty where all have one."""
-    metrics = _measure(formula, run)
-    lacking = [
-        f"{name}: {describe_status(metric)}"
-        for name, metric in metrics.items()
-        if metric.value is None
-    ]
-    lacking += [
-        f"{name}: the recording does not hold it"
-        for name in formula.names
-        if name not in SIGNALS and name not in METRICS and name not in run.parameters
-    ]
-    return "; ".join(lacking)
+def _has_several(formula: Expression) -> bool:
+    """Whether a formula holds more than one comparison."""
+    links = [node.operators for node in iterate_nodes(formula.root) if isinstance(node, Comparison)]
+    return sum(map(len, links)) > 1
 
 
 def describe_status(metric: Metric) -> str:
     """Return why a metric has no value: `no_phase (the run has no phase rotate)`."""
     return f"{metric.status.value} ({metric.reason})"
-
-
-def _measure(formula: Expression, run: Run) -> Mapping[str, Metric]:
-    ids = [name for name in formula.names if name in METRICS and name not in SIGNALS]
-    return measure_run(run, only=ids) if ids else {}
-
-
-def _read_values(formula: Expression, run: Run) -> dict[str, Any]:
-    values: dict[str, Any] = {name: found.value for name, found in _measure(formula, run).items()}
-    return values | {name: run.parameters[name] for name in formula.names if name in run.parameters}
-
-
-def _find_moment(formula: Expression, run: Run) -> float | None:
-    """Return when a bound on one metric is first violated; None where there are several."""
-    metrics = list(_measure(formula, run).values())
-    if len(metrics) != 1:
-        return None
-    metric, root = metrics[0], formula.root
-    limit = read_sides(formula, _read_values(formula, run), None).limit
-    if isinstance(root, Comparison) and len(root.operands) == 2 and limit is not None:
-        left = root.operands[0]
-        if isinstance(left, Name) and left.name == metric.id:
-            return find_metric_violation(run, metric, root.operators[0], limit)
-    return metric.at_s

@@ -69,6 +69,7 @@ def describe_result(result: CheckResult) -> str:
     if result.value is not None:
         parts.append(f"{format_number(result.value, result.unit)}")
     parts += [result.expected] if result.expected else []
+    parts += [f"decided by {result.decided_by}"] if result.decided_by else []
     if result.margin is not None:
         parts.append(f"margin {format_number(result.margin, result.unit)}")
     if result.first_violation_s is not None:

@@ -35,9 +35,13 @@ def _read_first(result: CheckResult) -> float:
 
 
 def _list_figures(result: CheckResult) -> Iterator[str]:
-    yield f"{result.check}: expected {result.expected}" if result.expected else result.check
+    name = "" if result.check == result.expected else f"{result.check}: "
+    yield f"{name}expected {result.expected}" if result.expected else result.check
+    if result.decided_by:
+        yield f"  decided by      {result.decided_by}"
     if result.value is not None:
-        yield f"  value           {format_number(result.value, result.unit)}"
+        at = "" if result.value_s is None else f" at {result.value_s:.3f} s"
+        yield f"  value           {format_number(result.value, result.unit)}{at}"
     if result.limit is not None:
         yield f"  limit           {format_number(result.limit, result.unit)}"
     if result.margin is not None:

@@ -1,13 +1,17 @@
 """A metric that a test compares by a plain assert."""
 
+import copy
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from numbers import Real
+from typing import Any, Protocol, runtime_checkable
 
+from turtlelog.check.arithmetic import FloatArithmetic
 from turtlelog.check.failures import MissingValueError
 from turtlelog.check.judge_formula import describe_status
 from turtlelog.check.moments import find_metric_violation
-from turtlelog.check.operators import OPERATORS, compare_numbers, measure_margin
+from turtlelog.check.operators import MIRRORED, OPERATORS, measure_margin
 from turtlelog.check.result import CheckResult, Verdict, format_number
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.errors import CheckError
@@ -16,10 +20,19 @@ from turtlelog.run import Run
 
 Note = Callable[[CheckResult], None]
 
-MIRRORED = {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
+
+@runtime_checkable
+class Approximate(Protocol):
+    """What `pytest.approx` makes of a number."""
+
+    expected: Any
+
+    @property
+    def tolerance(self) -> float:
+        """How far from it."""
 
 
-class MetricValue:
+class MetricValue(FloatArithmetic):
     """One metric of one recording, compared as a number; called, it is measured otherwise.
 
     Where it has no value every comparison raises MissingValueError, whatever the operator.
@@ -50,6 +63,7 @@ class MetricValue:
             known = ", ".join(MeasureSettings.__dataclass_fields__)
             found = ", ".join(self._asked)
             raise CheckError(f"{name}: expected settings among {known}, found {found}") from err
+        self._label, self._sign = self._name(name), 1
         self.metric: Metric = measure_run(run, self._settings, only=(name,))[name]
 
     @property
@@ -96,49 +110,89 @@ class MetricValue:
         return self._compare("!=", other)
 
     def __float__(self) -> float:
-        return self._require_value("as a number")
+        return self._require_value("a number")
+
+    def __abs__(self) -> "MetricValue":
+        """Return its magnitude, to be compared in the same way."""
+        value = float(self)
+        found = copy.copy(self)
+        found.metric = replace(self.metric, value=abs(value))
+        found._label, found._sign = f"abs({self._label})", -1 if value < 0 else self._sign
+        return found
+
+    def __format__(self, spec: str) -> str:
+        return repr(self) if self.value is None else format(self.value, spec)
 
     def __bool__(self) -> bool:
-        raise CheckError(f"{self._name()}: expected a comparison with a limit, found none")
+        raise CheckError(f"{self._label}: expected a comparison with a limit, found none")
 
     def __repr__(self) -> str:
         if self.value is None:
-            return f"<{self._name()}: {describe_status(self.metric)}>"
-        return f"<{self._name()} = {format_number(self.value, self.unit)}>"
+            return f"<{self._label}: {describe_status(self.metric)}>"
+        return f"<{self._label} = {self._format(self.value)}>"
 
-    def judge(self, operator: str, limit: float) -> CheckResult:
-        """Return what a comparison with a number comes to, its first violation not looked for."""
-        value = self._require_value(f"{operator} {limit:g}")
-        holds = compare_numbers(value, operator, limit)
+    def judge(self, operator: str, other: object) -> CheckResult:
+        """Return what a comparison comes to, its first violation not looked for.
+
+        Args:
+            operator: Of Python.
+            other: A number, a metric of the same unit, or `pytest.approx` of a number.
+
+        Raises:
+            CheckError: Where it is nothing to compare with.
+            MissingValueError: Where either has no value.
+        """
+        value = self._require_value(f"{operator} {_show(other)}")
+        if isinstance(other, Approximate):
+            limit, expected = self._read_limit(operator, other.expected), _show(other, self.unit)
+            off = other.tolerance - abs(value - limit)
+            margin = off if operator == "==" else -off
+            holds = OPERATORS[operator](value, other)
+        else:
+            limit = self._read_limit(operator, other)
+            expected, margin = self._format(limit), measure_margin(value, operator, limit)
+            holds = OPERATORS[operator](value, limit)
         return CheckResult(
             file=self._file,
-            check=self._name(),
+            check=self._label,
             verdict=Verdict.PASS if holds else Verdict.FAIL,
-            expected=f"{operator} {format_number(limit, self.unit)}",
+            expected=f"{operator} {expected}",
             value=value,
             limit=limit,
-            margin=measure_margin(value, operator, limit),
+            margin=margin,
             unit=self.unit,
+            value_s=self.at_s,
             names=choose_signals([self.metric.id]),
         )
 
-    def _compare(self, operator: str, other: Any) -> bool:
+    def _compare(self, operator: str, other: object) -> bool:
+        result = self.judge(operator, other)
+        if result.verdict is Verdict.FAIL and result.limit is not None:
+            result = replace(result, first_violation_s=self._find_violation(operator, result.limit))
+        self._note(result)
+        return result.verdict is Verdict.PASS
+
+    def _find_violation(self, operator: str, limit: float) -> float | None:
+        if self._sign < 0:
+            operator, limit = MIRRORED[operator], -limit
+        return find_metric_violation(self._run, self.metric, operator, limit, self._settings)
+
+    def _read_limit(self, operator: str, other: object) -> float:
         if isinstance(other, MetricValue):
             if other.unit != self.unit:
                 found = f"{self.unit} and {other.unit}"
-                raise CheckError(f"{self._name()}: expected two of one unit, found {found}")
-            other = float(other)
-        if isinstance(other, bool) or not isinstance(other, int | float):
-            # pytest.approx and numpy's numbers know how to compare themselves with a number.
-            value = self._require_value(f"{operator} {other!r}")
-            return bool(OPERATORS[operator](value, other))
-        limit = float(other)
-        result = self.judge(operator, limit)
-        if result.verdict is Verdict.FAIL:
-            first_s = find_metric_violation(self._run, self.metric, operator, limit, self._settings)
-            result = replace(result, first_violation_s=first_s)
-        self._note(result)
-        return result.verdict is Verdict.PASS
+                raise CheckError(f"{self._label}: expected two of one unit, found {found}")
+            return float(other)
+        place = f"{self._label}: expected a number after {operator}"
+        if isinstance(other, bool) or not isinstance(other, Real):
+            raise CheckError(f"{place}, found {other!r}")
+        try:
+            limit = float(other)
+        except OverflowError:
+            raise CheckError(f"{place}, found one too large for a float") from None
+        if math.isnan(limit):
+            raise CheckError(f"{place}, found nan")
+        return limit
 
     def _require_value(self, wanted: str) -> float:
         if self.value is not None:
@@ -147,7 +201,7 @@ class MetricValue:
         self._note(
             CheckResult(
                 file=self._file,
-                check=self._name(),
+                check=self._label,
                 verdict=Verdict.FAIL,
                 expected=wanted,
                 reason=reason,
@@ -155,8 +209,20 @@ class MetricValue:
             )
         )
         found = f"found no value: {reason}"
-        raise MissingValueError(f"{self._file}: {self._name()}: expected {wanted}, {found}")
+        raise MissingValueError(f"{self._file}: {self._label}: expected {wanted}, {found}")
 
-    def _name(self) -> str:
+    def _format(self, number: float) -> str:
+        return format_number(number, self.unit)
+
+    def _name(self, name: str) -> str:
         asked = ", ".join(f"{key}={value}" for key, value in self._asked.items())
-        return f"{self.metric.id}({asked})" if asked else self.metric.id
+        return f"{name}({asked})" if asked else name
+
+
+def _show(other: object, unit: str = "") -> str:
+    if isinstance(other, Approximate):
+        return f"{format_number(float(other.expected), unit)} ± {other.tolerance:.2g}"
+    return format_number(other) if isinstance(other, float) else repr(other)
+
+
+Real.register(MetricValue)  # pytest.approx compares with nothing else

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.check.cut import cut_run
-from turtlelog.check.operators import compare_numbers
+from turtlelog.check.operators import OPERATORS
 from turtlelog.measure import MeasureSettings, Metric, measure_run
 from turtlelog.run import Phase, Run
 
@@ -55,7 +55,7 @@ def _find_growth(
         middle = (first + last) // 2
         part = cut_run(run, end_ns=int(run.poses.time_ns[middle]))
         value = measure_run(part, settings, only=(name,))[name].value
-        if value is not None and not compare_numbers(value, operator, limit):
+        if value is not None and not OPERATORS[operator](value, limit):
             last = middle
         else:
             first = middle + 1

@@ -1,14 +1,11 @@
 """Comparisons of two numbers, and how far each is from its other verdict."""
 
-import math
 import operator as operators
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
-from turtlelog.errors import CheckError
-
-OPERATORS: Final[Mapping[str, Callable[[float, float], bool]]] = MappingProxyType(
+OPERATORS: Final[Mapping[str, Callable[[float, Any], bool]]] = MappingProxyType(
     {
         "<": operators.lt,
         "<=": operators.le,
@@ -19,16 +16,10 @@ OPERATORS: Final[Mapping[str, Callable[[float, float], bool]]] = MappingProxyTyp
     }
 )
 
-
-def compare_numbers(value: float, operator: str, limit: float) -> bool:
-    """Return the truth of `value operator limit`.
-
-    Raises:
-        CheckError: Where the limit is no number, so that nothing could be compared.
-    """
-    if math.isnan(limit):
-        raise CheckError(f"limit: expected a number after {operator}, found nan")
-    return OPERATORS[operator](value, limit)
+MIRRORED: Final[Mapping[str, str]] = MappingProxyType(
+    {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
+)
+"""What an operator becomes where its sides change places, or their signs."""
 
 
 def measure_margin(value: float, operator: str, limit: float) -> float:

@@ -19,6 +19,12 @@ class CheckOutcome:
     def __bool__(self) -> bool:
         return not self.failures
 
+    def __eq__(self, other: object) -> bool:
+        """Compare with True or False, as which it stands."""
+        return bool(self) is other if isinstance(other, bool) else self is other
+
+    __hash__ = None  # type: ignore[assignment]
+
     @property
     def failures(self) -> tuple[CheckResult, ...]:
         """The results that fail."""

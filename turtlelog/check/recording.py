@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -127,8 +128,9 @@ class Recording:
         if phase is not None:
             require_phase(phase)
         require_known_names(parsed, over_time=True, run=self.run)
-        check = Check(name="holds", kind="holds", formula=parsed, phase=phase)
-        return self._conclude([judge_check(check, self.run, file=self.file)])
+        check = Check(name="", kind="holds", formula=parsed, phase=phase)
+        result = judge_check(check, self.run, file=self.file)
+        return self._conclude([replace(result, check=result.expected)])
 
     def matches(self, reference: Expected, *, tolerance: AnyTolerance = None) -> CheckOutcome:
         """Return whether the recording is as a reference is.
@@ -144,7 +146,7 @@ class Recording:
             CompareError: Where the runs do not overlap.
         """
         run = self.run
-        if isinstance(reference, Reference) and reference.is_accepting:
+        if isinstance(reference, Reference) and reference.claims is not None:
             reference.accept(run, self.path)
             return CheckOutcome(results=())
         if isinstance(reference, Recording):

@@ -1,10 +1,13 @@
 """References: recordings, or metrics as `turtlelog metrics --json` prints them."""
 
 import json
-import math
+import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import Any
 
 from turtlelog.errors import CheckError
@@ -19,13 +22,14 @@ class Reference:
 
     Attributes:
         path: A recording, or metrics (.json).
-        is_accepting: Whether `matches` writes the file anew instead of comparing.
-        accepted: From which recordings it was written.
+        claims: Where all processes of a session say which file they write from which recording;
+            then `matches` writes the file anew. None: it compares.
+        is_written: Whether it did.
     """
 
     path: Path
-    is_accepting: bool = False
-    accepted: list[Path] = field(default_factory=list)
+    claims: Path | None = None
+    is_written: bool = False
 
     def __repr__(self) -> str:
         return f"<reference {self.path}>"
@@ -43,22 +47,41 @@ class Reference:
         """Write the file from a run.
 
         Raises:
-            CheckError: Where it was written from another one in the same session.
+            CheckError: Where it is written from another one, too, in the same session.
             LogError: Where it cannot be written.
         """
-        others = [str(path) for path in self.accepted if path != source]
-        if others:
+        self._claim(source.resolve())
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as err:
             raise CheckError(
-                f"{self.path}: expected one recording to accept, found {others[0]} and {source};"
-                " a name with {stem} gives each its own reference"
-            )
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+                f"{self.path}: expected a place for it, found: {err.strerror}"
+            ) from err
         if self.path.suffix.lower() == ".json":
             with replace_when_complete(self.path) as part:
                 part.write_text(format_metrics(run, source.name), encoding="utf-8")
         elif self.path.resolve() != source.resolve():
             write_recording(run, self.path)
-        self.accepted.append(source)
+        self.is_written = True
+
+    def _claim(self, source: Path) -> None:
+        """Say what the file is written from, and refuse where another process said otherwise."""
+        if self.claims is None:
+            return
+        self.claims.mkdir(parents=True, exist_ok=True)
+        claim = self.claims / sha256(str(self.path.resolve()).encode()).hexdigest()
+        draft = Path(mkdtemp(dir=self.claims))
+        (draft / "source").write_text(str(source), encoding="utf-8")
+        try:
+            draft.rename(claim)
+        except OSError:  # the first has it
+            rmtree(draft)
+        first = (claim / "source").read_text(encoding="utf-8")
+        if first != str(source):
+            raise CheckError(
+                f"{self.path}: expected one recording to accept, found {first} and {source};"
+                " a name with {stem} gives each its own reference"
+            )
 
 
 def load_reference(path: Path) -> Run | Mapping[str, Metric]:
@@ -96,32 +119,40 @@ def _parse_metrics(path: Path) -> Mapping[str, Metric] | None:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
         return None
-    if isinstance(found, list) and len(found) == 1:
+    if isinstance(found, list) and found and all(map(_has_metrics, found)):
+        if len(found) > 1:
+            raise CheckError(f"{path}: expected the metrics of one run, found {len(found)}")
         found = found[0]
-    if not isinstance(found, dict) or not isinstance(found.get("metrics"), list):
+    if not _has_metrics(found):
         return None
-    metrics = [_parse_metric(entry, f"{path}: metrics[{i}]") for i, entry in _number(found)]
+    metrics = [
+        _parse_metric(entry, f"{path}: metrics[{i}]") for i, entry in enumerate(found["metrics"])
+    ]
     if not metrics:
         raise CheckError(f"{path}: metrics: expected at least one, found none")
     return {metric.id: metric for metric in metrics}
 
 
-def _number(found: dict[str, Any]) -> list[tuple[int, Any]]:
-    return list(enumerate(found["metrics"]))
+def _has_metrics(found: Any) -> bool:
+    return isinstance(found, dict) and isinstance(found.get("metrics"), list)
 
 
 def _parse_metric(entry: Any, place: str) -> Metric:
-    if not isinstance(entry, dict) or entry.get("id") not in METRICS:
-        found = entry.get("id") if isinstance(entry, dict) else entry
+    found = entry.get("id") if isinstance(entry, dict) else entry
+    if not isinstance(entry, dict) or not isinstance(found, str) or found not in METRICS:
         raise CheckError(f"{place}.id: expected the id of a metric, found {found!r}")
     unit, value, status = METRICS[entry["id"]].unit, entry.get("value"), entry.get("status")
     if entry.get("unit") != unit:
         raise CheckError(f"{place}.unit: expected {unit}, found {entry.get('unit')!r}")
     if status not in list(Status):
         raise CheckError(f"{place}.status: expected one of a metric, found {status!r}")
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    is_number = is_number and math.isfinite(float(value or 0))
-    if (status == Status.OK) != is_number:
+    if (status == Status.OK) != _is_finite(value):
         raise CheckError(f"{place}.value: expected one that goes with {status}, found {value!r}")
     reason = entry.get("reason") or ""
     return Metric(id=entry["id"], value=value, unit=unit, status=Status(status), reason=str(reason))
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max

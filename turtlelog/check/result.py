@@ -26,6 +26,8 @@ class CheckResult:
         limit: What it was held to, in `unit`.
         margin: Distance to the limit in `unit`, positive where it passes; None where there is none.
         unit: Of the three; empty where they have none.
+        value_s: When the value is found [s]; None where it belongs to no moment.
+        decided_by: Of several comparisons in a formula that which value, limit and margin are of.
         first_violation_s: When it was first violated [s]; None where it is not, or at no moment.
         reason: Why it fails or is skipped, where figures do not say it.
         names: Signals to look at around the violation.
@@ -39,6 +41,8 @@ class CheckResult:
     limit: float | None = None
     margin: float | None = None
     unit: str = ""
+    value_s: float | None = None
+    decided_by: str = ""
     first_violation_s: float | None = None
     reason: str = ""
     names: tuple[str, ...] = ()

@@ -8,7 +8,7 @@ until the next and the last one for ever.
 import functools
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,9 @@ from turtlelog.expressions import (
 )
 
 Values = NDArray[np.float64]
+
+_LONGEST_S: Final = 1e18
+"""Beyond all traces."""
 
 
 def compute_robustness(
@@ -91,7 +94,7 @@ class Margins:
         self._trace = trace
         self._exact = exact
         self._unknown = unknown
-        self._found: dict[tuple[int, int], Steps] = {}
+        self._found: dict[tuple[int, int], tuple[Node, Steps]] = {}
 
     def compute(self, node: Node, sign: int = 1) -> Steps:
         """Return the margin of part of the formula at every moment.
@@ -102,8 +105,9 @@ class Margins:
         """
         key = id(node), sign
         if key not in self._found:
-            self._found[key] = self._compute(node, sign)
-        return self._found[key]
+            # Kept beside its margin, a node keeps its id.
+            self._found[key] = node, self._compute(node, sign)
+        return self._found[key][1]
 
     def _compute(self, node: Node, sign: int) -> Steps:
         match node:
@@ -180,5 +184,9 @@ class Margins:
 
 def convert_window(node: Temporal | Until) -> tuple[int, int | None]:
     """Return the ends of a node's window [ns], None for no end."""
-    last_ns = None if math.isinf(node.end_s) else round(node.end_s * 1e9)
-    return round(node.start_s * 1e9), last_ns
+    last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
+    return _convert(node.start_s), last_ns
+
+
+def _convert(time_s: float) -> int:
+    return round(min(time_s, _LONGEST_S) * 1e9)

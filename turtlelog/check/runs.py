@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
-from turtlelog.check.judge_formula import judge_check
+from turtlelog.check.judge_formula import judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict, format_number
 from turtlelog.check.spec import Spec
 from turtlelog.check.spec_file import require_reference
@@ -28,21 +28,39 @@ def check_runs(
         LogError: Where the reference cannot be read.
         ExpressionError: Where a formula names a parameter that a run's law does not have.
     """
-    require_reference(spec)
-    reference = read_run(spec.reference) if spec.tolerances and spec.reference else None
+    reference = read_reference(spec)
     count = 0
     for file, run in runs:
         count += 1
-        lost = None if allow_partial else find_loss(run)
-        if lost is not None:
-            yield CheckResult(file=file, check="recording", verdict=Verdict.FAIL, reason=lost)
-            continue
-        for check in spec.checks:
-            yield judge_check(check, run, file=file)
-        if reference is not None:
-            yield from _judge_tolerances(spec, reference, run, file)
+        yield from judge_run(spec, reference, run, file=file, allow_partial=allow_partial)
     if not count:
         raise CheckError(f"{spec.source}: expected at least one recording to check, found none")
+
+
+def read_reference(spec: Spec) -> Run | None:
+    """Return the run that tolerances are taken from, None where there are none.
+
+    Raises:
+        CheckError: Where tolerances have no reference.
+        LogError: Where it cannot be read.
+    """
+    require_reference(spec)
+    return read_run(spec.reference) if spec.tolerances and spec.reference else None
+
+
+def judge_run(
+    spec: Spec, reference: Run | None, run: Run, *, file: str, allow_partial: bool = False
+) -> Iterator[CheckResult]:
+    """Yield the results of every check on one run; of one that has lost something, that it has."""
+    lost = None if allow_partial else find_loss(run)
+    if lost is not None:
+        yield CheckResult(file=file, check="recording", verdict=Verdict.FAIL, reason=lost)
+        return
+    metrics = measure_named(spec.checks, run)
+    for check in spec.checks:
+        yield judge_check(check, run, file=file, metrics=metrics)
+    if reference is not None:
+        yield from _judge_tolerances(spec, reference, run, file)
 
 
 def find_loss(run: Run) -> str | None:

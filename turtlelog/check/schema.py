@@ -18,6 +18,7 @@ def build_schema() -> dict[str, Any]:
         "title": "turtlelog specification and tolerance file",
         "type": "object",
         "required": ["format"],
+        "anyOf": [{"required": [key]} for key in ("checks", "signals", "metrics")],
         "additionalProperties": False,
         "properties": {
             "format": {"const": FORMAT, "description": "Of this file."},
@@ -60,6 +61,7 @@ def _build_check() -> dict[str, Any]:
             },
         },
         "oneOf": [{"required": ["expect"]}, {"required": ["holds"]}],
+        "dependentRequired": {"phase": ["holds"]},
     }
 
 

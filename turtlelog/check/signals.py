@@ -105,7 +105,8 @@ def read_signals(run: Run, names: Sequence[str]) -> Signals:
     signal begins at the run's time zero at the latest; the phase is text; a signal that the run
     does not hold and a metric without a value are None.
     """
-    metrics = measure_run(run) if any(name in METRICS for name in names) else {}
+    ids = [name for name in names if name in METRICS]
+    metrics = measure_run(run, only=ids) if ids else {}
     found: dict[str, Any] = {}
     for name in names:
         if name in SIGNALS:

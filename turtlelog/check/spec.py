@@ -31,6 +31,10 @@ class Check:
     reason: str = ""
     is_observed: bool = False
 
+    def describe(self) -> str:
+        """Return what is to hold, and where."""
+        return self.formula.text if self.phase is None else f"{self.formula.text} in {self.phase}"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spec:

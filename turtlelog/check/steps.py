@@ -36,6 +36,12 @@ class Steps:
         """Return the index of the value at a time, the first one's before the first step."""
         return max(0, int(np.searchsorted(self.time_ns, time_ns, side="right")) - 1)
 
+    def cut(self, start_ns: int, end_ns: int) -> "Steps":
+        """Return the function from start to end [ns], its first step moved to the start."""
+        first, last = self.find_piece(start_ns), self.find_piece(end_ns)
+        time_ns = np.maximum(self.time_ns[first : last + 1], start_ns)
+        return Steps(time_ns=time_ns, values=self.values[first : last + 1])
+
 
 def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) -> Steps:
     """Return columns as a function from start to end; of rows at one time the last one holds.

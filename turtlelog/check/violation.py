@@ -1,12 +1,10 @@
-"""Where a formula is decided: the first time it is violated, and the time its margin comes from."""
+"""When a formula is first violated."""
 
 import math
 
-import numpy as np
-
-from turtlelog.check.robustness import Margins, convert_window
+from turtlelog.check.deciding import clip_window
+from turtlelog.check.robustness import Margins
 from turtlelog.check.signals import Trace
-from turtlelog.check.steps import Steps, Times, Values
 from turtlelog.expressions import Expression, Logic, Node, Temporal, Until
 
 
@@ -22,18 +20,6 @@ def find_first_violation(expression: Expression, trace: Trace) -> int | None:
     return _Search(expression, trace).find(expression.root)
 
 
-def find_margin_time(margins: Margins, root: Node, trace: Trace) -> int:
-    """Return the first time from which a formula's margin comes [ns]."""
-    node = _find_decisive(margins, root)
-    start_ns, end_ns = _clip_window(node, trace)
-    if not isinstance(node, Temporal):
-        return start_ns
-    body = margins.compute(node.operand)
-    times, values = _cut(body, start_ns, end_ns)
-    best = np.argmin(values) if node.operator == "always" else np.argmax(values)
-    return int(times[best])
-
-
 class _Search:
     def __init__(self, expression: Expression, trace: Trace) -> None:
         self._truths = Margins(expression, trace, exact=True, unknown=math.inf)
@@ -47,47 +33,16 @@ class _Search:
             parts = node.operands if node.operator == "and" else node.operands[1:]
             found = [self.find(part) for part in parts]
             return min((time_ns for time_ns in found if time_ns is not None), default=None)
-        start_ns, end_ns = _clip_window(node, self._trace)
-        match node:
-            case Temporal(operator="always", operand=operand):
-                return self._find_failure(operand, start_ns, end_ns)
-            case Temporal():
-                return end_ns
-            case Until(left=left):
-                first_ns = self._trace.start_ns
-                failed_ns = self._find_failure(left, first_ns, end_ns)
-                return end_ns if failed_ns is None else failed_ns
-        return start_ns
+        if not isinstance(node, Temporal | Until):
+            return self._trace.start_ns
+        start_ns, end_ns = clip_window(node, self._trace.start_ns, self._trace)
+        if isinstance(node, Temporal):
+            is_always = node.operator == "always"
+            return self._find_failure(node.operand, start_ns, end_ns) if is_always else end_ns
+        failed_ns = self._find_failure(node.left, self._trace.start_ns, end_ns)
+        return end_ns if failed_ns is None else failed_ns
 
     def _find_failure(self, node: Node, start_ns: int, end_ns: int) -> int | None:
-        times, values = _cut(self._truths.compute(node), start_ns, end_ns)
-        failed = values < 0
-        return int(times[failed.argmax()]) if failed.any() else None
-
-
-def _find_decisive(margins: Margins, node: Node) -> Node:
-    """Return the part of and, or, implies whose margin is the whole's, however deep."""
-    whole = margins.compute(node).values[0]
-    while isinstance(node, Logic):
-        counted = node.operands[1:] if node.operator == "implies" else node.operands
-        parts = [part for part in counted if margins.compute(part).values[0] == whole]
-        if not parts:
-            break
-        node = parts[0]
-    return node
-
-
-def _clip_window(node: Node, trace: Trace) -> tuple[int, int]:
-    """Return the window of a node at the trace's start, cut at its end; else the start twice."""
-    if not isinstance(node, Temporal | Until):
-        return trace.start_ns, trace.start_ns
-    first_ns, last_ns = convert_window(node)
-    end_ns = trace.end_ns if last_ns is None else min(trace.end_ns, trace.start_ns + last_ns)
-    return min(trace.end_ns, trace.start_ns + first_ns), end_ns
-
-
-def _cut(function: Steps, start_ns: int, end_ns: int) -> tuple[Times, Values]:
-    """Return the steps of a function in a window, the first moved to its beginning."""
-    first, last = function.find_piece(start_ns), function.find_piece(end_ns)
-    times = np.maximum(function.time_ns[first : last + 1], start_ns)
-    return times, function.values[first : last + 1]
+        cut = self._truths.compute(node).cut(start_ns, end_ns)
+        failed = cut.values < 0
+        return int(cut.time_ns[failed.argmax()]) if failed.any() else None

@@ -40,20 +40,24 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
     Raises:
         ExpressionError: With the column and the nearest names.
     """
-    known = {**(SIGNALS if over_time else {}), **METRICS, **dict.fromkeys(list_parameters())}
-    if run is not None:
-        known |= run.parameters
+    known = _list_known(over_time=over_time)
+    own = {} if run is None else run.parameters
     for node in iterate_nodes(formula.root):
         if isinstance(node, Temporal | Until) and not over_time:
             word = node.operator if isinstance(node, Temporal) else "until"
             fail_at(formula, node, f"expected metrics, found {word}: it stands in holds = ...")
-        if not isinstance(node, Name) or node.name in known:
+        if not isinstance(node, Name) or node.name in known or node.name in own:
             continue
         if node.name in SIGNALS:
             problem = f"expected a metric, found the signal {node.name}: it stands in holds = ..."
             fail_at(formula, node, problem)
         if run is not None or not node.name.startswith("law."):
-            fail_at(formula, node, describe_unknown_name(node.name, known))
+            fail_at(formula, node, describe_unknown_name(node.name, {**known, **own}))
+
+
+@cache
+def _list_known(*, over_time: bool) -> dict[str, None]:
+    return dict.fromkeys([*(SIGNALS if over_time else ()), *METRICS, *list_parameters()])
 
 
 def require_phase(phase: str) -> None:

@@ -1,9 +1,10 @@
 """`turtlelog check`: hold recordings to a specification."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -16,7 +17,7 @@ from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import CheckResult, Run, Spec
+    from turtlelog import ArtifactWriter, CheckResult, Run, Spec
 
 
 Words = Annotated[list[Path], Parameter(name="SPEC RUN", negative="")]
@@ -108,22 +109,33 @@ def _check(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: TopicOptions
 ) -> "list[CheckResult]":
     from turtlelog.check.junit import CheckedFile, format_junit
-    from turtlelog.check.message import describe_failure
+    from turtlelog.check.runs import judge_run, read_reference
 
-    found: list[CheckedFile] = []
-    for path, run in _read(files, topics):
-        results = tuple(tl.check_runs(spec, [(str(path), run)], allow_partial=topics.partial))
-        failed = [result for result in results if result.verdict == "FAIL"]
-        details = {result.check: "\n".join(describe_failure(run, result)) for result in failed}
-        metrics = {} if reports.junit is None else tl.measure_run(run)
-        found.append(CheckedFile(file=str(path), results=results, metrics=metrics, details=details))
-        if reports.artifacts is not None and failed:
-            _write_artifacts(run, failed, reports.artifacts)
+    reference = read_reference(spec)
+    checked: list[CheckedFile] = []
+    with ExitStack() as stack:
+        writer = reports.artifacts and stack.enter_context(tl.ArtifactWriter(reports.artifacts))
+        for path, run in _read(files, topics):
+            found = judge_run(spec, reference, run, file=str(path), allow_partial=topics.partial)
+            results = tuple(found)
+            report = {} if reports.junit is None else _describe(run, results)
+            checked.append(CheckedFile(file=str(path), results=results, **report))
+            if writer:
+                _write_artifacts(run, results, writer)
     if reports.junit is not None:
         with tl.replace_when_complete(reports.junit) as part:
-            part.write_text(format_junit(found), encoding="utf-8")
+            part.write_text(format_junit(checked), encoding="utf-8")
         print_note(f"wrote {reports.junit}")
-    return [result for checked in found for result in checked.results]
+    return [result for file in checked for result in file.results]
+
+
+def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
+    """Return what a report says beside results: all metrics, and all there is on a failure."""
+    from turtlelog.check.message import describe_failure
+
+    failed = [result for result in results if result.verdict == "FAIL"]
+    details = {result.check: "\n".join(describe_failure(run, result)) for result in failed}
+    return {"metrics": tl.measure_run(run), "details": details}
 
 
 def _read(files: Sequence[Path], topics: TopicOptions) -> "Iterator[tuple[Path, Run]]":
@@ -142,10 +154,15 @@ def _read(files: Sequence[Path], topics: TopicOptions) -> "Iterator[tuple[Path, 
         yield path, run
 
 
-def _write_artifacts(run: "Run", failed: "Sequence[CheckResult]", folder: Path) -> None:
-    for result in failed:
-        for path in tl.write_artifacts(run, result, folder).files:
-            print_note(f"wrote {path}")
+def _write_artifacts(
+    run: "Run", results: "Sequence[CheckResult]", writer: "ArtifactWriter"
+) -> None:
+    for result in results:
+        if result.verdict != "FAIL":
+            continue
+        written = writer.write(run, result)
+        for line in (*(f"wrote {path}" for path in written.files), *written.notes):
+            print_note(line)
 
 
 def _write_first(

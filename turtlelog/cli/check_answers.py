@@ -26,6 +26,8 @@ def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str
                 "limit": result.limit,
                 "margin": result.margin,
                 "unit": result.unit or None,
+                "value_s": result.value_s,
+                "decided_by": result.decided_by or None,
                 "first_violation_s": result.first_violation_s,
                 "reason": result.reason or None,
             }

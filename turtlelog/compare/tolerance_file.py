@@ -141,6 +141,8 @@ def _read_toml(path: str | Path) -> dict[str, Any]:
         raise CompareError(f"{path}: expected TOML, found bytes that are no text") from err
     except OSError as err:
         found = err.strerror or err
-        raise CompareError(f"{path}: expected a tolerance file, found: {found}") from err
+        raise CompareError(
+            f"{path}: expected a specification or tolerance file, found: {found}"
+        ) from err
     except (ValueError, RecursionError) as err:
         raise CompareError(f"{path}: expected TOML, found: {describe_error(err)}") from err

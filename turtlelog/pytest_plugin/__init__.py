@@ -56,6 +56,12 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[SUMMARY] = Summary()
 
 
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """End what the session has started."""
+    if SESSION in config.stash:
+        config.stash[SESSION].end()
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Make one test item per recording."""
     marker = metafunc.definition.get_closest_marker("recordings")
@@ -79,12 +85,14 @@ def recording(request: pytest.FixtureRequest) -> "Recording":
 
 
 @pytest.fixture
-def reference(request: pytest.FixtureRequest) -> "Reference":
+def reference(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> "Reference":
     """What recordings are held to: the file that the marker or the ini option names."""
     has_recording = "recording" in request.fixturenames
     stem = request.getfixturevalue("recording").path.stem if has_recording else None
     path = find_reference(request, stem)
-    return request.config.stash[SESSION].open_reference(path)
+    return request.config.stash[SESSION].open_reference(path, tmp_path_factory.getbasetemp())
 
 
 @pytest.fixture
@@ -109,7 +117,8 @@ def pytest_runtest_makereport(
     session = item.config.stash[SESSION]
     if call.when == "call":
         item.user_properties += session.list_properties()
-        end_at_test(call.excinfo)
+        if call.excinfo is not None and not item.config.getoption("fulltrace"):
+            end_at_test(call.excinfo.value)
     report = yield
     if call.when == "call":
         session.complete_report(item, report)

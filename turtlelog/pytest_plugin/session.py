@@ -1,7 +1,6 @@
 """The books of one session: recordings by file, and what the test at hand has checked."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,7 @@ import pytest
 from turtlelog.pytest_plugin.choosing import show_path
 
 if TYPE_CHECKING:
-    from turtlelog.check import CheckResult
+    from turtlelog.check import ArtifactWriter, CheckResult
     from turtlelog.check.recording import Recording
     from turtlelog.check.reference import Reference
 
@@ -22,6 +21,7 @@ class Session:
         self._config = config
         self._recordings: dict[tuple[Path, bool], Recording] = {}
         self._references: dict[Path, Reference] = {}
+        self._writer: ArtifactWriter | None = None
         self._used: dict[str, Recording] = {}
         self._results: list[tuple[Recording, CheckResult]] = []
 
@@ -39,14 +39,25 @@ class Session:
             )
         return self._recordings[key]
 
-    def open_reference(self, path: Path) -> "Reference":
-        """Return the one reference of a file."""
+    def open_reference(self, path: Path, scratch: Path) -> "Reference":
+        """Return the one reference of a file.
+
+        Args:
+            path: The file.
+            scratch: A folder of this session; with xdist, below that which all workers share.
+        """
         from turtlelog.check.reference import Reference
 
-        is_accepting = bool(self._config.getoption("--turtlelog-accept"))
-        return self._references.setdefault(
-            path.resolve(), Reference(path=path, is_accepting=is_accepting)
-        )
+        shared = scratch.parent if hasattr(self._config, "workerinput") else scratch
+        is_accepting = self._config.getoption("--turtlelog-accept")
+        claims = shared / "turtlelog-accept" if is_accepting else None
+        reference = Reference(path=path, claims=claims)
+        return self._references.setdefault(path.resolve(), reference)
+
+    def end(self) -> None:
+        """Let go of what must not outlive the session."""
+        if self._writer is not None:
+            self._writer.close()
 
     def begin(self) -> None:
         """Forget what the test before has done."""
@@ -86,7 +97,7 @@ class Session:
         if not self._used:
             return
         has_failed = report.failed
-        accepted = [str(path) for path, found in self._references.items() if found.accepted]
+        accepted = [str(path) for path, found in self._references.items() if found.is_written]
         report.turtlelog = {  # type: ignore[attr-defined]
             "recordings": list(self._used),
             "checks": [_pack(result, has_failed=has_failed) for _, result in self._results],
@@ -105,32 +116,33 @@ class Session:
         report: pytest.TestReport,
         failed: "dict[Recording, list[CheckResult]]",
     ) -> None:
+        from turtlelog.check import ArtifactWriter
         from turtlelog.pytest_plugin.explaining import explain_failures, keep_artifacts
 
-        folder = self._config.getoption("--turtlelog-artifacts")
         lines: list[str] = []
         for recording, results in failed.items():
             lines += [*explain_failures(recording, results), ""]
-        for recording, results in failed.items() if folder else ():
-            lines += keep_artifacts(recording, results, self._root(folder), prefix=item.name)
+        folder = self._config.getoption("--turtlelog-artifacts")
+        if folder:
+            place = self._config.invocation_params.dir / folder
+            self._writer = self._writer or ArtifactWriter(place)
+            for recording, results in failed.items():
+                lines += keep_artifacts(recording, results, self._writer, prefix=item.nodeid)
         add_section: Any = getattr(report.longrepr, "addsection", None)
         if add_section is not None:
             add_section("turtlelog", "\n".join(lines).rstrip())
 
-    def _root(self, folder: str) -> Path:
-        return self._config.invocation_params.dir / folder
-
 
 def _pack(result: "CheckResult", *, has_failed: bool) -> dict[str, object]:
     """Return what the summary needs, in types that travel between processes."""
-    margin = result.margin
-    if not has_failed and margin is not None:
+    margin, verdict = result.margin, result.verdict.value
+    if not has_failed:
         # What was denied, as in `assert not overshoot > 2`, was to be so.
-        result, margin = replace(result, verdict=type(result.verdict)("PASS")), abs(margin)
+        margin, verdict = None if margin is None else abs(margin), "PASS"
     return {
         "file": result.file,
         "check": result.check,
-        "verdict": result.verdict.value,
+        "verdict": verdict,
         "margin": margin,
         "unit": result.unit,
     }

@@ -1,6 +1,8 @@
 """A picture of a recording, and what the viewer says about it, without a display."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -17,6 +19,7 @@ _LOAD_S: Final = 60.0
 _PICTURES: Final = 20
 _PAUSE_S: Final = 0.1
 _NOTICE_S: Final = 3.5
+_LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
 _PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
 
@@ -53,6 +56,76 @@ class ViewReport:
     messages: tuple[str, ...]
 
 
+class Camera:
+    """A headless viewer that takes one picture after the other; made by `open_camera`."""
+
+    def __init__(self, viewer: ViewerProcess, client: ViewerClient, size: tuple[int, int]) -> None:
+        self._viewer, self._client, self._size = viewer, client, size
+        self._is_ready = False
+        self._last_log = 0
+
+    def take(
+        self,
+        rrd_path: str | Path,
+        png_path: str | Path,
+        *,
+        at_s: float | None = None,
+        timeline: str = TIMELINE,
+    ) -> ViewReport:
+        """Write a picture of a recording, as `write_snapshot` does."""
+        require_recordings([rrd_path])
+        client = self._client
+        try:
+            _open(client, Path(rrd_path), self._last_log)
+            self._get_ready()
+            _set_time(client, at_s, timeline)
+            picture = _take_picture(client)
+            report = _read_report(client, self._last_log)
+            client.close("all")
+            self._last_log = max((entry.sequence for entry in client.get_logs()), default=0)
+        except (RuntimeError, OSError) as err:
+            if _has_ended(self._viewer):
+                raise _describe_lack(self._viewer.read_error()) from err
+            width, height = self._size
+            raise ShowError(
+                f"viewer: expected a picture of {width}x{height} pixels, found: {err}"
+            ) from err
+        with replace_file(png_path) as part_path:
+            part_path.write_bytes(picture)
+        return report
+
+    def _get_ready(self) -> None:
+        """Outlast what greets; later, leave the layout of the recording before; hide the menus."""
+        if self._is_ready:
+            self._client.run_command("recording.reset_blueprint_to_default")
+            self._client.take_screenshot(max_size=16)
+        else:
+            _outlast_notices(self._client)
+            self._is_ready = True
+        self._client.run_command("ui.toggle_top_panel")
+
+
+@contextmanager
+def open_camera(*, size: tuple[int, int] = (1600, 900), zoom: float = 1.0) -> Iterator[Camera]:
+    """Start a headless viewer for any number of pictures, and end it on the way out.
+
+    Args:
+        size: Width and height of the window [pixels].
+        zoom: Scale of letters and lines, in steps of 0.1; at least 1.
+
+    Raises:
+        ShowError: Where the viewer cannot start.
+    """
+    port = find_free_port()
+    width, height = size
+    options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
+    with start_viewer([*options, "--window-size", f"{width}x{height}"]) as viewer:
+        client = _connect(viewer, port)
+        for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
+            client.run_command("ui.zoom_in_ui")
+        yield Camera(viewer, client, size)
+
+
 def write_snapshot(
     rrd_path: str | Path,
     png_path: str | Path,
@@ -76,41 +149,38 @@ def write_snapshot(
         ShowError: Where the viewer cannot start, or the recording cannot be shown.
     """
     require_recordings([rrd_path])
-    port = find_free_port()
-    width, height = size
-    options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
-    with start_viewer([*options, "--window-size", f"{width}x{height}"]) as viewer:
-        client = _connect(viewer, port)
-        try:
-            _open(client, Path(rrd_path))
-            _set_time(client, at_s, timeline)
-            _arrange(client, zoom)
-            picture = _take_picture(client)
-            report = _read_report(client)
-        except (RuntimeError, OSError) as err:
-            raise ShowError(
-                f"viewer: expected a picture of {width}x{height} pixels, found: {err}"
-            ) from err
-    with replace_file(png_path) as part_path:
-        part_path.write_bytes(picture)
-    return report
+    with open_camera(size=size, zoom=zoom) as camera:
+        return camera.take(rrd_path, png_path, at_s=at_s, timeline=timeline)
 
 
 def _connect(viewer: ViewerProcess, port: int) -> ViewerClient:
     try:
         return wait_for_viewer(viewer, port)
     except ConnectionError as err:
-        raise ShowError(
-            f"viewer: expected a graphics adapter or a software one (on Debian: apt-get install"
-            f" {_PACKAGES}), found: {err}"
-        ) from err
+        raise _describe_lack(str(err)) from err
 
 
-def _open(client: ViewerClient, path: Path) -> None:
+def _has_ended(viewer: ViewerProcess) -> bool:
+    """Whether it is gone, or goes: without graphics it answers for a moment."""
+    deadline = time.monotonic() + _LAST_BREATH_S
+    while not viewer.has_ended and time.monotonic() < deadline:
+        time.sleep(_PAUSE_S)
+    return viewer.has_ended
+
+
+def _describe_lack(found: str) -> ShowError:
+    return ShowError(
+        f"viewer: expected a graphics adapter or a software one (on Debian: apt-get install"
+        f" {_PACKAGES}), found: {found}"
+    )
+
+
+def _open(client: ViewerClient, path: Path, last_log: int) -> None:
     client.open(str(path.resolve()))
     deadline = time.monotonic() + _LOAD_S
     while (state := client.get_state()).loading or not state.views:
-        errors = [entry.message for entry in client.get_logs() if entry.level == "ERROR"]
+        found = client.get_logs(after_sequence=last_log)
+        errors = [entry.message for entry in found if entry.level == "ERROR"]
         if errors:
             raise ShowError(f"{path}: expected a recording, found: {errors[0].splitlines()[0]}")
         if time.monotonic() > deadline:
@@ -133,16 +203,8 @@ def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
         raise ShowError(f"timeline: expected {known}, found {name}")
 
 
-def _arrange(client: ViewerClient, zoom: float) -> None:
-    """Set the zoom, and hide the bar of menus and of remarks on the graphics driver."""
-    client.run_command("ui.toggle_top_panel")
-    for _ in range(round((zoom - 1.0) / _ZOOM_STEP)):
-        client.run_command("ui.zoom_in_ui")
-
-
 def _take_picture(client: ViewerClient) -> bytes:
     """Return the first picture that equals the one before it: views settle over some frames."""
-    _outlast_notices(client)
     before = client.take_screenshot()
     for _ in range(_PICTURES):
         time.sleep(_PAUSE_S)
@@ -160,7 +222,7 @@ def _outlast_notices(client: ViewerClient) -> None:
         client.take_screenshot(max_size=16)
 
 
-def _read_report(client: ViewerClient) -> ViewReport:
+def _read_report(client: ViewerClient, last_log: int) -> ViewReport:
     return ViewReport(
         views=tuple(
             ShownView(
@@ -179,7 +241,7 @@ def _read_report(client: ViewerClient) -> ViewReport:
         ),
         messages=tuple(
             f"{entry.level}: {entry.message}"
-            for entry in client.get_logs()
+            for entry in client.get_logs(after_sequence=last_log)
             if entry.level in {"WARN", "ERROR"}
         ),
     )
