@@ -1,4 +1,5 @@
 import csv
+import sys
 from pathlib import Path
 
 import pytest
@@ -68,3 +69,14 @@ def test_bad_exports_are_one_line(
     assert line in answer.err
     assert answer.err.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full", "in.csv", "run.mcap"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+def test_a_link_that_leads_in_a_circle_is_no_new_folder(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    answer = call("export", kp4, "--rosbag2", circle)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.endswith(": expected the name of a new folder, found a file\n")

@@ -199,6 +199,7 @@ def test_wrong_metadata_is_named(tmp_path: Path) -> None:
         (b'{"data": ' + b"9" * 5000 + b"}", "expected JSON, found: "),
         (b'{"data": "\xff"}', "byte 10: expected UTF-8 text, found 0xff"),
         (b"\x00\x00\x00", "expected JSON"),
+        (b"\x89MCAP0\r\n", "expected a log in JSON or CSV, found MCAP, which is read as it is"),
     ],
 )
 def test_json_that_is_no_log_is_one_line(text: bytes, message: str, tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> No
             raise UsageError(
                 f"expected the name of a new folder, found a name that ends in {target.suffix}"
             )
-        _require_place(target.resolve())
+        _require_place(_resolve(target))
         if target.is_dir():
             if any(target.iterdir()):
                 raise UsageError("expected the name of a new folder, found a folder with files")
@@ -41,13 +41,18 @@ def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> No
 
 def require_apart(targets: Sequence[Path]) -> None:
     """Refuse outputs that are the same, or of which one would lie in another."""
-    places = [target.resolve() for target in targets]
+    places = [_resolve(target) for target in targets]
     for number, place in enumerate(places):
         for other in places[:number]:
             if place == other or place in other.parents or other in place.parents:
                 raise UsageError(
                     f"{targets[number]}: expected a place of its own, found that of another output"
                 )
+
+
+def _resolve(target: Path) -> Path:
+    """Return where a path leads; links that lead in a circle stay as they are."""
+    return Path(os.path.realpath(target))
 
 
 def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:

@@ -7,7 +7,7 @@ from typing import Final
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import read_info
 from turtlelog.log.recording.reader import read_recording
@@ -52,7 +52,7 @@ def read_run(
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
     if not is_folder:
-        with name_file(path, expected="a recording, a bag or a log"), path.open("rb") as stream:
+        with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
             is_mcap = stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
         if not is_mcap:
             # What should be a recording is told so.

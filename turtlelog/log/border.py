@@ -1,8 +1,10 @@
 """Where foreign errors become ours: one line that names the file."""
 
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from turtlelog.errors import LogError, TurtlelogError, describe_error
 
@@ -27,3 +29,18 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
         raise LogError(f"{path}: {err}") from err
     except Exception as err:
         raise LogError(f"{path}: expected {expected}, found {describe_error(err)}") from err
+
+
+def open_file(path: str | Path) -> BinaryIO:
+    """Open a file to read; a pipe, which may block forever, and a device, which may not end, not.
+
+    Raises:
+        LogError: Where it is one of these.
+        OSError: Where it cannot be read.
+    """
+    path = Path(path)
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        kind = "pipe" if stat.S_ISFIFO(mode) else "device"
+        raise LogError(f"expected a file, found a {kind}")
+    return path.open("rb")

@@ -8,7 +8,7 @@ from typing import Any
 
 from mcap.records import Attachment, Metadata
 
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.survey import Survey, survey_file
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
 from turtlelog.log.recording.partial import describe_damages
@@ -73,7 +73,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
         LogError: Where it cannot be read, is no MCAP file, or is damaged.
     """
     with name_file(path, expected="an MCAP file"):
-        with Path(path).open("rb") as stream:
+        with open_file(path) as stream:
             survey = survey_file(stream, allow_partial=allow_partial)
         span_ns = survey.span_ns
         plans = survey.catalogue.iterate_plans()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.layout import Column
 from turtlelog.log.engine.rows import (
     LOG_TIME,
@@ -80,7 +80,7 @@ def read_columns(
         LogError: One line with the file and the place, where it cannot be read, is no MCAP, was
             never finished or is damaged, or a topic asked for is not there or not understood.
     """
-    with name_file(path, expected="an MCAP file"), Path(path).open("rb") as stream:
+    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
         source = Source(stream)
         return collect_columns(source, select_topics(topics, start_ns, end_ns))
 
@@ -102,7 +102,7 @@ def iter_columns(
     """
     if rows < 1:
         raise LogError(f"{path}: expected batches of at least one row, found {rows}")
-    with name_file(path, expected="an MCAP file"), Path(path).open("rb") as stream:
+    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
         source, selection = Source(stream), select_topics(topics, start_ns, end_ns)
         batch: dict[str, list[Rows]] = {}
         size = 0

@@ -8,7 +8,7 @@ from typing import Any, Final
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.blocks import MESSAGE_HEAD, Block
 from turtlelog.log.engine.source import Source
 
@@ -43,7 +43,7 @@ def read_raw(path: str | Path) -> RawContents:
     Raises:
         LogError: One line with the file and the place, where it is no MCAP or is damaged.
     """
-    with name_file(path, expected="an MCAP file"), Path(path).open("rb") as stream:
+    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
         source = Source(stream)
         source.check_data()
         messages: list[Message] = []

@@ -5,8 +5,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from mcap.writer import MCAP0_MAGIC
+
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.importers.base import PaperLog, build_run
 from turtlelog.log.importers.paper_csv import parse_paper_csv
 from turtlelog.log.importers.paper_json import parse_paper_json
@@ -39,9 +41,13 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
 
 
 def _read_text(path: Path) -> str:
+    with open_file(path) as stream:
+        data = stream.read()
+    if data.startswith(MCAP0_MAGIC):
+        raise LogError("expected a log in JSON or CSV, found MCAP, which is read as it is")
     try:
         # Spreadsheets put a byte order mark in front.
-        text = path.read_bytes().decode("utf-8-sig")
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as err:
         raise LogError(
             f"byte {err.start}: expected UTF-8 text, found 0x{err.object[err.start]:02x}"

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.layout import Column
@@ -42,7 +42,7 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
         LogError: One line with the file and the place, where it cannot be read, is no recording,
             is damaged, or was written by a newer turtlelog.
     """
-    with name_file(path, expected="a turtlelog recording"), Path(path).open("rb") as stream:
+    with name_file(path, expected="a turtlelog recording"), open_file(path) as stream:
         try:
             return _build_whole_run(read_contents(stream))
         except DamageError as err:

@@ -9,7 +9,7 @@ from typing import Any, Self
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.ends import check_start
@@ -45,7 +45,7 @@ class RecordingTail:
         self._records: list[Any] = []
         self._parts: dict[str, list[Rows]] = {}
         with ExitStack() as closing, name_file(path, expected="a turtlelog recording"):
-            self._stream = closing.enter_context(self._path.open("rb"))
+            self._stream = closing.enter_context(open_file(self._path))
             check_start(self._stream)
             closing.pop_all()
 

@@ -9,7 +9,7 @@ from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
 from turtlelog.log.atomic import replace_when_complete
-from turtlelog.log.border import name_file
+from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.ending import Ending, read_ending
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
 from turtlelog.log.recording.recovery_note import RECOVERY, Loss, format_recovery
@@ -57,7 +57,7 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
             where the target is the source, or cannot be written.
     """
     source, target = Path(source), Path(target)
-    with name_file(source, expected="an MCAP file"), source.open("rb") as stream:
+    with name_file(source, expected="an MCAP file"), open_file(source) as stream:
         if target.exists() and source.samefile(target):
             raise LogError(f"expected another file to write to, found the same: {target}")
         ending = read_ending(stream)
@@ -124,7 +124,7 @@ def _copy_records(source: Path, rewriter: Rewriter, ending: Ending) -> _Copied:
 
 def _walk(path: Path) -> Iterator[Section | Damage]:
     # Errors of writing what comes are not this file's.
-    with name_file(path, expected="an MCAP file"), path.open("rb") as stream:
+    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
         yield from walk_sections(stream)
 
 
