@@ -33,42 +33,26 @@ _MARK: Final = 0.3
 _ENOUGH: Final = 0.04
 """A corner that is better by less is not taken in place of the usual one."""
 
-_MOST_ROWS: Final = 2000
+_MOST_ROWS: Final = 300
 
 
 @dataclass(frozen=True, slots=True)
-class _Box:
-    """What a legend covers, in widths and heights of its plot."""
-
-    is_right: bool
-    is_top: bool
-    height: float
-
-    def is_across(self, x: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether the legend is above or below each place."""
-        return x > 1.0 - _WIDTH if self.is_right else x < _WIDTH
-
-    def clip(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return heights as far as the legend covers them."""
-        return np.clip(y, *((1.0 - self.height, 1.0) if self.is_top else (0.0, self.height)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Line:
+class _Curve:
     """A curve, or a mark as one row, in widths and heights of its plot: shapes (n,), (n, k)."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]
 
-    def is_beneath(self, box: _Box) -> bool:
-        """Whether any of it is."""
-        y = self.y[box.is_across(self.x)]
-        return bool((box.clip(y) == y).any())
-
-    def measure_moves(self, box: _Box) -> float:
-        """Return how far it goes up and down beneath a legend."""
-        steps = np.abs(np.diff(box.clip(self.y[box.is_across(self.x)]), axis=0))
-        return float(np.nansum(np.minimum(steps, _JUMP)))
+    def measure_hidden(self, corner: rrb.Corner2D, height: float) -> tuple[float, bool]:
+        """Return how far it goes up and down beneath a legend, and whether it is there at all."""
+        if corner.name.startswith("Right"):
+            y = self.y[np.searchsorted(self.x, 1.0 - _WIDTH) :]
+        else:
+            y = self.y[: np.searchsorted(self.x, _WIDTH)]
+        low, high = (1.0 - height, 1.0) if corner.name.endswith("Top") else (0.0, height)
+        beneath = np.minimum(np.maximum(y, low), high)
+        moves = np.minimum(np.abs(beneath[1:] - beneath[:-1]), _JUMP)
+        return float(moves.sum()), bool((beneath == y).any())
 
 
 def choose_corners(
@@ -93,21 +77,30 @@ def choose_corners(
     return chosen
 
 
-def _place(found: Series | Mark, span_ns: tuple[int, int], limits: tuple[float, float]) -> _Line:
+def _place(found: Series | Mark, span_ns: tuple[int, int], limits: tuple[float, float]) -> _Curve:
     """Return its rows, or of many some."""
     if isinstance(found, Mark):
         time_ns, values = np.array([found.time_ns]), np.array([[found.level]])
     else:
-        step = max(len(found.time_ns) // _MOST_ROWS, 1)
+        step = len(found.time_ns) // _MOST_ROWS + 1
         time_ns, values = found.time_ns[::step], found.values[::step]
+    known = np.isfinite(values).all(axis=1)
     (start_ns, end_ns), (low, high) = span_ns, limits
-    return _Line((time_ns - start_ns) / (end_ns - start_ns), (values - low) / (high - low))
+    return _Curve(
+        (time_ns[known] - start_ns) / (end_ns - start_ns), (values[known] - low) / (high - low)
+    )
 
 
-def _measure_hidden(corner: rrb.Corner2D, curves: Sequence[_Line], marks: Sequence[_Line]) -> float:
+def _measure_hidden(
+    corner: rrb.Corner2D, curves: Sequence[_Curve], marks: Sequence[_Curve]
+) -> float:
     """Return how much a legend there hides."""
-    name = corner.name
     height = min(_LINE_HEIGHT * (len(curves) + _OTHER_LINES), _MOST_HEIGHT)
-    box = _Box(name.startswith("Right"), name.endswith("Top"), height)
-    moves = sum(line.measure_moves(box) + _FLAT * line.is_beneath(box) for line in curves)
-    return moves + _MARK * sum(line.is_beneath(box) for line in marks)
+    hidden = 0.0
+    for found, weight in (
+        *((curve, _FLAT) for curve in curves),
+        *((mark, _MARK) for mark in marks),
+    ):
+        moves, is_there = found.measure_hidden(corner, height)
+        hidden += moves + weight * is_there
+    return hidden

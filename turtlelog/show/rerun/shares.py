@@ -12,17 +12,20 @@ from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.tables import format_markdown
 
 _BAR_WIDTH: Final = 0.8
+_LEGEND_SHARE: Final = 0.35
 
 
 def draw_shares(
     stream: rr.RecordingStream, shares: Mapping[str, float], colors: Mapping[str, palette.Color]
 ) -> None:
     """Draw a bar per mechanism, in the colour of the run without it where there is one."""
-    for number, (mechanism, share) in enumerate(shares.items()):
+    for number, (mechanism, share) in enumerate(shares.items(), start=1):
+        # After the last bar, one of no height makes room for the legend.
+        places = [number] if number < len(shares) else [number, number * (1.0 + _LEGEND_SHARE)]
         bar = rr.BarChart(
-            [share],
-            abscissa=[float(number)],
-            widths=[_BAR_WIDTH],
+            [share, 0.0][: len(places)],
+            abscissa=places,
+            widths=[_BAR_WIDTH] * len(places),
             color=colors.get(mechanism, palette.REFERENCE),
         )
         entity = join_path(entities.SHARES, rr.escape_entity_path_part(mechanism))
