@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Final
 
 from turtlelog.check.cut import cut_run
@@ -75,7 +76,8 @@ class ArtifactWriter:
         at_s = result.first_violation_s
         shown_s = (run.end_ns - run.start_ns) / 1e9 if at_s is None else at_s
         message = "\n".join(describe_failure(run, result))
-        write_violation_rrd(run, rrd, at_s=shown_s, title=result.check, message=message)
+        title = shorten(result.check, _LONGEST, placeholder="...")
+        write_violation_rrd(run, rrd, at_s=shown_s, title=title, message=message)
         write_recording(_cut(run, at_s), mcap)
         if self._is_blind:
             return Artifacts(files=(rrd, mcap))

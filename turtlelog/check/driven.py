@@ -65,7 +65,8 @@ class DrivenRecording:
         # The law is at hand: what the recording says of its own need not even load.
         others = {k: v for k, v in self._run.parameters.items() if not k.startswith("law.")}
         scenario = complete_scenario(replace(self._run, parameters=others), Scenario())
-        return replay_law(self._run, scenario, law=self._law, tolerance=tolerance)
+        named = replace(scenario, law=replace(scenario.law, kind=type(self._law).__name__))
+        return replay_law(self._run, named, law=self._law, tolerance=tolerance)
 
     def _judge(self, signal: SignalDifference, limit: float) -> CheckResult:
         first = signal.first_difference

@@ -83,7 +83,8 @@ def _list_reasons(spec: "Spec", results: "Sequence[CheckResult]") -> Iterator[st
             yield f"{result.verdict} {result.file}: {result.check}: {result.reason}"
         elif result.verdict == "FAIL":
             why = f" ({meant[result.check]})" if meant.get(result.check) else ""
-            yield f"FAIL {result.file}: {result.check}: expected {result.expected}{why}"
+            by = f"; decided by {result.decided_by}" if result.decided_by else ""
+            yield f"FAIL {result.file}: {result.check}: expected {result.expected}{why}{by}"
     if observed:
         count = "1 bound was" if len(observed) == 1 else f"{len(observed)} bounds were"
         yield f"{count} read off a good run: look at observed = true in {spec.source}"

@@ -1,10 +1,12 @@
 """The one line at the end: recordings, checks, worst margins."""
 
+from textwrap import shorten
 from typing import Any
 
 import pytest
 
 _MOST = 3
+_WIDTH = 60
 
 
 class Summary:
@@ -55,7 +57,8 @@ def _count(number: int, word: str) -> str:
 
 def _describe(check: dict[str, Any]) -> str:
     unit = "" if check["unit"] in {"", "1"} else f" {check['unit']}"
-    return f"{check['margin']:.5g}{unit} {check['check']} ({check['file']})"
+    name = shorten(check["check"], _WIDTH, placeholder="...")
+    return f"{check['margin']:.5g}{unit} {name} ({check['file']})"
 
 
 SUMMARY = pytest.StashKey[Summary]()
