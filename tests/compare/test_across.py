@@ -1,4 +1,5 @@
 import dataclasses
+from typing import Any
 
 import pytest
 
@@ -48,6 +49,38 @@ def test_runs_of_one_name_are_told_apart() -> None:
         "paper-kp4",
         "paper-kp10 (2)",
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "names"),
+    [
+        ([{"law.kp_angular": 2.0, "law.kp_linear": 2.0}, {}], ("paper-kp4 Kp 2", "paper-kp4 Kp 4")),
+        ([{"law.kp_linear": 2.5}, {}], ("paper-kp4 kp_linear 2.5", "paper-kp4 kp_linear 4")),
+        (
+            [{"goal.x_m": 3.0, "start.x_m": 4.0}, {}],
+            ("paper-kp4 goal.x_m 3 start.x_m 4", "paper-kp4 goal.x_m 2 start.x_m 5.54444"),
+        ),
+        (
+            [{"loop.queue_policy": "newest"}, {}, {}],
+            (
+                "paper-kp4 queue_policy newest",
+                "paper-kp4 queue_policy one-per-tick (1)",
+                "paper-kp4 queue_policy one-per-tick (2)",
+            ),
+        ),
+    ],
+)
+def test_runs_of_one_name_are_told_apart_by_the_parameters_that_differ(
+    changes: list[dict[str, Any]], names: tuple[str, ...]
+) -> None:
+    paper = tl.load_scenario("paper-kp4")
+    runs = [tl.simulate_run(tl.override_scenario(paper, change)) for change in changes]
+    assert tl.name_runs(runs) == names
+
+
+def test_where_many_parameters_differ_runs_of_one_name_are_numbered() -> None:
+    textbook = dataclasses.replace(tl.simulate_run(tl.load_scenario("textbook")), name="paper-kp10")
+    assert tl.name_runs([RUNS[0], textbook]) == ("paper-kp10 (1)", "paper-kp10 (2)")
 
 
 def test_a_numbered_name_that_is_taken_is_not_given_twice() -> None:

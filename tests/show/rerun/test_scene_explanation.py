@@ -26,7 +26,7 @@ def test_the_recorded_run_stands_beside_its_what_ifs(explanation_rrd: Path) -> N
     assert names == ["recorded", "without pause", "without queue"]
     rows = read_rows(explanation_rrd, f"{RECORDED}/distance", "Scalars:scalars")
     assert len(rows) == len(RUN.poses)
-    entity = "/runs/without\\ pause/distance"
+    entity = "/runs/without_pause/distance"
     other = read_rows(explanation_rrd, entity, "Scalars:scalars")
     assert len(other) == len(simulate_preset("paper-kp4").poses)
 

@@ -57,7 +57,7 @@ def build_overlay(runs: Sequence[Run], names: Sequence[str]) -> Overlay:
     return Overlay(
         runs=tuple(runs),
         names=tuple(names),
-        prefixes=tuple(join_path(RUNS, rr.escape_entity_path_part(name)) for name in names),
+        prefixes=tuple(join_path(RUNS, part) for part in _list_path_parts(names)),
         colors=colors,
         clocks=tuple(build_compared_clock(run) for run in runs),
         series=tuple(
@@ -66,6 +66,13 @@ def build_overlay(runs: Sequence[Run], names: Sequence[str]) -> Overlay:
         ),
         references=tuple(references),
     )
+
+
+def _list_path_parts(names: Sequence[str]) -> list[str]:
+    """Return a part of an entity path per name, without spaces, which a path shows as escapes."""
+    plain = [name.replace(" ", "_") for name in names]
+    parts = plain if len(set(plain)) == len(plain) else names
+    return [rr.escape_entity_path_part(part) for part in parts]
 
 
 def draw_overlay(
