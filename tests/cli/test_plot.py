@@ -54,7 +54,7 @@ def test_json_names_files_titles_and_the_paper_s_figures(
 @pytest.mark.parametrize(
     ("words", "match"),
     [
-        (["--only", "headng"], "figure 'headng': expected one of heading"),
+        (["--only", "headng"], "figure: expected heading or heading-error, found 'headng'"),
         (["--only", "heading"], "figure heading: expected a recording, found none"),
         (["--only", "plant,"], "--only: expected names with commas between, found 'plant,'"),
         (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),

@@ -144,7 +144,7 @@ def test_it(recording):
 
 
 UNKNOWN = {
-    'metric("rotate.overshot") < 1': "*metric: expected rotate.overshoot * found 'rotate.overshot'",
+    'metric("rotate.overshot") < 1': "*metric: *rotate.overshoot, * found 'rotate.overshot'",
     'phase("rotat")': "*phase: expected rotate*, found 'rotat'",
     'phase("rotate").overshot < 1': "*metric of rotate: expected overshoot*, found 'overshot'",
     'holds("always(cros_track < 1)")': "*column 8: unknown name 'cros_track'; *cross_track*",

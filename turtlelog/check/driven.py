@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from turtlelog.check.outcome import CheckOutcome
 from turtlelog.check.result import CheckResult, Verdict
@@ -14,8 +14,13 @@ from turtlelog.replay import Difference, LawReplay, SignalDifference, replay_law
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, complete_scenario
 
-if TYPE_CHECKING:
-    from turtlelog.check.recording import Recording
+
+class HasRun(Protocol):
+    """What holds a run, as a `Recording` does."""
+
+    @property
+    def run(self) -> Run:
+        """The run."""
 
 
 class DrivenRecording:
@@ -35,7 +40,7 @@ class DrivenRecording:
         return f"<{self._file} driven again>"
 
     def matches(
-        self, recording: "Recording | Run", *, tolerance: Tolerance | None = None
+        self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
     ) -> CheckOutcome:
         """Return whether the law answers as was recorded: commands, errors, phases and the end.
 

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final
 
 from turtlelog.check.reference import Reference, load_reference
 from turtlelog.check.result import CheckResult, Verdict
@@ -14,10 +14,6 @@ from turtlelog.errors import CheckError
 from turtlelog.measure import SIGNALS, Metric, measure_run, read_signal
 from turtlelog.run import Run
 
-if TYPE_CHECKING:
-    from turtlelog.check.recording import Recording
-
-Expected: TypeAlias = "Recording | Run | Reference | Mapping[str, Metric] | str | Path"
 AnyTolerance = Tolerance | Tolerances | str | Path | None
 
 _SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")

@@ -1,16 +1,16 @@
 """A recording that tests ask questions of: read once, when the first is asked."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 from turtlelog.check.driven import DrivenRecording
 from turtlelog.check.failures import PartialLogError
 from turtlelog.check.judge_formula import judge_check
-from turtlelog.check.matching import AnyTolerance, Expected, match_run
+from turtlelog.check.matching import AnyTolerance, match_run
 from turtlelog.check.message import describe_failure
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.outcome import CheckOutcome
@@ -23,9 +23,11 @@ from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
 from turtlelog.log import PartialRecordingWarning, read_run
-from turtlelog.measure import METRICS
+from turtlelog.measure import METRICS, Metric
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
+
+Expected: TypeAlias = "Recording | Run | Reference | Mapping[str, Metric] | str | Path"
 
 _PARTS = tuple(dict.fromkeys(name.split(".", 1)[0] for name in METRICS))
 

@@ -1,11 +1,10 @@
 """The names that specifications and tests may use."""
 
-import difflib
 from collections.abc import Sequence
 from functools import cache
 from typing import Final
 
-from turtlelog.errors import CheckError
+from turtlelog.errors import CheckError, suggest_names
 from turtlelog.expressions import (
     Expression,
     Name,
@@ -72,8 +71,7 @@ def require_phase(phase: str) -> None:
 
 def describe_nearest(text: str, known: Sequence[str]) -> str:
     """Return the end of an error line for a word that is none of those known."""
-    near = difflib.get_close_matches(text, known, n=2) or known
-    return f"expected {' or '.join(near)}, found {text!r}"
+    return f"expected {suggest_names(text, known)}, found {text!r}"
 
 
 def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:

@@ -233,7 +233,7 @@ def test_poses_alone_give_position_and_plane(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("only", "runs", "match"),
     [
-        (["headng"], [], "'headng': expected one of heading"),
+        (["headng"], [], "expected heading or heading-error, found 'headng'"),
         (["heading"], [], "figure heading: expected a recording, found none"),
         (["speed"], [keep_poses(simulate(4))], "expected the controller's samples, found none"),
     ],

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +16,7 @@ from turtlelog.compare import (
     tabulate_table1,
     tabulate_whole_runs,
 )
-from turtlelog.errors import ShowError
+from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import ESSENTIAL_METRICS
 from turtlelog.run import Run
 from turtlelog.show.figures.catalogue import FIGURES, FigureKind
@@ -116,8 +115,7 @@ def _settle_layout(figure: Figure) -> None:
 
 def _find_kind(name: str, runs: Sequence[Run]) -> FigureKind:
     if name not in FIGURES:
-        near = get_close_matches(name, FIGURES, n=3) or list(FIGURES)
-        raise ShowError(f"figure {name!r}: expected one of {', '.join(near)}")
+        raise ShowError(f"figure: expected {suggest_names(name, FIGURES)}, found {name!r}")
     lack = FIGURES[name].find_lack(runs)
     if lack:
         raise ShowError(f"figure {name}: expected {lack}, found none")
