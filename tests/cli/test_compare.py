@@ -139,7 +139,10 @@ def test_verdicts_of_all_runs_are_one_csv_table(
         (["--reference", "KP4", "--sort", "name"], "--sort: expected no --reference beside it"),
         (["--reference", "KP4", "--where", "1 < 2"], "--where: expected no --reference beside it"),
         (["--reference", "KP4", "--align", "samples"], "expected sample or first_sample"),
-        (["--reference", "KP4", "--tolerances", "none.toml"], "none.toml: expected a tolerance"),
+        (
+            ["--reference", "KP4", "--tolerances", "none.toml"],
+            "none.toml: expected a specification or tolerance",
+        ),
         (["--csv", "--json"], "--json: expected one format, found --csv beside it"),
         (["--only", "run.durtion"], "--only: expected run.duration"),
         (["--sort", "kp"], "--sort: expected "),
