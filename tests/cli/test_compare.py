@@ -38,6 +38,13 @@ def test_runs_stand_beside_each_other_with_the_best_marked(
     assert max(map(len, answer.out.splitlines())) <= 100
 
 
+def test_runs_stand_in_rising_gain_where_no_order_is_asked_for(
+    call: Call, kp4: Path, kp10: Path
+) -> None:
+    rows = call("compare", kp10, kp4, "--csv").out.splitlines()[1:]
+    assert [row.split(",")[0] for row in rows] == ["paper-kp4", "paper-kp10"]
+
+
 def test_runs_beside_each_other_as_json(call: Call, kp4: Path, kp10: Path) -> None:
     answer = call("compare", kp4, kp10, "--json", "--where", "law.kp_linear < 5").json
     assert (answer["reference"], answer["alignment"], answer["verdict"]) == (None, None, None)

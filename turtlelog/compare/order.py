@@ -3,11 +3,15 @@
 import math
 import re
 from collections.abc import Sequence
+from typing import TypeVar
 
+from turtlelog.compare.summary import RunSummary
 from turtlelog.run import Run
 
+AnyRun = TypeVar("AnyRun", Run, RunSummary)
 
-def order_by_gain(runs: Sequence[Run]) -> tuple[Run, ...]:
+
+def order_by_gain(runs: Sequence[AnyRun]) -> tuple[AnyRun, ...]:
     """Return runs in rising order of their gains, that along the track first.
 
     Runs of the same gains stand in the natural order of their names (`run2` before `run10`), those
@@ -16,7 +20,7 @@ def order_by_gain(runs: Sequence[Run]) -> tuple[Run, ...]:
     return tuple(sorted(runs, key=lambda run: (*_get_gains(run), _split_numbers(run.name))))
 
 
-def _get_gains(run: Run) -> tuple[float, ...]:
+def _get_gains(run: Run | RunSummary) -> tuple[float, ...]:
     gains = (run.parameters.get(f"law.kp_{loop}") for loop in ("linear", "angular"))
     return tuple(float(gain) if isinstance(gain, int | float) else math.inf for gain in gains)
 
