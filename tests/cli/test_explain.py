@@ -53,7 +53,7 @@ def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, k
     assert answer.code == 0
     assert "why.rrd" in answer.err
     entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "why.rrd").stream()}
-    names = ["recorded", r"without\ queue", r"without\ pause", r"without\ queue\ and\ pause"]
+    names = ["recorded", "without_queue", "without_pause", "without_queue_and_pause"]
     assert {f"/runs/{name}/plane/path" for name in names} < entities
     assert {"/shares/queue", "/shares/pause"} < entities
 
