@@ -18,6 +18,7 @@ _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary off
 _DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
 _STEP: Final = 2**20  # bytes
 _SQLITE: Final = b"SQLite format 3\0"
+_RERUN: Final = b"RRF2"
 _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
 START_SIZE: Final = len(_SQLITE)
 """Bytes at the start of a file that tell what it is."""
@@ -78,6 +79,8 @@ def find_wrong_start(start: bytes) -> str | None:
     found = f"0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "an empty file"
     if start.startswith(_SQLITE):
         found = "a bag in SQLite: ros2 bag convert makes MCAP of it"
+    elif start.startswith(_RERUN):
+        found = "a Rerun recording: turtlelog view shows it"
     elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
         found = "text: turtlelog import makes a recording of a log in JSON or CSV"
     return f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}"
