@@ -146,3 +146,23 @@ def test_a_bag_is_refused_a_name_that_its_description_cannot_hold(
     assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
     assert "expected a name of printable characters, found 'a" in answer.err
     assert list(tmp_path.iterdir()) == []
+
+
+@needs_posix
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [("check {spec} {kp4}", 0), ("check {spec} {kp4} --json", 0), ("check {spec} {kp10}", 1)],
+)
+def test_a_reader_that_goes_away_changes_no_verdict(
+    kp4: Path, kp10: Path, tmp_path: Path, words: str, code: int
+) -> None:
+    spec = tmp_path / "spec.toml"
+    spec.write_text('format = 1\n[checks.near]\nexpect = "final.position_error < 0.05"\n')
+    command = words.format(spec=spec, kp4=kp4, kp10=kp10)
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [*COMMAND, *command.split()], cwd=ROOT, stdout=writer, stderr=subprocess.PIPE, check=False
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (code, b"")

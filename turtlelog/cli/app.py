@@ -7,7 +7,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
@@ -22,7 +22,7 @@ from turtlelog.cli.export import export
 from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
 from turtlelog.cli.metrics import metrics
-from turtlelog.cli.output import print_error
+from turtlelog.cli.output import drop_stdout, outlive_reader, print_error
 from turtlelog.cli.plot import plot
 from turtlelog.cli.progress import end_progress
 from turtlelog.cli.recover import recover
@@ -77,10 +77,6 @@ def main(tokens: Sequence[str] | None = None) -> None:
         if isinstance(err, CycloptsError):
             err.verbose = False
         code = _fail(str(err), EXIT_BAD_INPUT)
-    except BrokenPipeError:
-        # The reader of our output has gone; nothing is left to tell it.
-        _drop_stdout()
-        code = EXIT_FINE
     except KeyboardInterrupt:
         code = _fail("interrupted", EXIT_INTERRUPTED)
     except OSError as err:
@@ -97,7 +93,8 @@ def _call(tokens: Sequence[str] | None) -> Any:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         finally:
             end_progress()
-        sys.stdout.flush()
+        with outlive_reader():
+            sys.stdout.flush()
     return code
 
 
@@ -134,14 +131,8 @@ def _prepare_streams() -> None:
 def _describe_os_error(err: OSError) -> str:
     if err.filename is not None:
         return f"{err.filename}: expected a file that can be used, found: {err.strerror}"
-    _drop_stdout()
+    drop_stdout()
     return f"standard output: expected room to write, found: {err}"
-
-
-def _drop_stdout() -> None:
-    """Let the interpreter flush into nothing at its end."""
-    with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(text: str, code: int) -> int:

@@ -27,7 +27,23 @@ _SPOOLED: Final = 16 * 2**20
 
 def print_text(text: str) -> None:
     """Print a result."""
-    sys.stdout.write(_escape_controls(text.rstrip("\n")) + "\n")
+    with outlive_reader():
+        sys.stdout.write(_escape_controls(text.rstrip("\n")) + "\n")
+
+
+@contextmanager
+def outlive_reader() -> Iterator[None]:
+    """Go on where the reader of stdout has gone, as `head` does: the exit code still tells."""
+    try:
+        yield
+    except BrokenPipeError:
+        drop_stdout()
+
+
+def drop_stdout() -> None:
+    """Send what is still to be printed to nobody."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def format_table(table: "Table", *, indent: int = 0) -> str:
@@ -58,7 +74,8 @@ def print_error(text: str) -> None:
 
 def print_json(value: Any) -> None:
     """Print one JSON value and nothing else; what is not finite becomes null."""
-    sys.stdout.write(json.dumps(_make_finite(value), indent=2, allow_nan=False) + "\n")
+    with outlive_reader():
+        sys.stdout.write(json.dumps(_make_finite(value), indent=2, allow_nan=False) + "\n")
 
 
 def print_json_list(values: Iterable[Any]) -> None:
@@ -92,7 +109,8 @@ def _spool() -> Iterator[IO[str]]:
     with tempfile.SpooledTemporaryFile(_SPOOLED, "w+", encoding="utf-8", newline="") as spool:
         yield spool
         spool.seek(0)
-        shutil.copyfileobj(spool, sys.stdout)
+        with outlive_reader():
+            shutil.copyfileobj(spool, sys.stdout)
 
 
 def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:

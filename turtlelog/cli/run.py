@@ -15,6 +15,7 @@ from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_c
 from turtlelog.cli.output import (
     describe_metrics,
     format_table,
+    outlive_reader,
     print_json,
     print_note,
     print_text,
@@ -83,7 +84,8 @@ def run(
         result = _run(chosen, output, live, url)
         code = _answer(result, output, rrd, is_recorded=live.realtime, json=json)
         if window is not None and code == EXIT_FINE:
-            sys.stdout.flush()
+            with outlive_reader():
+                sys.stdout.flush()
             with suppress(KeyboardInterrupt):  # all is done: only the window is to be closed
                 window.wait()
     return code

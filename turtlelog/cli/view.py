@@ -13,7 +13,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Connect, Files, TopicOptions, read_runs, require_files
-from turtlelog.cli.output import print_note, print_text
+from turtlelog.cli.output import outlive_reader, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -137,7 +137,8 @@ def _follow(path: Path, url: str | None) -> None:
 def _serve(rrds: list[Path]) -> None:
     with tl.serve_recordings(rrds) as address:
         print_text(address)
-        sys.stdout.flush()
+        with outlive_reader():
+            sys.stdout.flush()
         print_note("open it in a browser on this machine; Ctrl-C ends it")
         while True:
             time.sleep(_HOUR_S)
