@@ -60,7 +60,7 @@ def test_a_fixture_of_the_same_name_stays_the_users(suite: pytest.Pytester) -> N
 
 def test_a_recording_is_read_once_and_only_when_asked(suite: pytest.Pytester) -> None:
     body = """
-import turtlelog.check.recording as place
+import turtlelog.log.any_file as place
 
 reads = []
 read_run = place.read_run

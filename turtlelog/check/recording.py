@@ -1,6 +1,5 @@
 """A recording that tests ask questions of: read once, when the first is asked."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -22,7 +21,7 @@ from turtlelog.check.vocabulary import describe_nearest, require_known_names, re
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
-from turtlelog.log import PartialRecordingWarning, read_run
+from turtlelog.log import TopicChoice
 from turtlelog.measure import METRICS, Metric
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
@@ -90,10 +89,8 @@ class Recording:
 
     @cached_property
     def _run(self) -> Run:
-        with warnings.catch_warnings():
-            # What is lost is told by the note, which decides.
-            warnings.simplefilter("ignore", PartialRecordingWarning)
-            return read_run(self.path, allow_partial=True)
+        # What is lost is told by the note, which decides.
+        return TopicChoice(allow_partial=True).read(self.path)
 
     def metric(self, name: str, **settings: Any) -> MetricValue:
         """Return a metric by its id, as measured with settings of `MeasureSettings`.

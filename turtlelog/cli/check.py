@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -139,19 +139,10 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
 
 
 def _read(files: Sequence[Path], topics: TopicOptions) -> "Iterator[tuple[Path, Run]]":
-    import warnings
-
+    # A recording that is not whole fails its check, which says so.
+    choice = replace(topics.build_choice(), allow_partial=True)
     for path in iterate_files(files):
-        with warnings.catch_warnings():
-            # A recording that is not whole fails its check, which says so.
-            warnings.simplefilter("ignore", tl.PartialRecordingWarning)
-            run = tl.read_run(
-                path,
-                pose_topic=topics.pose_topic,
-                command_topic=topics.command_topic,
-                allow_partial=True,
-            )
-        yield path, run
+        yield path, choice.read(path)
 
 
 def _write_artifacts(

@@ -1,6 +1,5 @@
 """Options that several commands share, and what they stand for."""
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,15 +120,7 @@ def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
 
 
 def _read_run(path: Path, topics: TopicOptions) -> "Run":
-    with warnings.catch_warnings():
-        # The run's note says the same.
-        warnings.simplefilter("ignore", tl.PartialRecordingWarning)
-        run = tl.read_run(
-            path,
-            pose_topic=topics.pose_topic,
-            command_topic=topics.command_topic,
-            allow_partial=topics.partial,
-        )
+    run = topics.build_choice().read(path)
     print_run_notes(path, run.notes)
     return run
 

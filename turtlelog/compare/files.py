@@ -1,7 +1,6 @@
 """Many recordings, read and measured one by one: what is kept of each is its summary."""
 
 import multiprocessing
-import warnings
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -10,9 +9,8 @@ from typing import Final
 
 from turtlelog.compare.summary import RunSummary, summarise_run
 from turtlelog.errors import CompareError, TurtlelogError
-from turtlelog.log import PartialRecordingWarning, TopicChoice, read_run
+from turtlelog.log import TopicChoice
 from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
-from turtlelog.run import Run
 
 _AT_ONCE: Final = 16
 """Files that a process takes at a time."""
@@ -57,22 +55,10 @@ def _measure_file(
     topics: TopicChoice,
 ) -> RunSummary | TurtlelogError:
     try:
-        run = _read(path, topics)
+        run = topics.read(path)
     except TurtlelogError as err:
         return err
     return summarise_run(run, file=path, metrics=measure_run(run, settings, only=only))
-
-
-def _read(path: str, topics: TopicChoice) -> Run:
-    with warnings.catch_warnings():
-        # The run's note says the same.
-        warnings.simplefilter("ignore", PartialRecordingWarning)
-        return read_run(
-            path,
-            pose_topic=topics.pose_topic,
-            command_topic=topics.command_topic,
-            allow_partial=topics.allow_partial,
-        )
 
 
 def _iterate(

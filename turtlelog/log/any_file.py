@@ -1,5 +1,6 @@
 """Any file -> Run: the kind is told by what is in it."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,6 +11,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.border import name_file, open_file
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import read_info
+from turtlelog.log.recording.partial import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_recording
 from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag
@@ -28,6 +30,17 @@ class TopicChoice:
     pose_topic: str | None = None
     command_topic: str | None = None
     allow_partial: bool = False
+
+    def read(self, path: str | Path) -> Run:
+        """Return the run in a file as `read_run` does; its notes alone tell what is lost."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PartialRecordingWarning)
+            return read_run(
+                path,
+                pose_topic=self.pose_topic,
+                command_topic=self.command_topic,
+                allow_partial=self.allow_partial,
+            )
 
 
 def read_run(
