@@ -33,6 +33,8 @@ TRUE: dict[str, Ask] = {
     "magnitude": lambda m: abs(m) == OVERSHOOT and abs(abs(m)) == OVERSHOOT,
     "arithmetic": lambda m: 1 + m - 1 == m / 1 == 1 * m == m * 1 == pytest.approx(OVERSHOOT),
     "more": lambda m: -m == 0 - m and 1 / m == 1 / OVERSHOOT and sum([m, m]) == 2 * OVERSHOOT,
+    "power": lambda m: m**2 == OVERSHOOT**2 and 2**m == 2**OVERSHOOT and +m == OVERSHOOT,
+    "rounded": lambda m: round(m, 2) == round(OVERSHOOT, 2) and round(m) == round(OVERSHOOT),
     "among": lambda m: m in [0, OVERSHOOT],
 }
 

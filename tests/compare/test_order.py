@@ -35,6 +35,11 @@ def test_runs_without_gains_come_last_and_digits_of_other_scripts_do_no_harm() -
     assert order(make_run(name="a²٣"), make_run_with("z", linear=1.0)) == ["z", "a²٣"]
 
 
+def test_numbers_in_names_may_be_of_any_length() -> None:
+    names = ["run0", "run007", "run" + "9" * 4999, "run1" + "0" * 4999]
+    assert order(*(make_run(name=name) for name in names[::-1])) == names
+
+
 def test_runs_of_one_name_stay_as_they_were() -> None:
     runs = [dataclasses.replace(make_run(name="x"), source=source) for source in "bca"]
     assert [run.source for run in tl.order_by_gain(runs)] == ["b", "c", "a"]

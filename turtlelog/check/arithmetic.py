@@ -16,6 +16,12 @@ class FloatArithmetic(ABC):
     def __neg__(self) -> float:
         return -float(self)
 
+    def __pos__(self) -> float:
+        return float(self)
+
+    def __round__(self, digits: int | None = None) -> float:
+        return round(float(self), digits)
+
     def __add__(self, other: Any) -> Any:
         return float(self) + other
 
@@ -39,3 +45,9 @@ class FloatArithmetic(ABC):
 
     def __rtruediv__(self, other: Any) -> Any:
         return other / float(self)
+
+    def __pow__(self, other: Any) -> Any:
+        return float(self) ** other
+
+    def __rpow__(self, other: Any) -> Any:
+        return other ** float(self)

@@ -55,6 +55,17 @@ def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
     return next((verdict for verdict in order if verdict in found), Verdict.SKIPPED)
 
 
+def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
+    """Return the result of least margin in each unit, what fails first: units have no order."""
+    worst: dict[str, tuple[float, CheckResult]] = {}
+    for result in results:
+        margin, unit = result.margin, result.unit
+        if margin is not None and (unit not in worst or margin < worst[unit][0]):
+            worst[unit] = margin, result
+    ordered = sorted(worst.values(), key=lambda found: found[0] >= 0)
+    return [result for _, result in ordered]
+
+
 def format_number(number: float | None, unit: str = "") -> str:
     """Return a number with its unit in five digits; `-` for none."""
     if number is None:

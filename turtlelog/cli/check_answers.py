@@ -91,16 +91,11 @@ def _list_reasons(spec: "Spec", results: "Sequence[CheckResult]") -> Iterator[st
 
 
 def _list_worst(results: "Sequence[CheckResult]") -> Iterator[str]:
-    """Yield the least margin of each unit: metres and seconds have no order."""
-    worst: dict[str, CheckResult] = {}
-    for result in results:
-        if result.margin is None:
-            continue
-        known = worst.get(result.unit)
-        if known is None or known.margin is None or result.margin < known.margin:
-            worst[result.unit] = result
+    from turtlelog.check.result import find_worst
+
+    worst = find_worst(results)
     if worst:
         yield "Worst margins"
-    for result in worst.values():
+    for result in worst:
         margin = tl.format_number(result.margin, result.unit)
         yield f"  {margin:>12}  {result.check}  {result.file}"

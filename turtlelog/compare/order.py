@@ -25,7 +25,10 @@ def _get_gains(run: Run | RunSummary) -> tuple[float, ...]:
     return tuple(float(gain) if isinstance(gain, int | float) else math.inf for gain in gains)
 
 
-def _split_numbers(name: str) -> list[str | int]:
-    """Return text and numbers by turns, beginning with text, so that names can be compared."""
-    parts = re.split(r"([0-9]+)", name)
-    return [int(part) if index % 2 else part for index, part in enumerate(parts)]
+def _split_numbers(name: str) -> list[str | tuple[int, str]]:
+    """Return text and numbers by turns, beginning with text, so that names can be compared.
+
+    A number is how many digits it has and these: Python reads no int of many thousand.
+    """
+    parts = re.split(r"0*([0-9]+)", name)
+    return [(len(part), part) if index % 2 else part for index, part in enumerate(parts)]

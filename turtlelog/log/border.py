@@ -32,7 +32,7 @@ def name_file(path: str | Path, *, expected: str) -> Iterator[None]:
 
 
 def open_file(path: str | Path) -> BinaryIO:
-    """Open a file to read; a pipe, which may block forever, and a device, which may not end, not.
+    """Open a file to read, but no pipe, which may block forever, and no device, which may not end.
 
     Raises:
         LogError: Where it is one of these.

@@ -76,13 +76,12 @@ class Session:
         return [found for name in self._used for found in self._list_metrics(name)]
 
     def _list_metrics(self, name: str) -> Iterator[tuple[str, object]]:
-        from turtlelog.check import PartialLogError
         from turtlelog.errors import TurtlelogError
         from turtlelog.measure import measure_run
 
         try:
             metrics = measure_run(self._used[name].run)
-        except (TurtlelogError, PartialLogError):
+        except TurtlelogError:
             # The test has failed of it.
             return
         yield "recording", name

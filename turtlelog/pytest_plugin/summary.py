@@ -1,9 +1,12 @@
 """The one line at the end: recordings, checks, worst margins."""
 
 from textwrap import shorten
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:
+    from turtlelog.check import CheckResult
 
 _MOST = 3
 _WIDTH = 60
@@ -34,31 +37,29 @@ class Summary:
             f"turtlelog: {_count(len(self._recordings), 'recording')}",
             _count(len(self._checks), "check") + (f" ({failed} failed)" if failed else ""),
         ]
-        worst = [_describe(check) for check in self._find_worst()]
+        worst = self._describe_worst()
         parts += [f"worst margins: {'; '.join(worst)}"] if worst else []
         accepted = [f"accepted {path}" for path in sorted(self._accepted)]
         return ", ".join([*parts, *accepted])
 
-    def _find_worst(self) -> list[dict[str, Any]]:
-        """Return the least margin of each unit, as metres and seconds have no order."""
-        worst: dict[str, dict[str, Any]] = {}
-        for check in self._checks:
-            if check["margin"] is None:
-                continue
-            known = worst.get(check["unit"])
-            if known is None or check["margin"] < known["margin"]:
-                worst[check["unit"]] = check
-        return sorted(worst.values(), key=lambda check: bool(check["margin"] >= 0))[:_MOST]
+    def _describe_worst(self) -> list[str]:
+        if not self._checks:
+            return []
+        from turtlelog.check.result import CheckResult, find_worst
+
+        worst = find_worst(CheckResult(**check) for check in self._checks)
+        return [_describe(result) for result in worst[:_MOST]]
 
 
 def _count(number: int, word: str) -> str:
     return f"{number} {word}" if number == 1 else f"{number} {word}s"
 
 
-def _describe(check: dict[str, Any]) -> str:
-    unit = "" if check["unit"] in {"", "1"} else f" {check['unit']}"
-    name = shorten(check["check"], _WIDTH, placeholder="...")
-    return f"{check['margin']:.5g}{unit} {name} ({check['file']})"
+def _describe(result: "CheckResult") -> str:
+    from turtlelog.check.result import format_number
+
+    name = shorten(result.check, _WIDTH, placeholder="...")
+    return f"{format_number(result.margin, result.unit)} {name} ({result.file})"
 
 
 SUMMARY = pytest.StashKey[Summary]()

@@ -85,6 +85,16 @@ def test_strict_mode_ends_with_the_recording(tmp_path: Path) -> None:
     assert not rr.strict_mode()
 
 
+def test_strict_mode_lasts_until_the_last_of_several_recordings_ends() -> None:
+    first, second = recording.strict_mode(), recording.strict_mode()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert rr.strict_mode()
+    second.__exit__(None, None, None)
+    assert not rr.strict_mode()
+
+
 def test_importing_the_package_does_not_load_rerun() -> None:
     code = "import sys, turtlelog.show; sys.exit('rerun' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -60,7 +60,7 @@ def test_a_picture_may_be_told_from_the_start_of_translation(
 
 def test_a_timeline_that_a_recording_lacks_is_named(run_rrd: Path, tmp_path: Path) -> None:
     take_snapshot(run_rrd, tmp_path / "x.png")
-    with pytest.raises(ShowError, match="expected sim_time, tick, found translate_time"):
+    with pytest.raises(ShowError, match="expected sim_time, found translate_time"):
         write_snapshot(run_rrd, tmp_path / "y.png", timeline="translate_time")
     assert not (tmp_path / "y.png").exists()
 

@@ -22,6 +22,10 @@ _END: Final = b"RRF2FOOT"
 _END_BYTES: Final = 64
 _PROBE: Final = bytes(2**20)
 
+_STRICT_LOCK: Final = threading.Lock()
+_BEFORE_STRICT: Final[list[bool]] = []
+"""What the setting was, once for each block that is in strict mode."""
+
 
 @contextmanager
 def open_recording(
@@ -113,10 +117,17 @@ def _find_error(part_path: Path, path: Path, found: str) -> ShowError | OSError:
 
 @contextmanager
 def strict_mode() -> Iterator[None]:
-    """Make errors raise for a while: without it Rerun warns and drops the data."""
-    before = rr.strict_mode()
-    rr.set_strict_mode(True)
+    """Make errors raise for a while: without it Rerun warns and drops the data.
+
+    The setting is one for all threads: the last to leave puts it back.
+    """
+    with _STRICT_LOCK:
+        _BEFORE_STRICT.append(_BEFORE_STRICT[0] if _BEFORE_STRICT else rr.strict_mode())
+        rr.set_strict_mode(True)
     try:
         yield
     finally:
-        rr.set_strict_mode(before)
+        with _STRICT_LOCK:
+            before = _BEFORE_STRICT.pop()
+            if not _BEFORE_STRICT:
+                rr.set_strict_mode(before)

@@ -12,7 +12,7 @@ from rerun.experimental import ViewerClient
 from turtlelog.errors import ShowError
 from turtlelog.show.files import replace_file
 from turtlelog.show.rerun.connection import find_free_port, wait_for_viewer
-from turtlelog.show.rerun.entities import TIMELINE
+from turtlelog.show.rerun.entities import TIMELINE, TRANSLATE_TIMELINE
 from turtlelog.show.rerun.viewer import ViewerProcess, require_recordings, start_viewer
 
 _LOAD_S: Final = 60.0
@@ -21,6 +21,9 @@ _PAUSE_S: Final = 0.1
 _NOTICE_S: Final = 3.5
 _LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
+_TIMELINES: Final = frozenset({TIMELINE, TRANSLATE_TIMELINE})
+"""Those that count in seconds from a moment of the run."""
+
 _PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
 
 
@@ -193,13 +196,13 @@ def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
     ends_ns: dict[str, int] = {}
     for recording in client.get_state().recordings:
         for timeline in recording.timelines:
-            if timeline.end is not None:
+            if timeline.end is not None and timeline.name in _TIMELINES:
                 ends_ns[timeline.name] = max(timeline.end, ends_ns.get(timeline.name, 0))
     if name in ends_ns:
         cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
         client.set_time(name, duration=cursor_s, play_state="paused")
     elif at_s is not None or name != TIMELINE:
-        known = ", ".join(sorted(ends_ns)) or "one, of which there is none"
+        known = " or ".join(sorted(ends_ns)) or "one, of which there is none"
         raise ShowError(f"timeline: expected {known}, found {name}")
 
 

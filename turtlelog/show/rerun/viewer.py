@@ -1,4 +1,4 @@
-"""Rerun's native viewer, as a child process that ends with us."""
+"""Rerun's native viewer, as a child process that ends with its block, unless we are killed."""
 
 import os
 import re
