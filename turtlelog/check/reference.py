@@ -99,17 +99,7 @@ def load_reference(path: Path) -> Run | Mapping[str, Metric]:
 
 def format_metrics(run: Run, file: str) -> str:
     """Return the metrics of a run as `turtlelog metrics --json` prints them."""
-    metrics = [
-        {
-            "id": metric.id,
-            "value": metric.value,
-            "unit": metric.unit,
-            "status": metric.status.value,
-            "reason": metric.reason or None,
-            "at_s": metric.at_s,
-        }
-        for metric in measure_run(run).values()
-    ]
+    metrics = [metric.to_dict() for metric in measure_run(run).values()]
     return json.dumps([{"file": file, "name": run.name, "metrics": metrics}], indent=2) + "\n"
 
 

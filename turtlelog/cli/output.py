@@ -115,17 +115,7 @@ def _spool() -> Iterator[IO[str]]:
 
 def describe_metrics(metrics: "Mapping[str, Metric]") -> list[dict[str, Any]]:
     """Return metrics as the `metrics` list of JSON answers."""
-    return [
-        {
-            "id": metric.id,
-            "value": metric.value,
-            "unit": metric.unit,
-            "status": metric.status.value,
-            "reason": metric.reason or None,
-            "at_s": metric.at_s,
-        }
-        for metric in metrics.values()
-    ]
+    return [metric.to_dict() for metric in metrics.values()]
 
 
 def find_command_name() -> str:

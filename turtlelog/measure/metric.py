@@ -47,6 +47,17 @@ class Metric:
     reason: str = ""
     at_s: float | None = None
 
+    def to_dict(self) -> dict[str, str | float | None]:
+        """Return the entry of JSON answers and references."""
+        return {
+            "id": self.id,
+            "value": self.value,
+            "unit": self.unit,
+            "status": self.status.value,
+            "reason": self.reason or None,
+            "at_s": self.at_s,
+        }
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Missing:
