@@ -49,7 +49,8 @@ class ArtifactWriter:
         self._folder = Path(folder)
         self._viewer = ExitStack()
         self._camera: Camera | None = None
-        self._has_seen = self._is_blind = False
+        self._has_seen = False
+        self._lack = ""
 
     def __enter__(self) -> "ArtifactWriter":
         return self
@@ -79,12 +80,12 @@ class ArtifactWriter:
         title = shorten(result.check, _LONGEST, placeholder="...")
         write_violation_rrd(run, rrd, at_s=shown_s, title=title, message=message)
         write_recording(_cut(run, at_s), mcap)
-        if self._is_blind:
-            return Artifacts(files=(rrd, mcap))
+        if self._lack:
+            return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {self._lack}",))
         try:
             self._open_camera().take(rrd, png, at_s=shown_s)
         except ShowError as err:
-            self._is_blind = not self._has_seen  # as now, so for the next failure
+            self._lack = "" if self._has_seen else str(err)  # as now, so for the next failure
             self.close()
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {err}",))
         self._has_seen = True

@@ -1,7 +1,8 @@
-"""Rerun's native viewer, as a child process that ends with its block, unless we are killed."""
+"""Rerun's native viewer, as a child process that ends with its block."""
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -96,7 +97,7 @@ def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     # The viewer leaves a folder behind in the temporary one: give it its own.
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
-            [find_viewer(), *_LOCAL, *options],
+            [*_find_guard(), find_viewer(), *_LOCAL, *options],
             env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -107,6 +108,12 @@ def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
             yield viewer
         finally:
             viewer.end()
+
+
+def _find_guard() -> list[str]:
+    """Return what ends a viewer whose parent was killed; only Linux knows how to."""
+    guard = shutil.which("setpriv") if sys.platform == "linux" else None
+    return [] if guard is None else [guard, "--pdeathsig", "TERM"]
 
 
 def require_recordings(paths: Sequence[str | Path]) -> None:
