@@ -101,7 +101,7 @@ def test_an_error_stands_on_a_line_of_its_own(
         time.sleep(0.7)
         return tl.read_recording(path)
 
-    monkeypatch.setattr(tl, "read_run", read_slowly)
+    monkeypatch.setattr("turtlelog.log.any_file.read_run", read_slowly)
     terminal = attach()
     answer = call("compare", "--reference", kp4, kp4, "missing.mcap")
     shown = terminal.read()
@@ -118,7 +118,7 @@ def test_measuring_shows_how_many_files_are_done(
         time.sleep(0.7)
         return tl.read_recording(path)
 
-    monkeypatch.setattr("turtlelog.compare.files.read_run", read_slowly)
+    monkeypatch.setattr("turtlelog.log.any_file.read_run", read_slowly)
     terminal = attach()
     assert call("metrics", kp4, kp4, kp4).code == 0
     assert "reading 1/3 files" in terminal.read()
