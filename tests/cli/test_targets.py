@@ -46,6 +46,10 @@ TARGETS = [
 ]
 
 
+def fail(*words: object, **options: object) -> None:
+    pytest.fail("work began")
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     TARGETS,
@@ -55,8 +59,8 @@ def test_a_bad_target_is_refused_before_anything_is_done(
     call: Call, folder: Path, words: list[str], line: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = sorted(map(str, folder.rglob("*")))
-    monkeypatch.setattr("turtlelog.read_run", lambda *words, **options: pytest.fail("read"))
-    monkeypatch.setattr("turtlelog.run_live", lambda *words, **options: pytest.fail("ran"))
+    monkeypatch.setattr("turtlelog.log.any_file.read_run", fail)
+    monkeypatch.setattr("turtlelog.run_live", fail)
     answer = call(*words)
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err
