@@ -24,10 +24,12 @@ def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
 
     listed = list(known)
     near = difflib.get_close_matches(name, listed, n=most)
-    near = near or [found for found in listed if name and found.startswith(name)]
-    if not near and len(listed) > _LISTED:
-        return f"{', '.join(listed[:_LISTED])}, ..."
-    *others, last = near or listed or ["none"]
+    found = (
+        near or [word for word in listed if name and word.startswith(name)] or listed or ["none"]
+    )
+    if len(found) > _LISTED:
+        return f"{', '.join(found[:_LISTED])}, ..."
+    *others, last = found
     return f"{', '.join(others)} or {last}" if others else last
 
 

@@ -141,6 +141,14 @@ def test_a_run_without_a_value_comes_last(by: str) -> None:
     assert tl.sort_runs([CUT, *SUMMARIES], by)[-1] is CUT
 
 
+def test_a_beginning_of_many_names_suggests_some_of_them() -> None:
+    with pytest.raises(
+        CompareError, match=r"sort: expected rotate.*, \.\.\., found 'r'\Z"
+    ) as caught:
+        tl.sort_runs(SUMMARIES, "r")
+    assert str(caught.value).count(", ") == 15
+
+
 def test_an_unknown_order_is_refused_with_the_nearest_names() -> None:
     expected = r"sort: expected run.duration, .* or .*, found 'run.durtion'"
     with pytest.raises(CompareError, match=expected):
