@@ -107,7 +107,7 @@ def _parse_indexes(data: bytes, byte: int) -> dict[int, Offsets]:
     offsets = {}
     for place in iterate_places(data, 0, len(data), byte):
         channel, size = _INDEX.unpack_from(data, place.start) if place.length >= 6 else (0, -1)
-        if place.opcode != Opcode.MESSAGE_INDEX or size % 16 or size != place.length - 6:
+        if place.opcode != Opcode.MESSAGE_INDEX or size % 16 or size > place.length - 6:
             found = f"opcode {place.opcode} with {place.length}"
             raise DamageError(f"byte {byte}: expected a message index, found {found} bytes")
         pairs = np.frombuffer(data, "<u8", size // 8, place.start + _INDEX.size)

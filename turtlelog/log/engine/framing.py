@@ -23,6 +23,9 @@ SUMMARY_ONLY: Final = frozenset(
 )
 """Records that stand only behind the data."""
 
+CHAIN: Final = 4
+"""So many records in a row are no accident, where no checksum vouches for a record."""
+
 _LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
 _PRIVATE: Final = 0x80  # first opcode that anybody may use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
@@ -37,7 +40,10 @@ _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
     Opcode.METADATA: (0, 2),
     Opcode.MESSAGE_INDEX: (2, 1),
     Opcode.ATTACHMENT: (16, 2),
+    Opcode.CHUNK: (28, 1),
 }
+# Then, in two of them, data with a length of 8 bytes, and how many bytes follow these.
+_DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
 _LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: 22, Opcode.CHUNK: 40}
 _EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 
@@ -65,6 +71,8 @@ class FileWindow:
 def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     """Return opcode and end of the record at `place`, whose lengths agree and which is whole.
 
+    Bytes behind its fields are its own where `is_padding` says so.
+
     Raises:
         LogError: One clause, where they do not agree, or the file ends within the record.
     """
@@ -73,13 +81,12 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     if end > window.size:
         raise LogError(f"expected {length} bytes in a record, found the end of the file within it")
     found = measure_record(window, place, opcode, end)
-    # A later version may append fields; a length that swallows the next record is damage.
-    if found > end or (found < end and is_record_start(window, found)):
+    if found > end or (found < end and not is_padding(window, found, end, opcode)):
         found -= place + RECORD.size
         raise LogError(f"expected a record (opcode {opcode}) of {length} bytes, found {found}")
     # What its fields do not bear out, the next record must.
     is_borne_out = opcode in _SHAPES or opcode in _EXACT
-    if not (is_borne_out and found == end) and not is_record_start(window, end, after=opcode):
+    if not is_borne_out and not is_record_start(window, end, after=opcode):
         raise LogError(f"expected another record after one of {length} bytes, found none")
     return opcode, end
 
@@ -110,9 +117,51 @@ def measure_record(window: FileWindow, place: int, opcode: int, end: int) -> int
         if at + 4 > end:
             return at + 4
         at += 4 + int.from_bytes(window.read(at, 4), "little")
-    if opcode == Opcode.ATTACHMENT and at + 8 <= end:
-        at += 8 + int.from_bytes(window.read(at, 8), "little") + 4
-    return at
+    if opcode not in _DATA:
+        return at
+    return at + 8 + int.from_bytes(window.read(at, 8), "little") + _DATA[opcode]
+
+
+def is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
+    """Return whether a record whose fields end at `start` goes on to `end`, as its length says.
+
+    A later version may append fields, which readers ignore. So the length is believed where a
+    record follows whose fields fit into it, or that the end of the file cuts off. It is damage
+    where sound records follow the fields: such a length swallows them.
+    """
+    return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
+
+
+def _is_followed(window: FileWindow, place: int, after: int) -> bool:
+    """Return whether a record follows whose fields fit into its length, as far as there is file."""
+    if not is_record_start(window, place, after=after):
+        return False
+    if window.size - place < RECORD.size:
+        return True
+    opcode, length = _read_head(window, place)
+    end = place + RECORD.size + length
+    if end > window.size:
+        return True
+    return measure_record(window, place, opcode, end) <= end and is_record_start(
+        window, end, after=opcode
+    )
+
+
+def _is_chain(window: FileWindow, place: int, after: int) -> bool:
+    """Return whether whole records of known kinds follow each other from here, up to the footer."""
+    for _ in range(CHAIN):
+        if window.size - place < RECORD.size or not is_record_start(window, place, after=after):
+            return False
+        opcode, length = _read_head(window, place)
+        end = place + RECORD.size + length
+        if opcode >= _PRIVATE or end > window.size:
+            return False
+        if measure_record(window, place, opcode, end) > end:
+            return False
+        if opcode == Opcode.FOOTER:
+            return True
+        place, after = end, opcode
+    return True
 
 
 def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
