@@ -3,19 +3,23 @@
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 from mcap.opcode import Opcode
 
-from tests.log.padding import FIXED, pad_file
+from tests.log.engine.files import POINT, Row, pack, write_rows
+from tests.log.padding import FIXED, HEAD, pad_file
 from tests.log.runs import find_shared
 from tests.torture.outcomes import describe
-from tests.torture.recordings import COMPRESSIONS, make_recording, pack_again
+from tests.torture.recordings import COMPRESSIONS, list_records, make_recording, pack_again
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, read_recording
 from turtlelog.log.engine import read_raw
+from turtlelog.log.engine.walk import Damage, Section, walk_sections
 from turtlelog.log.recovery import recover_recording
 
 
@@ -104,3 +108,76 @@ def test_padded_recordings_are_read_as_their_twins(
     twin = read_all(pad_file(data, padding), tmp_path)
     assert twin == read_all(data, tmp_path)
     assert dict(twin["recover"][0])["complete"] == "True"
+
+
+def list_reasons(data: bytes) -> list[str]:
+    walked = walk_sections(BytesIO(data))
+    return [found.reason for found in walked if isinstance(found, Damage)]
+
+
+@pytest.mark.parametrize("records", [3, 4])
+def test_four_whole_records_in_a_padding_are_records_that_a_wrong_length_swallows(
+    records: int, tmp_path: Path
+) -> None:
+    whole = make_head(Opcode.METADATA, 8) + bytes(8)
+    padded = pad_file(make_recording(tmp_path, "zstd"), records * whole + b"\xff" * 9)
+    assert bool(list_reasons(padded)) == (records >= 4)
+
+
+@pytest.mark.parametrize("kind", COMPRESSIONS)
+def test_a_length_that_swallows_the_next_record_is_damage(kind: str, tmp_path: Path) -> None:
+    data = make_recording(tmp_path, kind)
+    records = list_records(data)
+    end = [kind for kind, _, _ in records].index(Opcode.DATA_END)
+    for (_, place, length), (_, _, next_length) in pairwise(records[:end]):
+        longer = length + HEAD + next_length
+        damaged = data[: place + 1] + struct.pack("<Q", longer) + data[place + HEAD :]
+        assert list_reasons(damaged), place
+
+
+@pytest.mark.parametrize("padding", [b"\1\2\3", bytes(40)], ids=["counting", "zeros"])
+@pytest.mark.parametrize("opcode", [Opcode.CHUNK, Opcode.ATTACHMENT])
+def test_a_checksum_vouches_for_a_padded_record_that_damage_follows(
+    opcode: int, padding: bytes, tmp_path: Path
+) -> None:
+    data = pad_file(make_recording(tmp_path, "lz4"), padding)
+    records = list_records(data)
+    for (kind, place, _), (_, after, _) in pairwise(records):
+        if kind == opcode:
+            damaged = data[:after] + b"\xff" * HEAD + data[after + HEAD :]
+            walked = list(walk_sections(BytesIO(damaged)))
+            assert any(isinstance(one, Section) and one.start == place for one in walked)
+            assert any(isinstance(one, Damage) for one in walked)
+
+
+@pytest.mark.parametrize("padding", [b"\1\2\3", bytes(40)], ids=["counting", "zeros"])
+def test_what_stands_before_a_cut_of_a_padded_file_is_recovered(
+    padding: bytes, tmp_path: Path
+) -> None:
+    data = pad_file(make_recording(tmp_path, "zstd"), padding)
+    end = next(place for kind, place, _ in list_records(data) if kind == Opcode.DATA_END)
+    chunks = [(place, HEAD + length) for kind, place, length in list_records(data) if kind == 6]
+    for length in range(8, end, 13):
+        walked = list(walk_sections(BytesIO(data[:length])))
+        found = [one.start for one in walked if isinstance(one, Section) and one.is_chunk]
+        whole = [place for place, size in chunks if place + size - len(padding) <= length]
+        assert found == whole
+        assert isinstance(walked[-1], Damage)
+
+
+@pytest.mark.parametrize("surplus", [3, 4])
+def test_up_to_three_bytes_behind_the_fields_of_a_message_are_ignored(
+    surplus: int, tmp_path: Path
+) -> None:
+    # The specification does not extend messages: what their records hold more is their data.
+    data = pack([("float64", 1.0), ("float64", 2.0)]) + bytes(surplus)
+    path = write_rows(
+        tmp_path / "a.mcap",
+        {"/p": ("test/msg/Point", POINT)},
+        [Row(topic="/p", time_ns=number, data=data) for number in range(3)],
+    )
+    if surplus < 4:
+        assert read_columns(path)["/p"].fields["y"].tolist() == [2.0] * 3
+        return
+    with pytest.raises(LogError, match="message 0: expected 20 bytes, found 24"):
+        read_columns(path)

@@ -243,8 +243,12 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage],
         section = Section(data=data, start=place, is_chunk=True, is_checked=checksum != 0)
         if agree and end == by_data and len(data) == size:
             return [section], by_record
-        # The checksum holds, so it is the header that is wrong.
+        # The checksum holds, so it is the header that is wrong, or what follows.
         reason = f"expected a chunk of {len(data)} bytes, found a header that says otherwise"
+        if len(data) == size:
+            reason = (
+                "expected a chunk with lengths that agree, or a sound record after it, found none"
+            )
         return [section, Damage(start=place, end=start, reason=reason)], end
     if not after:
         raise LogError(reason)
