@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import ScenarioOptions, change_scenario
+from turtlelog.cli.options import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.cli.output import print_note
 from turtlelog.errors import UsageError
 
@@ -94,17 +94,9 @@ def choose_scenario(
     scenario = _find_base(run, options.scenario)
     if kind is not None:
         scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
-    return _name_replay(run, change_scenario(scenario, changes), options, changes)
-
-
-def _name_replay(
-    run: "Run", scenario: "Scenario", options: ReplayOptions, changes: ScenarioOptions | None
-) -> "Scenario":
-    """Return the scenario under a name that tells what was changed, unless one was set."""
+    changed = change_scenario(scenario, changes)
     said = [] if options.scenario is None else [f"as {Path(options.scenario).stem}"]
-    said += _list_changes(changes)
-    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
-    return scenario if is_named else replace(scenario, name=" ".join([run.name, *said]))
+    return name_by_changes(changed, run.name, changes, *said)
 
 
 def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
@@ -154,14 +146,6 @@ def _require_keys_of_law(changes: ScenarioOptions | None) -> None:
                 f"--set: {key}: expected a key of {', '.join(_OF_LAW)}, as --law takes the poses"
                 " from the recording"
             )
-
-
-def _list_changes(changes: ScenarioOptions | None) -> list[str]:
-    if changes is None:
-        return []
-    said = [] if changes.kp is None else [f"kp={changes.kp:g}"]
-    said += [] if changes.goal is None else [f"goal={changes.goal}"]
-    return said + list(changes.assignments or ())
 
 
 def _name_changes(changes: ScenarioOptions | None) -> dict[str, object]:
