@@ -144,6 +144,7 @@ from .scenario import (
     override_scenario as override_scenario,
     parse_assignments as parse_assignments,
     parse_scenario as parse_scenario,
+    resolve_scenario as resolve_scenario,
     restore_scenario as restore_scenario,
 )
 from .show import (

@@ -155,7 +155,7 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
     kind = write_law(law)
     assert call("run", "textbook", "--set", f"law.kind={kind}", "-o", path).code == 0
     law.unlink()
-    answer = call("replay", path)
+    answer = call("replay", path, "--trust-law")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "expected a Python file at" in answer.err
     assert call("replay", path, "--law", "sequential-p").code == 0

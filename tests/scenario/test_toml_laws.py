@@ -12,6 +12,7 @@ from turtlelog.scenario import (
     get_preset,
     override_scenario,
     parse_scenario,
+    resolve_scenario,
 )
 
 LAW_TEXT = """
@@ -60,11 +61,11 @@ def test_unknown_law_is_named() -> None:
 def test_law_of_a_missing_file_is_named() -> None:
     line = "run.toml: law.kind: expected a Python file at nowhere.py, found none"
     with pytest.raises(ScenarioError, match=match_whole(line)):
-        parse_scenario("law.kind = 'nowhere.py:Law'", source="run.toml")
+        resolve_scenario(parse_scenario("law.kind = 'nowhere.py:Law'", source="run.toml"))
 
 
 def test_law_of_a_file_takes_its_own_parameters(law_kind: str) -> None:
-    scenario = build_scenario({"law": {"kind": law_kind, "gain": 3}})
+    scenario = resolve_scenario(build_scenario({"law": {"kind": law_kind, "gain": 3}}))
     assert (scenario.law.parameters.gain, scenario.law.parameters.bias) == (3.0, 0.0)
 
 
@@ -81,9 +82,9 @@ def test_wrong_parameter_of_a_law_of_a_file_is_named(
     law_kind: str, law: dict[str, Any], line: str
 ) -> None:
     with pytest.raises(ScenarioError, match=match_whole(f"run.toml: {line}")):
-        build_scenario({"law": {"kind": law_kind, **law}}, source="run.toml")
+        resolve_scenario(build_scenario({"law": {"kind": law_kind, **law}}, source="run.toml"))
 
 
 def test_missing_parameter_of_a_law_of_a_file_is_named(law_kind: str) -> None:
     with pytest.raises(ScenarioError, match=r"\Arun\.toml: law\.gain: expected .*, found none\Z"):
-        build_scenario({"law": {"kind": law_kind}}, source="run.toml")
+        resolve_scenario(build_scenario({"law": {"kind": law_kind}}, source="run.toml"))

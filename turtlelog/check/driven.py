@@ -33,8 +33,10 @@ class DrivenRecording:
         conclude: Callable[[Sequence[CheckResult]], CheckOutcome],
         *,
         file: str,
+        trust_law: bool = False,
     ) -> None:
         self._run, self._law, self._conclude, self._file = run, law, conclude, file
+        self._trust_law = trust_law
 
     def __repr__(self) -> str:
         return f"<{self._file} driven again>"
@@ -51,6 +53,7 @@ class DrivenRecording:
         Raises:
             CheckError: Where it is another recording, or the tolerance is not of that kind.
             ReplayError: Where the recording holds no samples.
+            ScenarioError: Where the law that it names is neither built in nor trusted.
             SimulationError: Where the law fails.
         """
         tolerance = Tolerance() if tolerance is None else tolerance
@@ -66,7 +69,7 @@ class DrivenRecording:
     def replay(self, tolerance: float = 0.0) -> LawReplay:
         """Return the replay itself."""
         if self._law is None or isinstance(self._law, Scenario):
-            return replay_law(self._run, self._law, tolerance=tolerance)
+            return replay_law(self._run, self._law, tolerance=tolerance, trust_law=self._trust_law)
         # The law is at hand: what the recording says of its own need not even load.
         others = {k: v for k, v in self._run.parameters.items() if not k.startswith("law.")}
         scenario = complete_scenario(replace(self._run, parameters=others), Scenario())

@@ -49,6 +49,7 @@ class Recording:
         path: A recording, a bag or a log.
         name: What to call it in messages; its path where None.
         allow_partial: Whether it may have lost something.
+        trust_law: Whether `driven_by()` may run the law that it names, where it is not built in.
         watch: Is told of every check.
     """
 
@@ -58,11 +59,12 @@ class Recording:
         *,
         name: str | None = None,
         allow_partial: bool = False,
+        trust_law: bool = False,
         watch: Watch | None = None,
     ) -> None:
         self.path = Path(path)
         self.file = name or str(path)
-        self._allow_partial, self._watch = allow_partial, watch
+        self._allow_partial, self._trust_law, self._watch = allow_partial, trust_law, watch
 
     def __repr__(self) -> str:
         return f"<recording {self.file}>"
@@ -156,9 +158,12 @@ class Recording:
         """Return what a law makes of the recorded poses.
 
         Args:
-            law: An instance, or a scenario with one; that of the recording where None.
+            law: An instance, or a scenario with one. Where None that of the recording, which runs
+                if it is built in or `trust_law` is set.
         """
-        return DrivenRecording(self.run, law, self._conclude, file=self.file)
+        return DrivenRecording(
+            self.run, law, self._conclude, file=self.file, trust_law=self._trust_law
+        )
 
     def describe(self, *results: CheckResult) -> list[str]:
         """Return all that there is to say of failed checks, line by line."""

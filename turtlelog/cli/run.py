@@ -78,7 +78,7 @@ def run(
     """
     require_new_target(output, [Path(scenario)], suffix=".mcap")
     require_new_target(rrd, [Path(scenario)], suffix=".rrd")
-    chosen = load_changed_scenario(scenario, options)
+    chosen = tl.resolve_scenario(load_changed_scenario(scenario, options))
     live = live or LiveOptions()
     with _open_viewer(live) as (window, url):
         result = _run(chosen, output, live, url)

@@ -26,7 +26,7 @@ from turtlelog.replay.sample_pairs import (
 )
 from turtlelog.replay.stops import compare_last_decision
 from turtlelog.run import Run, SampleColumns
-from turtlelog.scenario import Scenario, restore_scenario
+from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import LawDriver, Sample, build_law, build_samples, pack_sample
 from turtlelog.turtlesim import TICK_NS
 
@@ -72,6 +72,7 @@ def replay_law(
     *,
     law: Law | None = None,
     tolerance: float = 0.0,
+    trust_law: bool = False,
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
@@ -83,17 +84,21 @@ def replay_law(
         scenario: Otherwise that of the recording.
         law: Takes the place of the scenario's.
         tolerance: Differences up to this one are none, in each signal's unit.
+        trust_law: Run the law that the recording names, where it is not built in: its code.
 
     Raises:
         ReplayError: Where the run holds no samples.
-        ScenarioError: Where no scenario is given, and the run does not hold all of its own.
+        ScenarioError: Where no scenario is given, and the run does not hold all of its own or names
+            a law that is neither built in nor trusted.
         SimulationError: Where the law fails or answers with something that is no number.
     """
     require_tolerance(tolerance)
     if not len(run.samples):
         raise ReplayError(f"{run.name}: {_NOTHING_READ}: {run.source}")
     scenario = restore_scenario(run) if scenario is None else scenario
-    law = build_law(scenario.law) if law is None else law
+    if law is None:
+        scenario = resolve_scenario(scenario, trust_law=trust_law)
+        law = build_law(scenario.law)
     answers, blocks_ticks, last = _answer_poses(run, scenario, law)
     rows = slice(len(answers))
     pairings = [*pair_samples(run.samples, answers, rows=rows, others=rows)]

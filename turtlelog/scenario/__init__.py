@@ -10,9 +10,19 @@ from turtlelog.scenario.convert import (
     flatten_tables,
     nest_parameters,
     nest_scenario,
+    resolve_law,
+    resolve_scenario,
     restore_scenario,
 )
-from turtlelog.scenario.model import LawChoice, Limits, LoopSettings, Scenario, Start, Target
+from turtlelog.scenario.model import (
+    LawChoice,
+    LawTable,
+    Limits,
+    LoopSettings,
+    Scenario,
+    Start,
+    Target,
+)
 from turtlelog.scenario.overrides import (
     complete_scenario,
     override_scenario,
@@ -25,6 +35,7 @@ __all__ = [
     "PAPER_RUNS",
     "PRESETS",
     "LawChoice",
+    "LawTable",
     "Limits",
     "LoopSettings",
     "Scenario",
@@ -45,6 +56,8 @@ __all__ = [
     "parse_assignments",
     "parse_scenario",
     "read_scenario",
+    "resolve_law",
+    "resolve_scenario",
     "restore_scenario",
 ]
 

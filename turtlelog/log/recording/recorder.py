@@ -17,7 +17,7 @@ from turtlelog.log.live_lock import mark_live
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
 from turtlelog.log.signals import exit_on_terminate, hold_stop
-from turtlelog.scenario import Scenario, format_scenario
+from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick
 
 CHUNK_BYTES: Final = 2**16
@@ -67,7 +67,9 @@ class Recorder:
 
         Raises:
             LogError: Where the file exists or cannot be written.
+            ScenarioError: Where the law cannot be loaded or may not run.
         """
+        scenario = resolve_scenario(scenario)
         self._path, self._scenario, self._flush_s = Path(path), scenario, flush_s
         self._records = TickRecords(scenario)
         self._ticks: list[Tick] = []
