@@ -11,7 +11,7 @@ from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.check.vocabulary import find_window, require_known_names
-from turtlelog.expressions import Comparison, Expression, Name, Temporal, iterate_nodes
+from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
 from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
 from turtlelog.run import Run
 
@@ -82,11 +82,6 @@ class _Judge:
             reason = f"no_phase (the run has no phase {check.phase})"
             return self._build(Verdict.FAIL, reason=reason)
         found = check_run(run, check.formula, window_ns=window_ns)
-        if found.holds and not _is_told(found, check.formula, run):
-            reason = (
-                "the recording ends before the formula's window does, and the run had not ended"
-            )
-            return self._build(Verdict.FAIL, reason=reason)
         begun_s = (window_ns[0] - run.start_ns) / 1e9
         value_s, failed_s = (
             None if time_s is None else time_s + begun_s
@@ -146,12 +141,6 @@ class _Judge:
             if isinstance(left, Name) and left.name == metric.id:
                 return find_metric_violation(self._run, metric, root.operators[0], limit)
         return metric.at_s
-
-
-def _is_told(found: FormulaResult, formula: Expression, run: Run) -> bool:
-    """Whether a verdict stands on what was recorded; a run that came to its end stays there."""
-    is_reached = isinstance(formula.root, Temporal) and formula.root.operator == "eventually"
-    return found.is_covered or run.is_complete or is_reached
 
 
 def _has_several(formula: Expression) -> bool:

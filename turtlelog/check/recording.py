@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
+from turtlelog.check.cut import find_loss
 from turtlelog.check.driven import DrivenRecording
 from turtlelog.check.failures import PartialLogError
 from turtlelog.check.judge_formula import judge_check
@@ -15,7 +16,6 @@ from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.outcome import CheckOutcome
 from turtlelog.check.reference import Reference
 from turtlelog.check.result import CheckResult, Verdict
-from turtlelog.check.runs import find_loss
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.errors import CheckError

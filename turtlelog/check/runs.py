@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 
+from turtlelog.check.cut import find_loss
 from turtlelog.check.judge_formula import judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict, format_number
 from turtlelog.check.spec import Spec
@@ -61,14 +62,6 @@ def judge_run(
         yield judge_check(check, run, file=file, metrics=metrics)
     if reference is not None:
         yield from _judge_tolerances(spec, reference, run, file)
-
-
-def find_loss(run: Run) -> str | None:
-    """Return what a recording has lost, None where it is whole."""
-    for name in ("partial", "recovered"):
-        if name in run.notes:
-            return f"expected a whole recording, found one that is not: {run.notes[name]}"
-    return None
 
 
 def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterator[CheckResult]:
