@@ -151,9 +151,9 @@ def test_a_verdict_on_a_cut_trace_stands_however_it_goes_on(
     going_on = [join(seen, future, end_ns) for future in futures]
     verdicts = [check_formula(later, expression, window_ns=(0, 10**11)) for later in going_on]
     assert {found.holds} == {whole, *(verdict.holds for verdict in verdicts)}
-    if found.holds is False:
-        times_s = {verdict.first_violation_s for verdict in verdicts}
-        assert times_s == {found.first_violation_s}
+    for verdict in verdicts:
+        # What follows may show that it was violated earlier than is sure now.
+        assert (verdict.first_violation_s or 0.0) <= (found.first_violation_s or 0.0)
 
 
 @pytest.mark.parametrize(

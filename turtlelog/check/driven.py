@@ -39,6 +39,9 @@ class DrivenRecording:
     def __repr__(self) -> str:
         return f"<{self._file} driven again>"
 
+    def __bool__(self) -> bool:
+        raise CheckError(f"{self._file} driven again: expected .matches(recording), found none")
+
     def matches(
         self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
     ) -> CheckOutcome:

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from turtlelog.check.cut import Ending, find_ending
 from turtlelog.check.deciding import find_decision
+from turtlelog.check.failures import UndecidedError
 from turtlelog.check.robustness import Margins
 from turtlelog.check.sides import read_sides
 from turtlelog.check.signals import Signals, Trace, check_names, read_signals
@@ -57,6 +58,16 @@ class FormulaResult:
     limit: float | None = None
     unit: str = ""
     reason: str = ""
+
+    def __bool__(self) -> bool:
+        """Whether it holds.
+
+        Raises:
+            UndecidedError: Where that is unknown.
+        """
+        if self.holds is None:
+            raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
+        return self.holds
 
 
 def check_formula(

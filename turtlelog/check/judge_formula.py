@@ -53,7 +53,7 @@ class _Judge:
         require_known_names(formula, over_time=check.kind == "holds", run=self._run)
         lacking = self._find_lacking(formula)
         if lacking:
-            return self._build(Verdict.FAIL, reason=lacking)
+            return self._leave_open(lacking)
         return self._judge_over_time() if check.kind == "holds" else self._judge_metrics()
 
     def _judge_condition(self, condition: Expression) -> CheckResult | None:
@@ -61,8 +61,10 @@ class _Judge:
         require_known_names(condition, over_time=False, run=self._run)
         lacking = self._find_lacking(condition)
         if lacking:
-            return self._build(Verdict.FAIL, reason=f"when: {lacking}")
+            return self._leave_open(f"when: {lacking}")
         found = check_formula(self._read_values(condition), condition)
+        if found.holds is None:
+            return self._leave_open(f"when: {found.reason}")
         if found.holds:
             return None
         values = ", ".join(f"{name} = {value}" for name, value in found.values.items())
@@ -80,7 +82,7 @@ class _Judge:
         window_ns = find_window(run, check.phase)
         if window_ns is None:
             reason = f"no_phase (the run has no phase {check.phase})"
-            return self._build(Verdict.FAIL, reason=reason)
+            return self._leave_open(reason)
         found = check_run(run, check.formula, window_ns=window_ns)
         begun_s = (window_ns[0] - run.start_ns) / 1e9
         value_s, failed_s = (
@@ -98,7 +100,11 @@ class _Judge:
             margin=found.margin if is_finite else None,
             unit=found.unit,
             decided_by=found.decided_by if _has_several(self._check.formula) else "",
+            is_decided=found.holds is not None,
         )
+
+    def _leave_open(self, reason: str) -> CheckResult:
+        return replace(self._build(Verdict.FAIL, reason=reason), is_decided=False)
 
     def _build(self, verdict: Verdict, *, reason: str) -> CheckResult:
         return CheckResult(

@@ -1,6 +1,7 @@
 """Specification and runs -> results."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 from turtlelog.check.cut import find_loss
 from turtlelog.check.judge_formula import judge_check, measure_named
@@ -55,13 +56,20 @@ def judge_run(
     """Yield the results of every check on one run; of one that has lost something, that it has."""
     lost = None if allow_partial else find_loss(run)
     if lost is not None:
-        yield CheckResult(file=file, check="recording", verdict=Verdict.FAIL, reason=lost)
+        yield fail_recording(file, lost)
         return
     metrics = measure_named(spec.checks, run)
     for check in spec.checks:
         yield judge_check(check, run, file=file, metrics=metrics)
     if reference is not None:
         yield from _judge_tolerances(spec, reference, run, file)
+
+
+def fail_recording(file: str, reason: str) -> CheckResult:
+    """Return the result of a recording on which nothing could be judged."""
+    return CheckResult(
+        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
+    )
 
 
 def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterator[CheckResult]:
@@ -73,7 +81,7 @@ def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterat
         ).findings
     except CompareError as err:
         for name in names:
-            yield CheckResult(file=file, check=name, verdict=Verdict.FAIL, reason=str(err))
+            yield replace(fail_recording(file, str(err)), check=name)
         return
     for finding in found:
         yield convert_finding(finding, file=file)
@@ -106,4 +114,5 @@ def convert_finding(finding: Finding, *, file: str, is_strict: bool = True) -> C
         first_violation_s=finding.first_outside_s,
         reason=reason,
         names=choose_signals([finding.name]),
+        is_decided=passes or finding.off is not None,
     )
