@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 from turtlelog.check.cut import find_loss
 from turtlelog.check.judge_formula import judge_check, measure_named
@@ -10,8 +11,9 @@ from turtlelog.check.spec import Spec
 from turtlelog.check.spec_file import require_reference
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.compare import Finding, compare_runs
-from turtlelog.errors import CheckError, CompareError
-from turtlelog.log import read_run
+from turtlelog.errors import CheckError, CompareError, LogError
+from turtlelog.log import TopicChoice, read_info
+from turtlelog.log.ros2 import list_bag_files
 from turtlelog.run import Run
 
 
@@ -39,15 +41,35 @@ def check_runs(
         raise CheckError(f"{spec.source}: expected at least one recording to check, found none")
 
 
-def read_reference(spec: Spec) -> Run | None:
+def read_reference(spec: Spec, topics: TopicChoice | None = None) -> Run | None:
     """Return the run that tolerances are taken from, None where there are none.
+
+    Args:
+        spec: Names it.
+        topics: As of the runs; a topic that the reference does not hold is chosen as usual. It must
+            be whole in any case.
 
     Raises:
         CheckError: Where tolerances have no reference.
         LogError: Where it cannot be read.
     """
     require_reference(spec)
-    return read_run(spec.reference) if spec.tolerances and spec.reference else None
+    if not spec.tolerances or spec.reference is None:
+        return None
+    return _restrict(topics or TopicChoice(), spec.reference).read(spec.reference)
+
+
+def _restrict(topics: TopicChoice, path: Path) -> TopicChoice:
+    """Return the choice without the topics that a file does not hold."""
+    try:
+        infos = [read_info(file) for file in list_bag_files(path)]
+    except LogError:
+        infos = []  # no bag: a log, or nothing that can be read, which reading says
+    held = {topic.topic for info in infos for topic in info.topics if topic.count}
+    pose_topic, command_topic = (
+        name if name in held else None for name in (topics.pose_topic, topics.command_topic)
+    )
+    return TopicChoice(pose_topic=pose_topic, command_topic=command_topic)
 
 
 def judge_run(
