@@ -141,7 +141,7 @@ def write_unreadable(folder: Path, whole: bytes) -> dict[Path, str]:
     ended = "expected the end of an MCAP file, found none: cut short, or never finished"
     contents = {
         "empty.mcap": (b"", "byte 0: expected an MCAP file (0x894d434150300d0a), found an empty"),
-        "head.mcap": (whole[:100], "expected messages, found none: cut short, or never finished"),
+        "head.mcap": (whole[:100], f"{ended}: "),
         "first.mcap": (whole[:5000], f"byte 5000: {ended}; in what it still holds: topic /turtle1"),
         "text.mcap": (b"hello", "byte 0: expected an MCAP file (0x894d434150300d0a), found text"),
         "other.json": (b"{}", "data: expected a JSON object"),
