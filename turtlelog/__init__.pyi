@@ -12,6 +12,7 @@ from .check import (
     PartialLogError as PartialLogError,
     Recording as Recording,
     Spec as Spec,
+    UndecidedError as UndecidedError,
     Verdict as Verdict,
     check_formula as check_formula,
     check_run as check_run,

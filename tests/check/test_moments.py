@@ -1,5 +1,7 @@
 """A metric's first violation is where a run that had ended there would have violated it, too."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,7 +33,8 @@ def test_a_run_cut_before_the_first_violation_passes(name: str) -> None:
     failed_s = find(name, value / 2)
     assert failed_s is not None
     at_ns = RUN.start_ns + round(failed_s * 1e9)
-    before, there = (tl.cut_run(RUN, end_ns=end_ns) for end_ns in (at_ns - 1, at_ns))
+    cuts = [tl.cut_run(RUN, end_ns=end_ns) for end_ns in (at_ns - 1, at_ns)]
+    before, there = (replace(cut, stop_reason=RUN.stop_reason) for cut in cuts)
     values = [tl.measure_run(run, only=[name])[name].value for run in (before, there)]
     assert values[1] is not None
     assert values[1] > value / 2
@@ -60,3 +63,8 @@ def test_a_cut_run_keeps_what_belongs_together() -> None:
     whole_m = RUN.poses.xy_m[np.isin(RUN.poses.time_ns, cut.poses.time_ns)]
     np.testing.assert_array_equal(cut.poses.xy_m, whole_m)
     assert cut.commands.time_ns.min() >= 2_000_000_000
+
+
+def test_a_run_whose_end_is_cut_off_does_not_say_why_it_ended() -> None:
+    assert tl.cut_run(RUN, end_ns=RUN.end_ns - 1).stop_reason is None
+    assert tl.cut_run(RUN, start_ns=2_000_000_000).stop_reason == "standstill"

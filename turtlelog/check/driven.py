@@ -41,10 +41,15 @@ class DrivenRecording:
     def __repr__(self) -> str:
         return f"<{self._file} driven again>"
 
+    def __bool__(self) -> bool:
+        raise CheckError(f"{self._file} driven again: expected .matches(recording), found none")
+
     def matches(
         self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
     ) -> CheckOutcome:
         """Return whether the law answers as was recorded: commands, errors, phases and the end.
+
+        Commands are compared as computed and as published.
 
         Args:
             recording: The same that is driven.
@@ -63,8 +68,8 @@ class DrivenRecording:
             raise CheckError("matches: expected the recording that is driven, found another")
         found = self.replay(tolerance.abs)
         results = [self._judge(signal, tolerance.abs) for signal in found.signals]
-        stop = [] if found.stop is None else [self._judge_stop(found.stop)]
-        return self._conclude([*results, *stop])
+        others = [other for other in (found.commands, found.stop) if other is not None]
+        return self._conclude([*results, *map(self._judge_other, others)])
 
     def replay(self, tolerance: float = 0.0) -> LawReplay:
         """Return the replay itself."""
@@ -92,14 +97,14 @@ class DrivenRecording:
             names=(signal.signal,) if signal.signal in SIGNALS else ("speed", "turn_rate"),
         )
 
-    def _judge_stop(self, stop: Difference) -> CheckResult:
+    def _judge_other(self, other: Difference) -> CheckResult:
         return CheckResult(
             file=self._file,
-            check="law.stop",
+            check=f"law.{other.signal}",
             verdict=Verdict.FAIL,
             expected="as recorded",
-            first_violation_s=self._read_time(stop),
-            reason=_describe(stop),
+            first_violation_s=self._read_time(other),
+            reason=_describe(other),
             names=("distance", "speed", "turn_rate"),
         )
 

@@ -1,5 +1,6 @@
 """When a metric first goes beyond its limit."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -54,6 +55,7 @@ def _find_growth(
     while first < last:
         middle = (first + last) // 2
         part = cut_run(run, end_ns=int(run.poses.time_ns[middle]))
+        part = replace(part, stop_reason=run.stop_reason)  # had it ended there
         value = measure_run(part, settings, only=(name,))[name].value
         if value is not None and not OPERATORS[operator](value, limit):
             last = middle

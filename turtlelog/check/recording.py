@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
+from turtlelog.check.cut import find_loss
 from turtlelog.check.driven import DrivenRecording
 from turtlelog.check.failures import PartialLogError
 from turtlelog.check.judge_formula import judge_check
@@ -14,8 +15,8 @@ from turtlelog.check.message import describe_failure
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.outcome import CheckOutcome
 from turtlelog.check.reference import Reference
-from turtlelog.check.result import CheckResult, Verdict
-from turtlelog.check.runs import find_loss
+from turtlelog.check.result import CheckResult
+from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.errors import CheckError
@@ -82,10 +83,7 @@ class Recording:
             self._watch(self, None)
         lost = None if self._allow_partial else find_loss(run)
         if lost is not None:
-            result = CheckResult(
-                file=self.file, check="recording", verdict=Verdict.FAIL, reason=lost
-            )
-            self._note(result)
+            self._note(fail_recording(self.file, lost))
             raise PartialLogError(f"{self.file}: {lost}; allow_partial=True lets it pass")
         return run
 
@@ -184,6 +182,9 @@ class PhaseMetrics:
 
     def __init__(self, recording: Recording, name: str) -> None:
         self._recording, self._name = recording, name
+
+    def __bool__(self) -> bool:
+        raise CheckError(f"phase {self._name}: expected one of its metrics, found none")
 
     def __getattr__(self, name: str) -> MetricValue:
         if f"{self._name}.{name}" in METRICS:

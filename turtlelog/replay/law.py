@@ -19,9 +19,12 @@ from turtlelog.replay.difference import (
 )
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
+    PUBLISHED,
     count_missing,
     has_all_commands,
+    has_published,
     list_absent,
+    pair_published,
     pair_samples,
 )
 from turtlelog.replay.stops import compare_last_decision
@@ -46,11 +49,13 @@ class LawReplay:
         samples: Compared: all, or up to that at which the replayed law stops.
         missing_samples: Recorded ones that are lost: the law did not see their poses.
         signals: By signal, commands first.
+        commands: Where not one command per sample was published; None where one was, or where
+            rows are lost.
         stop: Where the law ends the run elsewhere, or for another reason; None where it does not.
         first_difference: The earliest of all; of several in one sample that of the first signal in
             `signals`. None where there is none.
-        first_command_difference: The earliest in the commands as published.
-        absent: Signals that the recording does not hold.
+        first_command_difference: The earliest in the commands, as computed and as published.
+        absent: Signals that the recording does not hold, or of which rows are lost.
         answers: The samples as replayed.
     """
 
@@ -59,6 +64,7 @@ class LawReplay:
     samples: int
     missing_samples: int
     signals: tuple[SignalDifference, ...]
+    commands: Difference | None
     stop: Difference | None
     first_difference: Difference | None
     first_command_difference: Difference | None
@@ -76,6 +82,7 @@ def replay_law(
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
+    Its answers are compared with the recorded samples and with the commands that were published.
     The law sees what the recorded one saw; its own commands have no effect on the poses. Of the
     scenario only the law, the limits and the goal count.
 
@@ -102,21 +109,23 @@ def replay_law(
     answers, blocks_ticks, last = _answer_poses(run, scenario, law)
     rows = slice(len(answers))
     pairings = [*pair_samples(run.samples, answers, rows=rows, others=rows)]
-    pairings += _pair_pauses(run, blocks_ticks)
+    pairings += [*pair_published(run, answers), *_pair_pauses(run, blocks_ticks)]
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
     stop = compare_last_decision(run, len(answers) - 1, last.decision)
+    others = [_count_published(run), stop]
     return LawReplay(
         name=run.name,
         scenario=scenario,
         samples=len(answers),
         missing_samples=count_missing(run.samples),
         signals=signals,
+        commands=others[0],
         stop=stop,
-        first_difference=find_earliest([*(found.first_difference for found in signals), stop]),
+        first_difference=find_earliest([*(found.first_difference for found in signals), *others]),
         first_command_difference=find_earliest(
             found.first_difference for found in signals if found.signal in COMMANDS
         ),
-        absent=list_absent(run.samples),
+        absent=(*list_absent(run.samples), *(() if has_published(run) else PUBLISHED)),
         answers=answers,
     )
 
@@ -136,6 +145,15 @@ def _answer_poses(
         if sample.decision.stop_reason is not None:
             break
     return build_samples(packed), np.array(blocks_ticks, dtype=np.int64), sample
+
+
+def _count_published(run: Run) -> Difference | None:
+    """Return how many commands there are beside how many samples, where no row is lost."""
+    is_lossy = count_missing(run.samples) or not {"partial", "recovered"}.isdisjoint(run.notes)
+    if has_published(run) or is_lossy or "commands" in run.absent:
+        return None
+    samples, commands = len(run.samples), len(run.commands)
+    return Difference(signal="commands", time_ns=run.end_ns, recorded=commands, replayed=samples)
 
 
 def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:

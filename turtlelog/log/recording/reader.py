@@ -48,8 +48,12 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
         except DamageError as err:
             if not allow_partial:
                 raise LogError(f"{err}: {_ADVICE}") from err
-        contents, dropped = reconcile_contents(salvage_contents(stream))
-        run, lost = build_run(contents), describe_damages(contents.damages) + dropped
+            damage = str(err)
+        try:
+            contents, dropped = reconcile_contents(salvage_contents(stream))
+            run, lost = build_run(contents), describe_damages(contents.damages) + dropped
+        except LogError as err:
+            raise LogError(f"{damage}; in what it still holds: {err}") from err
     warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=2)
     return replace(run, notes={**run.notes, "partial": lost})
 

@@ -59,6 +59,12 @@ def read_bag(
     path = Path(path)
     files = list_bag_files(path)
     infos = {file: read_info(file) for file in files}
+    for file, info in infos.items():
+        if not info.complete:
+            raise LogError(
+                f"{file}: expected the end of an MCAP file, found none: cut short, or never"
+                f" finished: {info.notes['partial']}"
+            )
     topics = {file: info.topics for file, info in infos.items()}
     distinct = _merge([topic for of_file in topics.values() for topic in of_file])
     with name_file(path, expected="a bag"):
