@@ -100,9 +100,7 @@ def _answer(
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
         print_note(f"{name.replace('_', ' ')}: {note}")
-    _write(result, None if is_recorded else output, rrd)
-    for path in filter(None, (output, rrd)):
-        print_note(f"wrote {path}")
+    _write(result, output, rrd, is_recorded=is_recorded)
     if json:
         print_json(
             {
@@ -120,12 +118,16 @@ def _answer(
     return code
 
 
-def _write(run: "Run", output: Path | None, rrd: Path | None) -> None:
-    with show_progress("writing"):
-        if output is not None:
-            tl.write_recording(run, output)
-        if rrd is not None:
+def _write(run: "Run", output: Path | None, rrd: Path | None, *, is_recorded: bool) -> None:
+    if output is not None:
+        with show_progress("writing"):
+            if not is_recorded:
+                tl.write_recording(run, output)
+        print_note(f"wrote {output}")
+    if rrd is not None:
+        with show_progress("writing"):
             tl.write_run_rrd(run, rrd)
+        print_note(f"wrote {rrd}")
 
 
 def _simulate(scenario: "Scenario") -> "Run":
