@@ -94,8 +94,8 @@ def run_live(
 ) -> Run:
     """Simulate a scenario, hand every tick to the sinks as it comes, and return the run.
 
-    Ctrl-C and SIGTERM end the run with the stop reason `interrupted` at the next tick, a second one
-    at once. The sinks are closed whatever happens.
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the run with the stop reason `interrupted` at the next
+    tick, a second one at once. The sinks are closed whatever happens.
 
     Args:
         scenario: What to simulate.

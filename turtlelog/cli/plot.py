@@ -43,6 +43,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         text_width: Width of the page's text [mm], 120 to 1000.
         json: Print one JSON object instead of lines.
     """
+    from turtlelog.show.figures.files import add_figures, add_tables
+    from turtlelog.show.files import replace_together
+
     if output.exists() and not output.is_dir():
         raise UsageError(f"{output}: expected a folder to write to, found a file")
     page = tl.Page(text_width_mm=text_width, columns=columns)
@@ -55,10 +58,11 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         def count(_: Path) -> None:
             progress.done += 1
 
-        figures = tl.write_figures(
-            runs, output, only=names, formats=kinds, page=page, on_written=count
-        )
-    tables = tl.write_tables(runs, output) if runs and only is None else []
+        with replace_together(output) as write:
+            figures = add_figures(
+                write, runs, only=names, formats=kinds, page=page, on_written=count
+            )
+            tables = add_tables(write, runs) if runs and only is None else []
     if json:
         print_json(_describe(files or [], figures, tables))
     else:
