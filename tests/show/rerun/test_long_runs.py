@@ -18,7 +18,7 @@ from tests.show.rerun.rrds import (
 )
 from turtlelog.show import write_run_rrd
 from turtlelog.show.rerun import palette, run_stream
-from turtlelog.show.rerun.palette import choose_run_colors
+from turtlelog.show.run_colors import Color, choose_run_colors
 
 RUN = simulate_preset("paper-kp10")
 
@@ -95,7 +95,7 @@ def picture_heading(path: Path, timeline: str) -> NDArray[np.float64]:
         return viewer.picture_view("Heading [deg]", timeline)
 
 
-def find_pixels(picture: NDArray[np.float64], color: palette.Color) -> NDArray[np.int64]:
+def find_pixels(picture: NDArray[np.float64], color: Color) -> NDArray[np.int64]:
     """Return row and column of what has a colour, shape (n, 2)."""
     near = np.abs(picture - np.array(color) / 255.0).max(axis=2) < 0.05
     return np.argwhere(near)
