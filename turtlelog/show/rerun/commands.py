@@ -10,6 +10,7 @@ from turtlelog.measure import read_signal
 from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.series import Series
+from turtlelog.show.run_colors import Color
 
 _COMMANDED_WIDTH: Final = 3.0
 _THIN_WIDTH: Final = 1.25
@@ -45,7 +46,7 @@ def _build(
     kind: str,
     time_ns: NDArray[np.int64],
     values: NDArray[np.float64],
-    color: palette.Color,
+    color: Color,
 ) -> Series:
     return Series(
         entity=f"{plot}/{kind}",

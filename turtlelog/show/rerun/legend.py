@@ -8,8 +8,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.run_colors import Color
 
 _WIDTH: Final = 12.0  # in heights of a row
 _LETTERS: Final = 48
@@ -44,9 +45,7 @@ def arrange_names(names: Sequence[str]) -> LegendGrid:
     )
 
 
-def draw_legend(
-    stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[palette.Color]
-) -> None:
+def draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
     """Draw every run's name in its colour."""
     points = rr.Points2D(
         arrange_names(names).places,

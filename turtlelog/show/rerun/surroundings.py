@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.run_colors import Color
 from turtlelog.turtlesim import WORLD_SIZE_M
 
 _WORLD_MARGIN = 0.03
@@ -87,7 +88,7 @@ def _draw_marks(
     stream: rr.RecordingStream,
     entity: str,
     points: Sequence[tuple[float, float]],
-    color: palette.Color,
+    color: Color,
 ) -> None:
     radius = rr.Radius.ui_points(_MARKER_RADIUS)
     stream.log(join_path(entity), rr.Points2D(points, radii=radius, colors=[color]), static=True)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.show.rerun import entities, palette
@@ -30,6 +31,11 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 
+
+WHOLE_TIME: Final = rr.TimeRange(
+    start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+)
+"""From the first time to the last, on every timeline."""
 
 _PAIRS: Final = frozenset({entities.POSITION, entities.POSITION_ERROR, entities.WORLD_VELOCITY})
 
