@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from zlib import crc32
 
 import pytest
 from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
 
 from tests.log.engine.files import POINT, Row, pack, write_rows
 from tests.log.padding import FIXED, HEAD, pad_file
@@ -148,6 +151,41 @@ def test_a_checksum_vouches_for_a_padded_record_that_damage_follows(
             walked = list(walk_sections(BytesIO(damaged)))
             assert any(isinstance(one, Section) and one.start == place for one in walked)
             assert any(isinstance(one, Damage) for one in walked)
+
+
+def make_attachment(size: int, name: bytes = b"a") -> bytes:
+    """Return an attachment whose checksum holds; its record claims a byte more than is there."""
+    body = bytes(16) + make_text(name) + make_text(b"b") + struct.pack("<Q", size) + bytes(size)
+    return make_head(Opcode.ATTACHMENT, len(body) + 5) + body + struct.pack("<I", crc32(body))
+
+
+def make_text(text: bytes) -> bytes:
+    return struct.pack("<I", len(text)) + text
+
+
+def test_a_checksum_is_looked_for_in_as_many_bytes_as_the_file_has() -> None:
+    one = MCAP0_MAGIC + make_attachment(20_000)
+    assert any(isinstance(found, Section) for found in walk_sections(BytesIO(one + bytes(100))))
+
+
+@pytest.mark.parametrize("opcode", [Opcode.CHUNK, Opcode.ATTACHMENT])
+def test_records_that_claim_each_others_bytes_are_not_read_many_times_over(
+    opcode: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index = make_head(Opcode.MESSAGE_INDEX, 6) + bytes(6)
+    head = make_attachment(50_000)[:51]
+    if opcode == Opcode.CHUNK:
+        head = make_head(opcode, 50) + struct.pack("<QQQIIQ", 0, 0, 50_000, 1, 0, 50_000)
+    data = MCAP0_MAGIC + 1000 * (head + index) + b"\xff" * 50_000
+    counted: list[int] = []
+
+    def count(data: bytes, start: int = 0) -> int:
+        counted.append(len(data))
+        return crc32(data, start)
+
+    monkeypatch.setattr("turtlelog.log.engine.walk.zlib", SimpleNamespace(crc32=count))
+    assert list_reasons(data)
+    assert len(data) / 2 < sum(counted) <= len(data)
 
 
 @pytest.mark.parametrize("padding", [b"\1\2\3", bytes(40)], ids=["counting", "zeros"])

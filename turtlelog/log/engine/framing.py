@@ -61,6 +61,7 @@ class FileWindow:
         self._stream = stream
         self._start, self._data = 0, b""
         self.size = stream.seek(0, 2)
+        self._spare = self.size
 
     def read(self, start: int, count: int) -> bytes:
         """Return `count` bytes from `start`, fewer at the end of the file."""
@@ -72,6 +73,15 @@ class FileWindow:
             return self._stream.read(count)
         self._start, self._data = start, self._stream.read(_WINDOW)
         return self._data[:count]
+
+    def spend(self, count: int) -> bool:
+        """Return whether so many bytes may be read for their checksum, though no length agrees.
+
+        All together no more than the file has: records that claim each other's bytes would
+        otherwise be read many times over.
+        """
+        self._spare -= count
+        return self._spare >= 0
 
 
 def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:

@@ -192,7 +192,7 @@ def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Dam
     try:
         _, end = find_record_end(window, place)
     except LogError as err:
-        if last > min(window.size, place + LARGEST_CHUNK):
+        if last > window.size or not window.spend(last - place):
             raise
         fault, end = err, last
     data = window.read(place, last - place)
@@ -232,7 +232,7 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage],
     ]
     after = [end for end in ends if agree or is_record_start(window, end, after=Opcode.CHUNK)]
     reason = f"expected a chunk of {length} bytes, found {window.size - start} to come"
-    for end in ends if checksum else after:
+    for end in filter(lambda end: end in after or (checksum and window.spend(end - start)), ends):
         try:
             packed = window.read(start, end - start)
             data = unpack_chunk(rest[:-8].decode("utf-8", "replace"), packed, size)
