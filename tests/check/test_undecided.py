@@ -36,6 +36,10 @@ UNDECIDED: dict[str, tuple[Callable[[Recording], Any], str]] = {
         "the recording ends before the formula's window does, and the run had not ended",
     ),
     "no value": (lambda cut: cut.holds("translate.overshoot < 9"), "the run was cut in this phase"),
+    "largest so far": (
+        lambda cut: cut.holds("translate.cross_track_max <= 0.05"),
+        "the run was cut in this phase",
+    ),
     "no value over time": (
         lambda cut: cut.holds("eventually(1 / (speed - speed) > 0)"),
         "a number has no value",
