@@ -131,6 +131,18 @@ def test_half_a_question_is_no_answer(cut: Recording) -> None:
             bool(half)
 
 
+def test_a_reference_that_nothing_is_held_to_is_no_answer(cut: Recording) -> None:
+    with pytest.raises(tl.CheckError, match="expected at least one signal or metric, found none"):
+        cut.matches(cut.run, tolerance=tl.Tolerances())
+
+
+def test_what_is_undecided_is_not_said_to_be_violated(cut: Recording) -> None:
+    undecided = cut.holds("always(abs(cross_track) <= 0.05)").failures
+    violated = cut.holds("always(turn_rate < 0.5)").failures
+    assert "first violated" not in "".join(cut.describe(*undecided))
+    assert "first violated" in "".join(cut.describe(*violated))
+
+
 def test_a_condition_that_nobody_can_tell_is_undecided() -> None:
     entry = {"expect": "run.duration > 0", "when": "1 / (law.kp_linear - 4) > 0"}
     (result,) = tl.check_runs(tl.parse_spec({"checks": {"it": entry}}), [("a", simulate())])
