@@ -36,6 +36,10 @@ UNDECIDED: dict[str, tuple[Callable[[Recording], Any], str]] = {
         "the recording ends before the formula's window does, and the run had not ended",
     ),
     "no value": (lambda cut: cut.holds("translate.overshoot < 9"), "the run was cut in this phase"),
+    "largest so far": (
+        lambda cut: cut.holds("translate.cross_track_max <= 0.05"),
+        "the run was cut in this phase",
+    ),
     "no value over time": (
         lambda cut: cut.holds("eventually(1 / (speed - speed) > 0)"),
         "a number has no value",
@@ -125,6 +129,18 @@ def test_half_a_question_is_no_answer(cut: Recording) -> None:
     for half in halves:
         with pytest.raises(tl.CheckError, match="expected"):
             bool(half)
+
+
+def test_a_reference_that_nothing_is_held_to_is_no_answer(cut: Recording) -> None:
+    with pytest.raises(tl.CheckError, match="expected at least one signal or metric, found none"):
+        cut.matches(cut.run, tolerance=tl.Tolerances())
+
+
+def test_what_is_undecided_is_not_said_to_be_violated(cut: Recording) -> None:
+    undecided = cut.holds("always(abs(cross_track) <= 0.05)").failures
+    violated = cut.holds("always(turn_rate < 0.5)").failures
+    assert "first violated" not in "".join(cut.describe(*undecided))
+    assert "first violated" in "".join(cut.describe(*violated))
 
 
 def test_a_condition_that_nobody_can_tell_is_undecided() -> None:
