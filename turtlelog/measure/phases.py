@@ -107,7 +107,7 @@ def find_response(
     `signal` is what the phase controls: `heading` or `along_track`.
     """
     if signal is None or not len(run.samples):
-        return Missing(status=Status.ABSENT, reason="the recording holds no samples")
+        return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
     stretch = _find_first_stretch(run, phase)
     if not stretch:
         return Missing(status=Status.NO_PHASE, reason=f"the run has no phase {phase.label}")

@@ -15,10 +15,8 @@ from turtlelog.measure.table.kinds import MetricKind
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]
 
-_NO_ROWS: Final = Missing(
-    status=Status.ABSENT, reason="the recording holds neither samples nor commands"
-)
-_NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="the recording holds no samples")
+_NO_ROWS: Final = Missing(status=Status.ABSENT, reason="neither samples nor commands were read")
+_NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="no samples of a controller were read")
 
 
 def _on_periods(

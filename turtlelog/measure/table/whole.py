@@ -24,10 +24,8 @@ from turtlelog.measure.table.steps import require_hold
 
 Values = NDArray[np.float64]
 
-NO_LINE: Final = Missing(
-    status=Status.ABSENT, reason="the recording does not hold the line from start to goal"
-)
-_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the goal")
+NO_LINE: Final = Missing(status=Status.ABSENT, reason="the line from start to goal is not known")
+_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
 _NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
 
 
