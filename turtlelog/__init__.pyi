@@ -100,6 +100,7 @@ from .log import (
     read_bag as read_bag,
     read_bag_info as read_bag_info,
     read_columns as read_columns,
+    read_file_info as read_file_info,
     read_info as read_info,
     read_recording as read_recording,
     read_run as read_run,

@@ -128,7 +128,7 @@ def test_band_initial_and_final_change_the_step(call: Call, kp4: Path) -> None:
     assert read("rotate.settling_time", "--band", "0.05") < read("rotate.settling_time")
     assert read("translate.overshoot", "--final", "translate=5") > 13.0
     assert read("rotate.steady_state_error", "--final", "last") == 0.0
-    assert read("translate.rise_time", "--initial", "translate=-1") > read("translate.rise_time")
+    assert read("translate.rise_time", "--initial", "translate=-0.5") > read("translate.rise_time")
 
 
 def test_a_reference_path_and_a_dead_time_can_be_given(

@@ -45,8 +45,9 @@ def explain(
 ) -> None:
     """Say what made a run what it is, and which mechanism caused which part of a figure.
 
-    First it identifies, from poses and commands alone: gains, limits, tolerances, dead times,
-    queues, start backlog and pause, each with its evidence or the reason why the log does not tell.
+    First it identifies, from the samples of the controller (the poses that it read and the commands
+    that it gave): gains, limits, tolerances, dead times, queues, start backlog and pause, each with
+    its evidence or the reason why the log does not tell.
     The identified scenario is simulated again and compared with the log, sample by sample.
 
     Then it simulates the scenario without its mechanisms, in every combination, and shares the

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import ReplayError
 from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.topics import CONTROL
+from turtlelog.log.ros2.reader import NOT_READ
 from turtlelog.replay.difference import (
     Difference,
     Pairing,
@@ -33,10 +34,7 @@ from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import LawDriver, Sample, build_law, build_samples, pack_sample
 from turtlelog.turtlesim import TICK_NS
 
-_NOTHING_READ: Final = (
-    f"expected the samples of a controller (topic {CONTROL.name}), found none: what the law read"
-    " and commanded is not recorded; --plant drives recorded commands through the plant"
-)
+_PLANT: Final = "--plant drives recorded commands through the plant"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,7 +99,7 @@ def replay_law(
     """
     require_tolerance(tolerance)
     if not len(run.samples):
-        raise ReplayError(f"{run.name}: {_NOTHING_READ}: {run.source}")
+        raise ReplayError(f"{run.name}: {_describe_nothing_read(run)}; {_PLANT}: {run.source}")
     scenario = restore_scenario(run) if scenario is None else scenario
     if law is None:
         scenario = resolve_scenario(scenario, trust_law=trust_law)
@@ -128,6 +126,17 @@ def replay_law(
         absent=(*list_absent(run.samples), *(() if has_published(run) else PUBLISHED)),
         answers=answers,
     )
+
+
+def _describe_nothing_read(run: Run) -> str:
+    """Return why there are no samples: they are not there, or not read."""
+    expected = f"expected the samples of a controller (topic {CONTROL.name})"
+    if CONTROL.name in run.notes.get(NOT_READ, ""):
+        return (
+            f"{expected} in a recording of turtlelog's, found {run.notes[NOT_READ]} in a file"
+            " without its metadata record: these are not read"
+        )
+    return f"{expected}, found none: what the law read and commanded is not recorded"
 
 
 def _answer_poses(

@@ -52,11 +52,16 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     file. Damaged chunks are left out as a whole, and so are messages whose channel is described
     nowhere. What was lost is noted in a metadata record `turtlelog_recovery`.
 
+    Args:
+        source: The file, or the folder of a bag with one .mcap file: a bag that was never closed
+            has no `metadata.yaml`.
+        target: The file to write.
+
     Raises:
         LogError: Where the source cannot be read, or holds no message that can be recovered;
             where the target is the source, or cannot be written.
     """
-    source, target = Path(source), Path(target)
+    source, target = _find_file(Path(source)), Path(target)
     with name_file(source, expected="an MCAP file"), open_file(source) as stream:
         if target.exists() and source.samefile(target):
             raise LogError(f"expected another file to write to, found the same: {target}")
@@ -74,6 +79,16 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
         note = format_recovery(report.lost, report.missing, report.unchecked)
         copied.rewriter.finish({} if report.complete else {RECOVERY: note})
     return report
+
+
+def _find_file(source: Path) -> Path:
+    """Return the file to read: of a folder the only one in it."""
+    with name_file(source, expected="an MCAP file"):
+        files = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
+        if len(files) != 1:
+            names = ", ".join(file.name for file in files) or "none"
+            raise LogError(f"expected an MCAP file or a folder with one, found {names}")
+    return files[0]
 
 
 @dataclass(slots=True, kw_only=True)

@@ -12,6 +12,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
 from turtlelog.log.engine.columns import TopicColumns, read_columns
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
+from turtlelog.log.recording.topics import CONTROL, GOAL
 from turtlelog.log.ros2.bag_folder import list_bag_files
 from turtlelog.log.ros2.columns_of_types import (
     Fields,
@@ -27,6 +28,9 @@ from turtlelog.log.ros2.topic_choice import (
     choose_pose_topic,
 )
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+NOT_READ: Final = "not_read"
+"""Note on messages that are there and are not read."""
 
 _NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
@@ -77,7 +81,18 @@ def read_bag(
     ]
     with name_file(path, expected="a bag"):
         run = _build_run(path, found, poses, commands)
-    return replace(run, notes={**run.notes, **_join_notes(infos.values())})
+    return replace(run, notes={**run.notes, **_note_rest(distinct), **_join_notes(infos.values())})
+
+
+def _note_rest(topics: Iterable[TopicInfo]) -> dict[str, str]:
+    """Return a note on the topics of a recording of ours, which only one of ours is read with."""
+    own = {topic.name: topic.schema for topic in (CONTROL, GOAL)}
+    rest = [
+        f"{topic.count} of {topic.topic}"
+        for topic in topics
+        if topic.count and own.get(topic.topic) == topic.type
+    ]
+    return {NOT_READ: ", ".join(rest)} if rest else {}
 
 
 def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
