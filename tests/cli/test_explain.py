@@ -25,6 +25,15 @@ def test_explain_finds_what_was_built_in(call: Call, kp10: Path) -> None:
     }
 
 
+def test_a_log_with_a_row_missing_is_explained_as_json(call: Call, tmp_path: Path) -> None:
+    rows = find_shared("paper", "kp4_210_main.csv").read_text().splitlines(keepends=True)
+    path = tmp_path / "kp4_without_line_300.csv"
+    path.write_text("".join(rows[:299] + rows[300:]))
+    answer = call("explain", path, "--json")
+    assert answer.code == 0
+    assert answer.json["resimulation"]["is_exact"] is False
+
+
 def test_explain_attributes_the_error(call: Call, kp10: Path) -> None:
     found = call("explain", kp10, "--json").json["attribution"]
     assert (found["metric"], found["unit"]) == ("final.position_error", "m")

@@ -119,7 +119,7 @@ def compare_samples(trace: Trace, again: Run) -> Resimulation:
     turn_rate = np.abs(trace.turn_rate_rad_s[left] - again.samples.turn_rate_rad_s[right])
     error = PoseError(x_m=_max(xy[:, 0]), y_m=_max(xy[:, 1]), heading_rad=_max(turned))
     command_error = max(_max(speed), _max(turn_rate))
-    is_whole = len(trace) == len(left) and trace.number[-1] + 1 == len(again.samples)
+    is_whole = len(trace) == len(left) and int(trace.number[-1]) + 1 == len(again.samples)
     return Resimulation(
         samples=len(left),
         max_abs_error=error,
