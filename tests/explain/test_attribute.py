@@ -20,6 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.finer import FINER, simulate_finer
 from turtlelog.explain.grain import find_grain
+from turtlelog.explain.starts import vary_start
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run
 from turtlelog.run import Phase, Run
@@ -187,7 +188,9 @@ def test_where_the_effects_add_nothing_a_millionth_is_the_same(
     assert logged is not None
     found = attribute_run(shift_log(run, part * logged), identified=identified)
     assert bool(found.shares) == is_told
-    assert is_told or found.withheld == "they differ by more than 0.0001 % of the value"
+    assert is_told or found.withheld == (
+        "they differ by more than 0.0001 % of the value, and the effects add less"
+    )
 
 
 def test_smallest_sets_stand_for_shares_where_some_have_no_value() -> None:
@@ -236,6 +239,34 @@ def test_the_gain_of_ten_hangs_on_single_samples() -> None:
     assert starts.within_rad == pytest.approx(0.008)
     assert (starts.low, starts.high) == pytest.approx((0.0394, 0.4734), abs=1e-4)
     assert starts.parts["queue"] == pytest.approx((0.161, 0.615), abs=1e-3)
+
+
+@pytest.mark.parametrize(("part", "is_wide"), [(0.49, False), (0.51, True)])
+def test_a_value_hangs_on_samples_from_half_of_what_is_added_on(
+    part: float, *, is_wide: bool
+) -> None:
+    found = attribute_scenario(KP10).starts
+    assert found is not None
+    options: dict[str, Any] = {"grain": 0.0, "players": ["queue", "pause"], "acting": ["queue"]}
+    width = found.high - found.low
+    starts = vary_start(KP10, "final.position_error", added=width / part, **options)
+    assert starts is not None
+    assert starts.is_wide == is_wide
+
+
+def test_a_value_that_only_follows_the_start_is_steady() -> None:
+    found = attribute("paper-kp2", metric="rotate.rms_error")
+    assert found.as_built is not None
+    assert found.without_all is not None
+    assert found.starts is not None
+    added, width = found.as_built - found.without_all, found.starts.high - found.starts.low
+    assert width > 0.5 * abs(added) > found.grain.size
+    assert not found.starts.is_wide
+
+
+def test_dead_times_are_not_read_from_a_finer_clock() -> None:
+    found = find_other(attribute_scenario(KP10, metric="translate.dead_time"), "sampling")
+    assert (found.alone, found.ending) == (None, "dead times are not measured on a finer clock")
 
 
 @pytest.mark.parametrize("name", ["paper-kp1", "paper-kp2", "paper-kp4"])

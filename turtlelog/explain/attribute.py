@@ -177,7 +177,8 @@ def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) ->
         found.metric,
         added=worth[frozenset(found.players)] - worth[frozenset()],
         grain=found.grain.size,
-        players=found.acting,
+        players=found.players,
+        acting=found.acting,
     )
     return replace(found, starts=starts)
 
@@ -214,7 +215,8 @@ def _compare_with_log(found: Attribution) -> str:
     added, apart = abs(built - without), abs(logged - built)
     if added <= _SAME * abs(logged):
         same = f"{100.0 * _SAME:g} % of the value"
-        return "" if apart <= _SAME * abs(logged) else f"they differ by more than {same}"
+        agrees = apart <= _SAME * abs(logged)
+        return "" if agrees else f"they differ by more than {same}, and the effects add less"
     if apart <= _AGREEMENT * added:
         return ""
     return "they differ by more than a tenth of what the effects add together"

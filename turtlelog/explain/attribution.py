@@ -62,11 +62,11 @@ class StartRange:
         low: The smallest value, in the metric's unit.
         high: The largest value.
         without_value: How many starts have none.
-        is_wide: Whether the value hangs on single samples: whether the range exceeds half of what
-            the effects add, or the grain where they add less than it.
+        is_wide: Whether the value hangs on single samples: where the effects add more than the
+            grain, whether both its range and that of what they add exceed half of it.
         parts: Where it is wide, the lowest and highest part of a player in what the players that
-            have a share add together; 1 is all of it. Empty where at a start they add no more
-            than the grain, or where it takes too many simulations.
+            change the value add together; 1 is all of it. Empty where they do not all add to it at
+            every start, or where it takes too many simulations.
     """
 
     count: int

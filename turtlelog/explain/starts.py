@@ -25,16 +25,23 @@ _MOST_TICKS: Final = 200_000
 
 
 def vary_start(
-    scenario: Scenario, metric: str, *, added: float, grain: float, players: Sequence[str]
+    scenario: Scenario,
+    metric: str,
+    *,
+    added: float,
+    grain: float,
+    players: Sequence[str],
+    acting: Sequence[str],
 ) -> StartRange | None:
     """Return the value over starts within one sample's turn, None where the robot does not turn.
 
     Args:
         scenario: With all mechanisms in.
         metric: Has a value.
-        added: What the effects add together.
+        added: What the players add together.
         grain: The largest change that is next to nothing.
-        players: Those that have a share.
+        players: Among whom the value is divided.
+        acting: Those of them that change it.
     """
     built = simulate_run(scenario)
     turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max())
@@ -47,9 +54,8 @@ def vary_start(
     ]
     found = [game.take_out().value for game in games]
     values = [value for value in found if value is not None]
-    width = max(values) - min(values)
-    is_wide = width > (_WIDE * abs(added) if abs(added) > grain else grain)
-    ticks = len(built.poses) * len(games) * 2 ** len(players)
+    is_wide = _is_wide(values, games, players, added) if abs(added) > grain else False
+    ticks = len(built.poses) * len(games) * 2 ** len(acting)
     return StartRange(
         count=len(games),
         within_rad=within_rad,
@@ -57,8 +63,27 @@ def vary_start(
         high=max(values),
         without_value=len(found) - len(values),
         is_wide=is_wide,
-        parts=_divide_again(games, players, grain) if is_wide and ticks <= _MOST_TICKS else {},
+        parts=_divide_again(games, acting) if is_wide and ticks <= _MOST_TICKS else {},
     )
+
+
+def _is_wide(
+    values: Sequence[float], games: Sequence[Game], players: Sequence[str], added: float
+) -> bool:
+    """Return whether the value, and what the players add to it, range over too much.
+
+    A value that only follows the start, as a turn's length does, follows it without them as well.
+    """
+    if max(values) - min(values) <= _WIDE * abs(added):
+        return False
+    additions = [
+        built - without
+        for built, without in (
+            (game.take_out().value, game.take_out(players).value) for game in games
+        )
+        if built is not None and without is not None
+    ]
+    return max(additions) - min(additions) > _WIDE * abs(added)
 
 
 def _turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
@@ -67,9 +92,9 @@ def _turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
 
 
 def _divide_again(
-    games: Sequence[Game], players: Sequence[str], grain: float
+    games: Sequence[Game], players: Sequence[str]
 ) -> Mapping[str, tuple[float, float]]:
-    """Return the lowest and highest part of each player; none where they add too little."""
+    """Return the lowest and highest part of each player; none where they do not all add alike."""
     parts = []
     for game in games:
         found = {inside: game.play(inside, players).value for inside in list_coalitions(players)}
@@ -77,8 +102,9 @@ def _divide_again(
         if len(worth) < len(found):
             return {}
         total = worth[frozenset(players)] - worth[frozenset()]
-        if abs(total) <= grain:
+        shares = compute_shares(worth, players)
+        if any(share * total <= 0.0 for share in shares.values()):
             return {}
-        parts.append([share / total for share in compute_shares(worth, players).values()])
+        parts.append([share / total for share in shares.values()])
     lows, highs = np.min(parts, axis=0).tolist(), np.max(parts, axis=0).tolist()
     return dict(zip(players, zip(lows, highs, strict=True), strict=True))

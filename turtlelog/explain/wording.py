@@ -3,12 +3,18 @@
 import math
 from typing import Final
 
-from turtlelog.explain.attribution import Attribution, Share, ValueSet
+from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet
 from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS
 
 _NAMED: Final = 0.1
 """Of the sum of the shares' magnitudes: a mechanism with a larger share is named, and so is what
 arises only together. A property is named beyond this part of the value."""
+
+_MOST_TOGETHER: Final = 3
+"""Sets that arise only together, in one sentence; of four players there are eleven."""
+
+_SAME: Final = 1e-6
+"""Of a value: a smaller difference between log and re-simulation goes without a word."""
 
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
@@ -37,8 +43,8 @@ def _write_value(found: Attribution) -> str:
         return (
             f"{found.metric} is {_format(found, logged)} in the log; re-simulated it has no value."
         )
-    if logged == built:
-        return f"{found.metric} is {_format(found, logged)}, in the log and re-simulated."
+    if abs(logged - built) <= _SAME * abs(built):
+        return f"{found.metric} is {_format(found, built)}, in the log and re-simulated."
     if _format(found, logged) == _format(found, built):
         apart = _format(found, abs(logged - built))
         size = _format(found, logged)
@@ -115,13 +121,21 @@ def _write_part(found: Attribution, share: Share) -> str:
 
 def _write_together(found: Attribution) -> str:
     """Return what arises only when several act, in brackets; empty where that is little."""
+    largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
     parts = [
-        f"{_format(found, case.value)} of this arises only when {_join(case.mechanisms)}"
-        f" {'both' if len(case.mechanisms) == 2 else 'all'} act"
-        for case in found.together
+        _write_case(found, case)
+        for case in largest
         if abs(case.value) > _NAMED * _sum_shares(found)
     ]
     return f" ({'; '.join(parts)})" if parts else ""
+
+
+def _write_case(found: Attribution, case: Together) -> str:
+    size, names = _format(found, abs(case.value)), _join(case.mechanisms)
+    if case.value > 0.0:
+        both = "both" if len(case.mechanisms) == 2 else "all"
+        return f"{size} of this arises only when {names} {both} act"
+    return f"{names} together make {size} less than the sum of their parts"
 
 
 def _write_starts(found: Attribution) -> str:
