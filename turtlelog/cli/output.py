@@ -82,7 +82,10 @@ def print_error(text: str) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON value and nothing else; what is not finite becomes null."""
+    """Print one JSON value and nothing else; what is not finite becomes null.
+
+    Numbers, booleans and arrays of numpy are printed as Python's.
+    """
     with outlive_reader():
         sys.stdout.write(json.dumps(_make_finite(value), indent=2, allow_nan=False) + "\n")
 
@@ -145,6 +148,8 @@ def _escape_controls(text: str) -> str:
 
 
 def _make_finite(value: Any) -> Any:
+    if hasattr(value, "dtype"):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: _make_finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

@@ -9,11 +9,11 @@ import numpy as np
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.ending import find_pause, find_stop_reason
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
-from turtlelog.explain.identification import Identification, give_up
+from turtlelog.explain.identification import Identification, disclaim_law, give_up
 from turtlelog.explain.law import identify_rotation, identify_translation
 from turtlelog.explain.loop import read_hints
 from turtlelog.explain.plant import identify_plant
-from turtlelog.explain.resimulation import Resimulation, compare_samples
+from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.settings import describe_loop
 from turtlelog.explain.start import identify_start
@@ -21,6 +21,11 @@ from turtlelog.explain.trace import Trace, find_gaps, trace_run
 from turtlelog.measure import DeadTime, Missing, find_dead_time
 from turtlelog.run import Phase, Run
 from turtlelog.simulate import simulate_run
+
+_LAW: Final = "sequential-p"
+
+_LOOPS: Final = {"law.kp_angular": "dead_time.rotate", "law.kp_linear": "dead_time.translate"}
+"""Gains, and where the motion that the loop's commands make is judged."""
 
 _LONGEST_S: Final = 3600.0
 
@@ -51,9 +56,16 @@ def _identify_samples(run: Run) -> Identification:
         for phase, found in dead_times.items()
     }
     findings |= identify_start(trace, findings["dead_time.rotate"].value or 0)
+    law = run.parameters.get("law.kind", _LAW)
+    if law != _LAW:
+        reason = f"the recording names the law {law}; only {_LAW} is identified"
+        return give_up(run.name, disclaim_law(findings, reason), reason)
     findings |= identify_rotation(trace)
     findings |= identify_translation(trace)
-    obstacle = _find_obstacle(trace, findings)
+    contradiction = _contradict_law(trace, findings)
+    if contradiction:
+        return give_up(run.name, disclaim_law(findings, contradiction), contradiction)
+    obstacle = _find_obstacle(trace)
     if obstacle:
         return give_up(run.name, findings, obstacle)
     hints = read_hints(trace)
@@ -68,14 +80,20 @@ def _identify_samples(run: Run) -> Identification:
         findings["loop.pose_precision"] = miss(reason, "float64")
     findings |= find_pause(trace, hints)
     findings["stop_reason"] = find_stop_reason(trace)
-    resimulation = compare_samples(trace, simulate_run(fits.scenario))
+    scenario = fits.scenario
+    if not fits.is_exact and findings["stop_reason"].value in {None, "cut"}:
+        scenario = cut_where_logged(scenario, trace)
+    gaps = _describe_gaps(trace)
+    if not (fits.is_exact or is_noisy or gaps):
+        findings = disclaim_law(findings, "no setting of the loop reproduces the samples")
+    resimulation = compare_samples(trace, simulate_run(scenario))
     return Identification(
         name=run.name,
         findings=MappingProxyType(findings),
         resimulation=resimulation,
-        scenario=fits.scenario,
+        scenario=scenario,
         notes=(
-            *_describe_gaps(trace),
+            *gaps,
             *_describe_difference(fits, resimulation, is_noisy=is_noisy),
             *_list_candidates(findings),
         ),
@@ -97,21 +115,42 @@ def _describe_dead_time(found: DeadTime | Missing) -> Finding:
     )
 
 
-def _find_obstacle(trace: Trace, findings: Mapping[str, Finding]) -> str | None:
-    """Return why this is no run of the sequential law, or cannot be simulated."""
-    phases = {Phase(phase) for phase in np.unique(trace.run.samples.phase).tolist()}
-    if trace.rotating + trace.translating < len(trace) or not trace.rotating:
-        listed = ", ".join(sorted(phase.label for phase in phases))
-        return f"its phases are not one rotation and one translation: {listed}"
-    for key in ("law.kp_angular", "law.kp_linear"):
+def _contradict_law(trace: Trace, findings: Mapping[str, Finding]) -> str | None:
+    """Return why the samples are not those of the sequential law."""
+    if trace.rotating + trace.translating < len(trace):
+        return _list_phases(trace)
+    if trace.speed_m_s[: trace.rotating].any() or trace.turn_rate_rad_s[trace.rotating :].any():
+        return "it drives while rotating, or turns while translating"
+    for key, dead_time in _LOOPS.items():
         if "not proportional" in findings[key].evidence:
             return f"{key}: {findings[key].evidence}"
+        # Without a rotation the start is unknown, and with it the bearing that the law projects on.
+        poses_are_clean = (
+            trace.rotating > 0
+            and findings[dead_time].certainty is Certainty.EXACT
+            and findings["loop.pose_precision"].value == "float32"
+        )
+        if poses_are_clean and findings[key].certainty is Certainty.FITTED:
+            return f"{key}: the poses hold no noise, and no gain reproduces the commands"
+    return None
+
+
+def _find_obstacle(trace: Trace) -> str | None:
+    """Return why a run of the sequential law cannot be simulated."""
+    if not trace.rotating:
+        return _list_phases(trace)
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
     if length_s > _LONGEST_S:
         return f"it lasts {length_s:.0f} s; up to {_LONGEST_S:.0f} s are simulated again"
     return None
+
+
+def _list_phases(trace: Trace) -> str:
+    phases = {Phase(phase) for phase in np.unique(trace.run.samples.phase).tolist()}
+    listed = ", ".join(sorted(phase.label for phase in phases))
+    return f"its phases are not one rotation and one translation: {listed}"
 
 
 def _collect(findings: Mapping[str, Finding]) -> dict[str, Any]:
