@@ -59,7 +59,7 @@ class ChunkRows:
     """
 
     channels: Sequence[tuple[Schema | None, Channel]]
-    records: bytes | bytearray
+    records: bytes | bytearray | memoryview
     index: Mapping[int, NDArray[np.uint64]]
     start_ns: int
     end_ns: int
