@@ -165,6 +165,7 @@ def _parse(schema: Schema, allowance: Allowance) -> _Parsed:
     """Return the fields, or why there are none."""
     try:
         _check_length(schema)
+        allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
         fields = parse_schema(schema.name, schema.data.decode())
         allowance.spend(FIELDS, count_fields(fields))
     except (LogError, UnicodeDecodeError) as err:

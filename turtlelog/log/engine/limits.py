@@ -53,13 +53,13 @@ _BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
         # Of types that differ, about 1 kB each in memory; 200 types of 50 fields are many.
         FIELDS: (50_000, 1 / 1000),
         # And the entries of the summary that name them; recordings have a handful.
-        NOTES: (2**17, 1 / 1000),
+        NOTES: (2**16, 1 / 1000),
         # Each is noted, with the reason.
         DAMAGES: (10_000, 1 / 1000),
         # Each in every chunk that it has messages in.
-        CHUNK_CHANNELS: (2**19, 1 / 16),
+        CHUNK_CHANNELS: (2**18, 1 / 32),
         # Files that were joined have one for each channel.
-        CHANGES: (2**13, 1 / 1000),
+        CHANGES: (2**12, 1 / 1000),
     }
 )
 """By kind: what a file may hold, and what more by byte of the file."""

@@ -31,6 +31,7 @@ from turtlelog.log.engine.unpack import unpack_chunk
 _CHUNK: Final = struct.Struct("<BQQQQII")  # ... start, end, size unpacked, crc, length of the name
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression
+_RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
 _LONE: Final = frozenset(
     {
         Opcode.HEADER,
@@ -180,7 +181,7 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     """Return the records of one kind that follow each other from `place`, up to a batch."""
     _, end = find_record_end(window, place)
     parts = [window.read(place, end - place)]
-    while opcode == Opcode.MESSAGE and end - place < _BATCH:
+    while opcode in _RUNS and end - place < _BATCH:
         start = end
         try:
             found, end = find_record_end(window, start)

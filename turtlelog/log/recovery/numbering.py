@@ -53,7 +53,8 @@ class Numbering:
         if key not in self._known_schemas:
             self._allowance.spend_description(schema)
             number = self._taken_schemas.choose(schema.id)
-            self._known_schemas[key] = replace(schema, id=number)
+            is_same = number == schema.id
+            self._known_schemas[key] = schema if is_same else replace(schema, id=number)
         self.schemas[schema.id] = self._known_schemas[key]
 
     def add_channel(self, channel: Channel) -> None:
@@ -81,7 +82,8 @@ class Numbering:
         if key not in self._known_channels:
             self._allowance.spend_description(channel)
             number = self._taken_channels.choose(channel.id)
-            numbered = replace(channel, id=number, schema_id=schema_id)
+            is_same = (number, schema_id) == (channel.id, channel.schema_id)
+            numbered = channel if is_same else replace(channel, id=number, schema_id=schema_id)
             self._known_channels[key] = schema, numbered
         return self._known_channels[key]
 

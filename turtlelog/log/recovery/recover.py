@@ -98,6 +98,14 @@ class _Copied:
     mismatch: Loss | None = None
     summary: Loss | None = None
 
+    def lose(self, loss: Loss) -> None:
+        """Note a loss; what follows on one of the same reason is part of it."""
+        last = self.lost[-1] if self.lost else None
+        if last is not None and (last.reason, last.end) == (loss.reason, loss.start):
+            self.lost[-1] = replace(last, end=loss.end)
+        else:
+            self.lost.append(loss)
+
     @property
     def is_described_late(self) -> bool:
         numbering = self.rewriter.numbering
@@ -121,11 +129,11 @@ def _copy_records(
             if is_at_end:  # all that is told there is that the checksum of the data fails
                 copied.mismatch = loss
             else:
-                copied.lost.append(loss)
+                copied.lose(loss)
             continue
         is_checked, place = found.is_checked, found.start
         for reason in _take_section(rewriter, found, allowance):
-            copied.lost.append(Loss(start=place, end=place, reason=reason))
+            copied.lose(Loss(start=place, end=place, reason=reason))
         if not found.is_chunk and found.data[0] == Opcode.DATA_END:
             is_at_end, copied.is_vouched = True, is_checked
             if not ending.is_sound:

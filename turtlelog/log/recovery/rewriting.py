@@ -1,7 +1,9 @@
 """The messages of one file written to another, whoever described their channels, and where."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from hashlib import blake2b
 from typing import Any, BinaryIO, Final
 
 import numpy as np
@@ -43,7 +45,8 @@ class Rewriter:
         self.span_ns: tuple[int, int] | None = None
         self.numbering = numbering
         self._file, self._is_begun, self._allowance = McapFile(output), False, allowance
-        self._last: dict[tuple[int, bytes], bytes] = {}
+        # What each id meant last, by kind: some writers say it again in every chunk.
+        self._last: dict[int, dict[bytes, bytes]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
 
     def take_stretch(self, stretch: Stretch, byte: int, *, is_checked: bool) -> list[str]:
         """Write records that stand at a byte of the source; return what is wrong with them.
@@ -52,14 +55,20 @@ class Rewriter:
         """
         faults = [] if stretch.fault is None else [stretch.fault]
         first = 0
+
+        def add_before(place: int) -> None:
+            nonlocal first
+            after = int(np.searchsorted(stretch.starts, place))
+            self._add_messages(stretch, slice(first, after), byte, is_checked)
+            first = after
+
         for place, opcode, end in stretch.others:
             body = stretch.data[place + RECORD.size : end]
             try:
-                if self._is_channel_news(opcode, body):
-                    after = int(np.searchsorted(stretch.starts, place))
-                    self._add_messages(stretch, slice(first, after), byte, is_checked)
-                    first = after
-                self._take_record(opcode, body)
+                if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                    self._take_description(opcode, body, partial(add_before, place))
+                else:
+                    self._take_record(opcode, body)
             except LogError as err:
                 faults.append(str(err))
             if len(faults) == _MOST_FAULTS:
@@ -80,18 +89,24 @@ class Rewriter:
             self._file.add_metadata(name, entries)
         self._file.finish()
 
-    def _is_channel_news(self, opcode: int, body: bytes) -> bool:
-        """Return whether a channel that has a meaning gets another."""
-        if opcode != Opcode.CHANNEL or self._last.get((opcode, body[:2])) == body:
-            return False
-        is_news = self.numbering.is_news(parse_record(Channel, body))
-        self._allowance.spend(CHANGES, int(is_news))
-        return is_news
+    def _take_description(self, opcode: int, body: bytes, flush: Callable[[], None]) -> None:
+        """Take a schema or channel; where its id has another meaning, `flush` what came before."""
+        known, digest = self._last[opcode], blake2b(body, digest_size=16).digest()
+        if known.get(body[:2]) == digest:
+            return
+        if opcode == Opcode.SCHEMA:
+            self.numbering.add_schema(parse_record(Schema, body))
+            self._last[Opcode.CHANNEL].clear()  # they may mean something else now
+        else:
+            channel = parse_record(Channel, body)
+            if self.numbering.is_news(channel):
+                self._allowance.spend(CHANGES)
+                flush()
+            self.numbering.add_channel(channel)
+        known[body[:2]] = digest
 
     def _take_record(self, opcode: int, body: bytes) -> None:
-        if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
-            self._take_description(opcode, body)
-        elif opcode == Opcode.HEADER:
+        if opcode == Opcode.HEADER:
             self._begin(parse_record(Header, body))
         elif opcode == Opcode.METADATA:
             self._allowance.spend(NOTES)
@@ -104,16 +119,6 @@ class Rewriter:
             self._begin()
             self._file.add_attachment_record(attachment)
 
-    def _take_description(self, opcode: int, body: bytes) -> None:
-        """Take a schema or channel, unless its id means this already."""
-        if self._last.get((opcode, body[:2])) == body:
-            return
-        if opcode == Opcode.SCHEMA:
-            self.numbering.add_schema(parse_record(Schema, body))
-        else:
-            self.numbering.add_channel(parse_record(Channel, body))
-        self._last[opcode, body[:2]] = body
-
     def _begin(self, header: Header | None = None) -> None:
         """Write the header before anything else; where it is lost, one of our own."""
         if not self._is_begun:
@@ -124,8 +129,10 @@ class Rewriter:
     def _add_messages(self, stretch: Stretch, rows: slice, byte: int, is_checked: bool) -> None:  # noqa: FBT001
         for starts, heads in stretch.iterate_rows(rows):
             ends = starts + heads["length"].astype(np.int64) + RECORD.size
-            is_known = self._note_unknown(heads["channel"], byte)
-            starts, ends, heads = starts[is_known], ends[is_known], heads[is_known]
+            unknown = self._note_unknown(heads["channel"], byte)
+            if unknown:
+                is_known = ~np.isin(heads["channel"], unknown)
+                starts, ends, heads = starts[is_known], ends[is_known], heads[is_known]
             if not len(starts):
                 continue
             places = np.cumsum(ends - starts) - (ends - starts)
@@ -134,16 +141,16 @@ class Rewriter:
             self._file.add_chunk(pack_chunk(chunk))
             self._count(chunk, is_checked=is_checked)
 
-    def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> NDArray[np.bool_]:
-        """Count messages that nobody describes; return which are described."""
-        is_known = np.ones(2**16, np.bool_)
-        counts = np.bincount(numbers)
-        for number in np.flatnonzero(counts).tolist():
-            if number not in self.numbering.channels:
-                is_known[number] = False
-                self.unknown[number] += int(counts[number])
+    def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> list[int]:
+        """Count messages of channels that nobody describes; return these."""
+        present, counts = np.unique(numbers, return_counts=True)
+        known, unknown = self.numbering.channels, []
+        for number, count in zip(present.tolist(), counts.tolist(), strict=True):
+            if number not in known:
+                unknown.append(number)
+                self.unknown[number] += count
                 self.first_unknown.setdefault(number, byte)
-        return is_known[numbers]
+        return unknown
 
     def _build_chunk(
         self, records: bytearray | memoryview, places: Numbers, heads: NDArray[Any]
@@ -153,14 +160,16 @@ class Rewriter:
         present, firsts = np.unique(numbers[order], return_index=True)
         self._allowance.spend(CHUNK_CHANNELS, len(present))
         entries = np.column_stack([times, places.astype(np.uint64)])[order]
-        index, pairs, renamed = {}, {}, np.arange(2**16)
-        for there, of in zip(present.tolist(), np.split(entries, firsts[1:]), strict=True):
+        index, pairs, renamed = {}, {}, present.astype(np.int64)
+        for row, (there, of) in enumerate(
+            zip(present.tolist(), np.split(entries, firsts[1:]), strict=True)
+        ):
             schema, channel = self.numbering.channels[there]
             index[channel.id], pairs[channel.id] = of, (schema, channel)
-            renamed[there] = channel.id
-        if (renamed[present] != present).any():
+            renamed[row] = channel.id
+        if (renamed != present).any():
             records = bytearray(records)
-            _rename(records, places, renamed[numbers])
+            _rename(records, places, renamed[np.searchsorted(present, numbers)])
         return ChunkRows(
             channels=list(pairs.values()),
             records=records,
