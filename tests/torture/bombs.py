@@ -4,7 +4,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterable
 from itertools import chain, repeat
-from typing import Final
+from typing import Any, Final
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
@@ -57,10 +57,11 @@ def pose_messages(number: int, count: int) -> bytes:
 
 def chunk(parts: Iterable[bytes], compression: str = "zstd", *, checked: bool = True) -> bytes:
     """Return a chunk of parts, compressed one by one: nobody holds all of it."""
-    packer = zstandard.ZstdCompressor(level=1).compressobj()
+    packer: Any = zstandard.ZstdCompressor(level=1).compressobj()
+    packed = []
     if compression == "lz4":
         packer = lz4.frame.LZ4FrameCompressor(block_size=lz4.frame.BLOCKSIZE_MAX4MB)
-    packed = [packer.begin()] if compression == "lz4" else []
+        packed = [packer.begin()]
     crc, size = 0, 0
     for part in parts:
         packed.append(packer.compress(part))
@@ -174,7 +175,7 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
         chunk([describe("/a", definition="int8[999999999] a\n"), pose_messages(1, 1)])
     ),
     "60,000 schemas": lambda: whole(chunk([_schemas(60_000, 20), message(1)])),
-    "2,000 schemas of 9,000 fields": lambda: whole(
+    "500 schemas of 9,000 fields": lambda: whole(
         chunk([_schemas(500, 9000), message(1)]) + chunk([message(1)])
     ),
     "channels": lambda: whole(chunk([_channels(65_535, loud=True)])),
@@ -214,6 +215,8 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
         "string[] e\n", b"\0\1\0\0" + struct.pack("<I", 10 * MIB) + bytes(40 * MIB)
     ),
     "scenario": lambda: whole(
-        _some() + attachment("scenario.toml", b"".join(b"a%d=1\n" % n for n in range(800_000)))
+        _some()
+        + metadata("turtlelog", text("format_version") + text("1"))
+        + attachment("scenario.toml", b"".join(b"a%d=1\n" % n for n in range(800_000)))
     ),
 }

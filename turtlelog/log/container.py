@@ -218,7 +218,8 @@ class McapFile:
         yield _join_records([channel for _, channel in sorted(summary.channels.items())])
         yield _join_records([_count_records(summary)])
         yield b"".join(summary.chunks)
-        yield from map(_join_records, (summary.attachments, summary.metadata))
+        yield _join_records(summary.attachments)
+        yield _join_records(summary.metadata)
 
     def _write(self, data: bytes) -> None:
         rest = memoryview(data)

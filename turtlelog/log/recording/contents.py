@@ -26,7 +26,9 @@ from turtlelog.log.recording.recovery_note import describe_recovery
 from turtlelog.log.recording.schemas import SCHEMAS
 from turtlelog.log.recording.topics import TOPICS, Topic
 
-_OWN: Final = Selection(topics=frozenset(topic.name for topic in TOPICS), is_lenient=True)
+_OWN: Final = Selection(
+    topics=frozenset(topic.name for topic in TOPICS), is_lenient=True, is_flat=True
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

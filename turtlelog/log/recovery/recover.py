@@ -101,7 +101,8 @@ class _Copied:
     def lose(self, loss: Loss) -> None:
         """Note a loss; what follows on one of the same reason is part of it."""
         last = self.lost[-1] if self.lost else None
-        if last is not None and (last.reason, last.end) == (loss.reason, loss.start):
+        is_place = loss.start == loss.end
+        if last and last.reason == loss.reason and (is_place or last.end == loss.start):
             self.lost[-1] = replace(last, end=loss.end)
         else:
             self.lost.append(loss)
