@@ -7,7 +7,7 @@ from typing import BinaryIO, Final
 from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.unpack import LARGEST_CHUNK
+from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance
 
 RECORD: Final = struct.Struct("<BQ")
 """Opcode, length of the body."""
@@ -37,6 +37,7 @@ _PRIVATE: Final = 0x80  # first opcode that anybody may use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
 _BEFORE_INDEX: Final = frozenset({0, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _WINDOW: Final = 2**20  # bytes read at once
+_HELD: Final = 2**24  # bytes of a file that is read only once, wherever its records point
 
 # Bytes of fixed size at the front of a body, and how many fields with a length of their own follow.
 _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
@@ -55,18 +56,28 @@ _EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 
 
 class FileWindow:
-    """A file read by place; small reads are served from one window of it."""
+    """A file read by place; small reads are served from one window of it, or all of it.
+
+    Attributes:
+        size: Of the file [bytes].
+        allowance: What its chunks may unpack to.
+    """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._start, self._data = 0, b""
         self.size = stream.seek(0, 2)
         self._spare = self.size
+        self.allowance = Allowance(self.size)
+        self._is_held = self.size <= _HELD
+        if self._is_held:
+            stream.seek(0)
+            self._data = stream.read(self.size)
 
     def read(self, start: int, count: int) -> bytes:
         """Return `count` bytes from `start`, fewer at the end of the file."""
         at = start - self._start
-        if at >= 0 and at + count <= len(self._data):
+        if self._is_held or (at >= 0 and at + count <= len(self._data)):
             return self._data[at : at + count]
         self._stream.seek(start)
         if count > _WINDOW:

@@ -19,7 +19,8 @@ from turtlelog.log.engine.framing import (
     measure_record,
 )
 
-_STEP: Final = 2**19  # bytes looked through at a time
+_FIRST_STEP: Final = 2**12  # bytes looked through at a time, while the next record may be near
+_STEP: Final = 2**19
 _FOOTER_SIZE: Final = 29
 _INDEX_HEAD: Final = 6  # bytes of a message index before its pairs: channel, their length
 _PAIR: Final = 16  # bytes: log time, offset
@@ -49,8 +50,10 @@ def _iterate_candidates(
     window: FileWindow, place: int, is_wanted: NDArray[np.bool_]
 ) -> Iterator[int]:
     """Yield where an opcode and a length of less than 2 to the 40 may stand."""
-    for start in range(place, window.size, _STEP):
-        block = np.frombuffer(window.read(start, _STEP + RECORD.size - 1), dtype=np.uint8)
+    start, after, step = place, place, _FIRST_STEP
+    while after < window.size:
+        start, after, step = after, after + step, min(2 * step, _STEP)
+        block = np.frombuffer(window.read(start, after - start + RECORD.size - 1), dtype=np.uint8)
         count = len(block) - RECORD.size + 1
         if count <= 0:
             return

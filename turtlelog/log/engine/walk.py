@@ -24,12 +24,14 @@ from turtlelog.log.engine.framing import (
     is_record_start,
     measure_record,
 )
+from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
 from turtlelog.log.engine.resync import find_next_record
-from turtlelog.log.engine.unpack import LARGEST_CHUNK, unpack_chunk
+from turtlelog.log.engine.unpack import unpack_chunk
 
 _CHUNK: Final = struct.Struct("<BQQQQII")  # ... start, end, size unpacked, crc, length of the name
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression
+_RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
 _LONE: Final = frozenset(
     {
         Opcode.HEADER,
@@ -128,7 +130,12 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Damage]:
         start = place
         try:
             found, place = _read_record(window, place, kind)
+            window.allowance.spend(DAMAGES, sum(isinstance(one, Damage) for one in found))
         except LogError as err:
+            if not window.allowance.count_left(DAMAGES):
+                yield Damage(start=start, end=window.size, reason=str(err))
+                return
+            window.allowance.spend(DAMAGES)
             place = find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
             end = window.size if place is None else place
             yield Damage(start=start, end=end, reason=str(err))
@@ -174,7 +181,7 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     """Return the records of one kind that follow each other from `place`, up to a batch."""
     _, end = find_record_end(window, place)
     parts = [window.read(place, end - place)]
-    while opcode == Opcode.MESSAGE and end - place < _BATCH:
+    while opcode in _RUNS and end - place < _BATCH:
         start = end
         try:
             found, end = find_record_end(window, start)
@@ -235,7 +242,7 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage],
     for end in filter(lambda end: end in after or (checksum and window.spend(end - start)), ends):
         try:
             packed = window.read(start, end - start)
-            data = unpack_chunk(rest[:-8].decode("utf-8", "replace"), packed, size)
+            data = _unpack(window.allowance, rest[:-8].decode("utf-8", "replace"), packed, size)
             _check_chunk(data, size, checksum, agree=agree and end == by_data)
         except LogError as err:
             reason = str(err)
@@ -254,6 +261,19 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage],
         raise LogError(reason)
     end = by_record if agree else after[0]
     return [Damage(start=place, end=end, reason=reason)], end
+
+
+def _unpack(allowance: Allowance, compression: str, packed: bytes, size: int) -> bytes:
+    largest = allowance.largest_chunk
+    if compression and size > largest:
+        raise LogError(f"expected a chunk of up to {largest} bytes, found {size}")
+    if compression and not allowance.count_left(UNPACKED):
+        allowance.spend(UNPACKED)
+
+    def spend(count: int) -> None:
+        allowance.spend(UNPACKED, count)
+
+    return unpack_chunk(compression, packed, size, largest=largest, spend=spend)
 
 
 def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:

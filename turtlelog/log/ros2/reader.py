@@ -10,7 +10,7 @@ import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
-from turtlelog.log.engine.columns import TopicColumns, read_columns
+from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
 from turtlelog.log.recording.topics import CONTROL, GOAL
 from turtlelog.log.ros2.bag_folder import list_bag_files
@@ -76,7 +76,7 @@ def read_bag(
         commands = choose_command_topic(distinct, command_topic, pose_topic=poses.topic)
     names = {choice.topic for choice in (poses, commands) if choice}
     found = [
-        read_columns(file, topics=names & {topic.topic for topic in topics[file] if topic.count})
+        read_flat_columns(file, names & {topic.topic for topic in topics[file] if topic.count})
         for file in files
     ]
     with name_file(path, expected="a bag"):
