@@ -7,6 +7,7 @@ may go on, and it is given wherever the three-valued definitions, word by word, 
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -28,6 +29,7 @@ from turtlelog.expressions import (
     format_expression,
     parse_expression,
 )
+from turtlelog.log import TopicChoice
 
 Truth = bool | None
 Trace = dict[str, Column]
@@ -228,10 +230,20 @@ def test_a_recording_that_lost_something_decides_nothing_about_it(note: str) -> 
     found = tl.check_run(lossy, parse_expression(STRONG))
     assert (found.holds, found.is_covered) == (None, False)
     assert found.reason.endswith("does, and part of it is lost")
-    whole = dataclasses.replace(
-        simulate(), notes={note: "no data is lost, only the summary is damaged"}
-    )
-    assert check(whole, STRONG) is True
+
+
+def test_a_recording_of_which_the_summary_alone_is_lost_is_whole(tmp_path: Path) -> None:
+    tl.write_recording(simulate(), tmp_path / "whole.mcap")
+    cut, recovered = tmp_path / "cut.mcap", tmp_path / "recovered.mcap"
+    cut.write_bytes((tmp_path / "whole.mcap").read_bytes()[:-2000])
+    tl.recover_recording(cut, recovered)
+    runs = [TopicChoice(allow_partial=True).read(path) for path in (cut, recovered)]
+    assert [*map(set, (run.notes for run in runs))] == [{"partial"}, {"recovered"}]
+    for run in runs:
+        assert find_ending(run) is Ending.SETTLED
+        assert check(run, STRONG) is True
+        notes = {name: f"{text}; 3 samples are dropped" for name, text in run.notes.items()}
+        assert find_ending(dataclasses.replace(run, notes=notes)) is Ending.LOST
 
 
 def test_a_bag_of_another_recorder_is_judged_on_what_it_holds() -> None:

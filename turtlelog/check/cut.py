@@ -14,8 +14,12 @@ Columns = TypeVar("Columns", PoseColumns, CommandColumns, SampleColumns)
 _LOSSES: Final = ("partial", "recovered")
 """Notes that say what a recording has lost."""
 
-_NO_LOSS: Final = "no data is lost"
-"""How the note of a file begins of which only the summary is damaged."""
+_NO_LOSS: Final = (
+    "no data is lost, only the summary is damaged",
+    "from a damaged or unfinished file: no message is lost",
+)
+"""How the notes begin of files of which nothing is lost but the summary; what follows a semicolon
+is another loss."""
 
 
 class Ending(enum.Enum):
@@ -33,7 +37,8 @@ class Ending(enum.Enum):
 
 def find_ending(run: Run) -> Ending:
     """Return what is known of the time after a run's last row."""
-    if any(not run.notes[name].startswith(_NO_LOSS) for name in _LOSSES if name in run.notes):
+    notes = [run.notes[name] for name in _LOSSES if name in run.notes]
+    if not all(note.startswith(_NO_LOSS) and ";" not in note for note in notes):
         return Ending.LOST
     if run.is_complete:
         return Ending.SETTLED
