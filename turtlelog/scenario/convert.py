@@ -23,7 +23,7 @@ _PLACE = re.compile(r" - at `\$\.(.*)`$")
 
 
 def build_scenario(
-    tables: Mapping[str, Any], *, source: str = "scenario", trust_law: bool = True
+    tables: Mapping[str, Any], *, source: str = "scenario", trust_law: bool = False
 ) -> Scenario:
     """Return the scenario that nested tables describe; a key left out takes the textbook's value.
 
@@ -32,7 +32,8 @@ def build_scenario(
     Args:
         tables: As in a scenario file.
         source: Begins error lines.
-        trust_law: Whether a law that is not built in may run: the user named it.
+        trust_law: Whether a law that is not built in may run: where the user named it. Tables of
+            a recording name nothing.
 
     Raises:
         ScenarioError: `source: key: expected ..., found ...`, for the first key that is wrong.
