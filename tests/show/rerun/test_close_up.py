@@ -120,6 +120,18 @@ def test_many_ends_together_are_told_by_least_and_greatest(
     assert tell_misses([*map(miss_by, misses_m), miss_by(-0.5)]) == [*texts, "500 mm"]
 
 
+@pytest.mark.parametrize("reach", [1.0, 1.6])
+def test_words_stay_in_the_picture(reach: float) -> None:
+    close_up = find_close_up([miss_by(0.199), miss_by(0.1)])
+    assert close_up is not None
+    lettering = replace(LETTERING, reach=reach)
+    for label in list_miss_labels(close_up, lettering):
+        edge_m = abs(label.xy_m[0]) + len(label.text) * lettering.letter / 2.0 * close_up.half_m
+        assert edge_m <= reach * close_up.half_m * (1.0 + 1e-12)
+    (label,) = list_miss_labels(close_up, lettering)[1:]
+    assert (label.xy_m[0] < 0.25) == (reach == 1.0)
+
+
 def test_words_of_a_dozen_ends_do_not_cover_each_other() -> None:
     turns_rad = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     close_up = find_close_up(

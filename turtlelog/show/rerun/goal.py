@@ -19,7 +19,7 @@ from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.run_colors import Color
 
-_LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1)
+_LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
 """As measured in a window of 1200 x 860 pixels, where 125 pixels are half of the close-up."""
 
 _ABOVE: Final = 0.12
