@@ -6,8 +6,9 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog import show
 from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
@@ -26,8 +27,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 ) -> None:
     """Make the paper's figures from any recordings, as PDF, PNG and SVG, and tables as LaTeX.
 
-    Without recordings: the figures of the ideal loop. Figures and tables that are there already
-    are replaced.
+    Only what the recordings hold is drawn; what is left out, and why, is said on stderr. Without
+    recordings: the figures of the ideal loop. Figures and tables that are there already are
+    replaced.
 
     Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane --format pdf
 
@@ -63,8 +65,11 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
                 write, runs, only=names, formats=kinds, page=page, on_written=count
             )
             tables = add_tables(write, runs) if runs and only is None else []
+    left_out = show.list_left_out(runs, names) if runs else ()
+    for line in left_out:
+        print_note(f"plot: {line}")
     if json:
-        print_json(_describe(files or [], figures, tables))
+        print_json({**_describe(files or [], figures, tables), "left_out": list(left_out)})
     else:
         print_text("\n".join(f"wrote {path}" for path in [*figures, *tables]))
 

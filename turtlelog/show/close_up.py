@@ -33,9 +33,6 @@ _MOST_LISTED: Final = 3
 _MOST_TOLD: Final = 12
 """Of more ends only the furthest has words; all those words would hide the dots."""
 
-_WIDE: Final = 1.6
-"""Words end within so many half-widths of the goal: the view is wider than it is high."""
-
 _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 """How far up words may stand from their dot, in lines, best first."""
 
@@ -80,8 +77,12 @@ class CloseUp:
 
     def describe(self) -> str:
         """Return its half-width, and how many runs it does not show, for a title."""
-        half, count = f"±{format_length(self.half_m)}", self.outside + len(self.ends)
-        return f"{half}, {self.outside} of {count} runs outside" if self.outside else half
+        return f"±{format_length(self.half_m)}{self.count_outside()}"
+
+    def count_outside(self) -> str:
+        """Return how many runs it does not show, to end a title with; empty where it shows all."""
+        count = self.outside + len(self.ends)
+        return f", {self.outside} of {count} runs outside" if self.outside else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,11 +93,13 @@ class Lettering:
         letter: Width of a letter.
         line: Height of a line.
         gap: Between a dot and its words.
+        reach: From the goal to the left and right border of the picture, which may be wide.
     """
 
     letter: float
     line: float
     gap: float
+    reach: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,7 +245,7 @@ def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) ->
     xs_m, ys_m = zip(*(end.xy_m for end in ends), strict=True)
     half_width_m = lettering.letter * len(text) / 2.0 * close_up.half_m
     aside_m = lettering.gap * close_up.half_m + half_width_m
-    goal_x_m, reach_m = close_up.goal_xy_m[0], _WIDE * close_up.half_m - half_width_m
+    goal_x_m, reach_m = close_up.goal_xy_m[0], lettering.reach * close_up.half_m - half_width_m
     is_right = sum(xs_m) / len(xs_m) >= goal_x_m
     x_m = max(xs_m) + aside_m if is_right else min(xs_m) - aside_m
     x_m = min(max(x_m, goal_x_m - reach_m), goal_x_m + reach_m)

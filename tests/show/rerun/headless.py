@@ -61,7 +61,11 @@ class Headless:
             self.client.take_screenshot(max_size=16)  # it moves when the viewer paints
 
     def picture_view(self, name: str, timeline: str) -> NDArray[np.float64]:
-        """Return a view with the cursor at the end of a timeline, shape (rows, columns, 3)."""
+        """Return a view of what is loaded, the cursor at the end, shape (rows, columns, 3)."""
+        deadline = time.monotonic() + PATIENCE_S
+        while self.client.get_state().loading:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
         (line,) = [
             line
             for recording in self.client.get_state().recordings
@@ -75,7 +79,6 @@ class Headless:
             self.client.set_time(timeline, duration=end / 1e9, play_state="paused")
         (view,) = [view for view in self.client.get_state().views if view.name == name]
         before, picture = b"", self.client.take_screenshot(view.view_id)
-        deadline = time.monotonic() + PATIENCE_S
         while picture != before:
             assert time.monotonic() < deadline
             time.sleep(0.1)

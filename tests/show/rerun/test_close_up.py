@@ -120,6 +120,18 @@ def test_many_ends_together_are_told_by_least_and_greatest(
     assert tell_misses([*map(miss_by, misses_m), miss_by(-0.5)]) == [*texts, "500 mm"]
 
 
+@pytest.mark.parametrize("reach", [1.0, 1.6])
+def test_words_stay_in_the_picture(reach: float) -> None:
+    close_up = find_close_up([miss_by(0.199), miss_by(0.1)])
+    assert close_up is not None
+    lettering = replace(LETTERING, reach=reach)
+    for label in list_miss_labels(close_up, lettering):
+        edge_m = abs(label.xy_m[0]) + len(label.text) * lettering.letter / 2.0 * close_up.half_m
+        assert edge_m <= reach * close_up.half_m * (1.0 + 1e-12)
+    (label,) = list_miss_labels(close_up, lettering)[1:]
+    assert (label.xy_m[0] < 0.25) == (reach == 1.0)
+
+
 def test_words_of_a_dozen_ends_do_not_cover_each_other() -> None:
     turns_rad = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     close_up = find_close_up(
@@ -184,6 +196,19 @@ def test_rings_have_the_radius_that_they_name(run_rrd: Path, radius_m: float) ->
     rings = read_static(run_rrd, "/plane/close_up/rings", "LineStrips2D:strips")
     points_m = np.array(rings[round(radius_m / 0.05) - 1])
     np.testing.assert_allclose(np.hypot(*(points_m - [2.0, 10.0]).T), radius_m, rtol=1e-4)
+
+
+def test_words_are_further_from_their_dots_where_bars_leave_less_room(
+    explanation_rrd: Path, comparison_rrd: Path
+) -> None:
+    """A dot at 107 mm, in both close-ups of 150 mm to each side: its words stand to the right."""
+    place = simulate_preset("paper-kp10").poses.xy_m[-1]
+    aside_m = []
+    for rrd in (comparison_rrd, explanation_rrd):
+        texts = read_static(rrd, "/plane/close_up/misses", "Points2D:labels")
+        places = read_static(rrd, "/plane/close_up/misses", "Points2D:positions")
+        aside_m.append(places[texts.index("107 mm")][0] - place[0])
+    assert aside_m[1] > 1.2 * aside_m[0] > 0.0
 
 
 def test_only_the_close_up_has_rings_and_ends(comparison_rrd: Path) -> None:

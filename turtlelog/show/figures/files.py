@@ -20,7 +20,7 @@ from turtlelog.compare import (
 from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import ESSENTIAL_METRICS
 from turtlelog.run import Run
-from turtlelog.show.figures.catalogue import FIGURES, FigureKind
+from turtlelog.show.figures.catalogue import FIGURES, FigureKind, has_table1
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import LOOKS, Page
 from turtlelog.show.files import replace_together
@@ -54,9 +54,9 @@ def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None
     if name in _WIDE:
         page = Page(text_width_mm=page.text_width_mm, columns=2)
     with mpl.rc_context(dict(LOOKS)):
-        size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.height)
+        size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
         figure = Figure(figsize=size, layout="constrained")
-        kind.draw(figure, order_by_gain(runs))
+        kind.draw_on(figure, order_by_gain(runs))
         add_legend(figure)
     return figure
 
@@ -141,6 +141,8 @@ def _find_kind(name: str, runs: Sequence[Run]) -> FigureKind:
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
     """Write Table 1, the whole runs and the first metrics as LaTeX with booktabs; return the files.
 
+    Table 1 is left out where no run has a value for it.
+
     Raises:
         ShowError: Where the folder cannot be written; nothing is written then.
     """
@@ -162,6 +164,8 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
         "whole-runs": tabulate_whole_runs(runs),
         "metrics": metrics,
     }
+    if not has_table1(runs):
+        del tables["table1"]
     return [
         write(f"{name}.tex", format_latex(table, label=f"tab:{name}").encode())
         for name, table in tables.items()

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
+from turtlelog.show.commanded import read_commanded
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.series import Series
 from turtlelog.show.run_colors import Color
@@ -23,8 +24,9 @@ def list_commands(run: Run, plot: str) -> Iterator[Series]:
     wanted = read_signal(run, f"wanted_{plot}")
     if wanted is not None:
         yield _build(plot, entities.WANTED, wanted.time_ns, wanted.values, palette.WANTED)
-    time_ns, commanded = _read_commanded(run, plot)
-    yield _build(plot, entities.COMMANDED, time_ns, commanded, palette.MAIN)
+    commanded = read_commanded(run, "speed" if plot == entities.SPEED else "turn_rate")
+    if commanded is not None:
+        yield _build(plot, entities.COMMANDED, *commanded, palette.MAIN)
     if applied is not None:
         yield _build(plot, entities.APPLIED, poses.time_ns, applied, palette.SECOND)
 
@@ -34,11 +36,6 @@ def find_limits(runs: Sequence[Run], key: str) -> set[float]:
     limits = {run.parameters.get(key) for run in runs}
     sizes = {float(limit) for limit in limits if isinstance(limit, int | float)}
     return {sign * size for size in sizes if np.isfinite(size) for sign in (-1.0, 1.0)}
-
-
-def _read_commanded(run: Run, plot: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    table = run.samples if len(run.samples) else run.commands
-    return table.time_ns, table.speed_m_s if plot == entities.SPEED else table.turn_rate_rad_s
 
 
 def _build(

@@ -19,11 +19,14 @@ from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.run_colors import Color
 
-_LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1)
+_LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
 """As measured in a window of 1200 x 860 pixels, where 125 pixels are half of the close-up."""
 
-_ABOVE: Final = 0.12
-"""The viewer writes words below their point: so far, likewise."""
+_BESIDE_SHARES: Final = Lettering(letter=0.09, line=0.3, gap=0.15, reach=2.1)
+"""Likewise where bars of shares stand below it: there are but 85 pixels."""
+
+_ABOVE: Final = 0.6
+"""The viewer writes words below their point: so far, in lines."""
 
 _END_RADIUS: Final = 4.0  # [points]
 _RING_RADIUS: Final = 0.5
@@ -37,6 +40,8 @@ def draw_close_up(
     run: Run,
     prefixes: Sequence[str],
     colors: Sequence[Color],
+    *,
+    is_small: bool = False,
 ) -> None:
     """Draw where each run ends, in its colour, and how far from the goal that is.
 
@@ -46,6 +51,7 @@ def draw_close_up(
         run: One of them; from where it starts, they come.
         prefixes: Entity prefix of each run.
         colors: Colour of each run.
+        is_small: Whether the view is lower than usual, since bars stand below it.
     """
     for end in close_up.ends:
         dot = rr.Points2D(
@@ -56,16 +62,18 @@ def draw_close_up(
             show_labels=False,
         )
         stream.log(join_path(prefixes[end.run], entities.END), dot, static=True)
-    misses = list_miss_labels(close_up, _LETTERING)
-    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, _LETTERING)
+    lettering = _BESIDE_SHARES if is_small else _LETTERING
+    misses = list_miss_labels(close_up, lettering)
+    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
+    up_m = _ABOVE * lettering.line * close_up.half_m
     _write(
         stream,
         entities.MISSES,
-        close_up,
+        up_m,
         misses,
         [_choose_color(label, colors) for label in misses],
     )
-    _write(stream, entities.RING_NAMES, close_up, rings, [palette.REFERENCE] * len(rings))
+    _write(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
     turns_rad = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS)
     circle = np.column_stack([np.cos(turns_rad), np.sin(turns_rad)])
     strips = rr.LineStrips2D(
@@ -84,11 +92,10 @@ def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
 def _write(
     stream: rr.RecordingStream,
     entity: str,
-    close_up: CloseUp,
+    up_m: float,
     labels: Sequence[Label],
     colors: Sequence[Color],
 ) -> None:
-    up_m = _ABOVE * close_up.half_m
     words = rr.Points2D(
         [(label.xy_m[0], label.xy_m[1] + up_m) for label in labels],
         radii=rr.Radius.ui_points(0.0),

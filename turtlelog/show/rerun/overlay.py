@@ -100,5 +100,12 @@ def draw_overlay(
             drawing.draw_series(run_stream, curves)
         streams.append(run_stream)
     if content.goal is not None:
-        draw_close_up(stream, content.goal, overlay.runs[0], overlay.prefixes, overlay.colors)
+        draw_close_up(
+            stream,
+            content.goal,
+            overlay.runs[0],
+            overlay.prefixes,
+            overlay.colors,
+            is_small=content.shares_title is not None,
+        )
     return streams
