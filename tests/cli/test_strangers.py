@@ -94,7 +94,7 @@ def test_info_says_what_is_wrong_with_a_log(call: Call, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [60, 400, 3000, 20000, 60000, 90000])
-def test_info_advises_recover_where_it_recovers(
+def test_recover_is_advised_where_it_recovers(
     call: Call, kp10: Path, tmp_path: Path, size: int
 ) -> None:
     cut = tmp_path / "cut.mcap"
@@ -102,6 +102,9 @@ def test_info_advises_recover_where_it_recovers(
     assert size < len(data)
     cut.write_bytes(data[:size])
     is_advised = "turtlelog recover FILE -o OUT makes it so" in call("info", cut).out
+    refused = call("metrics", cut)
+    assert refused.code == 2
+    assert ("turtlelog recover FILE -o OUT rewrites" in refused.err) == is_advised
     answer = call("recover", cut, "-o", tmp_path / "whole.mcap")
     assert is_advised == (answer.code == 0)
     if not is_advised:
