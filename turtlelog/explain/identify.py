@@ -56,10 +56,9 @@ def _identify_samples(run: Run) -> Identification:
         for phase, found in dead_times.items()
     }
     findings |= identify_start(trace, findings["dead_time.rotate"].value or 0)
-    law = run.parameters.get("law.kind", _LAW)
-    if law != _LAW:
-        reason = f"the recording names the law {law}; only {_LAW} is identified"
-        return give_up(run.name, disclaim_law(findings, reason), reason)
+    other_law = _find_other_law(run)
+    if other_law:
+        return give_up(run.name, disclaim_law(findings, other_law), other_law)
     findings |= identify_rotation(trace)
     findings |= identify_translation(trace)
     contradiction = _contradict_law(trace, findings)
@@ -115,12 +114,17 @@ def _describe_dead_time(found: DeadTime | Missing) -> Finding:
     )
 
 
+def _find_other_law(run: Run) -> str | None:
+    kind = run.parameters.get("law.kind", _LAW)
+    if kind == _LAW:
+        return None
+    return f"its law is {kind}: only of {_LAW} the commands tell the parameters"
+
+
 def _contradict_law(trace: Trace, findings: Mapping[str, Finding]) -> str | None:
     """Return why the samples are not those of the sequential law."""
     if trace.rotating + trace.translating < len(trace):
         return _list_phases(trace)
-    if trace.speed_m_s[: trace.rotating].any() or trace.turn_rate_rad_s[trace.rotating :].any():
-        return "it drives while rotating, or turns while translating"
     for key, dead_time in _LOOPS.items():
         if "not proportional" in findings[key].evidence:
             return f"{key}: {findings[key].evidence}"
@@ -132,6 +136,8 @@ def _contradict_law(trace: Trace, findings: Mapping[str, Finding]) -> str | None
         )
         if poses_are_clean and findings[key].certainty is Certainty.FITTED:
             return f"{key}: the poses hold no noise, and no gain reproduces the commands"
+    if trace.speed_m_s[: trace.rotating].any() or trace.turn_rate_rad_s[trace.rotating :].any():
+        return "it drives while rotating, or turns while translating"
     return None
 
 
