@@ -13,10 +13,12 @@ from turtlelog.explain.identification import LAW_KEYS
 from turtlelog.log import import_log, read_run
 from turtlelog.run import Phase, Run, SampleColumns
 from turtlelog.scenario import (
+    Scenario,
     build_scenario,
     flatten_scenario,
     get_preset,
     nest_parameters,
+    override_scenario,
     restore_scenario,
 )
 from turtlelog.simulate import simulate_run
@@ -168,7 +170,7 @@ def claims(found: Identification) -> list[str]:
 
 def test_nothing_is_said_of_another_law_that_the_recording_names() -> None:
     law = "examples/turn_and_drive.py:TurnAndDrive"
-    found = identify_run(simulate_run(build_scenario(nest_parameters({"law.kind": law}))))
+    found = identify_run(simulate_run(override_scenario(Scenario(), {"law.kind": law})))
     assert found.notes == (f"the recording names the law {law}; only sequential-p is identified",)
     assert (found.scenario, found.resimulation, claims(found)) == (None, None, [])
     assert found.findings["loop.start_backlog"].certainty is Certainty.UNKNOWN
@@ -179,7 +181,7 @@ def test_nothing_is_said_of_another_law_that_the_recording_names() -> None:
 
 def test_a_law_that_turns_while_it_translates_is_another() -> None:
     law = "examples/turn_and_drive.py:TurnAndDrive"
-    run = forget(simulate_run(build_scenario(nest_parameters({"law.kind": law}))))
+    run = forget(simulate_run(override_scenario(Scenario(), {"law.kind": law})))
     found = identify_run(run)
     assert found.notes == ("it drives while rotating, or turns while translating",)
     assert (found.scenario, claims(found)) == (None, [])
@@ -204,7 +206,7 @@ def test_a_law_that_turns_while_it_translates_is_another() -> None:
 def test_nothing_is_said_of_a_pid(ki: float, kd: float, note: str) -> None:
     law = "tests/explain/other_laws.py:SequentialPid"
     values: dict[str, Any] = {"law.kind": law, "law.ki": ki, "law.kd": kd}
-    run = simulate_run(build_scenario(nest_parameters(values)))
+    run = simulate_run(override_scenario(Scenario(), values))
     for found, expected in (
         (identify_run(forget(run)), note),
         (identify_run(run), f"the recording names the law {law}"),
