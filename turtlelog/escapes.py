@@ -45,7 +45,7 @@ def escape_markdown(text: str, *, starts_line: bool = False) -> str:
         text: Of anybody.
         starts_line: Whether it stands where a heading, a list or a quotation could begin.
     """
-    inline = _INLINE.sub(r"\\\g<0>", escape_controls(text).strip())
+    inline = _INLINE.sub(r"\\\g<0>", escape_controls(" ".join(text.split())))
     return _BLOCK.sub(r"\1\\", inline) if starts_line else inline
 
 
