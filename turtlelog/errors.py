@@ -6,11 +6,17 @@ A message is one line: the place, what was expected, what was found.
 from collections.abc import Iterable
 from typing import Final
 
+from turtlelog.escapes import escape_controls
+
 _LISTED: Final = 14
 
 
 class TurtlelogError(Exception):
     """Root of every error that turtlelog raises on purpose."""
+
+    def __str__(self) -> str:
+        """Return the message; names of files and topics in it cannot break or steer a line."""
+        return escape_controls(super().__str__())
 
 
 def describe_error(err: BaseException) -> str:

@@ -86,7 +86,7 @@ def test_junit_holds_any_name_and_reason(call: Call, kp4: Path, tmp_path: Path) 
     assert call("check", spec, run, "--junit", target).code == 1
     case = Xml.parse(target).getroot().find("testsuite/testcase")
     assert case is not None
-    assert (case.get("name"), case.get("classname")) == ('a <b> & "c" ü ?', str(run))
+    assert (case.get("name"), case.get("classname")) == ('a <b> & "c" ü \\x01', str(run))
 
 
 def test_artifacts_are_written_of_what_fails(

@@ -71,7 +71,7 @@ def test_tables_of_other_stages_are_left_to_them(tmp_path: Path) -> None:
             "signals.phase.abs: expected none for a label, found 1.0",
         ),
         ("[signals.x", "expected TOML, found: TOMLDecodeError"),
-        ("a = " + "[" * 9999, "expected TOML, found: "),
+        ("a = " + "[" * 9999, "expected TOML, found: tables or arrays more than 32 deep"),
     ],
 )
 def test_a_wrong_file_is_told_where_and_why(tmp_path: Path, text: str, message: str) -> None:

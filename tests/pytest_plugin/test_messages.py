@@ -1,3 +1,5 @@
+import sys
+
 import pytest
 
 import turtlelog as tl
@@ -207,3 +209,17 @@ def test_what_is_undecided_is_not_denied(suite: pytest.Pytester) -> None:
     result.assert_outcomes(failed=2 * len(DENIED))
     for message in DENIED.values():
         result.stdout.fnmatch_lines([f"E {message}"])
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such names of files")
+def test_no_name_steers_the_terminal(suite: pytest.Pytester) -> None:
+    steer = "\nFAKE\x1b[31m\u202e"
+    (suite.path / "runs" / "kp4.mcap").rename(suite.path / "runs" / f"a{steer}.mcap")
+    (suite.path / "runs" / "kp10.mcap").write_bytes(b"junk")
+    result = run(
+        suite, 'def test_it(recording):\n    assert recording.metric("run.duration") < 1\n'
+    )
+    text = f"{result.stdout}\n{result.stderr}"
+    assert "\x1b" not in text
+    assert "\u202e" not in text
+    assert not [line for line in text.splitlines() if line.startswith("FAKE")]

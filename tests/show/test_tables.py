@@ -79,7 +79,7 @@ def test_no_name_is_a_command_to_latex() -> None:
     assert r"    {}[1pt] \\" in lines
     assert r"    {}* \\" in lines
     assert r"    a\textless{}b\textbar{}c\textgreater{} d\textsuperscript{2} \\" in lines
-    assert "| a<b\\|c> d^2 |" in tl.format_table(table, "md")
+    assert "| a\\<b\\|c> d^2 |" in tl.format_table(table, "md")
 
 
 def test_a_wide_latex_table_spans_both_columns() -> None:

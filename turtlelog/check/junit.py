@@ -1,12 +1,15 @@
 """Results as JUnit XML: a suite per recording, a case per check, every metric a property."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 from xml.etree import ElementTree as Xml
 
 from turtlelog.check.result import CheckResult, Verdict, format_number
+from turtlelog.escapes import escape_controls
 from turtlelog.measure import Metric
+
+_NO_XML: Final = {0xFFFE: r"\ufffe", 0xFFFF: r"\uffff"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,5 +93,5 @@ def _count(results: Sequence[CheckResult]) -> dict[str, str]:
 
 
 def _clean(text: str) -> str:
-    """Return text without the characters that XML cannot hold."""
-    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)
+    """Return text in which what XML cannot hold, or nobody could see, is escaped."""
+    return escape_controls(text, keep="\n").translate(_NO_XML)

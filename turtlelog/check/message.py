@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from turtlelog.check.result import CheckResult, format_number
 from turtlelog.check.surroundings import describe_clock, tabulate_surroundings
+from turtlelog.escapes import escape_controls
 from turtlelog.run import Run
 
 _GAINS = ("law.kp_angular", "law.kp_linear")
@@ -27,7 +28,7 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
     if len(ordered) > _MOST:
         others = ", ".join(result.check for result in ordered[_MOST:])
         lines += textwrap.wrap(f"and {len(ordered) - _MOST} more: {others}", _WIDTH)
-    return [*lines, *_list_scenario(run, results[0])]
+    return [escape_controls(line) for line in (*lines, *_list_scenario(run, results[0]))]
 
 
 def _read_first(result: CheckResult) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 
 from turtlelog.errors import CheckError
 from turtlelog.log import read_run, replace_when_complete, write_recording
+from turtlelog.log.border import name_file, open_file
 from turtlelog.measure import METRICS, Metric, Status, measure_run
 from turtlelog.run import Run
 
@@ -105,8 +106,10 @@ def format_metrics(run: Run, file: str) -> str:
 
 def _parse_metrics(path: Path) -> Mapping[str, Metric] | None:
     """Return the metrics of a file; None where it is JSON of another kind: a log."""
+    with name_file(path, expected="a recording or metrics"), open_file(path) as stream:
+        data = stream.read()
     try:
-        found: Any = json.loads(path.read_text(encoding="utf-8"))
+        found: Any = json.loads(data.decode())
     except (ValueError, RecursionError):
         return None
     if isinstance(found, list) and found and all(map(_has_metrics, found)):

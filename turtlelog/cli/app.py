@@ -76,7 +76,9 @@ def main(tokens: Sequence[str] | None = None) -> None:
     except (TurtlelogError, CycloptsError) as err:
         if isinstance(err, CycloptsError):
             err.verbose = False
-        code = _fail(str(err), EXIT_BAD_INPUT)
+        # Cyclopts writes in several lines; a line end in a message of ours is part of a name.
+        text = " ".join(str(err).split()) if isinstance(err, CycloptsError) else str(err)
+        code = _fail(text, EXIT_BAD_INPUT)
     except KeyboardInterrupt:
         code = _fail("interrupted", EXIT_INTERRUPTED)
     except OSError as err:

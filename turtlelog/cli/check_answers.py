@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table, print_text
+from turtlelog.cli.output import format_table, print_lines, print_text
 
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Spec, Table
@@ -43,7 +43,7 @@ def print_results(spec: "Spec", results: "Sequence[CheckResult]", *, files: int)
     print_text(format_table(_tabulate(ordered)))
     lines = [*_list_reasons(spec, ordered), *_list_worst(results)]
     if lines:
-        print_text("\n" + "\n".join(lines))
+        print_lines(["", *lines])
     counts = [
         f"{sum(result.verdict == verdict for result in results)} {word}"
         for verdict, word in (("PASS", "pass"), ("FAIL", "fail"), ("SKIPPED", "skipped"))

@@ -34,7 +34,8 @@ def demo(*, output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("
     for kind in tl.TABLE_FORMATS:
         with replace_when_complete(output / f"table1.{kind}") as path:
             path.write_text(tl.format_table(table1, kind), encoding="utf-8")
-    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.TABLE_FORMATS)}}}\n")
+    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.TABLE_FORMATS)}}}")
+    print_note("")
     tables = [format_table(table) for table in (table1, tl.tabulate_whole_runs(runs))]
     print_text("\n".join([*tables, _tell_next(output)]))
 

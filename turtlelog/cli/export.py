@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
 from turtlelog.errors import LogError, UsageError
@@ -63,7 +63,7 @@ def export(
     if json:
         print_json({"file": str(file), "name": run.name, "written": written})
     else:
-        print_text("\n".join(f"wrote {path}" for path in written))
+        print_lines(f"wrote {path}" for path in written)
 
 
 def _require_targets(options: ExportOptions, file: Path) -> None:

@@ -57,4 +57,4 @@ def print_tables(tables: "Sequence[Table]", kind: str) -> None:
     texts = (
         format_table(table) if kind == "txt" else tl.format_table(table, kind) for table in tables
     )
-    print_text("\n".join(texts))
+    print_text("\n".join(texts), is_data=kind == "csv")

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, Output
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import print_json, print_lines
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -50,9 +50,10 @@ def import_(
             }
         )
         return
-    print_text(f"{path}: {run.name}, {len(run.samples)} samples from {log}")
+    lines = [f"{path}: {run.name}, {len(run.samples)} samples from {log}"]
     if run.absent:
-        print_text(f"absent in the source: {', '.join(run.absent)}")
+        lines.append(f"absent in the source: {', '.join(run.absent)}")
     for name in ("sorted_rows", "dropped_duplicates"):
         if name in run.notes:
-            print_text(f"{name.replace('_', ' ')}: {run.notes[name]}")
+            lines.append(f"{name.replace('_', ' ')}: {run.notes[name]}")
+    print_lines(lines)

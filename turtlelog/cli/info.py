@@ -9,6 +9,7 @@ from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.options import Files, Json, Partial, iterate_files, require_files
 from turtlelog.cli.output import format_table, print_error, print_json, print_text
 from turtlelog.errors import TurtlelogError
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import RecordingInfo, Table
@@ -85,19 +86,20 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         **recording.notes,
     }
     width = max(map(len, facts))
-    shown = ((key, value.replace("\n", r"\n")) for key, value in facts.items())
     lines = [
-        str(path).replace("\n", r"\n"),
-        *(f"  {key:<{width}}  {value}" for key, value in shown),
+        escape_controls(str(path)),
+        *(escape_controls(f"  {key:<{width}}  {value}") for key, value in facts.items()),
     ]
     if recording.topics:
         lines += ["", _indent(format_table(_tabulate(recording), indent=2))]
     if recording.not_understood:
-        lines += ["", "  not understood", *(f"    {text}" for text in recording.not_understood)]
+        texts = (escape_controls(f"    {text}") for text in recording.not_understood)
+        lines += ["", "  not understood", *texts]
     if recording.parameters:
         known = "scenario" if recording.scenario else "known of the scenario"
         lines += ["", f"  {known}"]
-        lines += [f"    {key} = {value}" for key, value in recording.parameters.items()]
+        pairs = recording.parameters.items()
+        lines += [escape_controls(f"    {key} = {value}") for key, value in pairs]
     return "\n".join(lines)
 
 

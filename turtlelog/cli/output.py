@@ -5,7 +5,6 @@ import errno
 import json
 import math
 import os
-import re
 import shutil
 import stat
 import sys
@@ -17,20 +16,31 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.escapes import escape_controls, guard_cell
 
 if TYPE_CHECKING:
     from turtlelog import Metric, Table
-
-_CONTROLS: Final = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 _SPOOLED: Final = 16 * 2**20
 """Bytes of a long answer that are kept in memory."""
 
 
-def print_text(text: str) -> None:
-    """Print a result."""
+def print_text(text: str, *, is_data: bool = False) -> None:
+    """Print a result; what of others stands in it has been escaped where it ends lines.
+
+    Args:
+        text: Several lines.
+        is_data: Whether a program may read it, which gets it as it is; a terminal does not.
+    """
+    if not is_data or sys.stdout.isatty():
+        text = escape_controls(text, keep="\n")
     with outlive_reader():
-        sys.stdout.write(_escape_controls(text.rstrip("\n")) + "\n")
+        sys.stdout.write(text.rstrip("\n") + "\n")
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print results, each in one line whatever stands in it."""
+    print_text("\n".join(map(escape_controls, lines)))
 
 
 @contextmanager
@@ -62,10 +72,10 @@ def format_table(table: "Table", *, indent: int = 0) -> str:
 
 
 def print_note(text: str) -> None:
-    """Print a note."""
+    """Print a note, in one line."""
     # Where nobody can be told, the result and the exit code still tell.
     with suppress(OSError):
-        sys.stderr.write(_escape_controls(text) + "\n")
+        sys.stderr.write(escape_controls(text) + "\n")
         sys.stderr.flush()
 
 
@@ -78,7 +88,7 @@ def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
 
 def print_error(text: str) -> None:
     """Print an error in one line."""
-    print_note(f"turtlelog: error: {' '.join(text.split())}")
+    print_note(f"turtlelog: error: {text}")
 
 
 def print_json(value: Any) -> None:
@@ -112,7 +122,14 @@ def print_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
     with _spool() as spool:
         writer = csv.writer(spool, lineterminator="\n")
         for number, row in enumerate(rows):
-            writer.writerows([row] if number else [head, row])
+            cells = [_show_cell(cell) for cell in row]
+            writer.writerows([cells] if number else [head, cells])
+
+
+def _show_cell(cell: Any) -> Any:
+    """Return a cell as text that is no formula; as it is for a program, escaped for a terminal."""
+    text = guard_cell(cell)
+    return escape_controls(text) if isinstance(text, str) and sys.stdout.isatty() else text
 
 
 @contextmanager
@@ -140,11 +157,6 @@ def find_command_name() -> str:
     if python.is_relative_to(Path.cwd()):
         python = python.relative_to(Path.cwd())
     return f"{python} -m turtlelog"
-
-
-def _escape_controls(text: str) -> str:
-    """Return text in which names of files and runs cannot steer the terminal."""
-    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def _make_finite(value: Any) -> Any:

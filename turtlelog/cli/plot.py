@@ -8,7 +8,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog import show
 from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
@@ -71,7 +71,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     if json:
         print_json({**_describe(files or [], figures, tables), "left_out": list(left_out)})
     else:
-        print_text("\n".join(f"wrote {path}" for path in [*figures, *tables]))
+        print_lines(f"wrote {path}" for path in [*figures, *tables])
 
 
 def _split(text: str, option: str) -> list[str]:

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import print_json, print_lines
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 
@@ -43,7 +43,7 @@ def recover(
     if json:
         print_json({**asdict(report), "output": str(output)})
         return
-    print_text("\n".join(_format(report, output)))
+    print_lines(_format(report, output))
 
 
 def _format(report: "RecoveryReport", output: Path) -> list[str]:

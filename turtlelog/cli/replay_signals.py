@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import LawReplay, LoopReplay, Run, Table
@@ -203,7 +204,7 @@ def _format_counts(run: "Run", found: "LoopReplay") -> str:
     ends = run.stop_reason or "not recorded why", found.run.stop_reason or ""
     was, now = (end.replace("_", " ") for end in ends)
     end = f"both ended: {was}" if was == now else f"it ended: {was}; the replay: {now}"
-    return f"Recorded: {'; '.join(counts)}.\nWhy {end}."
+    return f"Recorded: {'; '.join(counts)}.\nWhy {escape_controls(end)}."
 
 
 def _format_first(run: "Run", first: "Difference", signals: "Sequence[SignalDifference]") -> str:
@@ -223,7 +224,10 @@ def _format_difference(
 def _format_pair(was: Any, now: Any) -> tuple[str, str]:
     """Return two values with as many digits as tell them apart, six at least."""
     if not (isinstance(was, float) and isinstance(now, float)):
-        return tuple("none" if value is None else str(value) for value in (was, now))  # type: ignore[return-value]
+        was, now = (
+            "none" if value is None else escape_controls(str(value)) for value in (was, now)
+        )
+        return was, now
     for digits in range(6, 18):
         texts = f"{was:.{digits}g}", f"{now:.{digits}g}"
         if texts[0] != texts[1]:

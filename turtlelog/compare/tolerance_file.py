@@ -5,16 +5,16 @@ The file is also that of specifications: tables of other stages may stand beside
 """
 
 import difflib
-import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 from turtlelog.compare.tolerances import Tolerance, Tolerances
-from turtlelog.errors import CompareError, describe_error
+from turtlelog.errors import CompareError
 from turtlelog.measure import METRICS, SIGNALS
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
+from turtlelog.text_files import parse_toml, read_text_file
 
 FORMAT: Final = 1
 """The format that is read; older ones would be migrated, newer ones are refused."""
@@ -136,7 +136,7 @@ def _require_table(table: Any, place: str) -> None:
 
 def _read_toml(path: str | Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+        return parse_toml(read_text_file(path))
     except UnicodeDecodeError as err:
         raise CompareError(f"{path}: expected TOML, found bytes that are no text") from err
     except OSError as err:
@@ -144,5 +144,5 @@ def _read_toml(path: str | Path) -> dict[str, Any]:
         raise CompareError(
             f"{path}: expected a specification or tolerance file, found: {found}"
         ) from err
-    except (ValueError, RecursionError) as err:
-        raise CompareError(f"{path}: expected TOML, found: {describe_error(err)}") from err
+    except ValueError as err:
+        raise CompareError(f"{path}: expected TOML, found: {err}") from err

@@ -2,12 +2,18 @@
 
 import csv
 import math
+from io import StringIO
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
+from turtlelog.text_files import read_text_file
+
+_MOST_BYTES: Final = 2**24
+"""Half a million points, which take a second to read; a longer file is none of a path."""
 
 
 def read_reference_path(path: str | Path) -> NDArray[np.float64]:
@@ -18,8 +24,8 @@ def read_reference_path(path: str | Path) -> NDArray[np.float64]:
     """
     path = Path(path)
     try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            rows = [(line, row) for line, row in enumerate(csv.reader(stream), start=1) if row]
+        text = StringIO(read_text_file(path, most=_MOST_BYTES), newline="")
+        rows = [(line, row) for line, row in enumerate(csv.reader(text), start=1) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as err:
         reason = err.strerror if isinstance(err, OSError) else "no CSV text"
         raise MeasureError(f"{path}: expected a file of points, found: {reason}") from err

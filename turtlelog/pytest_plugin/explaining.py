@@ -7,6 +7,7 @@ from turtlelog.check import ArtifactWriter, CheckResult
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.operators import MIRRORED
 from turtlelog.errors import TurtlelogError
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.check.recording import Recording
@@ -21,10 +22,11 @@ def explain_comparison(operator: str, left: object, right: object) -> list[str] 
         result = value.judge(operator if value is left else MIRRORED[operator], other)
     except TurtlelogError:
         return None
-    return [
+    lines = (
         f"{left!r} {operator} {right!r}",
         f"{result.check} of {result.file}: expected {result.expected}",
-    ]
+    )
+    return [escape_controls(line) for line in lines]
 
 
 def explain_failures(recording: "Recording", results: Sequence[CheckResult]) -> list[str]:
@@ -45,4 +47,5 @@ def keep_artifacts(
         found = writer.write(recording.run, result, prefix=prefix)
     except (TurtlelogError, OSError) as err:
         return [f"artifacts: {err}"]
-    return [*(f"wrote {path}" for path in found.files), *found.notes]
+    lines = [*(f"wrote {path}" for path in found.files), *found.notes]
+    return [escape_controls(line) for line in lines]

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from turtlelog.escapes import escape_controls
 from turtlelog.pytest_plugin.choosing import show_path
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ class Session:
             allow_partial = bool(self._config.getini("turtlelog_allow_partial"))
         key = path.resolve(), allow_partial, trust_law
         if key not in self._recordings:
-            name = show_path(path, self._config.rootpath)
+            name = escape_controls(show_path(path, self._config.rootpath))
             self._recordings[key] = Recording(
                 path,
                 name=name,

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from turtlelog.escapes import escape_controls
+
 if TYPE_CHECKING:
     from turtlelog.check import CheckResult
 
@@ -40,7 +42,7 @@ class Summary:
         worst = self._describe_worst()
         parts += [f"worst margins: {'; '.join(worst)}"] if worst else []
         accepted = [f"accepted {path}" for path in sorted(self._accepted)]
-        return ", ".join([*parts, *accepted])
+        return escape_controls(", ".join([*parts, *accepted]))
 
     def _describe_worst(self) -> list[str]:
         if not self._checks:

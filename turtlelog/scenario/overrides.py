@@ -1,6 +1,5 @@
 """Changing a scenario by dotted keys: `law.kp_linear=4`."""
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -15,6 +14,7 @@ from turtlelog.scenario.convert import (
     set_nested,
 )
 from turtlelog.scenario.model import LawTable, Scenario
+from turtlelog.text_files import parse_toml
 
 
 def override_scenario(
@@ -94,8 +94,8 @@ def parse_assignments(assignments: Iterable[str], *, source: str = "changes") ->
 
 def _parse_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError):
+        return parse_toml(f"value = {text}")["value"]
+    except ValueError:
         return text
 
 

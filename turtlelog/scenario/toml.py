@@ -1,13 +1,13 @@
 """Scenario files: TOML in and out."""
 
-import tomllib
 from pathlib import Path
 
 import tomli_w
 
-from turtlelog.errors import ScenarioError, describe_error
+from turtlelog.errors import ScenarioError
 from turtlelog.scenario.convert import build_scenario, nest_scenario
 from turtlelog.scenario.model import Scenario
+from turtlelog.text_files import parse_toml, read_text_file
 
 
 def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
@@ -17,9 +17,9 @@ def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
         ScenarioError: Where it is no TOML, or a key or value is wrong.
     """
     try:
-        tables = tomllib.loads(text)
-    except (ValueError, RecursionError) as err:
-        raise ScenarioError(f"{source}: expected TOML, found: {describe_error(err)}") from err
+        tables = parse_toml(text)
+    except ValueError as err:
+        raise ScenarioError(f"{source}: expected TOML, found: {err}") from err
     return build_scenario(tables, source=source, trust_law=True)
 
 
@@ -35,7 +35,7 @@ def read_scenario(path: str | Path) -> Scenario:
         ScenarioError: Where the file cannot be read, is no TOML, or a key or value is wrong.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        text = read_text_file(path)
     except UnicodeDecodeError as err:
         raise ScenarioError(f"{path}: expected TOML, found bytes that are no text") from err
     except (OSError, ValueError) as err:

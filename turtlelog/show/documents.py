@@ -14,6 +14,7 @@ from turtlelog.compare import (
     tabulate_whole_runs,
 )
 from turtlelog.compare.names import name_runs
+from turtlelog.escapes import escape_markdown
 from turtlelog.measure import ESSENTIAL_METRICS, Metric, measure_run
 from turtlelog.run import Parameter, Run
 from turtlelog.show.tables import format_markdown
@@ -63,7 +64,7 @@ def describe_runs(
 
 def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
     """Yield the lines of the metrics: a table for each group, what has no value below."""
-    yield run.name
+    yield escape_markdown(run.name, starts_line=True)
     for group, found in groupby(metrics.values(), lambda metric: metric.id.partition(".")[0]):
         listed = list(found)
         known = [metric for metric in listed if metric.value is not None]
@@ -75,7 +76,7 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
         reasons = sorted({metric.reason for metric in missing})
         for reason in reasons:
             names = [_shorten(metric.id) for metric in missing if metric.reason == reason]
-            yield from ("", f"No {', '.join(names)}: {reason}.")
+            yield from ("", f"No {', '.join(names)}: {escape_markdown(reason)}.")
 
 
 def _format_metric(metric: Metric) -> str:
@@ -91,23 +92,21 @@ def _shorten(metric_id: str) -> str:
 
 def _list_scenario(run: Run) -> Iterable[str]:
     """Yield the lines of what a run is and of its scenario, a table for each section."""
-    yield f"{run.name}: {run.source}, {run.stop_reason or 'end not recorded'}."
+    head = f"{run.name}: {run.source}, {run.stop_reason or 'end not recorded'}."
+    yield escape_markdown(head, starts_line=True)
     sections = sorted(run.parameters.items(), key=lambda item: item[0].rpartition(".")[0])
     for section, values in groupby(sections, lambda item: item[0].rpartition(".")[0]):
         yield from _tabulate(section, values)
     yield from _tabulate("Notes of the importer", run.notes.items())
     if run.absent:
-        yield from ("", f"Not recorded: {', '.join(run.absent)}.")
+        yield from ("", escape_markdown(f"Not recorded: {', '.join(run.absent)}."))
 
 
 def _tabulate(title: str, values: Iterable[tuple[str, Parameter]]) -> Iterable[str]:
     rows = [
-        f"| {_escape(key.rpartition('.')[2])} | {_escape(str(value))} |" for key, value in values
+        f"| {escape_markdown(key.rpartition('.')[2])} | {escape_markdown(str(value))} |"
+        for key, value in values
     ]
     if rows:
-        heading = [f"**{title}**", ""] if title else []
+        heading = [f"**{escape_markdown(title)}**", ""] if title else []
         yield from ("", *heading, "| key | value |", "| --- | --- |", *rows)
-
-
-def _escape(text: str) -> str:
-    return text.replace("|", r"\|").replace("\n", " ")

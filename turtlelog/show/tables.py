@@ -4,22 +4,24 @@ import csv
 import io
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Final
 
 from turtlelog.compare import Column, Mark, Table, format_cell
 from turtlelog.compare.table import Cell
 from turtlelog.errors import ShowError
+from turtlelog.escapes import escape_controls, escape_markdown, guard_cell
 from turtlelog.show.text_tables import format_text
 
 
 def format_markdown(table: Table) -> str:
     """Return a table as GitHub-flavoured Markdown."""
-    titles = [_escape_markdown(_join_title(column)) for column in table.columns]
+    titles = [escape_markdown(_join_title(column)) for column in table.columns]
     rules = [" ---: " if _is_numeric(table, i) else " --- " for i in range(len(titles))]
     rows = _format_rows(table, "md")
     lines = [
-        f"**{table.title}**",
+        f"**{escape_markdown(table.title)}**",
         "",
         "| " + " | ".join(titles) + " |",
         "|" + "|".join(rules) + "|",
@@ -33,8 +35,10 @@ def format_csv(table: Table) -> str:
     """Return a table as CSV with full precision, units in the head; empty where no value is."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([_join_title(column) for column in table.columns])
-    writer.writerows([["" if cell is None else cell for cell in row] for row in table.rows])
+    writer.writerow([guard_cell(_join_title(column)) for column in table.columns])
+    writer.writerows(
+        [["" if cell is None else guard_cell(cell) for cell in row] for row in table.rows]
+    )
     return text.getvalue()
 
 
@@ -109,15 +113,16 @@ def _format_rows(table: Table, kind: str) -> list[list[str]]:
 
 def _format(cell: Cell, column: Column, kind: str) -> str:
     text = format_cell(cell, column)
-    if kind == "tex" and isinstance(cell, float | int):
-        return _typeset_number(text)
+    if isinstance(cell, float | int):
+        return _typeset_number(text) if kind == "tex" else text
     return _ESCAPES[kind](text)
 
 
 def _list_notes(table: Table, kind: str) -> list[str]:
     """Return the notes below a table, the legend of its marks first."""
     legend = [_LEGENDS[kind]] if table.marks else []
-    return [*legend, *map(_ESCAPES[kind], table.notes)]
+    escape = partial(escape_markdown, starts_line=True) if kind == "md" else _escape_latex
+    return [*legend, *map(escape, table.notes)]
 
 
 def _is_numeric(table: Table, index: int) -> bool:
@@ -126,10 +131,6 @@ def _is_numeric(table: Table, index: int) -> bool:
 
 def _join_title(column: Column) -> str:
     return f"{column.title} [{column.unit}]" if column.unit else column.title
-
-
-def _escape_markdown(text: str) -> str:
-    return " ".join(text.splitlines()).replace("|", r"\|")
 
 
 def _is_wide(table: Table) -> bool:
@@ -167,7 +168,8 @@ def _escape_latex(text: str) -> str:
     special = {character: f"\\{character}" for character in "&%$#_{}"}
     special |= {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
     special |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"}
-    escaped = "".join(special.get(letter, letter) for letter in " ".join(text.splitlines()))
+    line = " ".join(text.splitlines())
+    escaped = "".join(special.get(letter, letter) for letter in escape_controls(line))
     return re.sub(r"\\textasciicircum{}(\d+)", r"\\textsuperscript{\1}", escaped)
 
 
@@ -190,5 +192,5 @@ _LEGENDS: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 _ESCAPES: Final[Mapping[str, Callable[[str], str]]] = MappingProxyType(
-    {"md": _escape_markdown, "tex": _escape_latex}
+    {"md": escape_markdown, "tex": _escape_latex}
 )

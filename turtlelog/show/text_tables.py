@@ -8,6 +8,7 @@ from itertools import zip_longest
 from typing import Final
 
 from turtlelog.compare import Table, format_cell
+from turtlelog.escapes import escape_controls
 
 _NOTE_WIDTH: Final = 96
 _GAP: Final = "  "
@@ -58,7 +59,7 @@ def format_text(table: Table, width: int | None = None) -> str:
     """
     columns = [_build_column(table, index) for index in range(len(table.columns))]
     blocks = [columns] if width is None else _fit(columns, width)
-    lines = [_escape(table.title)]
+    lines = [escape_controls(table.title)]
     for block in blocks:
         lines += ["", *_format_block(block, table.breaks)]
     notes = [*([_LEGEND] if table.marks else []), *table.notes]
@@ -73,10 +74,10 @@ def _build_column(table: Table, index: int) -> _Column:
     # Figures stand below figures and marks below marks.
     room = " " if marks else ""
     cells = tuple(
-        _escape(format_cell(cells[index], column)) + marks.get(row, room)
+        escape_controls(format_cell(cells[index], column)) + marks.get(row, room)
         for row, cells in enumerate(table.rows)
     )
-    titles = tuple(_escape(line) + room for line in column.lines or (column.title,))
+    titles = tuple(escape_controls(line) + room for line in column.lines or (column.title,))
     unit = f"[{column.unit}]{room}" if column.unit else ""
     return _Column(
         titles=titles,
@@ -174,9 +175,4 @@ def _break(text: str, width: int) -> list[str]:
 
 def _wrap_notes(notes: Sequence[str], width: int) -> Iterator[str]:
     for note in notes:
-        yield from textwrap.wrap(_escape(note), width, break_on_hyphens=False)
-
-
-def _escape(text: str) -> str:
-    """Return text on one line, also where a name has several."""
-    return text.replace("\r", r"\r").replace("\n", r"\n")
+        yield from textwrap.wrap(escape_controls(note), width, break_on_hyphens=False)

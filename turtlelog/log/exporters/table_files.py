@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from turtlelog.errors import LogError
+from turtlelog.escapes import guard_cell
 from turtlelog.log.atomic import replace_when_complete
 from turtlelog.log.exporters.folder import create_folder
 from turtlelog.log.exporters.tables import TABLES, Table, tabulate_run
@@ -71,7 +72,8 @@ def _write_csv(table: Table, path: Path) -> None:
         # One line end on every platform: the same run gives the same bytes.
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(table)
-        writer.writerows(zip(*(column.tolist() for column in table.values()), strict=True))
+        columns = (map(guard_cell, column.tolist()) for column in table.values())
+        writer.writerows(zip(*columns, strict=True))
 
 
 def _write_parquet(table: Table, path: Path) -> None:

@@ -1,6 +1,5 @@
 """What a recording says of itself: the metadata record and the attached scenario."""
 
-import tomllib
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import tomli_w
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, nest_parameters
+from turtlelog.text_files import parse_toml
 from turtlelog.version import __version__
 
 HEAD: Final = "turtlelog"
@@ -159,7 +159,7 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
     if len(text) > _LONGEST:
         raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
     try:
-        tables = tomllib.loads(text.decode())
+        tables = parse_toml(text.decode())
     except ValueError as err:
         raise LogError(f"attachment {name}: expected TOML, found: {err}") from err
     return tables, name in attachments and name == SCENARIO_FILE

@@ -7,6 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.components import AbsoluteTimeRange
 
+from turtlelog.escapes import fence_markdown
 from turtlelog.run import Event, Run
 from turtlelog.show.documents import describe_run
 from turtlelog.show.rerun.drawing import draw_documents
@@ -44,7 +45,7 @@ def write_violation_rrd(
     events = sorted((*run.events, event), key=lambda found: found.time_ns)
     run = replace(run, events=tuple(events))
     single = build_single(run)
-    documents = {"Violation": f"```\n{message}\n```", **describe_run(run, metrics=single.metrics)}
+    documents = {"Violation": fence_markdown(message), **describe_run(run, metrics=single.metrics)}
     documents = {**add_thinning(documents, [run])}
     content = single.describe(documents)
     layout = build_run_layout(content)

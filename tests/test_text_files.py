@@ -1,0 +1,162 @@
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import turtlelog as tl
+from turtlelog.check import load_spec
+from turtlelog.check.reference import load_reference
+from turtlelog.errors import TurtlelogError
+from turtlelog.measure.path_file import read_reference_path
+from turtlelog.scenario import override_scenario, parse_assignments, read_scenario
+from turtlelog.text_files import MOST_BYTES, parse_toml, read_text_file
+
+READERS: list[Callable[[Path], Any]] = [
+    read_scenario,
+    load_spec,
+    tl.load_tolerances,
+    read_reference_path,
+]
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize("device", ["/dev/zero", "/dev/null"])
+def test_a_device_is_refused_at_once(read: Callable[[Path], Any], device: str) -> None:
+    if not Path(device).exists():
+        pytest.skip("has no such device")
+    start = time.monotonic()
+    with pytest.raises(TurtlelogError, match=rf"\A{device}: expected [^\n]*, found: a device\Z"):
+        read(Path(device))
+    assert time.monotonic() - start < 1.0
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_folder_is_refused(read: Callable[[Path], Any], tmp_path: Path) -> None:
+    with pytest.raises(TurtlelogError, match=r"expected a .*, found: "):
+        read(tmp_path)
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_file_beyond_all_measure_is_refused_and_not_read(
+    read: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    with (tmp_path / "a.toml").open("wb") as stream:
+        stream.truncate(2**36)  # no disk space
+    start = time.monotonic()
+    with pytest.raises(TurtlelogError, match=r"found: more than [0-9,]+ bytes\Z"):
+        read(tmp_path / "a.toml")
+    assert time.monotonic() - start < 2.0
+
+
+def test_a_file_may_have_so_many_bytes_and_no_more(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes(b"#" * MOST_BYTES)
+    assert len(read_text_file(path)) == MOST_BYTES
+    path.write_bytes(b"#" * (MOST_BYTES + 1))
+    with pytest.raises(OSError, match="more than 1,048,576 bytes"):
+        read_text_file(path)
+
+
+def test_a_reference_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    if not Path("/dev/zero").exists():
+        pytest.skip("has no such device")
+    (tmp_path / "a.json").symlink_to("/dev/zero")
+    with pytest.raises(TurtlelogError, match=r"a\.json: expected a file, found a device"):
+        load_reference(tmp_path / "a.json")
+
+
+on_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="has no pipes with a name")
+
+
+@on_pipes
+@pytest.mark.parametrize("read", READERS)
+def test_a_pipe_that_nobody_writes_to_is_not_waited_for(
+    read: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / "a.toml")
+    start = time.monotonic()
+    with pytest.raises(TurtlelogError, match=r"found: a pipe that nobody writes to\Z"):
+        read(tmp_path / "a.toml")
+    assert time.monotonic() - start < 5.0
+
+
+@on_pipes
+@pytest.mark.parametrize("before_s", [0.0, 0.3])
+def test_a_pipe_is_read_to_its_end_however_slowly_it_comes(before_s: float, tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    os.mkfifo(path)
+
+    def write() -> None:
+        time.sleep(before_s)
+        with path.open("w", encoding="utf-8") as stream:
+            for part in ('name = "a"\n', "seed = 1\n", "max_duration_s = 2\n"):
+                time.sleep(0.1)
+                stream.write(part)
+                stream.flush()
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    scenario = read_scenario(path)
+    writer.join()
+    assert (scenario.name, scenario.seed, scenario.max_duration_s) == ("a", 1, 2.0)
+
+
+@on_pipes
+def test_an_endless_pipe_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    os.mkfifo(path)
+    command = [sys.executable, "-c", "import sys\nwhile True: print('#' * 1000)"]
+    both = os.open(path, os.O_RDWR)  # so that nobody waits for the other to open it
+    with subprocess.Popen(command, stdout=both, stderr=subprocess.DEVNULL) as writer:
+        with pytest.raises(TurtlelogError, match="found: more than 1,048,576 bytes"):
+            read_scenario(path)
+        writer.kill()
+    os.close(both)
+
+
+def nest(depth: int) -> list[str]:
+    """Return TOML texts whose tables and arrays lie so deep within each other."""
+    return [
+        f"a = {'[' * (depth - 1)}{']' * (depth - 1)}",
+        f"a = {'{a = ' * (depth - 1)}1{'}' * (depth - 1)}",
+        f"{'.'.join(['a'] * depth)} = 1",
+        f"[{'.'.join(['a'] * (depth - 1))}]\nb = 1",
+        f"""a = {{ {" . ".join(['"a"'] * (depth - 1))} = 1 }}""",
+        f"[[{'.'.join(['a'] * (depth // 2))}]]\n{'.'.join(['b'] * (depth - depth // 2 - 1))} = 1",
+    ]
+
+
+@pytest.mark.parametrize("kind", range(6))
+def test_toml_may_be_so_deep_and_no_deeper(kind: int) -> None:
+    assert parse_toml(nest(33)[kind])
+    for depth in (34, 1_000, 100_000):
+        start = time.monotonic()
+        with pytest.raises(ValueError, match=r"\Atables or arrays more than 32 deep within each"):
+            parse_toml(nest(depth)[kind])
+        assert time.monotonic() - start < 2.0
+
+
+@pytest.mark.parametrize("read", READERS[:3])
+@pytest.mark.parametrize("text", nest(100_000), ids=range(6))
+def test_deep_toml_says_what_is_wrong_in_one_line(
+    read: Callable[[Path], Any], text: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(text, encoding="utf-8")
+    found = r"found: tables or arrays more than 32 deep within each other"
+    with pytest.raises(TurtlelogError, match=rf"a\.toml: expected TOML, {found}\Z"):
+        read(path)
+
+
+@pytest.mark.parametrize("value", ["[" * 50_000, "{a=" * 20_000, "[" * 900 + "]" * 900])
+def test_a_deep_value_of_set_is_refused_in_one_line(value: str) -> None:
+    changes = parse_assignments([f"law.kp_linear={value}"], source="--set")
+    line = r"\A--set: law\.kp_linear: expected a number > 0, found [^\n]{60,70}\.\.\. [^\n]*\Z"
+    with pytest.raises(TurtlelogError, match=line):
+        override_scenario(tl.load_scenario("paper"), changes, source="--set")

@@ -1,0 +1,96 @@
+"""The user's own small files, as text and as TOML, read within bounds."""
+
+import errno
+import os
+import re
+import stat
+import time
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from turtlelog.errors import describe_error
+
+MOST_BYTES: Final = 2**20
+"""What a file of settings holds at most: some ten thousand checks, which take a second to read."""
+
+_PATIENCE_S: Final = 1.0
+"""So long a pipe may have nobody who writes to it, as while both programs start [s]."""
+
+_DEEPEST: Final = 32
+"""How far tables and arrays of TOML may lie within each other: ours do so 4 times at most, and a
+thousand times would be more than Python follows."""
+
+_KEY: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
+_LONG_KEY: Final = re.compile(
+    rf"(?:^|[\[{{,])[ \t]*+(?:{_KEY}\.[ \t]*+){{{_DEEPEST + 1}}}", re.MULTILINE
+)
+
+
+def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
+    """Return the text of a file, or of a pipe that somebody writes to.
+
+    Args:
+        path: The file.
+        most: What is read at most [bytes]; a longer one is refused.
+
+    Raises:
+        OSError: Where it cannot be read, is too long, or a device; its `strerror` says what it is.
+        UnicodeDecodeError: Where it holds no text.
+    """
+    path = Path(path)
+    mode = path.stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode) or stat.S_ISDIR(mode)):
+        raise OSError(errno.EINVAL, "a device")
+    if stat.S_ISFIFO(mode):
+        data = _read_pipe(path, most + 1)
+    else:
+        with path.open("rb") as stream:
+            data = stream.read(most + 1)
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"more than {most:,} bytes")
+    return data.decode("utf-8-sig")
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises:
+        ValueError: Where it is none, or nests its tables or arrays too deeply, in one line.
+    """
+    deep = f"tables or arrays more than {_DEEPEST} deep within each other"
+    if _LONG_KEY.search(text):  # tomllib takes the square of its length for each
+        raise ValueError(deep)
+    try:
+        tables = tomllib.loads(text)
+    except RecursionError as err:
+        raise ValueError(deep) from err
+    except ValueError as err:
+        raise ValueError(describe_error(err)) from err
+    level: list[Any] = [tables]
+    for _ in range(_DEEPEST + 1):
+        level = [inner for outer in level for inner in _list_inner(outer)]
+    if level:
+        raise ValueError(deep)
+    return tables
+
+
+def _list_inner(value: Any) -> list[Any]:
+    """Return the tables and arrays in one."""
+    inner = value.values() if isinstance(value, dict) else value
+    return [found for found in inner if isinstance(found, dict | list)]
+
+
+def _read_pipe(path: Path, most: int) -> bytes:
+    """Read a pipe, but do not wait for ever for somebody who writes to it."""
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb", buffering=0) as stream:
+        end_s = time.monotonic() + _PATIENCE_S
+        while (first := stream.read(most)) == b"":  # None: somebody is there, and has not begun
+            if time.monotonic() > end_s:
+                raise OSError(errno.EPIPE, "a pipe that nobody writes to")
+            time.sleep(0.01)
+        os.set_blocking(stream.fileno(), True)
+        data = first or b""
+        while len(data) < most and (more := stream.read(most - len(data))):
+            data += more
+    return data
