@@ -7,7 +7,7 @@ of the other. It is checked against the paper's own logs, bit for bit.
 import json
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -89,7 +89,11 @@ class Log:
         read: Tick of the pose that each sample read.
         answered: Tick at which it was answered.
         poses: Of every tick, as published.
-        finished: Whether the controller came to its end.
+        taken: Tick in which the plant took the command of a sample, by the sample's number.
+        burst: Poses that were answered at once after the pause.
+        held: Turn rate in the last tick of the pause.
+        losses: Tick of each command that was pushed out of a queue, or superseded.
+        reason: Why the run ended.
     """
 
     truth: Truth
@@ -97,7 +101,11 @@ class Log:
     read: list[int]
     answered: list[int]
     poses: list[Vector]
-    finished: bool
+    taken: dict[int, int]
+    burst: int = 0
+    held: float | None = None
+    losses: tuple[int, ...] = ()
+    reason: str = "cut"
 
     def to_text(self) -> str:
         """Return the log in the paper's JSON layout, with the goal and no other parameter."""
@@ -146,8 +154,8 @@ def make_log(truth: Truth) -> Log:
     rng, blurring = np.random.default_rng(truth.seed).spawn(2)
     plant, law = _Plant(truth), _Law(truth)
     waiting: deque[tuple[int, Vector]] = deque(maxlen=truth.pose_queue)
-    log = Log(truth=truth, rows=[], read=[], answered=[], poses=[], finished=False)
-    held: list[tuple[float, float]] = []
+    log = Log(truth=truth, rows=[], read=[], answered=[], poses=[], taken=plant.taken)
+    held: list[tuple[int, float, float]] = []
     free_at, clock, poses = -1, -1.0, 0
     for tick in count():
         pose = plant.step(tick, rng)
@@ -156,8 +164,9 @@ def make_log(truth: Truth) -> Log:
             waiting.append((tick, pose))
             poses += 1
         if tick == free_at:
+            log = replace(log, burst=len(waiting), held=plant.turn)
             plant.send(tick, held.pop())
-        while poses >= truth.backlog and tick >= free_at and waiting and law.state != "FINALIZADO":
+        while poses >= truth.backlog and tick >= free_at and waiting and not law.reason:
             number, pose = waiting.popleft()
             clock = max(
                 tick * 0.016 + rng.uniform(-truth.jitter_s, truth.jitter_s),
@@ -169,11 +178,11 @@ def make_log(truth: Truth) -> Log:
             log.answered.append(tick)
             if pauses and truth.pause:
                 free_at = tick + truth.pause
-                held.append((row[5], row[6]))
+                held.append((len(log.rows) - 1, row[5], row[6]))
             else:
-                plant.send(tick, (row[5], row[6]))
-        if law.state == "FINALIZADO" or (tick + 1) * 0.016 > truth.cut_s:
-            return replace(log, finished=law.state == "FINALIZADO")
+                plant.send(tick, (len(log.rows) - 1, row[5], row[6]))
+        if law.reason or (tick + 1) * 0.016 > truth.cut_s:
+            return replace(log, reason=law.reason or "cut", losses=tuple(plant.losses))
     raise AssertionError
 
 
@@ -186,9 +195,11 @@ class _Plant:
         self.down = SIZE - y
         self.speed = self.turn = 0.0
         self.idle = 0
-        self.queue: deque[tuple[int, tuple[float, float]]] = deque()
+        self.losses: list[int] = []
+        self.queue: deque[tuple[int, tuple[int, float, float]]] = deque()
+        self.taken: dict[int, int] = {}
 
-    def send(self, tick: int, command: tuple[float, float]) -> None:
+    def send(self, tick: int, command: tuple[int, float, float]) -> None:
         self.queue.append((tick + self.truth.delay + 1, command))
 
     def step(self, tick: int, rng: np.random.Generator) -> Vector:
@@ -214,9 +225,11 @@ class _Plant:
         while arrived > (1 if self.truth.newest else self.truth.command_queue):
             self.queue.popleft()
             arrived -= 1
+            self.losses.append(tick)
         self.idle += 1
         if arrived:
-            _, (self.speed, self.turn) = self.queue.popleft()
+            _, (sample, self.speed, self.turn) = self.queue.popleft()
+            self.taken[sample] = tick
             self.idle = 0
         if self.idle >= 63:
             self.speed = self.turn = 0.0
@@ -244,6 +257,7 @@ class _Law:
         self.first_s = 0.0
         self.close_since: float | None = None
         self.still = 0
+        self.reason = ""
 
     def answer(self, clock: float, pose: Vector) -> tuple[tuple[Any, ...], bool]:
         truth, (x, y, heading) = self.truth, pose
@@ -269,7 +283,7 @@ class _Law:
     def translate(self, clock: float, ex: float, ey: float, heading: float) -> float:
         truth = self.truth
         if abs(ex) <= truth.position_tolerance and abs(ey) <= truth.position_tolerance:
-            self.state = "FINALIZADO"
+            self.state, self.reason = "FINALIZADO", "within_tolerance"
             return 0.0
         along = heading if truth.on_heading else self.bearing
         self.world = (truth.kp_linear * ex, truth.kp_linear * ey)
@@ -284,12 +298,13 @@ class _Law:
         elif self.close_since is None:
             self.close_since = clock
         close_s = 0.0 if self.close_since is None else clock - self.close_since
-        if (
-            self.still > truth.standstill_samples
-            or close_s > truth.settled_for_s
-            or clock - self.first_s > truth.timeout_s
-        ):
-            self.state = "FINALIZADO"
+        ended = {
+            "standstill": self.still > truth.standstill_samples,
+            "settled": close_s > truth.settled_for_s,
+            "timeout": clock - self.first_s > truth.timeout_s,
+        }
+        if any(ended.values()):
+            self.state, self.reason = "FINALIZADO", max(ended, key=lambda name: ended[name])
         return _clip(wanted, truth.speed_limit)
 
     def shape(self, error: float, gain: float) -> float:
@@ -306,25 +321,3 @@ class _Law:
 
 def _clip(value: float, limit: float) -> float:
     return min(max(value, -limit), limit)
-
-
-def draw_truths(seed: int, amount: int, **fixed: Any) -> Iterator[Truth]:
-    """Yield truths as people's runs may be: gains, goals, limits, queues and pauses at random."""
-    rng = np.random.default_rng(seed)
-    for number in range(amount):
-        gains = np.round(np.exp(rng.uniform(np.log(0.6), np.log(10.0), 2)), 3)
-        same = rng.random() < 0.5
-        drawn: dict[str, Any] = {
-            "kp_angular": float(gains[0]),
-            "kp_linear": float(gains[0] if same else gains[1]),
-            "turn_limit": float(rng.choice([1.0, 1.0, 0.5, 2.0, math.inf])),
-            "speed_limit": float(rng.choice([1.0, 1.0, 0.5, 2.0, math.inf])),
-            "goal": tuple(np.round(rng.uniform(0.8, 10.2, 2), 1).tolist()),
-            "backlog": int(rng.integers(1, 9)),
-            "pause": int(rng.choice([0, 2, 10, 33, 34, 50])),
-            "newest": bool(rng.random() < 0.2),
-            "on_heading": bool(rng.random() < 0.4),
-            "wrap": bool(rng.random() < 0.3),
-            "seed": 1000 * seed + number,
-        }
-        yield Truth(**(drawn | fixed))
