@@ -9,12 +9,14 @@ from typing import Any, get_type_hints
 import msgspec
 
 from turtlelog.errors import LawError, ScenarioError, suggest_names
-from turtlelog.laws import find_law
+from turtlelog.laws import ABSENT_BY_DEFAULT, find_law
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, Scenario
 
-_INFINITE_KEYS = frozenset({"limits.speed_m_s", "limits.turn_rate_rad_s"})
+_INFINITE_KEYS = frozenset(
+    {"limits.speed_m_s", "limits.turn_rate_rad_s", "law.timeout_s", "law.settled_for_s"}
+)
 _MISSING = re.compile(r"Object missing required field `(\w+)`")
 _PLACE = re.compile(r" - at `\$\.(.*)`$")
 
@@ -52,8 +54,21 @@ def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
 def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario as the nested tables of its file."""
     tables = dataclasses.asdict(scenario)
-    tables["law"] = {"kind": scenario.law.kind, **tables["law"]["parameters"]}
+    parameters = scenario.law.parameters
+    left_out = {field.name for field in _list_absent(parameters)}
+    own = {key: value for key, value in tables["law"]["parameters"].items() if key not in left_out}
+    tables["law"] = {"kind": scenario.law.kind, **own}
     return {key: _drop_none(value) for key, value in tables.items()}
+
+
+def _list_absent(parameters: Any) -> list[dataclasses.Field[Any]]:
+    """Return the fields that stay out of a file, having their defaults."""
+    return [
+        field
+        for field in dataclasses.fields(parameters)
+        if field.metadata.keys() & ABSENT_BY_DEFAULT.keys()
+        and getattr(parameters, field.name) == field.default
+    ]
 
 
 def restore_scenario(run: Run) -> Scenario:
