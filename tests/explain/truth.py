@@ -146,6 +146,7 @@ class Log:
         kept = [row for row in range(len(self.rows)) if row not in gone]
         pick: dict[str, Any] = {name: [getattr(self, name)[row] for row in kept]
                 for name in ("rows", "read", "answered")}  # fmt: skip
+        pick["taken"] = {row: self.taken[old] for row, old in enumerate(kept) if old in self.taken}
         return replace(self, **pick)
 
 
@@ -269,8 +270,8 @@ class _Law:
             self.bearing = math.atan2(ey, ex)
         elif self.state == "ROTACIONAR":
             self.error = self.bearing - heading
-            if truth.wrap:
-                self.error = (self.error + math.pi) % (2.0 * math.pi) - math.pi
+            if truth.wrap and not -math.pi <= self.error < math.pi:
+                self.error -= math.copysign(2.0 * math.pi, self.error)
             if abs(self.error) > truth.heading_tolerance:
                 turn = _clip(self.shape(self.error, truth.kp_angular), truth.turn_limit)
             else:

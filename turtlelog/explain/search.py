@@ -1,29 +1,30 @@
 """Which settings of the loop reproduce a log: simulate those that its hints allow, and compare."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby, product
 from math import ceil
 from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.angles import wrap_angle
 from turtlelog.explain.loop import Guess, Hints, agrees_with_clock, list_queues
-from turtlelog.explain.resimulation import Row, compute_misfit, count_equal, list_rows
+from turtlelog.explain.open_loop import Drive, drive_plant, find_start
+from turtlelog.explain.resimulation import Row, count_equal, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
-from turtlelog.simulate import iterate_ticks, simulate_run
-from turtlelog.turtlesim import TICK_S
+from turtlelog.simulate import iterate_ticks
+from turtlelog.turtlesim import WORLD_SIZE_M
 
 _CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which a setting is worse than another."""
+"""Difference of log-likelihoods from which a setting is worse than another: 20,000 times less
+likely. Log-likelihoods of the settings tried are estimates, and 5 would still be 150 times."""
 
-_MOST_SIMULATED: Final = 24
-"""Settings that are simulated to their end where none is exact."""
-
-_MOST_TICKS: Final = 100_000
+_MOST_TICKS: Final = 150_000
+"""Ticks that are simulated where none is exact, some four seconds' worth."""
 
 _SPARE_S: Final = 3.0
 """How much longer than the log a simulation may take before it counts as another [s]."""
@@ -31,6 +32,8 @@ _SPARE_S: Final = 3.0
 _USUAL_S: Final = Scenario().max_duration_s
 
 _DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
+
+START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
 Settings = Mapping[str, Any]
 
@@ -45,21 +48,35 @@ class Fits:
     Attributes:
         guesses: Values by key of the scenario, the likeliest first; at least one.
         scenarios: The same as whole scenarios.
-        is_exact: Whether they reproduce every sample, bit for bit or else to rounding.
+        is_exact: Whether they reproduce every sample bit for bit.
+        is_close: Whether they reproduce every sample to rounding.
+        drive: The plant driven with the log's commands and the likeliest settings; None where it
+            was not needed, or cannot be.
+        reproduced: Samples that the likeliest reproduces, from the first one on.
         tried: How many were simulated.
         hidden: Keys whose value makes no difference in this run.
+        start: Where it is no 32-bit float, by key of the scenario.
     """
 
     guesses: tuple[Guess, ...]
     scenarios: tuple[Scenario, ...]
     is_exact: bool
+    is_close: bool = False
+    drive: Drive | None = None
+    reproduced: int
     tried: int
     hidden: frozenset[str] = frozenset()
+    start: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def scenario(self) -> Scenario:
         """The likeliest."""
         return self.scenarios[0]
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the settings explain the motion, and what is left of it is noise."""
+        return self.drive is not None and self.drive.explains
 
     def list_values(self, key: str) -> tuple[Any, ...]:
         """Return the values of a key, the likeliest first."""
@@ -76,22 +93,18 @@ def search_loop(
 
     The usual depths of the queues are tried first, others only where those do not fit, or fit with
     a pause or a backlog that the clock contradicts.
-    Where nothing is exact the settings that leave the least are returned.
+    Where nothing is exact, the plant is driven with the log's own commands, and the settings that
+    explain the motion best are returned.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[Phase.ROTATE], dead_times[Phase.TRANSLATE])
-    for search.to_rounding in (False, True):
-        exact: list[_Exact] = []
-        for tier in tiers:
-            exact += search.find_exact(tier)
-            if any(search.contradict_clock(guess) == (False, False) for guess, _ in exact):
-                break
-        if exact:
-            least = min(search.contradict_clock(guess) for guess, _ in exact)
-            return search.build_exact_fits(
-                [found for found in exact if search.contradict_clock(found[0]) == least]
-            )
-    return search.find_likeliest(next(filter(None, tiers)))
+    found = search.find_in_tiers(tiers)
+    if found is None:
+        likeliest = search.find_likeliest(next(filter(None, tiers)))
+        found = search.start_between_floats(tiers, likeliest)
+        search.to_rounding = found is None
+        found = found or search.find_in_tiers(tiers) or likeliest
+    return found
 
 
 class _Search:
@@ -102,7 +115,7 @@ class _Search:
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
-        self._trace, self._known, self._hints = trace, known, hints
+        self._trace, self._known, self._hints = trace, dict(known), hints
         self._rows = list_rows(trace)
         pauses = hints.pauses
         self._near = [p for p in pauses if agrees_with_clock(p, hints, trace)] or pauses
@@ -115,6 +128,20 @@ class _Search:
         values = {"name": self._trace.run.name, **self._known, **guess, **more}
         values.setdefault("max_duration_s", self._most_s)
         return build_scenario(nest_parameters(values), source=self._trace.run.name)
+
+    def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
+        """Return the settings that reproduce every sample, None where none does."""
+        exact: list[_Exact] = []
+        for tier in tiers:
+            exact += self.find_exact(tier)
+            if any(self.contradict_clock(guess) == (False, False) for guess, _ in exact):
+                break
+        if not exact:
+            return None
+        least = min(self.contradict_clock(guess) for guess, _ in exact)
+        return self.build_exact_fits(
+            [found for found in exact if self.contradict_clock(found[0]) == least]
+        )
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
         """Return the settings that reproduce every sample, of them those nearest to the clock."""
@@ -154,25 +181,82 @@ class _Search:
                 self._end(self.build(guess), goes_on=count > len(self._rows))
                 for guess, count in exact
             ),
-            is_exact=True,
+            is_exact=not self.to_rounding,
+            is_close=self.to_rounding,
+            reproduced=len(self._rows),
             tried=self._tried,
             hidden=frozenset(hidden),
         )
 
     def find_likeliest(self, queues: Sequence[Guess]) -> Fits:
-        """Return the settings that leave the least; the clock tells the pause."""
-        guesses = [_pause(guess, pause) for guess, pause in product(queues, self._near)]
-        ticks = self._most_s / TICK_S
-        guesses = guesses[: max(min(_MOST_SIMULATED, int(_MOST_TICKS / ticks)), 1)]
-        scenarios = [self.build(guess) for guess in guesses]
-        misfits = [compute_misfit(self._trace, simulate_run(found)) for found in scenarios]
-        order = np.argsort(misfits, kind="stable").tolist()
-        best = [row for row in order if misfits[row] < misfits[order[0]] + _CERTAIN]
+        """Return the settings with which the log's commands move the plant as logged."""
+        first = self._near[0]
+        before = self._drive(queues, [first], rows=self._trace.rotating)
+        guesses = [guess for guess, _ in before] or [_pause(queues[0], first)]
+        driven = self._drive(guesses, self._near, rows=None)
+        if not driven:
+            guesses = guesses[:1]
+            return self._build_nearest(guesses, None)
+        # Of settings that fit alike, those that the clock does not contradict.
+        least = min(self.contradict_clock(guess) for guess, _ in driven)
+        agreeing = [guess for guess, _ in driven if self.contradict_clock(guess) == least]
+        best = next(drive for guess, drive in driven if guess == agreeing[0])
+        return self._build_nearest(agreeing, best)
+
+    def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
+        """Return the settings that reproduce every sample from a start that is no 32-bit float.
+
+        So stands a plant that moved before, as in a second run without a reset.
+        """
+        drive, trace = fits.drive, self._trace
+        poses = np.column_stack([trace.xy_m, trace.heading_rad])
+        is_single = bool((poses == poses.astype(np.float32)).all())
+        if drive is None or not is_single or trace.missing or trace.jumps:
+            return None
+        half = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
+        if (np.array(drive.noise) > 4.0 * half.max(axis=0)).any():
+            return None
+        start = find_start(drive, half)
+        if start is None:
+            return None
+        values: dict[str, Any] = dict(zip(START_KEYS, keep_in_world(start), strict=True))
+        values["start.precision"] = "float64"
+        kept, self._known = self._known, {**self._known, **values}
+        found = self.find_in_tiers(tiers)
+        if found is None:
+            self._known = kept
+            return None
+        return replace(found, start=values, drive=drive)
+
+    def _drive(
+        self, guesses: Sequence[Guess], pauses: Sequence[int], *, rows: int | None
+    ) -> list[tuple[Guess, Drive]]:
+        """Return the settings that fit alike best, the best first."""
+        ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks + pauses[0]
+        tried = [
+            _pause(guess, pause) for pause, guess in product(pauses, [_unpause(g) for g in guesses])
+        ][: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
+        self._tried += len(tried)
+        found = [(guess, drive_plant(self._trace, guess, rows=rows)) for guess in tried]
+        driven = [(guess, drive) for guess, drive in found if drive is not None]
+        driven.sort(key=lambda pair: pair[1].misfit)
+        return [pair for pair in driven if pair[1].misfit < driven[0][1].misfit + _CERTAIN]
+
+    def _build_nearest(self, guesses: Sequence[Guess], drive: Drive | None) -> Fits:
+        start: dict[str, float] = {}
+        if drive is not None:
+            start = dict(zip(START_KEYS, keep_in_world(drive.start), strict=True))
+        self.to_rounding = True
+        scenarios = tuple(self._end(self.build(guess, **start), goes_on=False) for guess in guesses)
+        counts = [self._count(guess, self._rows) for guess in guesses[:1]]
+        self.to_rounding = False
         return Fits(
-            guesses=tuple(guesses[row] for row in best),
-            scenarios=tuple(self._end(scenarios[row], goes_on=False) for row in best),
+            guesses=tuple(guesses),
+            scenarios=scenarios,
             is_exact=False,
-            tried=self._tried + len(guesses),
+            drive=drive,
+            reproduced=counts[0],
+            tried=self._tried,
         )
 
     def _list_rotation(self) -> list[Row | None]:
@@ -200,5 +284,15 @@ class _Search:
         return scenario.max_duration_s
 
 
+def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the nearest pose at which a scenario may start."""
+    x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
+    return x_m, y_m, wrap_angle(pose[2])
+
+
 def _pause(guess: Guess, ticks: int) -> Guess:
     return {**guess, "law.pause_ticks": ticks}
+
+
+def _unpause(guess: Guess) -> Guess:
+    return {key: value for key, value in guess.items() if key != "law.pause_ticks"}

@@ -12,7 +12,15 @@ from turtlelog.scenario.convert import (
     nest_scenario,
     restore_scenario,
 )
-from turtlelog.scenario.model import LawChoice, Limits, LoopSettings, Scenario, Start, Target
+from turtlelog.scenario.model import (
+    DEFAULT_LAW,
+    LawChoice,
+    Limits,
+    LoopSettings,
+    Scenario,
+    Start,
+    Target,
+)
 from turtlelog.scenario.overrides import (
     complete_scenario,
     override_scenario,
@@ -22,6 +30,7 @@ from turtlelog.scenario.presets import PAPER_RUNS, PRESETS, get_preset, iterate_
 from turtlelog.scenario.toml import format_scenario, parse_scenario, read_scenario
 
 __all__ = [
+    "DEFAULT_LAW",
     "PAPER_RUNS",
     "PRESETS",
     "LawChoice",

@@ -54,21 +54,21 @@ def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
 def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario as the nested tables of its file."""
     tables = dataclasses.asdict(scenario)
-    parameters = scenario.law.parameters
-    left_out = {field.name for field in _list_absent(parameters)}
-    own = {key: value for key, value in tables["law"]["parameters"].items() if key not in left_out}
+    own = _drop_absent(tables["law"]["parameters"], scenario.law.parameters)
     tables["law"] = {"kind": scenario.law.kind, **own}
+    tables["start"] = _drop_absent(tables["start"], scenario.start)
     return {key: _drop_none(value) for key, value in tables.items()}
 
 
-def _list_absent(parameters: Any) -> list[dataclasses.Field[Any]]:
-    """Return the fields that stay out of a file, having their defaults."""
-    return [
-        field
-        for field in dataclasses.fields(parameters)
+def _drop_absent(table: dict[str, Any], values: Any) -> dict[str, Any]:
+    """Return a table without the keys that stay out of a file while they have their defaults."""
+    absent = {
+        field.name
+        for field in dataclasses.fields(values)
         if field.metadata.keys() & ABSENT_BY_DEFAULT.keys()
-        and getattr(parameters, field.name) == field.default
-    ]
+        and getattr(values, field.name) == field.default
+    }
+    return {key: value for key, value in table.items() if key not in absent}
 
 
 def restore_scenario(run: Run) -> Scenario:

@@ -1,0 +1,244 @@
+"""The plant driven with the log's own commands: which queues, delays and pauses move it so.
+
+No law is asked, so noise in what the controller read, or in the log, does not matter: the commands
+are known exactly. What is left between the logged poses and the driven ones is noise, or says that
+the settings are not these.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import subtract_headings
+from turtlelog.explain.stretches import list_breaks
+from turtlelog.explain.trace import Trace, Values
+from turtlelog.laws import Decision, Goal, Pose
+from turtlelog.run import Phase
+from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
+from turtlelog.simulate import iterate_ticks
+from turtlelog.turtlesim import TICK_S, WORLD_SIZE_M
+
+_UNKNOWN_TICKS: Final = 20
+"""Ticks after missing rows in which commands that nobody logged may still be acting."""
+
+_WHITE: Final = 0.5
+"""Whiteness below which what is left is no noise: noise has 1, a wrong setting leaves a curve,
+below 0.1."""
+
+_FLOOR: Final = 1e-7
+"""Below the rounding of a 32-bit pose of a few metres nothing is told [m, rad]."""
+
+_REFITS: Final = 3
+"""Rounds in which the weights of position and heading settle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaybackParameters:
+    """Commands to send, one per pose.
+
+    Attributes:
+        commands: Speed [m/s] and turn rate [rad/s] of each sample.
+        pauses_at: Number of the sample after which the controller is blocked, -1 for none.
+        pause_ticks: For how long.
+    """
+
+    commands: tuple[tuple[float, float], ...]
+    pauses_at: int
+    pause_ticks: int
+
+
+class Playback:
+    """A law that answers with the commands of a log, whatever the pose."""
+
+    Parameters: ClassVar[type[Any]] = PlaybackParameters
+
+    def __init__(self, parameters: PlaybackParameters) -> None:
+        """Take the commands."""
+        self._parameters = parameters
+        self._next = 0
+
+    def reset(self, start: Pose, goal: Goal) -> None:
+        """Begin with the first command."""
+        del start, goal
+        self._next = 0
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        """Answer with the next command."""
+        del time_ns, pose
+        parameters, number = self._parameters, self._next
+        self._next += 1
+        speed_m_s, turn_rate_rad_s = parameters.commands[number]
+        return Decision(
+            speed_m_s=speed_m_s,
+            turn_rate_rad_s=turn_rate_rad_s,
+            phase=Phase.ROTATE,
+            bearing_rad=0.0,
+            heading_error_rad=0.0,
+            error_x_m=0.0,
+            error_y_m=0.0,
+            blocks_ticks=parameters.pause_ticks if number == parameters.pauses_at else 0,
+            stop_reason="end" if self._next == len(parameters.commands) else None,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drive:
+    """How a driven plant compares with the log.
+
+    Attributes:
+        misfit: Negative log-likelihood, up to a constant.
+        explains: Whether what is left is noise.
+        noise: What is left: standard deviation of x, y [m] and heading [rad].
+        start: Pose at the start that fits best: x, y [m], heading [rad].
+        reach: Half-width of its 95 % intervals.
+        left: Logged less driven poses with that start, shape (rows, 3).
+        slopes: How these change with the start, shape (rows, 3, 3).
+    """
+
+    misfit: float
+    explains: bool
+    noise: tuple[float, float, float]
+    start: tuple[float, float, float]
+    reach: tuple[float, float, float]
+    left: Values
+    slopes: Values
+
+
+def drive_plant(trace: Trace, guess: Any, *, rows: int | None = None) -> Drive | None:
+    """Drive the plant with the commands of the first `rows` samples; None where it cannot be."""
+    count = len(trace) if rows is None else rows
+    driven = _drive(trace, guess, int(trace.number[count - 1]) + 1)
+    if driven is None:
+        return None
+    read = driven[trace.number[:count]]
+    left = np.column_stack(
+        [
+            trace.xy_m[:count] - read[:, :2],
+            subtract_headings(trace.heading_rad[:count], read[:, 2]),
+        ]
+    )
+    return _compare(trace, left, read, count)
+
+
+def _drive(trace: Trace, guess: Any, samples: int) -> Values | None:
+    """Return the pose that each sample would read, in double precision, shape (samples, 3)."""
+    values = dict(guess)
+    pause = int(values.pop("law.pause_ticks", 0))
+    loop = {key.removeprefix("loop."): value for key, value in values.items()}
+    speed = np.interp(np.arange(samples), trace.number, trace.speed_m_s)
+    turn_rate = np.interp(np.arange(samples), trace.number, trace.turn_rate_rad_s)
+    parameters = PlaybackParameters(
+        commands=tuple(zip(speed.tolist(), turn_rate.tolist(), strict=True)),
+        pauses_at=int(trace.number[trace.rotating - 1]) if trace.ended_rotation else -1,
+        pause_ticks=pause,
+    )
+    x_m, y_m = np.clip(trace.xy_m[0], 0.0, WORLD_SIZE_M).tolist()
+    scenario = Scenario(
+        name=trace.run.name,
+        max_duration_s=(samples * trace.period_ticks + pause + 1000) * TICK_S,
+        start=Start(x_m=x_m, y_m=y_m, heading_rad=float(trace.heading_rad[0])),
+        goal=Target(),
+        law=LawChoice(kind=f"{__name__}:{Playback.__name__}", parameters=parameters),
+        limits=Limits(speed_m_s=float("inf"), turn_rate_rad_s=float("inf")),
+        loop=LoopSettings(**{**loop, "pose_precision": "float64"}),
+    )
+    poses: list[tuple[float, float, float]] = []
+    read: list[int] = []
+    for tick in iterate_ticks(scenario):
+        poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
+        read += [sample.pose_sequence for sample in tick.computed]
+    return np.array(poses)[read] if len(read) == samples else None
+
+
+def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
+    stretches = _list_stretches(trace, count)
+    kept = np.zeros(count, dtype=bool)
+    for stretch in stretches:
+        kept[stretch] = True
+    slopes = np.zeros((count, 3, 3))
+    slopes[:, 0, 0] = slopes[:, 1, 1] = slopes[:, 2, 2] = 1.0
+    offsets, spread = np.zeros(3), np.zeros((3, 3))
+    after, noise = left.copy(), np.ones(3)
+    for stretch in stretches:
+        away = read[stretch, :2] - read[stretch][0, :2]
+        slopes[stretch, 0, 2], slopes[stretch, 1, 2] = -away[:, 1], away[:, 0]
+    for _ in range(_REFITS):
+        for number, stretch in enumerate(stretches):
+            found, covariance = _fit_offsets(left[stretch], slopes[stretch], noise)
+            after[stretch] = left[stretch] - slopes[stretch] @ found
+            if number == 0:
+                offsets, spread = found, covariance
+        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + _FLOOR
+    whiteness = _measure_whiteness(after, stretches)
+    grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
+    widen = np.sqrt(
+        (2.0 - np.minimum(whiteness, 1.0)) / np.maximum(np.minimum(whiteness, 1.0), 0.01)
+    )
+    reach = 1.96 * np.sqrt(np.diag(spread)) * widen
+    start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
+    explains = bool(((whiteness > _WHITE) | (noise < np.maximum(grains, 2.0 * _FLOOR))).all())
+    weights = 1.0 / widen**2
+    return Drive(
+        misfit=float((kept.sum() * weights * np.log(noise)).sum()),
+        explains=explains,
+        noise=(float(noise[0]), float(noise[1]), float(noise[2])),
+        start=tuple(start.tolist()),
+        reach=tuple(reach.tolist()),
+        left=after,
+        slopes=slopes,
+    )
+
+
+def _list_stretches(trace: Trace, count: int) -> list[slice]:
+    """Return the rows between jumps and gaps; after a gap, from where all commands are known."""
+    bounds = [0, *(row for row in list_breaks(trace) if row < count), count]
+    missing = {row for row, _ in trace.missing}
+    skip = _UNKNOWN_TICKS // trace.period_ticks
+    starts = [row + skip if row in missing else row for row in bounds[:-1]]
+    found = zip(starts, bounds[1:], strict=True)
+    return [slice(first, last) for first, last in found if last - first > 2]
+
+
+def _fit_offsets(left: Values, slopes: Values, noise: Values) -> tuple[Values, Values]:
+    """Return the shift of the first pose that fits best, and its covariance."""
+    weighted = slopes / noise[None, :, None]
+    normal = np.einsum("nij,nik->jk", weighted, weighted)
+    inverse = np.linalg.pinv(normal)
+    return inverse @ np.einsum("nij,ni->j", weighted, left / noise), inverse
+
+
+def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
+    """Return the mean square of changes by twice the mean square: 1 for noise, 0 for curves."""
+    changes, squares = np.zeros(3), np.zeros(3)
+    for stretch in stretches:
+        part = left[stretch]
+        changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
+        squares += (part**2).sum(axis=0) / len(part)
+    return np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
+
+
+def find_start(drive: Drive, half_steps: NDArray[np.float64]) -> tuple[float, float, float] | None:
+    """Return the start between 32-bit floats from which every pose rounds to the logged one.
+
+    The one that is furthest from any edge; None where there is none. `half_steps`: of the poses.
+    """
+    from scipy.optimize import linprog
+
+    rows = drive.left.reshape(-1)
+    slopes = drive.slopes.reshape(-1, 3)
+    half = half_steps.reshape(-1)
+    # In units of the steps themselves: a solver's tolerance is 1e-9.
+    unit = float(half.max())
+    ones = np.ones((len(rows), 1)) * (half / unit)[:, None]
+    found = linprog(
+        c=[0.0, 0.0, 0.0, -1.0],
+        A_ub=np.block([[slopes, ones], [-slopes, ones]]),
+        b_ub=np.concatenate([half + rows, half - rows]) / unit,
+        bounds=[(-2.0, 2.0)] * 3 + [(0.0, 1.0)],
+        method="highs",
+    )
+    if not found.success:
+        return None
+    return tuple((np.array(drive.start) + found.x[:3] * unit).tolist())
