@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,7 @@ class CommandFit:
         largest: The largest magnitude published.
         rows: Commands in the phase.
         grain: Steps in which the error is read [its unit].
+        has_signs: Whether every command has the sign of its error.
     """
 
     gain: GainFit | None
@@ -49,6 +50,7 @@ class CommandFit:
     largest: float
     rows: int
     grain: float
+    has_signs: bool
 
     @property
     def is_certain(self) -> bool:
@@ -59,10 +61,12 @@ class CommandFit:
     def obstacle(self) -> str | None:
         """Why the commands are not proportional to the error, None where they may be."""
         found = self.gain
-        if found is None or self.is_certain:
+        if found is None:
             return None
-        if found.value <= 0.0:
+        if not found.value > 0.0:
             return f"the commands are not proportional: their gain would be {found.value:.4g}"
+        if self.is_certain:
+            return None
         if found.rows < _FEWEST:
             return f"{found.rows} unclipped commands cannot tell noise from another law"
         if found.whiteness < _WHITE and found.noise > self.grain:
@@ -78,7 +82,8 @@ def fit_command(command: Values, reproduce: Reproduce, grain: float) -> CommandF
     size, error = np.abs(command), reproduce(1.0)
     largest = float(size.max())
     below = size < largest
-    known = {"largest": largest, "grain": grain}
+    has_signs = bool((error * command > 0.0).all())
+    known: dict[str, Any] = {"largest": largest, "grain": grain, "has_signs": has_signs}
     whole = fit_gain(command, reproduce)
     if (whole.is_exact or whole.is_close) and np.ptp(error) > 0.0:
         return CommandFit(gain=whole, limit=None, rows=len(command), **known)

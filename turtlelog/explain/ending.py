@@ -108,7 +108,7 @@ def find_ending(trace: Trace, *, is_certain: bool, is_finished: bool) -> Ending:
     speed = trace.speed_m_s[trace.rotating :]
     if not len(speed):
         return Ending(reason=find_exactly("cut", "the log ends while the robot rotates"), rules={})
-    rules = [_judge_standstill(speed), *_judge_times(trace)]
+    rules = [_judge_standstill(trace), *_judge_times(trace)]
     contradicted = {rule.key: _describe_beyond(rule) for rule in rules if rule.is_contradicted}
     if speed[-1] == 0.0:
         return Ending(
@@ -131,15 +131,19 @@ def _say(reason: str, evidence: str, *, is_certain: bool) -> Finding:
     return Finding(value=reason, certainty=certainty, evidence=evidence)
 
 
-def _judge_standstill(speed: Any) -> _Rule:
-    still = np.abs(speed) < _USUAL.standstill_below
+def _judge_standstill(trace: Trace) -> _Rule:
+    still = np.abs(trace.speed_m_s[trace.rotating :]) < _USUAL.standstill_below
     counts = _count_held(still)
+    # Missing rows count as well, if those around them stand still.
+    number = trace.number[trace.rotating :]
+    first = np.arange(len(counts)) - np.maximum(counts - 1, 0)
+    counts = np.where(counts > 0, number - number[first] + 1, 0)
     return _Rule(
         name="standstill",
         key="law.standstill_samples",
         usual=_USUAL.standstill_samples,
-        now=counts[-1],
-        before=counts[-1] - 1,
+        now=int(counts[-1]),
+        before=int(counts[-1]) - 1,
         longest=int(counts[:-1].max(initial=0)),
         slack=0.0,
         evidence=f"{counts[-1]} samples below {_USUAL.standstill_below:g} m/s",
@@ -211,8 +215,7 @@ def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
         value = _round_value(rule)
         findings[rule.key] = Finding(
             certainty=Certainty.UNKNOWN,
-            evidence=f"{value:g} would end the run as the log does",
-            interval=(max(rule.before - rule.slack, 0.0), rule.now + rule.slack),
+            evidence=f"{value:.6g} would end the run as the log does",
             assumed=value,
         )
     reason = "the log says that the run ended, and no rule does with its usual value"
@@ -231,7 +234,7 @@ def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
 
 def _round_value(rule: _Rule) -> float:
     if rule.key == "law.standstill_samples":
-        return rule.before
+        return int(rule.before)
     low, high = max(rule.before - rule.slack, 1e-9), rule.now + rule.slack
     found = find_round_number(low, high)
     return found if len(f"{found:.12g}".strip("0.")) <= _ROUND_DIGITS + 1 else rule.before

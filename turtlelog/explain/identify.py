@@ -1,5 +1,6 @@
 """From a log to the scenario that made it."""
 
+from collections import ChainMap
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
@@ -62,9 +63,15 @@ def _identify_samples(run: Run) -> Identification:
         return give_up(run.name, findings, obstacle)
     rotation, turning = identify_rotation(trace)
     translation, driving = identify_translation(trace)
-    obstacle = _find_obstacle(trace, turning, driving)
+    obstacle = _find_law_obstacle(turning, driving)
     if obstacle:
         return give_up(run.name, findings, obstacle)
+    obstacle = _find_obstacle(trace)
+    if obstacle:
+        # Commands that follow their errors bit for bit tell their gain by themselves.
+        pairs = ((rotation, turning), (translation, driving))
+        sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
+        return give_up(run.name, {**findings, **dict(ChainMap(*sure))}, obstacle)
     findings |= {**rotation, **translation}
     is_certain = all(
         fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
@@ -80,6 +87,10 @@ def _identify_samples(run: Run) -> Identification:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}")
     findings |= describe_start(trace, fits)
     findings |= describe_loop(trace, fits)
+    if fits.is_fitted and not fits.is_exact:
+        findings |= _describe_dead_times_again(findings, again)
+    if not (fits.is_exact or fits.is_close):
+        findings |= _withhold_law(findings, turning, driving)
     findings |= {**find_pause(trace, hints), **describe_pause(trace, fits)}
     findings["stop_reason"] = ending.reason
     resimulation = compare_samples(trace, again)
@@ -113,6 +124,40 @@ def _describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Fin
     )
 
 
+def _describe_dead_times_again(findings: Mapping[str, Finding], again: Run) -> dict[str, Finding]:
+    """Return the dead times that the settings found have, where the log's own are not exact."""
+    found = {}
+    for phase in (Phase.ROTATE, Phase.TRANSLATE):
+        key, dead_time = f"dead_time.{phase.label}", find_dead_time(again, phase)
+        if findings[key].certainty is not Certainty.EXACT and isinstance(dead_time, DeadTime):
+            found[key] = Finding(
+                value=dead_time.ticks,
+                certainty=Certainty.FITTED,
+                evidence="of the settings that explain the motion",
+                interval=(dead_time.ticks, dead_time.ticks),
+            )
+    return found
+
+
+def _withhold_law(
+    findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
+) -> dict[str, Finding]:
+    """Claim nothing of a loop whose every command is clipped, and which nothing reproduces."""
+    keys = {
+        "law.kp_angular": turning,
+        "limits.turn_rate_rad_s": turning,
+        "law.heading_tolerance_rad": turning,
+        "law.kp_linear": driving,
+        "limits.speed_m_s": driving,
+        "law.position_tolerance_m": driving,
+    }
+    return {
+        key: miss(f"all {fit.rows} commands are alike in size: any law", findings[key].used)
+        for key, fit in keys.items()
+        if fit is not None and fit.gain is None
+    }
+
+
 def _find_other_law(run: Run) -> str | None:
     kind = run.parameters.get("law.kind", DEFAULT_LAW)
     if kind == DEFAULT_LAW:
@@ -120,17 +165,20 @@ def _find_other_law(run: Run) -> str | None:
     return f"its law is {kind}: only of {DEFAULT_LAW} the commands tell the parameters"
 
 
-def _find_obstacle(
-    trace: Trace, turning: CommandFit | None, driving: CommandFit | None
-) -> str | None:
-    """Return why this is no run of the sequential law, or cannot be simulated."""
+def _find_law_obstacle(turning: CommandFit | None, driving: CommandFit | None) -> str | None:
+    """Return why the commands are not those of the sequential law."""
+    for name, fit in (("rotating", turning), ("translating", driving)):
+        if fit is not None and fit.obstacle:
+            return f"{name}: {fit.obstacle}"
+    return None
+
+
+def _find_obstacle(trace: Trace) -> str | None:
+    """Return why this is no whole run of the sequential law, or cannot be simulated."""
     phases = {Phase(phase) for phase in np.unique(trace.run.samples.phase).tolist()}
     if trace.rotating + trace.translating < len(trace) or not trace.rotating:
         listed = ", ".join(sorted(phase.label for phase in phases))
         return f"its phases are not one rotation and one translation: {listed}"
-    for name, fit in (("rotating", turning), ("translating", driving)):
-        if fit is not None and fit.obstacle:
-            return f"{name}: {fit.obstacle}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9

@@ -120,7 +120,9 @@ def _choose_wrapping(
 def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
     bearing, heading = fits["bearing"].gain, fits["heading"].gain
     if bearing is None or heading is None:
-        return miss("every command stands at its limit", "bearing")
+        signed = [name for name, fit in fits.items() if fit.has_signs]
+        assumed = signed[0] if len(signed) == 1 else "bearing"
+        return miss("every command stands at its limit", assumed)
     if bearing.is_exact == heading.is_exact and (bearing.is_exact or bearing.is_close):
         return _leave_open(tuple(fits), "both reproduce every command", "heading")
     for name, gain in (("bearing", bearing), ("heading", heading)):

@@ -77,7 +77,7 @@ def _find_exact_gain(
     if digits < _DIGITS and not typed:
         return None
     low, high = (min(fitting), max(fitting)) if fitting else _widen(ratio)
-    inside = [gain for gain in decimals if low <= gain <= high]
+    inside = typed or fitting or [gain for gain in decimals if low <= gain <= high]
     return GainFit(
         value=[*inside, ratio][0],
         is_exact=len(fitting) == 1,

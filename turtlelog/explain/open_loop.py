@@ -6,10 +6,10 @@ the settings are not these.
 """
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.explain.stretches import list_breaks
@@ -29,6 +29,9 @@ below 0.1."""
 
 _FLOOR: Final = 1e-7
 """Below the rounding of a 32-bit pose of a few metres nothing is told [m, rad]."""
+
+_MOST_STEPS: Final = 4.0
+"""How far from the least squares a start is looked for, in steps of rounding."""
 
 _REFITS: Final = 3
 """Rounds in which the weights of position and heading settle."""
@@ -88,7 +91,8 @@ class Drive:
     """How a driven plant compares with the log.
 
     Attributes:
-        misfit: Negative log-likelihood, up to a constant.
+        rows: Rows compared.
+        whiteness: Of what is left of x, y and heading.
         explains: Whether what is left is noise.
         noise: What is left: standard deviation of x, y [m] and heading [rad].
         start: Pose at the start that fits best: x, y [m], heading [rad].
@@ -97,13 +101,19 @@ class Drive:
         slopes: How these change with the start, shape (rows, 3, 3).
     """
 
-    misfit: float
+    rows: int
+    whiteness: Values
     explains: bool
     noise: tuple[float, float, float]
     start: tuple[float, float, float]
     reach: tuple[float, float, float]
     left: Values
     slopes: Values
+
+    def compute_misfit(self, whiteness: Values) -> float:
+        """Return the negative log-likelihood, up to a constant, for noise of that whiteness."""
+        weights = 1.0 / _widen_for_runs(whiteness) ** 2
+        return float((self.rows * weights * np.log(np.array(self.noise))).sum())
 
 
 def drive_plant(trace: Trace, guess: Any, *, rows: int | None = None) -> Drive | None:
@@ -173,15 +183,12 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
         noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + _FLOOR
     whiteness = _measure_whiteness(after, stretches)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
-    widen = np.sqrt(
-        (2.0 - np.minimum(whiteness, 1.0)) / np.maximum(np.minimum(whiteness, 1.0), 0.01)
-    )
-    reach = 1.96 * np.sqrt(np.diag(spread)) * widen
+    reach = 1.96 * np.sqrt(np.diag(spread)) * _widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
     explains = bool(((whiteness > _WHITE) | (noise < np.maximum(grains, 2.0 * _FLOOR))).all())
-    weights = 1.0 / widen**2
     return Drive(
-        misfit=float((kept.sum() * weights * np.log(noise)).sum()),
+        rows=int(kept.sum()),
+        whiteness=whiteness,
         explains=explains,
         noise=(float(noise[0]), float(noise[1]), float(noise[2])),
         start=tuple(start.tolist()),
@@ -219,26 +226,62 @@ def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
     return np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
 
 
-def find_start(drive: Drive, half_steps: NDArray[np.float64]) -> tuple[float, float, float] | None:
-    """Return the start between 32-bit floats from which every pose rounds to the logged one.
+def _widen_for_runs(whiteness: Values) -> Values:
+    """Return by how much errors that hang on the one before spread more than independent ones."""
+    alike = np.clip(1.0 - whiteness, 0.0, 0.99)
+    return np.asarray(np.sqrt((1.0 + alike) / (1.0 - alike)))
 
-    The one that is furthest from any edge; None where there is none. `half_steps`: of the poses.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartBounds:
+    """A start from which every pose rounds to the logged one.
+
+    Attributes:
+        middle: The one furthest from any edge: x, y [m], heading [rad].
+        low: The least of each.
+        high: The largest of each.
     """
-    from scipy.optimize import linprog
 
+    middle: tuple[float, float, float]
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+def bound_start(drive: Drive, half_steps: Values) -> StartBounds | None:
+    """Return where a plant may start so that every pose of the first stretch rounds as logged.
+
+    None where no start does. `half_steps`: half the step that each value is rounded to, shape
+    (rows, 3).
+    """
     rows = drive.left.reshape(-1)
     slopes = drive.slopes.reshape(-1, 3)
     half = half_steps.reshape(-1)
     # In units of the steps themselves: a solver's tolerance is 1e-9.
     unit = float(half.max())
-    ones = np.ones((len(rows), 1)) * (half / unit)[:, None]
-    found = linprog(
-        c=[0.0, 0.0, 0.0, -1.0],
-        A_ub=np.block([[slopes, ones], [-slopes, ones]]),
-        b_ub=np.concatenate([half + rows, half - rows]) / unit,
-        bounds=[(-2.0, 2.0)] * 3 + [(0.0, 1.0)],
-        method="highs",
-    )
-    if not found.success:
+    within = np.block([[slopes, half[:, None] / unit], [-slopes, half[:, None] / unit]])
+    sides = np.concatenate([half + rows, half - rows]) / unit
+    middle = _solve([0.0, 0.0, 0.0, -1.0], within, sides)
+    if middle is None:
         return None
-    return tuple((np.array(drive.start) + found.x[:3] * unit).tolist())
+    ends = []
+    for axis, sign in product(range(3), (1.0, -1.0)):
+        cost = [sign * (axis == column) for column in range(3)] + [0.0]
+        ends.append(_solve(cost, within, sides))
+    start = np.array(drive.start)
+    low = [start[axis] + (ends[2 * axis] or middle)[axis] * unit for axis in range(3)]
+    high = [start[axis] + (ends[2 * axis + 1] or middle)[axis] * unit for axis in range(3)]
+    best = [start[axis] + middle[axis] * unit for axis in range(3)]
+    return StartBounds(middle=_as_pose(best), low=_as_pose(low), high=_as_pose(high))
+
+
+def _solve(cost: list[float], within: Values, sides: Values) -> list[float] | None:
+    from scipy.optimize import linprog
+
+    bounds = [(-_MOST_STEPS, _MOST_STEPS)] * 3 + [(0.0, 1.0)]
+    found = linprog(c=cost, A_ub=within, b_ub=sides, bounds=bounds, method="highs")
+    return [float(value) for value in found.x] if found.success else None
+
+
+def _as_pose(values: list[float]) -> tuple[float, float, float]:
+    x_m, y_m, heading_rad = map(float, values)
+    return x_m, y_m, heading_rad

@@ -1,7 +1,7 @@
 """Which settings of the loop reproduce a log: simulate those that its hints allow, and compare."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import groupby, product
 from math import ceil
 from typing import Any, Final
@@ -10,7 +10,7 @@ import numpy as np
 
 from turtlelog.angles import wrap_angle
 from turtlelog.explain.loop import Guess, Hints, agrees_with_clock, list_queues
-from turtlelog.explain.open_loop import Drive, drive_plant, find_start
+from turtlelog.explain.open_loop import Drive, StartBounds, bound_start, drive_plant
 from turtlelog.explain.resimulation import Row, count_equal, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
@@ -26,10 +26,16 @@ likely. Log-likelihoods of the settings tried are estimates, and 5 would still b
 _MOST_TICKS: Final = 150_000
 """Ticks that are simulated where none is exact, some four seconds' worth."""
 
+_MOST_SAMPLES: Final = 100_000
+"""Samples simulated from which on rarer queues are no longer tried, some three seconds' worth."""
+
 _SPARE_S: Final = 3.0
 """How much longer than the log a simulation may take before it counts as another [s]."""
 
 _USUAL_S: Final = Scenario().max_duration_s
+
+_OFF_GRID: Final = 0.02
+"""How far a logged value may be off its step, in steps: rounded to 32 bits after it."""
 
 _DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
 
@@ -55,7 +61,7 @@ class Fits:
         reproduced: Samples that the likeliest reproduces, from the first one on.
         tried: How many were simulated.
         hidden: Keys whose value makes no difference in this run.
-        start: Where it is no 32-bit float, by key of the scenario.
+        bounds: Of the start, where what is left is the rounding of poses alone.
     """
 
     guesses: tuple[Guess, ...]
@@ -66,7 +72,7 @@ class Fits:
     reproduced: int
     tried: int
     hidden: frozenset[str] = frozenset()
-    start: Mapping[str, Any] = field(default_factory=dict)
+    bounds: StartBounds | None = None
 
     @property
     def scenario(self) -> Scenario:
@@ -120,7 +126,7 @@ class _Search:
         pauses = hints.pauses
         self._near = [p for p in pauses if agrees_with_clock(p, hints, trace)] or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
-        self._tried = 0
+        self._tried = self._simulated = 0
         self.to_rounding = False
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
@@ -134,7 +140,8 @@ class _Search:
         exact: list[_Exact] = []
         for tier in tiers:
             exact += self.find_exact(tier)
-            if any(self.contradict_clock(guess) == (False, False) for guess, _ in exact):
+            is_settled = any(self.contradict_clock(guess) == (False, False) for guess, _ in exact)
+            if is_settled or self._simulated > _MOST_SAMPLES:
                 break
         if not exact:
             return None
@@ -208,25 +215,20 @@ class _Search:
 
         So stands a plant that moved before, as in a second run without a reset.
         """
-        drive, trace = fits.drive, self._trace
+        trace = self._trace
         poses = np.column_stack([trace.xy_m, trace.heading_rad])
         is_single = bool((poses == poses.astype(np.float32)).all())
-        if drive is None or not is_single or trace.missing or trace.jumps:
+        if fits.bounds is None or not is_single or trace.missing or trace.jumps:
             return None
-        half = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
-        if (np.array(drive.noise) > 4.0 * half.max(axis=0)).any():
-            return None
-        start = find_start(drive, half)
-        if start is None:
-            return None
-        values: dict[str, Any] = dict(zip(START_KEYS, keep_in_world(start), strict=True))
-        values["start.precision"] = "float64"
-        kept, self._known = self._known, {**self._known, **values}
+        start = keep_in_world(fits.bounds.middle)
+        kept = self._known
+        precise = {**dict(zip(START_KEYS, start, strict=True)), "start.precision": "float64"}
+        self._known = {**kept, **precise}
         found = self.find_in_tiers(tiers)
         if found is None:
             self._known = kept
             return None
-        return replace(found, start=values, drive=drive)
+        return replace(found, bounds=fits.bounds)
 
     def _drive(
         self, guesses: Sequence[Guess], pauses: Sequence[int], *, rows: int | None
@@ -239,8 +241,13 @@ class _Search:
         self._tried += len(tried)
         found = [(guess, drive_plant(self._trace, guess, rows=rows)) for guess in tried]
         driven = [(guess, drive) for guess, drive in found if drive is not None]
-        driven.sort(key=lambda pair: pair[1].misfit)
-        return [pair for pair in driven if pair[1].misfit < driven[0][1].misfit + _CERTAIN]
+        if not driven:
+            return []
+        # What the best leaves says how independent the rows are.
+        first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
+        misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
+        order = np.argsort(misfits, kind="stable").tolist()
+        return [driven[row] for row in order if misfits[row] < min(misfits) + _CERTAIN]
 
     def _build_nearest(self, guesses: Sequence[Guess], drive: Drive | None) -> Fits:
         start: dict[str, float] = {}
@@ -255,16 +262,33 @@ class _Search:
             scenarios=scenarios,
             is_exact=False,
             drive=drive,
+            bounds=self._bound_start(drive),
             reproduced=counts[0],
             tried=self._tried,
         )
+
+    def _bound_start(self, drive: Drive | None) -> StartBounds | None:
+        """Return bounds of the start, where what is left is no more than rounding."""
+        trace = self._trace
+        if drive is None or not (drive.explains and drive.rows == len(trace)):
+            return None
+        poses = np.column_stack([trace.xy_m, trace.heading_rad])
+        half = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
+        grains = 0.5 * np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
+        coarse = grains > 2.0 * half.max(axis=0)
+        half = np.where(coarse, grains * (1.0 + _OFF_GRID), half)
+        if (np.array(drive.noise) > 2.0 * half.max(axis=0)).any():
+            return None
+        return bound_start(drive, half)
 
     def _list_rotation(self) -> list[Row | None]:
         return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
 
     def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1
-        return count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
+        equal = count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
+        self._simulated += equal
+        return equal
 
     def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:
         """Let a scenario end with the log where the log was cut, else leave it the usual time."""

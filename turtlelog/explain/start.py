@@ -40,20 +40,28 @@ def describe_start(trace: Trace, fits: Fits) -> dict[str, Finding]:
 
 
 def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
-    if fits.is_exact and not fits.start:
+    if fits.is_exact and fits.bounds is None:
         return {key: find_exactly(value, "first pose read") for key, value in read.items()}
-    if fits.drive is None or not (fits.is_exact or fits.is_fitted):
+    if fits.bounds is not None:
+        bounds = zip(read, fits.bounds.middle, fits.bounds.low, fits.bounds.high, strict=True)
+        return {
+            key: Finding(
+                value=value,
+                certainty=Certainty.BRACKETED,
+                evidence="between the steps of logged poses; all poses agree with it",
+                interval=(low, high),
+            )
+            for key, value, low, high in bounds
+        }
+    if fits.drive is None or not fits.is_fitted:
         reason = "no setting explains the motion; taken from the first pose read"
         return {key: miss(reason, value) for key, value in read.items()}
-    evidence = "least squares of all poses, 95 %"
-    if fits.start:
-        evidence = "between 32-bit floats, as after another run; least squares of all poses, 95 %"
     found = zip(read, fits.drive.start, fits.drive.reach, strict=True)
     return {
         key: Finding(
-            value=fits.start.get(key, value),
+            value=value,
             certainty=Certainty.FITTED,
-            evidence=evidence,
+            evidence="least squares of all poses, 95 %",
             interval=(value - reach, value + reach),
         )
         for key, value, reach in found
