@@ -60,6 +60,10 @@ def _delay(rng: np.random.Generator) -> dict[str, Any]:
     return {"delay": int(rng.integers(1, 8))}
 
 
+def _depth(rng: np.random.Generator) -> dict[str, Any]:
+    return {"command_queue": int(rng.integers(3, 11)), "delay": int(rng.integers(0, 3))}
+
+
 def _stop(rng: np.random.Generator) -> dict[str, Any]:
     rules: list[dict[str, Any]] = [
         {"timeout_s": math.inf, "kp_linear": float(rng.uniform(0.08, 0.2)), "cut_s": 45.0},
@@ -79,6 +83,9 @@ FAMILIES = MappingProxyType(
     {
         "clean": Family(meaning="whole, without noise", fixed={}),
         "cut": Family(meaning="cut anywhere", fixed={}, change=_cut),
+        "cut delay": Family(meaning="cut anywhere, with a transport delay", fixed={}, drawn=_delay,
+                            change=_cut),
+        "depths": Family(meaning="other depths of the command queue", fixed={}, drawn=_depth),
         "delay": Family(meaning="with a transport delay", fixed={}, drawn=_delay),
         "period": Family(meaning="every second pose answered", fixed={"period": 2}),
         "second": Family(meaning="a second run without a reset", fixed={},
@@ -92,6 +99,8 @@ FAMILIES = MappingProxyType(
         "sensed 1e-2": Family(meaning="noise in what the controller reads", fixed={"noise": 1e-2}),
         "logged 1e-4": Family(meaning="noise in the log alone", fixed={"log_noise": 1e-4}),
         "logged 1e-2": Family(meaning="noise in the log alone", fixed={"log_noise": 1e-2}),
+        "logged 1e-2, cut": Family(meaning="noise in the log alone, cut", fixed={"log_noise": 1e-2},
+                                   change=_cut),
         "quantum": Family(meaning="read in steps of 1 mm and 1 mrad", fixed={"quantum": 1e-3}),
         "quantum in the log": Family(meaning="logged in steps of 0.1 mm and 0.1 mrad",
                                      fixed={"log_quantum": 1e-4}),

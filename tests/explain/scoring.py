@@ -29,9 +29,10 @@ ATTRIBUTES = {
     "loop.transport_delay_ticks": "delay",
     "loop.period_ticks": "period",
 }
-"""Which attribute of a truth a key of the scenario is; laws other than `p` have none of `law.`"""
+"""Which attribute of a truth a key of the scenario is."""
 
-LAW = ("law.", "limits.")
+CLAIMS = ("law.kp_angular", "law.kp_linear", "limits.turn_rate_rad_s", "limits.speed_m_s")
+"""What is true of no other law."""
 
 
 def list_truth(log: Log) -> dict[str, Any]:
@@ -51,7 +52,7 @@ def list_truth(log: Log) -> dict[str, Any]:
     }
     if truth.law != "p":
         # Of another law no parameter is true.
-        values = {key: None if key.startswith(LAW) else value for key, value in values.items()}
+        values = {key: None if key in CLAIMS else value for key, value in values.items()}
     return values | _list_dead_times(log)
 
 
@@ -74,7 +75,7 @@ def judge(finding: Finding, truth: Any) -> str:
         holds = bool(finding.value == truth)
     elif finding.interval is not None:
         low, high = finding.interval
-        holds = truth is not None and bool(low <= truth <= high)
+        holds = finding.value is None if truth is None else bool(low <= truth <= high)
     elif finding.certainty is Certainty.UNKNOWN:
         holds = True
     else:

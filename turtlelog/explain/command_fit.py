@@ -15,13 +15,15 @@ Reproduce = Callable[[float], Values]
 """The commands that the law wants, by its gain."""
 
 _FEWEST: Final = 8
-"""Commands from which on noise can be told from a curve: with fewer, one in ten of straight lines
-with noise has a whiteness below `_WHITE`."""
+"""Commands from which on noise can be told from a curve: with fewer, the whiteness of noise may be
+as small as a curve's."""
 
-_WHITE: Final = 0.5
-"""Whiteness below which the commands do not follow the error alone: noise has 1, with a standard
-deviation of 1 over the root of the rows; what an integral, a derivative or a bend leaves is
-smooth, and below 0.1."""
+_WHITE: Final = 0.4
+"""How far from 1 the whiteness of noise may be: what an integral, a derivative or a bend leaves is
+smooth, below 0.1, and what a switch leaves alternates, up to 2."""
+
+_WHITE_SURE: Final = 2.5
+"""The same in standard deviations, which are 1 over the root of the rows: one log in 80."""
 
 _BEYOND: Final = 5.0
 """Standard deviations by which the error must have changed along equal commands to show that they
@@ -69,10 +71,11 @@ class CommandFit:
             return None
         if found.rows < _FEWEST:
             return f"{found.rows} unclipped commands cannot tell noise from another law"
-        if found.whiteness < _WHITE and found.noise > self.grain:
+        reach = max(_WHITE, _WHITE_SURE / math.sqrt(found.rows))
+        if abs(found.whiteness - 1.0) > reach and found.noise > self.grain:
             return (
                 "the commands are not proportional to the error: a gain of"
-                f" {found.value:.4g} leaves a curve of {found.noise:.2g} and no noise"
+                f" {found.value:.4g} leaves a pattern of {found.noise:.2g} and no noise"
             )
         return None
 

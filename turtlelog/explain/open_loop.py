@@ -24,10 +24,9 @@ _UNKNOWN_TICKS: Final = 20
 """Ticks after missing rows in which commands that nobody logged may still be acting."""
 
 _WHITE: Final = 0.5
-"""Whiteness below which what is left is no noise: noise has 1, a wrong setting leaves a curve,
-below 0.1."""
+"""How far from 1 the whiteness of noise may be: a wrong setting leaves a curve, below 0.1."""
 
-_FLOOR: Final = 1e-7
+FLOOR: Final = 1e-7
 """Below the rounding of a 32-bit pose of a few metres nothing is told [m, rad]."""
 
 _MOST_STEPS: Final = 4.0
@@ -180,12 +179,14 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
             after[stretch] = left[stretch] - slopes[stretch] @ found
             if number == 0:
                 offsets, spread = found, covariance
-        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + _FLOOR
+        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
     whiteness = _measure_whiteness(after, stretches)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     reach = 1.96 * np.sqrt(np.diag(spread)) * _widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
-    explains = bool(((whiteness > _WHITE) | (noise < np.maximum(grains, 2.0 * _FLOOR))).all())
+    explains = bool(
+        ((np.abs(whiteness - 1.0) < _WHITE) | (noise < np.maximum(grains, 2.0 * FLOOR))).all()
+    )
     return Drive(
         rows=int(kept.sum()),
         whiteness=whiteness,

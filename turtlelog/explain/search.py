@@ -10,7 +10,7 @@ import numpy as np
 
 from turtlelog.angles import wrap_angle
 from turtlelog.explain.loop import Guess, Hints, agrees_with_clock, list_queues
-from turtlelog.explain.open_loop import Drive, StartBounds, bound_start, drive_plant
+from turtlelog.explain.open_loop import FLOOR, Drive, StartBounds, bound_start, drive_plant
 from turtlelog.explain.resimulation import Row, count_equal, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
@@ -277,7 +277,7 @@ class _Search:
         grains = 0.5 * np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
         coarse = grains > 2.0 * half.max(axis=0)
         half = np.where(coarse, grains * (1.0 + _OFF_GRID), half)
-        if (np.array(drive.noise) > 2.0 * half.max(axis=0)).any():
+        if (np.array(drive.noise) > 2.0 * half.max(axis=0) + FLOOR).any():
             return None
         return bound_start(drive, half)
 
