@@ -139,9 +139,10 @@ class _Search:
         """Return the settings that reproduce every sample, None where none does."""
         exact: list[_Exact] = []
         for tier in tiers:
-            exact += self.find_exact(tier)
+            # Once the clock agrees with one, only others that it agrees with as well count.
             is_settled = any(self.contradict_clock(guess) == (False, False) for guess, _ in exact)
-            if is_settled or self._simulated > _MOST_SAMPLES:
+            exact += self.find_exact(self._keep_agreeing(tier) if is_settled else tier)
+            if self._simulated > _MOST_SAMPLES:
                 break
         if not exact:
             return None
@@ -149,6 +150,9 @@ class _Search:
         return self.build_exact_fits(
             [found for found in exact if self.contradict_clock(found[0]) == least]
         )
+
+    def _keep_agreeing(self, queues: Sequence[Guess]) -> list[Guess]:
+        return [g for g in queues if g["loop.start_backlog"] in self._hints.backlogs]
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
         """Return the settings that reproduce every sample, of them those nearest to the clock."""
@@ -176,11 +180,13 @@ class _Search:
 
     def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
         """Return the settings found, as scenarios that end where the log does."""
-        guess = exact[0][0]
         hidden = {
             key
             for key in _DEPTHS
-            if self._count({**guess, key: guess[key] + 1}, self._rows) >= len(self._rows)
+            if any(
+                self._count({**guess, key: guess[key] + 1}, self._rows) >= len(self._rows)
+                for guess, _ in exact
+            )
         }
         return Fits(
             guesses=tuple(guess for guess, _ in exact),
