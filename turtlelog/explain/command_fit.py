@@ -22,14 +22,31 @@ _WHITE: Final = 0.4
 """How far from 1 the whiteness of noise may be: what an integral, a derivative or a bend leaves is
 smooth, below 0.1, and what a switch leaves alternates, up to 2."""
 
-_WHITE_SURE: Final = 2.5
-"""The same in standard deviations, which are 1 over the root of the rows: one log in 80."""
+_WHITE_SURE: Final = 4.0
+"""The same in standard deviations, which are 1 over the root of the rows: one log in 16,000."""
+
+_LARGER: Final = 2.0
+"""How much more than the noise of the poses may be left: with 8 rows 2 is four standard deviations
+of an estimate, with more it is further."""
 
 _BEYOND: Final = 5.0
 """Standard deviations by which the error must have changed along equal commands to show that they
 are clipped. In noise alone this happens once in a million logs."""
 
 _TINY: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseNoise:
+    """What the logged poses have of noise.
+
+    Attributes:
+        size: Its standard deviation [m or rad].
+        grain: Step in which they are logged [m or rad].
+    """
+
+    size: float
+    grain: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +59,7 @@ class CommandFit:
         least: The least gain that explains every command, where there is none.
         largest: The largest magnitude published.
         rows: Commands in the phase.
-        grain: Steps in which the error is read [its unit].
+        noise: Of the poses.
         has_signs: Whether every command has the sign of its error.
     """
 
@@ -51,7 +68,7 @@ class CommandFit:
     least: float = 0.0
     largest: float
     rows: int
-    grain: float
+    noise: PoseNoise
     has_signs: bool
 
     @property
@@ -72,7 +89,8 @@ class CommandFit:
         if found.rows < _FEWEST:
             return f"{found.rows} unclipped commands cannot tell noise from another law"
         reach = max(_WHITE, _WHITE_SURE / math.sqrt(found.rows))
-        if abs(found.whiteness - 1.0) > reach and found.noise > self.grain:
+        is_pattern = abs(found.whiteness - 1.0) > reach and found.noise > self.noise.grain
+        if is_pattern or found.noise > _LARGER * max(self.noise.size, self.noise.grain):
             return (
                 "the commands are not proportional to the error: a gain of"
                 f" {found.value:.4g} leaves a pattern of {found.noise:.2g} and no noise"
@@ -80,13 +98,13 @@ class CommandFit:
         return None
 
 
-def fit_command(command: Values, reproduce: Reproduce, grain: float) -> CommandFit:
+def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> CommandFit:
     """Fit a gain to the commands that are not clipped; find out which are."""
     size, error = np.abs(command), reproduce(1.0)
     largest = float(size.max())
     below = size < largest
     has_signs = bool((error * command > 0.0).all())
-    known: dict[str, Any] = {"largest": largest, "grain": grain, "has_signs": has_signs}
+    known: dict[str, Any] = {"largest": largest, "noise": noise, "has_signs": has_signs}
     whole = fit_gain(command, reproduce)
     if (whole.is_exact or whole.is_close) and np.ptp(error) > 0.0:
         return CommandFit(gain=whole, limit=None, rows=len(command), **known)

@@ -21,7 +21,7 @@ from turtlelog.explain.settings import describe_loop, describe_pause
 from turtlelog.explain.start import describe_goal, describe_start, read_start
 from turtlelog.explain.stretches import describe_breaks, space_out
 from turtlelog.explain.trace import Trace, trace_run
-from turtlelog.measure import DeadTime, Missing, find_dead_time
+from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import Phase, Run
 from turtlelog.scenario import DEFAULT_LAW
 from turtlelog.simulate import simulate_run
@@ -88,7 +88,7 @@ def _identify_samples(run: Run) -> Identification:
     findings |= describe_start(trace, fits)
     findings |= describe_loop(trace, fits)
     if fits.is_fitted and not fits.is_exact:
-        findings |= _describe_dead_times_again(findings, again)
+        findings |= _describe_dead_times_again(dead_times, again)
     if not (fits.is_exact or fits.is_close):
         findings |= _withhold_law(findings, turning, driving)
     findings |= {**find_pause(trace, hints), **describe_pause(trace, fits)}
@@ -124,13 +124,20 @@ def _describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Fin
     )
 
 
-def _describe_dead_times_again(findings: Mapping[str, Finding], again: Run) -> dict[str, Finding]:
-    """Return the dead times that the settings found have, where the log's own are not exact."""
+def _describe_dead_times_again(
+    dead_times: Mapping[Phase, DeadTime | Missing], again: Run
+) -> dict[str, Finding]:
+    """Return the dead times that the settings found have, where noise hides the log's own."""
     found = {}
-    for phase in (Phase.ROTATE, Phase.TRANSLATE):
-        key, dead_time = f"dead_time.{phase.label}", find_dead_time(again, phase)
-        if findings[key].certainty is not Certainty.EXACT and isinstance(dead_time, DeadTime):
-            found[key] = Finding(
+    for phase, logged in dead_times.items():
+        is_hidden = (
+            not logged.is_exact
+            if isinstance(logged, DeadTime)
+            else (logged.status is Status.UNDETERMINED)
+        )
+        dead_time = find_dead_time(again, phase)
+        if is_hidden and isinstance(dead_time, DeadTime):
+            found[f"dead_time.{phase.label}"] = Finding(
                 value=dead_time.ticks,
                 certainty=Certainty.FITTED,
                 evidence="of the settings that explain the motion",

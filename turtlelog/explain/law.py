@@ -9,6 +9,7 @@ import numpy as np
 from turtlelog.angles import wrap_angle
 from turtlelog.explain.command_fit import (
     CommandFit,
+    PoseNoise,
     Reproduce,
     compute_misfit,
     describe_gain,
@@ -44,9 +45,9 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
             "law.heading_tolerance_rad": bracket_heading_tolerance(trace, error, None),
             "law.wrap_error": miss(reason, assumed=False),
         }, None
-    grain = trace.grain_rad
-    plain = fit_command(command, partial(np.multiply, error[rows]), grain)
-    wrapped = fit_command(command, partial(np.multiply, wrap_angle(error[rows])), grain)
+    noise = PoseNoise(size=trace.noise_rad, grain=trace.grain_rad)
+    plain = fit_command(command, partial(np.multiply, error[rows]), noise)
+    wrapped = fit_command(command, partial(np.multiply, wrap_angle(error[rows])), noise)
     wraps, wrap_finding = _choose_wrapping(command, error[rows], plain, wrapped)
     fit = wrapped if wraps else plain
     error = wrap_angle(error) if wraps else error
@@ -76,8 +77,9 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
         "bearing": np.full(int(driven.sum()), trace.bearing_rad),
         "heading": trace.heading_rad[rows][driven],
     }
+    noise = PoseNoise(size=trace.noise_m, grain=trace.grain_m)
     fits = {
-        name: fit_command(command[driven], _project(errors[driven], headings), trace.grain_m)
+        name: fit_command(command[driven], _project(errors[driven], headings), noise)
         for name, headings in along.items()
     }
     projection = _choose_projection(fits)

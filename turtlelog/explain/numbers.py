@@ -107,7 +107,7 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
     changes = np.diff(left)
     whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
     spread = noise / math.sqrt(square) if square > 0.0 else math.inf
-    reach = _find_quantile(rows) * spread * _widen_for_runs(whiteness)
+    reach = find_quantile(rows) * spread * _widen_for_runs(whiteness)
     return GainFit(
         value=1.0 / slope if slope else 0.0,
         is_exact=False,
@@ -122,7 +122,7 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
     )
 
 
-def _find_quantile(rows: int) -> float:
+def find_quantile(rows: int) -> float:
     """Return how many standard errors an interval of 95 % reaches to either side."""
     from scipy.special import stdtrit
 

@@ -5,13 +5,14 @@ are known exactly. What is left between the logged poses and the driven ones is 
 the settings are not these.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from turtlelog.angles import subtract_headings
+from turtlelog.explain.numbers import find_quantile
 from turtlelog.explain.stretches import list_breaks
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.laws import Decision, Goal, Pose
@@ -131,6 +132,16 @@ def drive_plant(trace: Trace, guess: Any, *, rows: int | None = None) -> Drive |
     return _compare(trace, left, read, count)
 
 
+def join_starts(drives: list[Drive]) -> Drive:
+    """Return the first of several that fit alike, with intervals that reach over those of all."""
+    best = drives[0]
+    edges = [
+        abs(np.array(drive.start) - np.array(best.start)) + np.array(drive.reach)
+        for drive in drives
+    ]
+    return replace(best, reach=_as_pose(np.max(edges, axis=0).tolist()))
+
+
 def _drive(trace: Trace, guess: Any, samples: int) -> Values | None:
     """Return the pose that each sample would read, in double precision, shape (samples, 3)."""
     values = dict(guess)
@@ -182,7 +193,8 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
         noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
     whiteness = _measure_whiteness(after, stretches)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
-    reach = 1.96 * np.sqrt(np.diag(spread)) * _widen_for_runs(whiteness)
+    quantile = find_quantile(int(kept.sum()) - 2)
+    reach = quantile * np.sqrt(np.diag(spread)) * _widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
     explains = bool(
         ((np.abs(whiteness - 1.0) < _WHITE) | (noise < np.maximum(grains, 2.0 * FLOOR))).all()

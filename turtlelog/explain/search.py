@@ -10,7 +10,14 @@ import numpy as np
 
 from turtlelog.angles import wrap_angle
 from turtlelog.explain.loop import Guess, Hints, agrees_with_clock, list_queues
-from turtlelog.explain.open_loop import FLOOR, Drive, StartBounds, bound_start, drive_plant
+from turtlelog.explain.open_loop import (
+    FLOOR,
+    Drive,
+    StartBounds,
+    bound_start,
+    drive_plant,
+    join_starts,
+)
 from turtlelog.explain.resimulation import Row, count_equal, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
@@ -213,8 +220,8 @@ class _Search:
         # Of settings that fit alike, those that the clock does not contradict.
         least = min(self.contradict_clock(guess) for guess, _ in driven)
         agreeing = [guess for guess, _ in driven if self.contradict_clock(guess) == least]
-        best = next(drive for guess, drive in driven if guess == agreeing[0])
-        return self._build_nearest(agreeing, best)
+        drives = [drive for guess, drive in driven if guess in agreeing]
+        return self._build_nearest(agreeing, join_starts(drives))
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
         """Return the settings that reproduce every sample from a start that is no 32-bit float.

@@ -62,9 +62,9 @@ def number_rows(trace: "Trace", jumps: tuple[int, ...]) -> NDArray[np.int64]:
     number = np.ones(len(trace), dtype=np.int64)
     number[0] = 0
     moved, turned = _measure_steps(trace)
-    least_m = _MOVES * np.sqrt(2.0) * _estimate_noise(trace.xy_m) + trace.grain_m
+    least_m = _MOVES * np.sqrt(2.0) * estimate_noise(trace.xy_m) + trace.grain_m
     unwrapped = np.unwrap(trace.heading_rad)[:, None]
-    least_rad = _MOVES * np.sqrt(2.0) * _estimate_noise(unwrapped) + trace.grain_rad
+    least_rad = _MOVES * np.sqrt(2.0) * estimate_noise(unwrapped) + trace.grain_rad
     for row in sorted(rows):
         near = [
             step
@@ -126,6 +126,17 @@ def space_out(trace: "Trace") -> Run:
     return replace(run, poses=replace(run.poses, time_ns=ticks * TICK_NS))
 
 
+def estimate_noise(values: Values) -> float:
+    """Return the standard deviation of noise, from what neighbours do not have in common.
+
+    The median of second differences of normal noise is 0.6745 times the root of 6 of it.
+    """
+    if len(values) < 3:
+        return 0.0
+    bends = np.abs(np.diff(values, n=2, axis=0))
+    return float(np.median(bends)) / (0.6745 * float(np.sqrt(6.0)))
+
+
 def _count_more(amount: int) -> str:
     return f", and {amount - 1} more" if amount > 1 else ""
 
@@ -145,15 +156,4 @@ def _measure_steps(trace: "Trace") -> tuple[Values, Values]:
 
 
 def _find_slack(values: Values, grain: float) -> float:
-    return _NOISE_STEPS * float(np.sqrt(2.0)) * _estimate_noise(values) + 2.0 * grain + _ROUNDING
-
-
-def _estimate_noise(values: Values) -> float:
-    """Return the standard deviation of noise, from what neighbours do not have in common.
-
-    The median of second differences of normal noise is 0.6745 times the root of 6 of it.
-    """
-    if len(values) < 3:
-        return 0.0
-    bends = np.abs(np.diff(values, n=2, axis=0))
-    return float(np.median(bends)) / (0.6745 * float(np.sqrt(6.0)))
+    return _NOISE_STEPS * float(np.sqrt(2.0)) * estimate_noise(values) + 2.0 * grain + _ROUNDING

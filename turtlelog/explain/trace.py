@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
-from turtlelog.explain.stretches import find_jumps, number_rows
+from turtlelog.explain.stretches import estimate_noise, find_jumps, number_rows
 from turtlelog.run import Phase, Run
 from turtlelog.turtlesim import TICK_NS
 
@@ -89,6 +89,16 @@ class Trace:
     def grain_rad(self) -> float:
         """Step in which headings are logged [rad]."""
         return find_grain(self.heading_rad)
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of the noise of positions [m]."""
+        return estimate_noise(self.xy_m)
+
+    @property
+    def noise_rad(self) -> float:
+        """Standard deviation of the noise of headings [rad]."""
+        return estimate_noise(np.unwrap(self.heading_rad)[:, None])
 
     @property
     def missing(self) -> list[tuple[int, int]]:

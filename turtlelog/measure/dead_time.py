@@ -25,6 +25,9 @@ _CERTAIN: Final = 10.0
 _EXPLAINED: Final = 0.05
 """Residual above which nothing is explained, as a share of the way."""
 
+_KNOWN: Final = 0.5
+"""Share of the steps whose commands must be known to a dead time that explains them exactly."""
+
 _FEWEST_STEPS: Final = 12
 """The shortest stretch that counts as one of another dead time."""
 
@@ -95,7 +98,9 @@ def _choose(
     """Judge the errors of each dead time, shape (dead times, steps); `first` is the first move."""
     fits = (np.abs(errors) <= motion.rounding) | ~sure
     fits[:, :first] = True
-    exact = np.flatnonzero(fits.all(axis=1))
+    # A dead time whose commands are not known for most steps fits whatever moves.
+    is_known = sure[:, first:].mean(axis=1) >= _KNOWN
+    exact = np.flatnonzero(fits.all(axis=1) & is_known)
     if len(exact) > 1:
         return Missing(status=Status.UNDETERMINED, reason=_describe_alike(exact))
     stretches = [(0, int(exact[0]))] if len(exact) else _split_exactly(fits)
