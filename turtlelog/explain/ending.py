@@ -220,7 +220,8 @@ def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
         )
     reason = "the log says that the run ended, and no rule does with its usual value"
     if len(likely) < 2:
-        return Ending(reason=miss(reason), rules=findings)
+        known = [f"; with another {rule.name} would" for rule in likely]
+        return Ending(reason=miss("".join([reason, *known])), rules=findings)
     return Ending(
         reason=Finding(
             value=likely[0].name,
