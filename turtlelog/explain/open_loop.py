@@ -94,6 +94,7 @@ class Drive:
         rows: Rows compared.
         whiteness: Of what is left of x, y and heading.
         explains: Whether what is left is noise.
+        is_rounding: Whether what is left of one axis is no more than the step of its poses.
         noise: What is left: standard deviation of x, y [m] and heading [rad].
         start: Pose at the start that fits best: x, y [m], heading [rad].
         reach: Half-width of its 95 % intervals.
@@ -104,6 +105,7 @@ class Drive:
     rows: int
     whiteness: Values
     explains: bool
+    is_rounding: bool
     noise: tuple[float, float, float]
     start: tuple[float, float, float]
     reach: tuple[float, float, float]
@@ -180,10 +182,15 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
     slopes = np.zeros((count, 3, 3))
     slopes[:, 0, 0] = slopes[:, 1, 1] = slopes[:, 2, 2] = 1.0
     offsets, spread = np.zeros(3), np.zeros((3, 3))
-    after, noise = left.copy(), np.ones(3)
+    noise = np.ones(3)
     for stretch in stretches:
+        # After a jump the way is the same, turned by as much as the jump turned.
+        turned = float(np.median(left[stretch, 2])) if stretch.start else 0.0
         away = read[stretch, :2] - read[stretch][0, :2]
-        slopes[stretch, 0, 2], slopes[stretch, 1, 2] = -away[:, 1], away[:, 0]
+        way = away @ np.array([[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]])
+        left[stretch] += np.column_stack([away - way, np.full(len(way), -turned)])
+        slopes[stretch, 0, 2], slopes[stretch, 1, 2] = -way[:, 1], way[:, 0]
+    after = left.copy()
     for _ in range(_REFITS):
         for number, stretch in enumerate(stretches):
             found, covariance = _fit_offsets(left[stretch], slopes[stretch], noise)
@@ -196,13 +203,13 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
     quantile = find_quantile(int(kept.sum()) - 2)
     reach = quantile * np.sqrt(np.diag(spread)) * _widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
-    explains = bool(
-        ((np.abs(whiteness - 1.0) < _WHITE) | (noise < np.maximum(grains, 2.0 * FLOOR))).all()
-    )
+    is_noise = np.abs(whiteness - 1.0) < _WHITE
+    is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
     return Drive(
         rows=int(kept.sum()),
         whiteness=whiteness,
-        explains=explains,
+        explains=bool((is_noise | is_rounding).all()),
+        is_rounding=bool(is_rounding.any()),
         noise=(float(noise[0]), float(noise[1]), float(noise[2])),
         start=tuple(start.tolist()),
         reach=tuple(reach.tolist()),

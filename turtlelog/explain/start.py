@@ -56,6 +56,9 @@ def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
     if fits.drive is None or not fits.is_fitted:
         reason = "no setting explains the motion; taken from the first pose read"
         return {key: miss(reason, value) for key, value in read.items()}
+    if fits.drive.is_rounding:
+        reason = "no start makes every pose round as logged; taken from the first pose read"
+        return {key: miss(reason, value) for key, value in read.items()}
     found = zip(read, fits.drive.start, fits.drive.reach, strict=True)
     return {
         key: Finding(

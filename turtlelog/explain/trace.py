@@ -155,10 +155,13 @@ def find_grain(values: Values) -> float:
         spacing = float(np.spacing(np.float32(np.abs(values).max(initial=0.0))))
     if len(different) < _FEWEST_DIFFERENT:
         return spacing
-    step = float(np.diff(different).min())
-    multiples = different / step
-    is_common = bool((np.abs(multiples - np.rint(multiples)) < _OFF_GRID).all())
-    return max(step, spacing) if is_common else spacing
+    steps = np.diff(different)
+    # From neighbours, which are few steps apart, to all: the step gets more exact on the way.
+    multiples = np.cumsum(np.rint(steps / steps.min()))
+    step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
+    left = (different[1:] - different[0]) - step * multiples
+    is_common = bool((np.abs(left) < _OFF_GRID * step).all()) and step > spacing
+    return step if is_common else spacing
 
 
 def _count_leading(holds: NDArray[np.bool_]) -> int:

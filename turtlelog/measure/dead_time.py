@@ -99,8 +99,8 @@ def _choose(
     fits = (np.abs(errors) <= motion.rounding) | ~sure
     fits[:, :first] = True
     # A dead time whose commands are not known for most steps fits whatever moves.
-    is_known = sure[:, first:].mean(axis=1) >= _KNOWN
-    exact = np.flatnonzero(fits.all(axis=1) & is_known)
+    fits &= sure[:, first:].mean(axis=1, keepdims=True) >= _KNOWN
+    exact = np.flatnonzero(fits.all(axis=1))
     if len(exact) > 1:
         return Missing(status=Status.UNDETERMINED, reason=_describe_alike(exact))
     stretches = [(0, int(exact[0]))] if len(exact) else _split_exactly(fits)
