@@ -20,7 +20,8 @@ _BEGUN: Final = 0.1
 """Share of the way after which a phase's first commands, which may be lost, are behind it."""
 
 _CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which the better of two fits counts as found."""
+"""Difference of log-likelihoods from which the better of two fits counts as found: the other is
+20,000 times less likely."""
 
 _EXPLAINED: Final = 0.05
 """Residual above which nothing is explained, as a share of the way."""
