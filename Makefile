@@ -6,7 +6,7 @@ BIN := .venv/bin
 export PIP_CONSTRAINT := $(CURDIR)/constraints.txt
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: demo test check torture recordings pictures bench clean
+.PHONY: demo test test-without-graphics check torture recordings pictures bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
@@ -14,6 +14,11 @@ demo: .venv/installed
 test: .venv/installed-dev
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime and not torture"
 	$(BIN)/python -m pytest -m "realtime or torture"
+
+# What a machine without a graphics driver sees of the viewer: it answers before it dies.
+test-without-graphics: .venv/installed-dev
+	VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent \
+		$(BIN)/python -m pytest -rs tests/show/rerun
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check .

@@ -12,6 +12,7 @@ from .check import (
     PartialLogError as PartialLogError,
     Recording as Recording,
     Spec as Spec,
+    UndecidedError as UndecidedError,
     Verdict as Verdict,
     check_formula as check_formula,
     check_run as check_run,
@@ -99,6 +100,7 @@ from .log import (
     read_bag as read_bag,
     read_bag_info as read_bag_info,
     read_columns as read_columns,
+    read_file_info as read_file_info,
     read_info as read_info,
     read_recording as read_recording,
     read_run as read_run,
@@ -144,6 +146,7 @@ from .scenario import (
     override_scenario as override_scenario,
     parse_assignments as parse_assignments,
     parse_scenario as parse_scenario,
+    resolve_scenario as resolve_scenario,
     restore_scenario as restore_scenario,
 )
 from .show import (

@@ -11,7 +11,7 @@ import msgspec
 from turtlelog.log.recording.recorder import INTERRUPTED
 from turtlelog.log.signals import StopRequest, catch_stop
 from turtlelog.run import Event, Run
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import Tick, collect_run, iterate_ticks
 from turtlelog.turtlesim import TICK_S
 
@@ -94,8 +94,8 @@ def run_live(
 ) -> Run:
     """Simulate a scenario, hand every tick to the sinks as it comes, and return the run.
 
-    Ctrl-C and SIGTERM end the run with the stop reason `interrupted` at the next tick, a second one
-    at once. The sinks are closed whatever happens.
+    Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end the run with the stop reason `interrupted` at the next
+    tick, a second one at once. The sinks are closed whatever happens.
 
     Args:
         scenario: What to simulate.
@@ -104,10 +104,12 @@ def run_live(
         clock: The clock that they wait for.
 
     Raises:
+        ScenarioError: Where the law cannot be loaded or may not run.
         SimulationError: Where the law fails.
         KeyboardInterrupt: Where it was interrupted before the first sample.
         LogError: Where a recorder can take no more.
     """
+    scenario = resolve_scenario(scenario)
     pace = Pace(clock) if realtime else None
     notes: dict[str, str] = {}
     with catch_stop() as request, ExitStack() as closing:

@@ -105,15 +105,15 @@ def test_a_finding_names_the_comparison_that_decides(
         ("always(x >= 0)", None),
         ("always[3.5, 100](x > 5)", 3.5),
         ("always[3.5, 100](x > 3)", 4.0),
-        ("always[50, 100](x > 3)", 4.0),
         ("eventually[0, 2](x > 3)", 2.0),
         ("eventually[0, 100](x > 5)", 4.0),
         ("always(x < 4) and eventually[0, 2](x > 3)", 2.0),
         ("x == 0 implies always(x < 3)", 1.0),
         ("x == 1 implies always(x < 3)", None),
-        ("always[1e300, inf](x > 3)", 4.0),
         ("eventually[0, 1e300](x > 5)", 4.0),
-        ("x < 5 until[9, 1e300] x > 5", 4.0),
+        ("x < 3.5 until[9, 1e300] x > 5", 3.0),
+        ("eventually[4, 100](x > 5)", 4.0),
+        ("always[50, 100](x > 3) and always[2, 100](x > 3)", 2.0),
         ("x < 3.5 until x > 5", 3.0),
         ("x < 5 until[0, 2] x > 3.5", 2.0),
         ("not eventually(x > 3)", 0.0),
@@ -124,6 +124,19 @@ def test_the_first_violation_is_found(text: str, first_violation_s: float | None
     found = check(text)
     assert found.first_violation_s == first_violation_s
     assert found.holds is (first_violation_s is None)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("always[50, 100](x > 3)", "always[1e300, inf](x > 3)", "eventually[4.5, 100](x > 5)"),
+        *("x < 5 until[9, 1e300] x > 5", "x == 0 implies always[4.5, 5](x > 3)"),
+    ],
+)
+def test_a_window_beyond_the_end_is_violated_at_no_recorded_time_and_says_so(text: str) -> None:
+    found = check(text)
+    assert (found.holds, found.first_violation_s) == (False, None)
+    assert found.reason == "its window begins after the end, where the last values hold"
 
 
 def test_a_margin_of_zero_is_decided_by_the_operator() -> None:

@@ -1,11 +1,16 @@
 """A metric's first violation is where a run that had ended there would have violated it, too."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 import turtlelog as tl
 from tests.check.recordings import simulate
-from turtlelog.check.moments import find_metric_violation
+from tests.check.test_mutations import build
+from turtlelog.check.moments import find_metric_violation, is_growing
 
 RUN = simulate("paper-kp10")
 METRICS = tl.measure_run(RUN)
@@ -31,11 +36,47 @@ def test_a_run_cut_before_the_first_violation_passes(name: str) -> None:
     failed_s = find(name, value / 2)
     assert failed_s is not None
     at_ns = RUN.start_ns + round(failed_s * 1e9)
-    before, there = (tl.cut_run(RUN, end_ns=end_ns) for end_ns in (at_ns - 1, at_ns))
+    cuts = [tl.cut_run(RUN, end_ns=end_ns) for end_ns in (at_ns - 1, at_ns)]
+    before, there = (replace(cut, stop_reason=RUN.stop_reason) for cut in cuts)
     values = [tl.measure_run(run, only=[name])[name].value for run in (before, there)]
     assert values[1] is not None
     assert values[1] > value / 2
     assert values[0] is None or values[0] <= value / 2
+
+
+def measure_parts(change: str) -> list[Mapping[str, tl.Metric]]:
+    """Measure a run as if it had ended at each of some times after its first sample."""
+    run = build(change)
+    ends_ns = np.linspace(run.start_ns, run.end_ns, 25, dtype=np.int64)[1:]
+    parts = [tl.cut_run(run, end_ns=int(end_ns)) for end_ns in ends_ns]
+    return [tl.measure_run(replace(part, stop_reason=run.stop_reason)) for part in parts]
+
+
+@pytest.mark.parametrize("change", ["gain", "lag", "wrong direction", "slow loop", "lost pose"])
+def test_what_grows_never_falls_while_a_run_goes_on(change: str) -> None:
+    parts = measure_parts(change)
+    for name in tl.METRICS:
+        if not is_growing(name):
+            continue
+        values = [part[name].value for part in parts]
+        known = [value for value in values if value is not None]
+        assert all(after >= before - 1e-12 for before, after in pairwise(known)), name
+        assert None not in values[len(values) - len(known) :], name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("rotate.rms_error", "rotate.saturated_share", "rotate.final_error"),
+        *("translate.steady_state_error", "translate.saturated_time_share", "translate.rms_error"),
+        *("final.position_error", "run.sample_jitter", "run.sample_rate", "run.straightness"),
+    ],
+)
+def test_what_may_fall_again_is_not_said_to_grow(name: str) -> None:
+    assert not is_growing(name)
+    values = [part[name].value for part in measure_parts("gain")]
+    known = [value for value in values if value is not None]
+    assert any(after < before for before, after in pairwise(known))
 
 
 def test_what_is_waited_for_is_late_when_its_time_is_over() -> None:
@@ -60,3 +101,8 @@ def test_a_cut_run_keeps_what_belongs_together() -> None:
     whole_m = RUN.poses.xy_m[np.isin(RUN.poses.time_ns, cut.poses.time_ns)]
     np.testing.assert_array_equal(cut.poses.xy_m, whole_m)
     assert cut.commands.time_ns.min() >= 2_000_000_000
+
+
+def test_a_run_whose_end_is_cut_off_does_not_say_why_it_ended() -> None:
+    assert tl.cut_run(RUN, end_ns=RUN.end_ns - 1).stop_reason is None
+    assert tl.cut_run(RUN, start_ns=2_000_000_000).stop_reason == "standstill"

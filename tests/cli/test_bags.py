@@ -107,3 +107,45 @@ def test_an_empty_bag_holds_no_run_but_is_described(
     write_mcap(bag / "a.mcap", [])
     assert "expected poses" in refuse(call, command, bag)
     assert call("info", bag, "--json").json[0]["topics"] == []
+
+
+TOLERANCES = 'format = 1\nreference = "good"\n[signals.x]\nabs = 0.01\nreason = "a centimetre"\n'
+
+
+@pytest.fixture
+def two_robots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A bag of two turtles, of which the second is elsewhere; and tolerances."""
+    monkeypatch.chdir(tmp_path)
+    Path("tol.toml").write_text(TOLERANCES, encoding="utf-8")
+    turtles = [*make_poses(), *make_poses(topic="/turtle2/pose", x=7.0)]
+    return write_mcap(tmp_path / "two.mcap", turtles)
+
+
+@pytest.mark.parametrize("topic", ["/turtle1/pose", "/turtle2/pose"])
+def test_a_reference_is_read_with_the_topics_that_the_runs_are(
+    call: Call, two_robots: Path, topic: str
+) -> None:
+    words = ("tol.toml", two_robots, "--pose-topic", topic, "--reference")
+    answer = call("check", *words, two_robots)
+    assert (answer.code, answer.err) == (0, "")
+    other = write_mcap(two_robots.with_name("one.mcap"), make_poses(x=7.0))
+    assert call("check", *words, other).code == (1 if topic == "/turtle1/pose" else 0)
+
+
+def test_a_reference_that_is_read_wrongly_is_bad_input(call: Call, two_robots: Path) -> None:
+    answer = call("check", "tol.toml", two_robots, "--reference", two_robots)
+    assert (answer.code, answer.out) == (2, "")
+    assert "two.mcap: pose_topic: expected one topic" in answer.err
+    answer = call("check", "tol.toml", two_robots, "--reference", "tol.toml")
+    assert (answer.code, answer.out) == (2, "")
+
+
+def test_a_cut_bag_says_that_it_is_cut_whatever_topic_is_asked_for(
+    call: Call, two_robots: Path
+) -> None:
+    cut = two_robots.with_name("cut.mcap")
+    cut.write_bytes(two_robots.read_bytes()[:400])
+    for words in ([], ["--pose-topic", "/odom"]):
+        answer = call("metrics", cut, *words)
+        assert answer.code == 2
+        assert ": expected the end of an MCAP file, found none: cut short, or never" in answer.err

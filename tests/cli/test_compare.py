@@ -94,13 +94,13 @@ def test_differences_of_many_runs_stand_below_each_other(call: Call, kp4: Path) 
     answer = call("compare", *[kp4] * 9, "--reference", kp4)
     assert answer.out.count("Largest differences from") == 3
     assert max(map(len, answer.out.splitlines())) <= 100
-    assert "paper-kp4 (10)" in answer.out
+    assert "kp4.mcap (10)" in answer.out
 
 
 def test_a_run_within_its_tolerances_passes(call: Call, kp4: Path, tolerances: Path) -> None:
     answer = call("compare", kp4, "--reference", kp4, "--tolerances", tolerances)
     assert answer.code == 0
-    assert answer.out.startswith("PASS: paper-kp4 (2) against paper-kp4 (1)")
+    assert answer.out.startswith("PASS: kp4.mcap (2) against kp4.mcap (1)")
     assert "PASS  final.position_error" in answer.out
 
 
@@ -109,7 +109,7 @@ def test_a_run_outside_fails_with_value_limit_and_time(
 ) -> None:
     answer = call("compare", kp4, kp10, "--reference", kp4, "--tolerances", tolerances)
     assert answer.code == 1
-    assert "FAIL: paper-kp10 against paper-kp4 (1)" in answer.out
+    assert "FAIL: paper-kp10 against kp4.mcap (1)" in answer.out
     assert "x is held to 0.001 m within 0.032 s: two ticks." in answer.out
     assert answer.out.endswith("FAIL: paper-kp10 (1 of 2 runs fail)\n")
 
@@ -135,7 +135,7 @@ def test_verdicts_of_all_runs_are_one_csv_table(
     answer = call("compare", kp4, kp10, "--reference", kp4, "--tolerances", tolerances, "--csv")
     rows = list(csv.DictReader(io.StringIO(answer.out)))
     assert [row["verdict"] for row in rows] == ["PASS", "PASS", "FAIL", "PASS"]
-    assert {row["run"] for row in rows} == {"paper-kp4 (2)", "paper-kp10"}
+    assert {row["run"] for row in rows} == {"kp4.mcap (2)", "paper-kp10"}
 
 
 @pytest.mark.parametrize(

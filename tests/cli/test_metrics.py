@@ -71,6 +71,37 @@ def test_more_than_six_runs_have_a_row_each(call: Call, kp4: Path, tmp_path: Pat
     assert all(row[-1] == "11.184" for row in rows)
 
 
+def test_seven_runs_show_the_same_metrics_as_six(call: Call, kp4: Path, tmp_path: Path) -> None:
+    files = [Path(shutil.copy(kp4, tmp_path / f"{number}.mcap")) for number in range(7)]
+    rows = [line.split(" | ") for line in call("metrics", *files, "--markdown").out.splitlines()]
+    (titles,) = [row for row in rows if row[0] == "| run"]
+    shown = [title.split(" ")[0] for title in titles[2:]]
+    assert shown == [name for name in tl.METRICS if name in tl.ESSENTIAL_METRICS]
+
+
+def test_runs_stand_in_order_of_their_gains(call: Call, kp4: Path, kp10: Path) -> None:
+    out = call("metrics", kp10, kp4).out
+    assert out.index("paper-kp4") < out.index("paper-kp10")
+    listed = call("metrics", kp10, kp4, "--json").json
+    assert [found["name"] for found in listed] == ["paper-kp10", "paper-kp4"]
+
+
+@pytest.mark.parametrize("command", ["metrics", "compare"])
+def test_runs_of_one_name_are_called_by_their_files(
+    call: Call, kp4: Path, tmp_path: Path, command: str
+) -> None:
+    (tmp_path / "other").mkdir()
+    near, far = (shutil.copy(kp4, tmp_path / name) for name in ("a.mcap", "other/a.mcap"))
+    out = call(command, kp4, near, "--csv" if command == "compare" else "--markdown").out
+    assert "kp4.mcap" in out
+    assert "a.mcap" in out
+    assert "paper-kp4" not in out
+    # Files of one name are told apart by their paths.
+    out = call(command, near, far, "--csv" if command == "compare" else "--markdown").out
+    assert str(near) in out
+    assert str(far) in out
+
+
 def test_files_are_measured_in_several_processes_in_their_order(
     call: Call, kp4: Path, kp10: Path
 ) -> None:
@@ -97,7 +128,7 @@ def test_band_initial_and_final_change_the_step(call: Call, kp4: Path) -> None:
     assert read("rotate.settling_time", "--band", "0.05") < read("rotate.settling_time")
     assert read("translate.overshoot", "--final", "translate=5") > 13.0
     assert read("rotate.steady_state_error", "--final", "last") == 0.0
-    assert read("translate.rise_time", "--initial", "translate=-1") > read("translate.rise_time")
+    assert read("translate.rise_time", "--initial", "translate=-0.5") > read("translate.rise_time")
 
 
 def test_a_reference_path_and_a_dead_time_can_be_given(

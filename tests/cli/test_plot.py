@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+import turtlelog as tl
+from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.cli.app import main
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "paper" / "kp4.mcap"
@@ -49,6 +51,33 @@ def test_json_names_files_titles_and_the_paper_s_figures(
         "paper": "2",
     }
     assert (answer["files"], answer["tables"]) == ([], [])
+
+
+def test_of_somebody_s_recording_that_is_drawn_which_it_holds_and_the_rest_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tl.write_recording(make_foreign_run(50), tmp_path / "bag.mcap")
+    words = [str(tmp_path / "bag.mcap"), "-o", str(tmp_path / "out"), "--format", "svg"]
+    code, out, err = run_plot(capsys, *words)
+    drawn = ["heading.svg", "position.svg", "turn-rate.svg", "speed.svg", "plane.svg", "panel.svg"]
+    written = [Path(line.removeprefix("wrote ")).name for line in out.splitlines()]
+    assert (code, written) == (0, [*drawn, "whole-runs.tex", "metrics.tex"])
+    told = err.splitlines()
+    gain = "plot: left out plant, step-responses, root-locus: expected the law's gain, found none"
+    assert told[0] == gain
+    assert all(line.startswith("plot: left out ") for line in told)
+    answer = json.loads(run_plot(capsys, *words, "--json")[1])
+    assert [f"plot: {line}" for line in answer["left_out"]] == told
+
+
+def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tl.write_recording(make_foreign_run(50), tmp_path / "bag.mcap")
+    words = [str(tmp_path / "bag.mcap"), "-o", str(tmp_path / "out"), "--only", "plant"]
+    code, out, err = run_plot(capsys, *words)
+    assert (code, out) == (2, "")
+    assert err == "turtlelog: error: figure plant: expected the law's gain, found none\n"
 
 
 @pytest.mark.parametrize(

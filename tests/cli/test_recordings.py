@@ -168,7 +168,7 @@ def test_tables_fit_the_terminal(
     tables = [line for line in answer.out.splitlines() if not line.startswith("/")]
     assert max(map(len, tables)) <= columns
     assert command == "info" or max(map(len, wide.splitlines())) > 80
-    assert "paper-kp4" in answer.out
+    assert "kp4" in answer.out
 
 
 def test_info_names_what_it_does_not_understand(call: Call, tmp_path: Path) -> None:

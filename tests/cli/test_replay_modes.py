@@ -1,6 +1,8 @@
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import turtlelog as tl
@@ -155,7 +157,7 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
     kind = write_law(law)
     assert call("run", "textbook", "--set", f"law.kind={kind}", "-o", path).code == 0
     law.unlink()
-    answer = call("replay", path)
+    answer = call("replay", path, "--trust-law")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "expected a Python file at" in answer.err
     assert call("replay", path, "--law", "sequential-p").code == 0
@@ -205,3 +207,40 @@ def test_bad_input_is_one_line(
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err
     assert answer.err.count("\n") == 1
+
+
+def test_commands_published_otherwise_are_not_what_the_law_answers(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    run = tl.read_recording(kp4)
+    none = np.zeros(len(run.commands))
+    commands = replace(run.commands, speed_m_s=none, turn_rate_rad_s=none)
+    tl.write_recording(replace(run, commands=commands), tmp_path / "zero.mcap")
+    answer = call("replay", tmp_path / "zero.mcap", "--law", "--expect-equal")
+    assert answer.code == 1
+    line = "The commands as published differ from the law's in command_speed, command_turn_rate."
+    assert line in answer.out.splitlines()
+    assert call("replay", kp4, "--law", "--expect-equal").code == 0
+    driven = tl.Recording(tmp_path / "zero.mcap")
+    found = driven.driven_by().matches(driven)
+    assert [result.check for result in found.failures] == [
+        "law.command_speed",
+        "law.command_turn_rate",
+    ]
+
+
+def test_commands_that_are_missing_are_not_what_the_law_answers(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    run = tl.read_recording(kp4)
+    names = ("time_ns", "speed_m_s", "lateral_speed_m_s", "turn_rate_rad_s")
+    fewer = {name: getattr(run.commands, name)[:9] for name in names}
+    commands = replace(run.commands, **fewer)
+    tl.write_recording(replace(run, commands=commands), tmp_path / "few.mcap")
+    answer = call("replay", tmp_path / "few.mcap", "--law", "--expect-equal")
+    assert answer.code == 1
+    assert "First difference: commands at 11.184 s: recorded 9, replayed 681." in answer.out
+    assert "published are not one per sample, and are not compared." in answer.out
+    driven = tl.Recording(tmp_path / "few.mcap")
+    (result,) = driven.driven_by().matches(driven).failures
+    assert (result.check, result.reason) == ("law.commands", "recorded 9, the law answers 681")

@@ -27,7 +27,7 @@ def test_run_records_what_it_simulates(call: Call, tmp_path: Path) -> None:
 
 def test_run_answers_in_json(call: Call, tmp_path: Path) -> None:
     answer = call("run", "textbook", "--kp", "2", "-o", tmp_path / "a.mcap", "--json").json
-    assert answer["name"] == "textbook"
+    assert answer["name"] == "textbook kp=2"
     assert answer["file"] == str(tmp_path / "a.mcap")
     assert answer["rrd"] is None
     assert {metric["id"] for metric in answer["metrics"]} == set(tl.METRICS)
@@ -40,6 +40,36 @@ def test_options_apply_gains_then_goal_then_single_keys(call: Call, tmp_path: Pa
     found = tl.read_recording(path).parameters
     assert (found["law.kp_angular"], found["law.kp_linear"]) == (4.0, 2.0)
     assert (found["goal.x_m"], found["goal.y_m"], found["seed"]) == (3.0, 4.5, 7)
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ([], "textbook"),
+        (["--kp", "4"], "textbook kp=4"),
+        (
+            ["--goal", "3,4.5", "--set", "law.kp_linear=2", "--set", "seed=7"],
+            "textbook goal=3,4.5 law.kp_linear=2 seed=7",
+        ),
+        (["--kp", "4", "--set", "name=mine"], "mine"),
+        (["--set", "law.kp_linear=\n2"], "textbook law.kp_linear=\\n2"),
+    ],
+)
+def test_a_run_is_named_by_its_changes_as_a_replay_is(
+    call: Call, tmp_path: Path, words: list[str], name: str
+) -> None:
+    paths = [tmp_path / file for file in ("run.mcap", "base.mcap", "replay.mcap")]
+    assert call("run", "textbook", *words, "-o", paths[0]).code == 0
+    assert tl.read_recording(paths[0]).name == name
+    tl.write_recording(tl.simulate_run(tl.load_scenario("textbook")), paths[1])
+    assert call("replay", paths[1], *words, "-o", paths[2]).code == 0
+    assert tl.read_recording(paths[2]).name == name
+
+
+def test_a_printed_scenario_is_named_by_its_changes(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(call("scenario", "paper", "--kp", "3").out)
+    assert call("run", path).out == call("run", "paper", "--kp", "3").out
 
 
 def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
@@ -66,7 +96,10 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
         (["--set", "law.kp_linar=4"], "--set: law.kp_linar: expected kp_linear or kp_angular,"),
         (["--set", "seed"], "--set: expected key=value, found 'seed'"),
         (["--set", "law.kind=a.py:B"], "law.kind: expected a Python file at a.py, found none"),
-        (["--set", "max_duration_s=0.05"], "paper: expected a pose answered within"),
+        (
+            ["--set", "max_duration_s=0.05"],
+            "paper max_duration_s=0.05: expected a pose answered within",
+        ),
         (["--nope"], "Unknown option: --nope."),
         (["-o"], "requires an argument"),
         (["-o", "no/such/folder/a.mcap"], "a.mcap: expected a place that can be written"),

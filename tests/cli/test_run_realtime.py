@@ -1,3 +1,4 @@
+import os
 import signal
 import subprocess
 import sys
@@ -52,6 +53,17 @@ def start(*words: str | Path) -> "subprocess.Popen[str]":
     )
 
 
+OWN_TERMINAL = """
+import fcntl, os, sys, termios
+
+os.setsid()
+fcntl.ioctl(int(sys.argv[1]), termios.TIOCSCTTY)
+for number in range(3):
+    os.dup2(int(sys.argv[1]), number)
+os.execv(sys.executable, [sys.executable, "-m", "turtlelog", *sys.argv[2:]])
+"""
+
+
 def wait_for_messages(path: Path) -> None:
     """Return when the recording has taken its first second."""
     end = time.monotonic() + 30.0
@@ -61,14 +73,12 @@ def wait_for_messages(path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_finishes_the_file_and_says_so_in_a_line(
-    number: signal.Signals, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_an_interrupt_finishes_the_file_and_says_so_in_a_line(name: str, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     process = start("-o", path)
     wait_for_messages(path)
-    process.send_signal(number)
+    process.send_signal(getattr(signal, name))
     out, err = process.communicate(timeout=30)
     run = tl.read_recording(path)
     assert (process.returncode, run.stop_reason) == (130, "interrupted")
@@ -76,3 +86,26 @@ def test_an_interrupt_finishes_the_file_and_says_so_in_a_line(
     lines = err.splitlines()
     assert lines[0] == f"interrupted at {run.end_ns / 1e9:.3f} s"
     assert lines[-1] == f"wrote {path}"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no terminals of this kind")
+def test_a_terminal_that_closes_ends_the_run_as_ctrl_c_does(tmp_path: Path) -> None:
+    path, (ours, theirs) = tmp_path / "a.mcap", os.openpty()
+    command = [sys.executable, "-c", OWN_TERMINAL, theirs, "run", "paper", "--realtime", "-o", path]
+    process = subprocess.Popen(list(map(str, command)), cwd=ROOT, pass_fds=[theirs])
+    os.close(theirs)
+    wait_for_messages(path)
+    os.close(ours)
+    assert process.wait(timeout=30) == 130
+    assert tl.read_recording(path).stop_reason == "interrupted"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows deletes no file that is open")
+def test_a_recording_that_is_deleted_on_the_way_ends_the_run_in_a_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    process = start("-o", path)
+    wait_for_messages(path)
+    path.unlink()
+    out, err = process.communicate(timeout=10)  # within a chunk, of 5 s at least
+    assert (process.returncode, out, err.count("\n")) == (2, "", 1)
+    assert f"error: {path}: expected a file that stays, found it deleted: its " in err

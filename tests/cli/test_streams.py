@@ -1,5 +1,6 @@
 """What a command does when the world around it is hostile: streams, signals, names."""
 
+import json
 import os
 import signal
 import subprocess
@@ -7,9 +8,11 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.conftest import Call
+from turtlelog.cli.output import print_json
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-m", "turtlelog"]
@@ -166,3 +169,9 @@ def test_a_reader_that_goes_away_changes_no_verdict(
     )
     os.close(writer)
     assert (done.returncode, done.stderr) == (code, b"")
+
+
+def test_numbers_of_numpy_are_json_like_any_other(capsys: pytest.CaptureFixture[str]) -> None:
+    values = [np.bool_(1), np.int64(3), np.float32(0.5), np.float32("nan"), np.arange(2)]
+    print_json({"values": values})
+    assert json.loads(capsys.readouterr().out) == {"values": [True, 3, 0.5, None, [0, 1]]}

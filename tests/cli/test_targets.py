@@ -1,4 +1,7 @@
 import os
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -95,3 +98,86 @@ def test_an_empty_folder_and_a_dotted_one_are_taken(call: Call, folder: Path) ->
     answer = call("export", "run.mcap", "--rosbag2", "empty", "--csv", "kp4.5")
     assert answer.code == 0
     assert Path("kp4.5", "poses.csv").is_file()
+
+
+@pytest.fixture
+def little_room() -> Iterator[None]:
+    """A system on which no file takes more than 4,000 bytes."""
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def list_files(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+@pytest.mark.parametrize("form", ["pdf", "png", "svg"])
+@pytest.mark.usefixtures("little_room")
+def test_a_figure_that_does_not_fit_is_one_line_and_nothing_is_left(
+    form: str, call: Call, tmp_path: Path
+) -> None:
+    target = tmp_path / "new" / "figures"
+    answer = call("plot", "-o", target, "--only", "plant", "--format", form)
+    found = "expected a place that can be written, found: File too large"
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == f"turtlelog: error: {target / 'plant'}.{form}: {found}\n"
+    assert list_files(tmp_path) == []
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 160 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(folder)]
+    try:
+        subprocess.run(command, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError) as err:
+        pytest.skip(f"no file system can be mounted here: {err}")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_of_several_figures_none_stands_where_the_disk_is_full(
+    call: Call, kp4: Path, small_disk: Path
+) -> None:
+    folder = small_disk / "figures"
+    folder.mkdir()
+    (folder / "heading.pdf").write_text("the old one")
+    answer = call("plot", kp4, "-o", folder, "--only", "heading,plane,panel")
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert "found: No space left on device" in answer.err
+    assert list_files(small_disk) == ["figures", "figures/heading.pdf"]
+    assert (folder / "heading.pdf").read_text() == "the old one"
+
+
+def test_a_full_disk_tells_what_stands_of_several_exports(
+    call: Call, kp4: Path, small_disk: Path
+) -> None:
+    bag, csv = small_disk / "bag", small_disk / "csv"
+    answer = call("export", kp4, "--rosbag2", bag, "--csv", csv)
+    stands, error = answer.err.splitlines()[:2], answer.err.splitlines()[2:]
+    assert stands == [f"wrote {bag / 'bag_0.mcap'}", f"wrote {bag / 'metadata.yaml'}"]
+    assert [line.partition(": expected")[0] for line in error] == [f"turtlelog: error: {csv}"]
+    assert list_files(small_disk) == ["bag", "bag/bag_0.mcap", "bag/metadata.yaml"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+def test_an_output_through_a_link_is_written_where_it_leads(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    for number, words in enumerate(
+        [["recover", kp4, "-o"], ["export", kp4, "--csv"], ["view", kp4, "--save"]]
+    ):
+        name = "a" + (".mcap", ".csv", ".rrd")[number]
+        (tmp_path / name).symlink_to(Path("elsewhere", name))
+        for _ in range(2):  # where nothing is yet, then over a file
+            assert call(*words, tmp_path / name).code == 0
+            assert (tmp_path / name).is_symlink()
+        (tmp_path / "elsewhere" / name).chmod(0o600)
+        call(*words, tmp_path / name)
+        assert (tmp_path / "elsewhere" / name).stat().st_mode & 0o777 == 0o600

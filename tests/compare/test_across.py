@@ -83,6 +83,27 @@ def test_where_many_parameters_differ_runs_of_one_name_are_numbered() -> None:
     assert tl.name_runs([RUNS[0], textbook]) == ("paper-kp10 (1)", "paper-kp10 (2)")
 
 
+@pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        (["a.mcap", "runs/b.mcap"], ("a.mcap", "b.mcap")),
+        (["1/a.mcap", "2/a.mcap"], ("1/a.mcap", "2/a.mcap")),
+        (["a.mcap", "a.mcap"], ("a.mcap (1)", "a.mcap (2)")),
+        (["a.mcap", ""], ("paper-kp10 Kp 10", "paper-kp10 Kp 4")),
+    ],
+)
+def test_runs_of_one_name_are_called_by_their_files(
+    files: list[str], names: tuple[str, ...]
+) -> None:
+    slower = {**RUNS[0].parameters, "law.kp_angular": 4.0, "law.kp_linear": 4.0}
+    runs = [RUNS[0], dataclasses.replace(RUNS[0], parameters=slower)]
+    summaries = [
+        tl.summarise_run(run, file=file, metrics={}) for run, file in zip(runs, files, strict=True)
+    ]
+    other = tl.summarise_run(RUNS[2], file="c.mcap", metrics={})
+    assert tl.name_runs([*summaries, other]) == (*names, "paper-kp2")
+
+
 def test_a_numbered_name_that_is_taken_is_not_given_twice() -> None:
     runs = [dataclasses.replace(RUNS[0], name=name) for name in ("a", "a (1)", "a")]
     assert tl.name_runs(runs) == ("a (2)", "a (1)", "a (3)")

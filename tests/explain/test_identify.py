@@ -162,7 +162,8 @@ def test_a_run_cut_while_rotating_tells_what_it_can() -> None:
 
 def test_another_kind_of_controller_is_told_from_the_sequential_one() -> None:
     values = {"law.kind": "examples/turn_and_drive.py:TurnAndDrive"}
-    found = identify_run(simulate_run(build_scenario(nest_parameters(values))))
+    scenario = build_scenario(nest_parameters(values), trust_law=True)
+    found = identify_run(simulate_run(scenario))
     name = "examples/turn_and_drive.py:TurnAndDrive"
     assert found.notes[0].startswith(f"its law is {name}: only of sequential-p")
     assert (found.scenario, found.resimulation) == (None, None)

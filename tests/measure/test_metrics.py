@@ -120,6 +120,14 @@ def test_a_rotation_cut_outside_the_band_does_not_settle() -> None:
     assert (metric.value, metric.status) == (None, tl.Status.NOT_REACHED)
 
 
+def test_a_translation_that_was_cut_has_no_largest_cross_track() -> None:
+    names = ("translate.cross_track_max", "translate.cross_track_rms")
+    cut, whole = measure("paper-kp1", max_duration_s=10.0), measure("paper-kp1")
+    assert {cut[name].reason for name in names} == {"the run was cut in this phase"}
+    assert None not in {whole[name].value for name in names}
+    assert cut["run.cross_track_max"].value is not None  # of what the recording holds
+
+
 def test_a_phase_that_was_cut_has_no_length_and_no_final_error() -> None:
     metrics = measure("paper-kp1", max_duration_s=2.0)
     names = ("rotate.duration", "rotate.overshoot", "rotate.final_error")
@@ -128,7 +136,7 @@ def test_a_phase_that_was_cut_has_no_length_and_no_final_error() -> None:
 
 
 def test_a_phase_cut_inside_the_band_has_settled_as_far_as_is_recorded() -> None:
-    cut, whole = measure("paper-kp4", max_duration_s=9.5), measure("paper-kp4")
+    cut, whole = measure("paper-kp4", max_duration_s=10.0), measure("paper-kp4")
     assert cut["translate.overshoot"].status == tl.Status.TOO_SHORT
     assert cut["translate.settling_time"] == whole["translate.settling_time"]
 

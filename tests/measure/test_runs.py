@@ -108,6 +108,73 @@ def test_duplicates_and_disorder_are_what_the_importer_counted() -> None:
     assert (read(KP10, "run.duplicates"), read(KP10, "run.disorder")) == (0.0, 0.0)
 
 
+def test_percentiles_of_a_run_are_periods_that_it_has() -> None:
+    periods_ns = np.arange(1, 51) * 1_000_000
+    run = take_rows(EXPONENTIAL, 51)
+    samples = dataclasses.replace(run.samples, time_ns=np.append(0, np.cumsum(periods_ns)))
+    run = dataclasses.replace(run, samples=samples)
+    found = [read(run, f"run.sample_period_p{percent}") for percent in (50, 95, 99)]
+    assert found == pytest.approx([0.0255, 0.048, 0.050])
+
+
+def test_the_cross_track_error_of_a_run_starts_at_its_first_sample() -> None:
+    """Five poses wait when the controller starts: what happened before is not of the run."""
+    beside = tl.MeasureSettings(reference_path_xy_m=np.array([[0.0, 6.0], [9.0, 6.0]]))
+    first = int(np.searchsorted(KP10.poses.time_ns, KP10.start_ns))
+    assert first == 4
+    xy_m = KP10.poses.xy_m.copy()
+    xy_m[:first] += 30.0
+    moved = dataclasses.replace(KP10, poses=dataclasses.replace(KP10.poses, xy_m=xy_m))
+    for name in ("run.cross_track_rms", "run.cross_track_max"):
+        assert read(moved, name, beside) == read(KP10, name, beside)
+    signal = tl.read_signal(KP10, "cross_track")
+    assert signal is not None
+    values, step_s = signal.values[first:], np.diff(KP10.poses.time_ns[first:]) / 1e9
+    square = (values[:-1] ** 2 + values[:-1] * values[1:] + values[1:] ** 2) / 3.0
+    expected = math.sqrt(float(np.sum(step_s * square) / np.sum(step_s)))
+    assert read(KP10, "run.cross_track_rms") == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("share", "has_rise_time"), [(0.099, True), (0.101, False)])
+def test_a_step_that_begins_beyond_a_tenth_has_no_rise_time(
+    share: float,
+    has_rise_time: bool,  # noqa: FBT001
+) -> None:
+    initial = -GOAL_M * share / (1.0 - share)
+    asked = tl.MeasureSettings(initial={"translate": initial})
+    metric = tl.measure_run(EXPONENTIAL, asked, only=["translate.rise_time"])
+    found = metric["translate.rise_time"]
+    assert (found.status is tl.Status.OK) == has_rise_time
+    if not has_rise_time:
+        assert found.status is tl.Status.NOT_REACHED
+        assert found.reason == "the response begins beyond 10 % of the step"
+
+
+@pytest.mark.parametrize("theory", ["sampled", "delayed"])
+@pytest.mark.parametrize(("rows", "has_value"), [(30, True), (31, False)])
+def test_an_unstable_theory_has_a_deviation_only_where_it_is_not_stopped(
+    theory: str,
+    rows: int,
+    has_value: bool,  # noqa: FBT001
+) -> None:
+    """At Kp T = 3 the sampled loop is at (-2)^k steps: 2^29 are less than 1e9, 2^30 are more."""
+    parameters = {"law.kp_linear": 3.0 / 0.016}
+    run = make_straight_run(np.linspace(0.0, GOAL_M, rows), parameters=parameters)
+    names = [f"translate.{theory}_deviation_{figure}" for figure in ("max", "rms")]
+    asked = tl.MeasureSettings(dead_time_ticks=0)
+    for metric in tl.measure_run(run, asked, only=names).values():
+        if has_value:
+            assert metric.status is tl.Status.OK
+            continue
+        assert (metric.value, metric.status) == (None, tl.Status.TOO_LARGE)
+        assert metric.reason == (
+            "theory's loop is unstable: beyond 1e+09 steps before the phase ends"
+        )
+    if has_value:
+        found = read(run, names[0], asked)
+        assert found == pytest.approx(GOAL_M * 2.0**29, rel=1e-6)
+
+
 def test_moments_are_told_from_the_first_sample() -> None:
     found = tl.measure_run(KP10)
     start_s = found["rotate.duration"].value or 0.0

@@ -8,6 +8,7 @@ from turtlelog.measure.timing import (
     compute_spread,
     count_burst_rows,
     count_missing,
+    find_percentile,
 )
 
 
@@ -34,6 +35,31 @@ def test_a_burst_counts_its_rows_and_leaves_the_rate_alone() -> None:
     periods_s = np.diff([0.0, 1.0, 1.0, 1.0, 2.0])
     assert count_burst_rows(periods_s) == 2
     assert compute_rate(periods_s) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("rows", "p50", "p95", "p99"),
+    [
+        (1, 1.0, 1.0, 1.0),
+        (20, 10.5, 19.0, 20.0),
+        (50, 25.5, 48.0, 50.0),
+        (200, 100.5, 190.0, 198.0),
+    ],
+)
+def test_percentiles_are_periods_that_so_many_do_not_exceed(
+    rows: int, p50: float, p95: float, p99: float
+) -> None:
+    ordered_s = np.arange(1.0, rows + 1.0)
+    assert [find_percentile(ordered_s, percent) for percent in (50, 95, 99)] == [p50, p95, p99]
+
+
+@given(st.lists(st.floats(0.0, 10.0), min_size=1, max_size=300), st.sampled_from([50, 95, 99]))
+def test_so_many_percent_of_the_periods_are_no_longer(periods: list[float], percent: int) -> None:
+    ordered_s = np.sort(np.array(periods))
+    found = find_percentile(ordered_s, percent)
+    assert 100 * np.count_nonzero(ordered_s <= found) >= percent * len(ordered_s)
+    if percent != 50:
+        assert 100 * np.count_nonzero(ordered_s < found) < percent * len(ordered_s)
 
 
 def test_no_time_has_no_rate() -> None:

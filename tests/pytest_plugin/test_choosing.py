@@ -8,7 +8,11 @@ BAD = {
     "empty glob": ('"nothing/*.mcap"', "*recordings: expected files for 'nothing/[*].mcap' in *"),
     "no pattern": ("", '*recordings: expected a pattern such as "runs/[*].mcap", found none'),
     "no text": ("3", "*recordings: expected a pattern, found 3"),
-    "keyword": ('"runs/*.mcap", partial=True', "*expected allow_partial, found partial"),
+    "keyword": (
+        '"runs/*.mcap", partial=True',
+        "*expected allow_partial or trust_law, found partial",
+    ),
+    "no bool": ('"runs/*.mcap", trust_law="no"', "*trust_law: expected True or False, found 'no'"),
 }
 
 

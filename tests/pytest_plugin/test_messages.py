@@ -1,5 +1,6 @@
 import pytest
 
+import turtlelog as tl
 from tests.pytest_plugin.conftest import run
 
 OVERSHOOT = """
@@ -182,3 +183,27 @@ def test_a_truncated_recording_fails_unless_it_may_be(suite: pytest.Pytester) ->
     )
     run(suite, body, marker='"runs/kp4.mcap", allow_partial=True').assert_outcomes(passed=1)
     run(suite, body, "-o", "turtlelog_allow_partial=true").assert_outcomes(passed=2)
+
+
+DENIED = {
+    'recording.holds("rotate.decay_ratio < 4")': "*undecided: *not_reached (the response does*",
+    'recording.holds("always[0, 100](x < 99)")': "*undecided: *recording ends before the formula*",
+    'recording.holds("always(x < 99)")': "*undecided: *; the recording ends before the formula*",
+    'recording.holds("x < 99", phase="pause")': "*undecided: *no_phase (the run has no phase*",
+    'any([recording.holds("always(x < 99)"), True])': "*undecided: *the recording ends before*",
+    "recording.driven_by()": "*driven again: expected .matches(recording), found none",
+}
+
+
+def test_what_is_undecided_is_not_denied(suite: pytest.Pytester) -> None:
+    run_ = tl.read_recording(suite.path / "runs" / "kp4.mcap")
+    tl.write_recording(tl.cut_run(run_, end_ns=10**9), suite.path / "cut.mcap")
+    tests = [
+        f"def test_{i}(recording):\n    assert not {asked}\n\n"
+        f"def test_{i}_otherwise(recording):\n    assert {asked}\n"
+        for i, asked in enumerate(DENIED)
+    ]
+    result = run(suite, "\n".join(tests), "--junitxml=r.xml", marker='"cut.mcap"')
+    result.assert_outcomes(failed=2 * len(DENIED))
+    for message in DENIED.values():
+        result.stdout.fnmatch_lines([f"E {message}"])

@@ -1,5 +1,6 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,10 +8,11 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.replay.changes import change_scenario, change_value, scenarios, write_law
-from turtlelog.errors import LawError, ScenarioError, SimulationError
+from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.log import read_recording, read_run, write_recording
 from turtlelog.replay import LawReplay, ReplayError, replay_law
-from turtlelog.run import Phase, Run
+from turtlelog.replay.sample_pairs import count_missing
+from turtlelog.run import Phase, Run, SampleColumns
 from turtlelog.scenario import (
     PAPER_RUNS,
     Scenario,
@@ -124,7 +126,7 @@ def test_a_changed_phase_is_told_by_its_name_whatever_the_tolerance(kp4: Run) ->
 
 def test_a_changed_limit_shows_in_the_commands_only(kp4: Run) -> None:
     found = replay_law(kp4, change_scenario("paper-kp4", limits__speed_m_s=0.9))
-    assert {*count_differing(found)} == {"speed"}
+    assert {*count_differing(found)} == {"speed", "command_speed"}
     assert found.first_difference == found.first_command_difference
 
 
@@ -203,8 +205,8 @@ def test_a_law_that_fails_is_named_with_its_sample(
 
 def test_a_law_that_is_gone_is_named(kp4: Run) -> None:
     run = replace(kp4, parameters={**kp4.parameters, "law.kind": "gone.py:Law"})
-    with pytest.raises((ScenarioError, LawError), match=r"expected a Python file at gone\.py"):
-        replay_law(run)
+    with pytest.raises(ScenarioError, match=r"expected a Python file at gone\.py"):
+        replay_law(run, trust_law=True)
 
 
 def test_a_bag_has_no_samples_and_is_told_so() -> None:
@@ -229,3 +231,55 @@ def test_recorded_poses_beyond_all_measure_are_told_by_sample() -> None:
 def test_a_tolerance_is_a_number(kp4: Run, tolerance: float) -> None:
     with pytest.raises(ReplayError, match="tolerance: expected a number >= 0"):
         replay_law(kp4, tolerance=tolerance)
+
+
+def keep_commands(run: Run, rows: slice) -> Run:
+    names = ("time_ns", "speed_m_s", "lateral_speed_m_s", "turn_rate_rad_s")
+    kept = {name: getattr(run.commands, name)[rows] for name in names}
+    return replace(run, commands=replace(run.commands, **kept))
+
+
+@pytest.mark.parametrize(
+    ("column", "unit"), [("speed", "m_s"), ("lateral_speed", "m_s"), ("turn_rate", "rad_s")]
+)
+@pytest.mark.parametrize("row", [0, 300, 680])
+def test_a_command_that_was_published_otherwise_is_found_where_it_stands(
+    kp4: Run, row: int, column: str, unit: str
+) -> None:
+    value = float(getattr(kp4.commands, f"{column}_{unit}")[row]) + 1e-9
+    found = replay_law(change_value(kp4, "commands", f"{column}_{unit}", row, value))
+    first = found.first_difference
+    assert first is not None
+    assert (first.signal, first.recorded) == (f"command_{column}", value)
+    assert first.time_ns == kp4.commands.time_ns[row]
+    assert found.first_command_difference == first
+    assert count_differing(found) == {f"command_{column}": 1}
+
+
+def test_commands_that_are_not_one_per_sample_are_a_difference(kp4: Run) -> None:
+    count = len(kp4.samples)
+    assert replay_law(keep_commands(kp4, slice(count - 1))).first_difference is None
+    for rows in (slice(count - 2), slice(0)):
+        found = replay_law(keep_commands(kp4, rows))
+        assert found.commands == found.first_difference
+        assert found.commands is not None
+        assert (found.commands.signal, found.commands.recorded) == ("commands", rows.stop)
+        assert {"command_speed", "command_turn_rate"} < {*found.absent}
+
+
+def test_commands_of_a_recording_that_lost_rows_are_compared_only_where_they_belong(
+    kp4: Run,
+) -> None:
+    fewer = replace(keep_commands(kp4, slice(9)), notes={"partial": "9 bytes are lost"})
+    assert replay_law(fewer).first_difference is None
+    assert "command_speed" in replay_law(fewer).absent
+    kept = np.arange(len(kp4.samples)) != 400
+    columns = {f: v[kept] for f, v in _list_columns(kp4.samples).items()}
+    lost = replace(kp4, samples=replace(kp4.samples, **columns))
+    assert (count_missing(lost.samples), replay_law(lost).absent) == (1, ())
+    assert replay_law(lost).first_difference is None
+
+
+def _list_columns(samples: SampleColumns) -> dict[str, Any]:
+    values = {field.name: getattr(samples, field.name) for field in fields(samples)}
+    return {name: column for name, column in values.items() if column is not None}

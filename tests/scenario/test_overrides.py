@@ -15,6 +15,7 @@ from turtlelog.scenario import (
     get_preset,
     override_scenario,
     parse_assignments,
+    resolve_scenario,
     restore_scenario,
 )
 from turtlelog.simulate import simulate_run
@@ -93,7 +94,8 @@ def test_same_kind_keeps_the_parameters_of_the_law() -> None:
 
 def test_another_kind_drops_the_parameters_of_the_law() -> None:
     scenario = set_values("law.kind=turtlelog.laws:SequentialP", "law.kp_linear=3")
-    parameters = scenario.law.parameters
+    assert flatten_scenario(scenario)["law.kp_linear"] == 3
+    parameters = resolve_scenario(scenario).law.parameters
     assert (parameters.kp_linear, parameters.kp_angular, parameters.pause_ticks) == (3.0, 1.0, 0)
 
 
@@ -177,7 +179,9 @@ def test_what_a_law_does_not_have_is_left_out(tmp_path: Path) -> None:
         simulate_run(get_preset("textbook")),
         parameters={"law.kp_angular": 3.0, "law.kp_linear": 4.0},
     )
-    assert complete_scenario(run, base).law.parameters.kp_angular == 3.0
+    found = flatten_scenario(complete_scenario(run, base))
+    law = {key: value for key, value in found.items() if key.startswith("law.")}
+    assert law == {"law.kind": f"{path}:Law", "law.kp_angular": 3.0}
 
 
 def test_a_wrong_value_of_a_run_is_named() -> None:

@@ -12,6 +12,7 @@ from turtlelog.scenario import (
     get_preset,
     override_scenario,
     parse_scenario,
+    resolve_scenario,
 )
 
 LAW_TEXT = """
@@ -45,6 +46,19 @@ def law_kind(tmp_path: Path) -> str:
     return f"{path}:Steady"
 
 
+def resolve(kind: str, **law: Any) -> None:
+    tables = {"law": {"kind": kind, **law}}
+    resolve_scenario(build_scenario(tables, source="run.toml", trust_law=True))
+
+
+def test_tables_name_no_law_unless_they_are_trusted(law_kind: str) -> None:
+    tables = {"law": {"kind": law_kind, "gain": 3}}
+    with pytest.raises(ScenarioError, match=r"\Arun\.toml: law\.kind: .*--trust-law"):
+        resolve_scenario(build_scenario(tables, source="run.toml"))
+    trusted = resolve_scenario(build_scenario(tables), trust_law=True)
+    assert trusted.law.parameters.gain == 3.0
+
+
 def test_law_of_a_file_round_trips(law_kind: str) -> None:
     values = {"law.kind": law_kind, "law.gain": 2.0}
     scenario = override_scenario(get_preset("textbook"), values)
@@ -60,11 +74,12 @@ def test_unknown_law_is_named() -> None:
 def test_law_of_a_missing_file_is_named() -> None:
     line = "run.toml: law.kind: expected a Python file at nowhere.py, found none"
     with pytest.raises(ScenarioError, match=match_whole(line)):
-        parse_scenario("law.kind = 'nowhere.py:Law'", source="run.toml")
+        resolve_scenario(parse_scenario("law.kind = 'nowhere.py:Law'", source="run.toml"))
 
 
 def test_law_of_a_file_takes_its_own_parameters(law_kind: str) -> None:
-    scenario = build_scenario({"law": {"kind": law_kind, "gain": 3}})
+    scenario = build_scenario({"law": {"kind": law_kind, "gain": 3}}, trust_law=True)
+    scenario = resolve_scenario(scenario)
     assert (scenario.law.parameters.gain, scenario.law.parameters.bias) == (3.0, 0.0)
 
 
@@ -81,9 +96,9 @@ def test_wrong_parameter_of_a_law_of_a_file_is_named(
     law_kind: str, law: dict[str, Any], line: str
 ) -> None:
     with pytest.raises(ScenarioError, match=match_whole(f"run.toml: {line}")):
-        build_scenario({"law": {"kind": law_kind, **law}}, source="run.toml")
+        resolve(law_kind, **law)
 
 
 def test_missing_parameter_of_a_law_of_a_file_is_named(law_kind: str) -> None:
     with pytest.raises(ScenarioError, match=r"\Arun\.toml: law\.gain: expected .*, found none\Z"):
-        build_scenario({"law": {"kind": law_kind}}, source="run.toml")
+        resolve(law_kind)

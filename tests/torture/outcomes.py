@@ -89,9 +89,9 @@ def sample_harms(data: bytes, count: int, seed: int) -> list[Harm]:
 class Readers:
     """Every way to read a file, each held against what the undamaged file holds."""
 
-    def __init__(self, sound: bytes, folder: Path) -> None:
+    def __init__(self, sound: bytes, folder: Path, twin: bytes | None = None) -> None:
         self._path, self._output = folder / "damaged.mcap", folder / "recovered.mcap"
-        self._messages, self._files = list_contents(sound)
+        self._messages, self._files = list_contents(sound if twin is None else twin)
         self._path.write_bytes(sound)
         self._reads: dict[str, Callable[[], Any]] = {
             "read_recording": lambda: tl.read_recording(self._path),
@@ -155,11 +155,24 @@ def describe(value: Any) -> Any:
 
 
 def count_outcomes(
-    sound: bytes, harms: list[Harm], *, processes: int = 1, label: str = ""
+    sound: bytes,
+    harms: list[Harm],
+    *,
+    processes: int = 1,
+    label: str = "",
+    twin: bytes | None = None,
 ) -> tuple[Counter[tuple[str, Outcome]], list[Failure]]:
-    """Return how often each reader came to each outcome, and the bad ones."""
+    """Return how often each reader came to each outcome, and the bad ones.
+
+    Args:
+        sound: The file before the harm.
+        harms: What is done to it, one at a time.
+        processes: How many work at the same time.
+        label: Of the progress on stderr; none where it is empty.
+        twin: A file of the same contents that the mcap library reads, where it does not read this.
+    """
     size = max(1, min(2000, len(harms) // (4 * processes)))
-    jobs = [(sound, harms[start : start + size]) for start in range(0, len(harms), size)]
+    jobs = [(sound, harms[start : start + size], twin) for start in range(0, len(harms), size)]
     counts: Counter[tuple[str, Outcome]] = Counter()
     failures: list[Failure] = []
     for done, (found, bad) in enumerate(_run_jobs(jobs, processes), start=1):
@@ -185,7 +198,7 @@ def format_table(counts: Mapping[str, Counter[tuple[str, Outcome]]]) -> str:
     )
 
 
-Job = tuple[bytes, list[Harm]]
+Job = tuple[bytes, list[Harm], bytes | None]
 Result = tuple[Counter[tuple[str, Outcome]], list[Failure]]
 
 
@@ -201,11 +214,11 @@ def _run_packed_job(job: Job) -> Result:
     return _run_job(*job)
 
 
-def _run_job(sound: bytes, harms: list[Harm]) -> Result:
+def _run_job(sound: bytes, harms: list[Harm], twin: bytes | None) -> Result:
     counts: Counter[tuple[str, Outcome]] = Counter()
     failures: list[Failure] = []
     with tempfile.TemporaryDirectory() as folder:
-        readers = Readers(sound, Path(folder))
+        readers = Readers(sound, Path(folder), twin)
         for harm in harms:
             for name, outcome, text in readers.try_all(harm.apply(sound)):
                 counts[name, outcome] += 1

@@ -2,7 +2,7 @@
 
 from turtlelog.check.artifacts import Artifacts, ArtifactWriter, write_artifacts
 from turtlelog.check.cut import cut_run
-from turtlelog.check.failures import MissingValueError, PartialLogError
+from turtlelog.check.failures import MissingValueError, PartialLogError, UndecidedError
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.recording import Recording
 from turtlelog.check.result import CheckResult, Verdict, format_number, join_verdicts
@@ -25,6 +25,7 @@ __all__ = [
     "Signals",
     "Spec",
     "Steps",
+    "UndecidedError",
     "Verdict",
     "check_formula",
     "check_run",

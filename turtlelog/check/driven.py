@@ -33,16 +33,23 @@ class DrivenRecording:
         conclude: Callable[[Sequence[CheckResult]], CheckOutcome],
         *,
         file: str,
+        trust_law: bool = False,
     ) -> None:
         self._run, self._law, self._conclude, self._file = run, law, conclude, file
+        self._trust_law = trust_law
 
     def __repr__(self) -> str:
         return f"<{self._file} driven again>"
+
+    def __bool__(self) -> bool:
+        raise CheckError(f"{self._file} driven again: expected .matches(recording), found none")
 
     def matches(
         self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
     ) -> CheckOutcome:
         """Return whether the law answers as was recorded: commands, errors, phases and the end.
+
+        Commands are compared as computed and as published.
 
         Args:
             recording: The same that is driven.
@@ -51,6 +58,7 @@ class DrivenRecording:
         Raises:
             CheckError: Where it is another recording, or the tolerance is not of that kind.
             ReplayError: Where the recording holds no samples.
+            ScenarioError: Where the law that it names is neither built in nor trusted.
             SimulationError: Where the law fails.
         """
         tolerance = Tolerance() if tolerance is None else tolerance
@@ -60,13 +68,13 @@ class DrivenRecording:
             raise CheckError("matches: expected the recording that is driven, found another")
         found = self.replay(tolerance.abs)
         results = [self._judge(signal, tolerance.abs) for signal in found.signals]
-        stop = [] if found.stop is None else [self._judge_stop(found.stop)]
-        return self._conclude([*results, *stop])
+        others = [other for other in (found.commands, found.stop) if other is not None]
+        return self._conclude([*results, *map(self._judge_other, others)])
 
     def replay(self, tolerance: float = 0.0) -> LawReplay:
         """Return the replay itself."""
         if self._law is None or isinstance(self._law, Scenario):
-            return replay_law(self._run, self._law, tolerance=tolerance)
+            return replay_law(self._run, self._law, tolerance=tolerance, trust_law=self._trust_law)
         # The law is at hand: what the recording says of its own need not even load.
         others = {k: v for k, v in self._run.parameters.items() if not k.startswith("law.")}
         scenario = complete_scenario(replace(self._run, parameters=others), Scenario())
@@ -89,14 +97,14 @@ class DrivenRecording:
             names=(signal.signal,) if signal.signal in SIGNALS else ("speed", "turn_rate"),
         )
 
-    def _judge_stop(self, stop: Difference) -> CheckResult:
+    def _judge_other(self, other: Difference) -> CheckResult:
         return CheckResult(
             file=self._file,
-            check="law.stop",
+            check=f"law.{other.signal}",
             verdict=Verdict.FAIL,
             expected="as recorded",
-            first_violation_s=self._read_time(stop),
-            reason=_describe(stop),
+            first_violation_s=self._read_time(other),
+            reason=_describe(other),
             names=("distance", "speed", "turn_rate"),
         )
 

@@ -1,9 +1,13 @@
-"""What makes a test fail where there is nothing to compare: children of AssertionError."""
+"""What makes a test fail where nobody can tell: children of AssertionError."""
 
 from turtlelog.errors import CheckError
 
 
-class MissingValueError(CheckError, AssertionError):
+class UndecidedError(CheckError, AssertionError):
+    """A truth was asked for where it is unknown: neither it nor its negation passes."""
+
+
+class MissingValueError(UndecidedError):
     """A metric that has no value was compared."""
 
 

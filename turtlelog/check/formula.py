@@ -3,9 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
+from turtlelog.check.cut import Ending, find_ending
 from turtlelog.check.deciding import find_decision
+from turtlelog.check.failures import UndecidedError
 from turtlelog.check.robustness import Margins
 from turtlelog.check.sides import read_sides
 from turtlelog.check.signals import Signals, Trace, check_names, read_signals
@@ -13,6 +15,10 @@ from turtlelog.check.violation import find_first_violation
 from turtlelog.expressions import Expression, Node, Temporal, Until, format_expression
 from turtlelog.measure import METRICS, SIGNALS
 from turtlelog.run import Run
+
+_TOO_SHORT: Final = "the recording ends before the formula's window does"
+
+_BEYOND: Final = "its window begins after the end, where the last values hold"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,12 +37,13 @@ class FormulaResult:
         limit: What it is held to; None where that is no number.
         unit: Of the three, as signals and metrics of these names have it; empty where it is not
             plain.
-        first_violation_s: First time at which it is violated [s]; None where it is not.
+        first_violation_s: First time at which it is violated [s]; None where it is not, or where
+            that is after the end of the trace.
         values: What every name stands for at the first violation, or else at `margin_s`, or else
             at the beginning; None for no value.
-        is_covered: Whether the trace is long enough for all that the formula looks ahead. Where
-            not, the last values are taken to hold.
-        reason: One clause where the verdict is unknown, else empty.
+        is_covered: Whether the trace is long enough for all that the formula looks ahead; a run
+            that was cut is never long enough for a window without an end.
+        reason: One clause where the verdict is unknown, or where no time of the trace violates it.
     """
 
     formula: str
@@ -52,9 +59,23 @@ class FormulaResult:
     unit: str = ""
     reason: str = ""
 
+    def __bool__(self) -> bool:
+        """Whether it holds.
+
+        Raises:
+            UndecidedError: Where that is unknown.
+        """
+        if self.holds is None:
+            raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
+        return self.holds
+
 
 def check_formula(
-    signals: Signals, expression: Expression, *, window_ns: tuple[int, int] | None = None
+    signals: Signals,
+    expression: Expression,
+    *,
+    window_ns: tuple[int, int] | None = None,
+    ending: Ending = Ending.SETTLED,
 ) -> FormulaResult:
     """Check a formula at the beginning of a trace.
 
@@ -64,12 +85,13 @@ def check_formula(
         expression: A formula, temporal or not.
         window_ns: First and last time [ns] of the trace; by default from the first moment at
             which every signal used has a value to the last time of any.
+        ending: What is known of the time after that; by default the last values hold for ever.
 
     Raises:
         ExpressionError: Where a name is not there or the kinds do not go together.
         CheckError: Where a signal is no signal, or has no value at the first time.
     """
-    trace = Trace.open(signals, expression, window_ns=window_ns)
+    trace = Trace.open(signals, expression, window_ns=window_ns, ending=ending)
     holds, margins = _decide(expression, trace)
     failed_ns = find_first_violation(expression, trace) if holds is False else None
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
@@ -83,7 +105,7 @@ def check_formula(
         is_covered=_is_covered(expression, trace),
     )
     if holds is None:
-        return replace(unknown, reason=_explain_unknown(trace))
+        return replace(unknown, reason=_explain_unknown(expression, trace))
     decision = find_decision(margins, expression.root, trace)
     decisive = trace.read_values(decision.time_ns)
     sides = read_sides(expression, decision.node, decisive)
@@ -97,6 +119,7 @@ def check_formula(
         value=sides.value,
         limit=sides.limit,
         unit=sides.unit,
+        reason="" if holds or failed_ns is not None else _BEYOND,
     )
 
 
@@ -105,10 +128,13 @@ def check_run(
 ) -> FormulaResult:
     """Check a formula over a run's signals, metrics and parameters.
 
+    Of a run that was cut, what the formula says of the time after its end is unknown.
+
     Args:
         run: Time zero is its first sample.
         expression: A formula over the names of `SIGNALS`, `METRICS` and `run.parameters`.
-        window_ns: First and last time [ns]; by default from time zero to the run's end.
+        window_ns: First and last time [ns]; by default from time zero to the run's end. After one
+            that ends earlier, such as a phase, its last values hold.
 
     Raises:
         ExpressionError: Where a name is not there or the kinds do not go together.
@@ -116,7 +142,9 @@ def check_run(
     """
     check_names(expression, {**SIGNALS, **METRICS, **run.parameters})
     signals = read_signals(run, expression.names)
-    return check_formula(signals, expression, window_ns=window_ns or (run.start_ns, run.end_ns))
+    window_ns = window_ns or (run.start_ns, run.end_ns)
+    ending = find_ending(run) if window_ns[1] >= run.end_ns else Ending.SETTLED
+    return check_formula(signals, expression, window_ns=window_ns, ending=ending)
 
 
 def _decide(expression: Expression, trace: Trace) -> tuple[bool | None, Margins]:
@@ -140,18 +168,28 @@ def _read_first(margins: Margins, expression: Expression) -> float:
     return float(margins.compute(expression.root).values[0])
 
 
-def _explain_unknown(trace: Trace) -> str:
+def _explain_unknown(expression: Expression, trace: Trace) -> str:
+    if trace.ending is not Ending.SETTLED:
+        settled = replace(trace, ending=Ending.SETTLED)
+        if _decide(expression, settled)[0] is not None:
+            return f"{_TOO_SHORT}, and {trace.ending.value}"
     missing = [name for name, value in trace.constants.items() if value is None]
     return f"no value: {', '.join(missing)}" if missing else "a number has no value"
 
 
 def _is_covered(expression: Expression, trace: Trace) -> bool:
-    return trace.start_ns + _measure_reach(expression.root) * 1e9 <= trace.end_ns
+    is_cut = trace.ending in {Ending.CUT, Ending.LOST}
+    reach_s = _measure_reach(expression.root, is_cut=is_cut)
+    return trace.start_ns + reach_s * 1e9 <= trace.end_ns
 
 
-def _measure_reach(node: Node) -> float:
-    """Return how far a formula looks ahead [s]; windows without an end count to their start."""
-    below = max(map(_measure_reach, node.list_children()), default=0.0)
+def _measure_reach(node: Node, *, is_cut: bool) -> float:
+    """Return how far a formula looks ahead [s].
+
+    Windows without an end count to their start, where the run was not cut.
+    """
+    children = node.list_children()
+    below = max((_measure_reach(child, is_cut=is_cut) for child in children), default=0.0)
     if not isinstance(node, Temporal | Until):
         return below
-    return below + (node.start_s if math.isinf(node.end_s) else node.end_s)
+    return below + (node.start_s if math.isinf(node.end_s) and not is_cut else node.end_s)

@@ -11,7 +11,7 @@ from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.check.vocabulary import find_window, require_known_names
-from turtlelog.expressions import Comparison, Expression, Name, Temporal, iterate_nodes
+from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
 from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
 from turtlelog.run import Run
 
@@ -53,7 +53,7 @@ class _Judge:
         require_known_names(formula, over_time=check.kind == "holds", run=self._run)
         lacking = self._find_lacking(formula)
         if lacking:
-            return self._build(Verdict.FAIL, reason=lacking)
+            return self._leave_open(lacking)
         return self._judge_over_time() if check.kind == "holds" else self._judge_metrics()
 
     def _judge_condition(self, condition: Expression) -> CheckResult | None:
@@ -61,8 +61,10 @@ class _Judge:
         require_known_names(condition, over_time=False, run=self._run)
         lacking = self._find_lacking(condition)
         if lacking:
-            return self._build(Verdict.FAIL, reason=f"when: {lacking}")
+            return self._leave_open(f"when: {lacking}")
         found = check_formula(self._read_values(condition), condition)
+        if found.holds is None:
+            return self._leave_open(f"when: {found.reason}")
         if found.holds:
             return None
         values = ", ".join(f"{name} = {value}" for name, value in found.values.items())
@@ -80,13 +82,8 @@ class _Judge:
         window_ns = find_window(run, check.phase)
         if window_ns is None:
             reason = f"no_phase (the run has no phase {check.phase})"
-            return self._build(Verdict.FAIL, reason=reason)
+            return self._leave_open(reason)
         found = check_run(run, check.formula, window_ns=window_ns)
-        if found.holds and not _is_told(found, check.formula, run):
-            reason = (
-                "the recording ends before the formula's window does, and the run had not ended"
-            )
-            return self._build(Verdict.FAIL, reason=reason)
         begun_s = (window_ns[0] - run.start_ns) / 1e9
         value_s, failed_s = (
             None if time_s is None else time_s + begun_s
@@ -103,7 +100,11 @@ class _Judge:
             margin=found.margin if is_finite else None,
             unit=found.unit,
             decided_by=found.decided_by if _has_several(self._check.formula) else "",
+            is_decided=found.holds is not None,
         )
+
+    def _leave_open(self, reason: str) -> CheckResult:
+        return replace(self._build(Verdict.FAIL, reason=reason), is_decided=False)
 
     def _build(self, verdict: Verdict, *, reason: str) -> CheckResult:
         return CheckResult(
@@ -146,12 +147,6 @@ class _Judge:
             if isinstance(left, Name) and left.name == metric.id:
                 return find_metric_violation(self._run, metric, root.operators[0], limit)
         return metric.at_s
-
-
-def _is_told(found: FormulaResult, formula: Expression, run: Run) -> bool:
-    """Whether a verdict stands on what was recorded; a run that came to its end stays there."""
-    is_reached = isinstance(formula.root, Temporal) and formula.root.operator == "eventually"
-    return found.is_covered or run.is_complete or is_reached
 
 
 def _has_several(formula: Expression) -> bool:

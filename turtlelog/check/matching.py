@@ -39,6 +39,8 @@ def match_run(
         reference = load_reference(Path(reference))
     if isinstance(tolerance, str | Path):
         tolerance = load_tolerances(tolerance)
+    if isinstance(tolerance, Tolerances) and not tolerance:
+        raise CheckError("tolerance: expected at least one signal or metric, found none")
     if isinstance(reference, Run):
         return _match_runs(run, reference, tolerance, file)
     return _match_metrics(run, reference, tolerance, file)

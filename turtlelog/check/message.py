@@ -52,6 +52,8 @@ def _list_figures(result: CheckResult) -> Iterator[str]:
 
 def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:
     at_s = result.first_violation_s
+    if not result.is_decided:
+        return
     if at_s is None:
         yield f"  first violated  at no one moment ({describe_clock(run)})"
         return

@@ -206,6 +206,7 @@ class MetricValue(FloatArithmetic):
                 expected=wanted,
                 reason=reason,
                 names=choose_signals([self.metric.id]),
+                is_decided=False,
             )
         )
         found = f"found no value: {reason}"

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
+from turtlelog.check.failures import UndecidedError
 from turtlelog.check.junit import describe_result
 from turtlelog.check.result import CheckResult, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckOutcome:
-    """Stands for True or False in an assert, and says why.
+    """Stands for True or False in an assert, and says why; where it is neither, `bool` raises.
 
     Attributes:
         results: Of everything that was looked at.
@@ -17,7 +18,15 @@ class CheckOutcome:
     results: tuple[CheckResult, ...]
 
     def __bool__(self) -> bool:
-        return not self.failures
+        """Whether all results pass.
+
+        Raises:
+            UndecidedError: Where some are undecided and no other one fails.
+        """
+        failures = self.failures
+        if not failures or failures[0].is_decided:
+            return not failures
+        raise UndecidedError(f"{failures[0].file}: undecided: {self._describe_first()}")
 
     def __eq__(self, other: object) -> bool:
         """Compare with True or False, as which it stands."""
@@ -27,8 +36,9 @@ class CheckOutcome:
 
     @property
     def failures(self) -> tuple[CheckResult, ...]:
-        """The results that fail."""
-        return tuple(result for result in self.results if result.verdict is Verdict.FAIL)
+        """The results that fail, and after them those that are undecided."""
+        failed = [result for result in self.results if result.verdict is Verdict.FAIL]
+        return tuple(sorted(failed, key=lambda result: not result.is_decided))
 
     @property
     def margin(self) -> float | None:
@@ -39,6 +49,10 @@ class CheckOutcome:
     def __repr__(self) -> str:
         if not self.failures:
             return f"<PASS: {len(self.results)} checked>"
+        word = "FAIL" if self.failures[0].is_decided else "UNDECIDED"
+        return f"<{word}: {self._describe_first()}>"
+
+    def _describe_first(self) -> str:
         more = len(self.failures) - 1
         others = f" (and {more} more)" if more else ""
-        return f"<FAIL: {describe_result(self.failures[0])}{others}>"
+        return f"{describe_result(self.failures[0])}{others}"

@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
+from turtlelog.check.cut import find_loss
 from turtlelog.check.driven import DrivenRecording
 from turtlelog.check.failures import PartialLogError
 from turtlelog.check.judge_formula import judge_check
@@ -14,8 +15,8 @@ from turtlelog.check.message import describe_failure
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.outcome import CheckOutcome
 from turtlelog.check.reference import Reference
-from turtlelog.check.result import CheckResult, Verdict
-from turtlelog.check.runs import find_loss
+from turtlelog.check.result import CheckResult
+from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.errors import CheckError
@@ -49,6 +50,7 @@ class Recording:
         path: A recording, a bag or a log.
         name: What to call it in messages; its path where None.
         allow_partial: Whether it may have lost something.
+        trust_law: Whether `driven_by()` may run the law that it names, where it is not built in.
         watch: Is told of every check.
     """
 
@@ -58,11 +60,12 @@ class Recording:
         *,
         name: str | None = None,
         allow_partial: bool = False,
+        trust_law: bool = False,
         watch: Watch | None = None,
     ) -> None:
         self.path = Path(path)
         self.file = name or str(path)
-        self._allow_partial, self._watch = allow_partial, watch
+        self._allow_partial, self._trust_law, self._watch = allow_partial, trust_law, watch
 
     def __repr__(self) -> str:
         return f"<recording {self.file}>"
@@ -80,10 +83,7 @@ class Recording:
             self._watch(self, None)
         lost = None if self._allow_partial else find_loss(run)
         if lost is not None:
-            result = CheckResult(
-                file=self.file, check="recording", verdict=Verdict.FAIL, reason=lost
-            )
-            self._note(result)
+            self._note(fail_recording(self.file, lost))
             raise PartialLogError(f"{self.file}: {lost}; allow_partial=True lets it pass")
         return run
 
@@ -156,9 +156,12 @@ class Recording:
         """Return what a law makes of the recorded poses.
 
         Args:
-            law: An instance, or a scenario with one; that of the recording where None.
+            law: An instance, or a scenario with one. Where None that of the recording, which runs
+                if it is built in or `trust_law` is set.
         """
-        return DrivenRecording(self.run, law, self._conclude, file=self.file)
+        return DrivenRecording(
+            self.run, law, self._conclude, file=self.file, trust_law=self._trust_law
+        )
 
     def describe(self, *results: CheckResult) -> list[str]:
         """Return all that there is to say of failed checks, line by line."""
@@ -179,6 +182,9 @@ class PhaseMetrics:
 
     def __init__(self, recording: Recording, name: str) -> None:
         self._recording, self._name = recording, name
+
+    def __bool__(self) -> bool:
+        raise CheckError(f"phase {self._name}: expected one of its metrics, found none")
 
     def __getattr__(self, name: str) -> MetricValue:
         if f"{self._name}.{name}" in METRICS:

@@ -4,6 +4,9 @@ import enum
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from turtlelog.check.failures import UndecidedError
+from turtlelog.errors import CheckError
+
 
 class Verdict(enum.StrEnum):
     """What was found."""
@@ -11,6 +14,9 @@ class Verdict(enum.StrEnum):
     PASS = "PASS"
     FAIL = "FAIL"
     SKIPPED = "SKIPPED"
+
+    def __bool__(self) -> bool:
+        raise CheckError(f'verdict {self.value}: expected a comparison with one, such as == "PASS"')
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,6 +37,7 @@ class CheckResult:
         first_violation_s: When it was first violated [s]; None where it is not, or at no moment.
         reason: Why it fails or is skipped, where figures do not say it.
         names: Signals to look at around the violation.
+        is_decided: Whether that is known; where not, the check fails, and `bool` of it raises.
     """
 
     file: str
@@ -46,6 +53,17 @@ class CheckResult:
     first_violation_s: float | None = None
     reason: str = ""
     names: tuple[str, ...] = ()
+    is_decided: bool = True
+
+    def __bool__(self) -> bool:
+        """Whether it passes.
+
+        Raises:
+            UndecidedError: Where nobody can tell, or nothing was judged.
+        """
+        if not self.is_decided or self.verdict is Verdict.SKIPPED:
+            raise UndecidedError(f"{self.file}: {self.check}: undecided: {self.reason}")
+        return self.verdict is Verdict.PASS
 
 
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:

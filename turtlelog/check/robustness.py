@@ -2,17 +2,19 @@
 
 The margin of `a <= b` is b - a, of `a == b` -|a - b|; and is the smaller, or the larger, not the
 negative; what has no distance (texts, truths) has a margin of inf or -inf. Signals hold each value
-until the next and the last one for ever.
+until the next. After the end of a trace that is settled they hold the last one for ever; after any
+other end what is said of them is unknown.
 """
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.check.cut import Ending
 from turtlelog.check.signals import Signals, Trace
 from turtlelog.check.steps import (
     Steps,
@@ -117,10 +119,9 @@ class Margins:
                 return negate_steps(self.compute(operand, -sign))
             case Temporal(operator=operator, operand=operand):
                 slide = slide_minimum if operator == "always" else slide_maximum
-                return slide(self.compute(operand, sign), *convert_window(node))
+                return self._look_ahead(node, slide, [operand], sign)
             case Until(left=left, right=right):
-                held, coming = self.compute(left, sign), self.compute(right, sign)
-                return compute_until(held, coming, *convert_window(node))
+                return self._look_ahead(node, compute_until, [left, right], sign)
         return self._compute_leaf(node, sign)
 
     def _join(self, operator: str, operands: tuple[Node, ...], sign: int) -> Steps:
@@ -130,6 +131,17 @@ class Margins:
             return combine_steps(np.maximum, parts)
         parts = [self.compute(operand, sign) for operand in operands]
         return combine_steps(np.minimum if operator == "and" else np.maximum, parts)
+
+    def _look_ahead(
+        self, node: Temporal | Until, look: Callable[..., Steps], parts: list[Node], sign: int
+    ) -> Steps:
+        trace, (first_ns, last_ns) = self._trace, convert_window(node)
+        sides = [self.compute(part, sign) for part in parts]
+        if trace.ending is not Ending.UNDECLARED or last_ns is not None:
+            return look(*sides, first_ns, last_ns)
+        recorded = [side.cut(trace.start_ns, trace.end_ns) for side in sides]
+        found = look(*recorded, first_ns, None)
+        return found.end_with(sign * self._unknown, from_ns=trace.end_ns - first_ns + 1)
 
     def _compute_leaf(self, node: Node, sign: int) -> Steps:
         """Return the margin of a comparison or a truth by itself."""
@@ -145,12 +157,18 @@ class Margins:
             margins = self._weigh(found)
         if not math.isnan(self._unknown):
             margins = np.where(np.isnan(margins), sign * self._unknown, margins)
-        return Steps(time_ns=time_ns, values=np.broadcast_to(margins, time_ns.shape))
+        steps = Steps(time_ns=time_ns, values=np.broadcast_to(margins, time_ns.shape))
+        if self._trace.ending is Ending.SETTLED or not self._name_signals(node):
+            return steps
+        return steps.end_with(sign * self._unknown, from_ns=self._trace.end_ns + 1)
+
+    def _name_signals(self, node: Node) -> list[str]:
+        names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
+        return [name for name in names if name in self._trace.signals]
 
     def _read(self, node: Node) -> tuple[NDArray[np.int64], Mapping[str, Any]]:
         """Return the common steps of the signals below a node, and the values by name."""
-        names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
-        signals = {name: self._trace.signals[name] for name in names if name in self._trace.signals}
+        signals = {name: self._trace.signals[name] for name in self._name_signals(node)}
         if not signals:
             return np.array([self._trace.start_ns]), self._trace.constants
         time_ns, columns = align_steps(list(signals.values()))

@@ -1,15 +1,19 @@
 """Specification and runs -> results."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
 
+from turtlelog.check.cut import find_loss
 from turtlelog.check.judge_formula import judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict, format_number
 from turtlelog.check.spec import Spec
 from turtlelog.check.spec_file import require_reference
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.compare import Finding, compare_runs
-from turtlelog.errors import CheckError, CompareError
-from turtlelog.log import read_run
+from turtlelog.errors import CheckError, CompareError, LogError
+from turtlelog.log import TopicChoice, read_info
+from turtlelog.log.ros2 import list_bag_files
 from turtlelog.run import Run
 
 
@@ -37,15 +41,35 @@ def check_runs(
         raise CheckError(f"{spec.source}: expected at least one recording to check, found none")
 
 
-def read_reference(spec: Spec) -> Run | None:
+def read_reference(spec: Spec, topics: TopicChoice | None = None) -> Run | None:
     """Return the run that tolerances are taken from, None where there are none.
+
+    Args:
+        spec: Names it.
+        topics: As of the runs; a topic that the reference does not hold is chosen as usual. It must
+            be whole in any case.
 
     Raises:
         CheckError: Where tolerances have no reference.
         LogError: Where it cannot be read.
     """
     require_reference(spec)
-    return read_run(spec.reference) if spec.tolerances and spec.reference else None
+    if not spec.tolerances or spec.reference is None:
+        return None
+    return _restrict(topics or TopicChoice(), spec.reference).read(spec.reference)
+
+
+def _restrict(topics: TopicChoice, path: Path) -> TopicChoice:
+    """Return the choice without the topics that a file does not hold."""
+    try:
+        infos = [read_info(file) for file in list_bag_files(path)]
+    except LogError:
+        infos = []  # no bag: a log, or nothing that can be read, which reading says
+    held = {topic.topic for info in infos for topic in info.topics if topic.count}
+    pose_topic, command_topic = (
+        name if name in held else None for name in (topics.pose_topic, topics.command_topic)
+    )
+    return TopicChoice(pose_topic=pose_topic, command_topic=command_topic)
 
 
 def judge_run(
@@ -54,7 +78,7 @@ def judge_run(
     """Yield the results of every check on one run; of one that has lost something, that it has."""
     lost = None if allow_partial else find_loss(run)
     if lost is not None:
-        yield CheckResult(file=file, check="recording", verdict=Verdict.FAIL, reason=lost)
+        yield fail_recording(file, lost)
         return
     metrics = measure_named(spec.checks, run)
     for check in spec.checks:
@@ -63,12 +87,11 @@ def judge_run(
         yield from _judge_tolerances(spec, reference, run, file)
 
 
-def find_loss(run: Run) -> str | None:
-    """Return what a recording has lost, None where it is whole."""
-    for name in ("partial", "recovered"):
-        if name in run.notes:
-            return f"expected a whole recording, found one that is not: {run.notes[name]}"
-    return None
+def fail_recording(file: str, reason: str) -> CheckResult:
+    """Return the result of a recording on which nothing could be judged."""
+    return CheckResult(
+        file=file, check="recording", verdict=Verdict.FAIL, reason=reason, is_decided=False
+    )
 
 
 def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterator[CheckResult]:
@@ -80,7 +103,7 @@ def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterat
         ).findings
     except CompareError as err:
         for name in names:
-            yield CheckResult(file=file, check=name, verdict=Verdict.FAIL, reason=str(err))
+            yield replace(fail_recording(file, str(err)), check=name)
         return
     for finding in found:
         yield convert_finding(finding, file=file)
@@ -113,4 +136,5 @@ def convert_finding(finding: Finding, *, file: str, is_strict: bool = True) -> C
         first_violation_s=finding.first_outside_s,
         reason=reason,
         names=choose_signals([finding.name]),
+        is_decided=passes or finding.off is not None,
     )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.check.cut import Ending
 from turtlelog.check.steps import Steps, make_steps
 from turtlelog.errors import CheckError
 from turtlelog.expressions import Expression, Name, describe_unknown_name, fail_at, iterate_nodes
@@ -26,10 +27,11 @@ class Trace:
 
     Attributes:
         start_ns: First time [ns].
-        end_ns: Last time [ns]; beyond it the last values hold.
+        end_ns: Last time [ns].
         names: In order of first use.
         signals: As functions of time.
         constants: What does not change; None for no value.
+        ending: What is known of the signals after end_ns.
     """
 
     start_ns: int
@@ -37,6 +39,7 @@ class Trace:
     names: tuple[str, ...]
     signals: Mapping[str, Steps]
     constants: Mapping[str, Any]
+    ending: Ending = Ending.SETTLED
 
     @classmethod
     def open(
@@ -45,6 +48,7 @@ class Trace:
         expression: Expression,
         *,
         window_ns: tuple[int, int] | None = None,
+        ending: Ending = Ending.SETTLED,
     ) -> "Trace":
         """Return what a formula names.
 
@@ -73,6 +77,7 @@ class Trace:
                 for name, column in columns.items()
             },
             constants={name: found for name, found in named.items() if name not in columns},
+            ending=ending,
         )
 
     def read_values(self, time_ns: int) -> dict[str, Any]:

@@ -42,6 +42,16 @@ class Steps:
         time_ns = np.maximum(self.time_ns[first : last + 1], start_ns)
         return Steps(time_ns=time_ns, values=self.values[first : last + 1])
 
+    def end_with(self, value: float, *, from_ns: int) -> "Steps":
+        """Return the function with one value from a time on [ns]."""
+        if from_ns <= self.time_ns[0]:
+            return Steps(time_ns=self.time_ns[:1], values=np.array([value]))
+        after = int(np.searchsorted(self.time_ns, from_ns, side="left"))
+        return Steps(
+            time_ns=np.append(self.time_ns[:after], np.int64(from_ns)),
+            values=np.append(self.values[:after], value),
+        )
+
 
 def make_steps(time_ns: Times, values: Values, *, start_ns: int, end_ns: int) -> Steps:
     """Return columns as a function from start to end; of rows at one time the last one holds.

@@ -3,7 +3,7 @@
 import math
 
 from turtlelog.check.deciding import clip_window
-from turtlelog.check.robustness import Margins
+from turtlelog.check.robustness import Margins, convert_window
 from turtlelog.check.signals import Trace
 from turtlelog.expressions import Expression, Logic, Node, Temporal, Until
 
@@ -14,8 +14,9 @@ def find_first_violation(expression: Expression, trace: Trace) -> int | None:
     Of `always` this is the first time in its window at which its body fails; of `eventually`, the
     end of its window, when what was to come has not; of `until`, the end of its window or the
     first time at which its left side fails, whichever comes first; of `and`, the first of any
-    part's; of `implies`, the right side's; of anything else, the beginning. Times beyond the
-    trace's end are its end. Unknown parts count as well as they can: None unless it surely fails.
+    part's; of `implies`, the right side's; of anything else, the beginning. A window that reaches
+    beyond the trace's end ends there; where it begins beyond, no time of the trace violates it:
+    None. Unknown parts count as well as they can: None unless it surely fails.
     """
     return _Search(expression, trace).find(expression.root)
 
@@ -36,11 +37,14 @@ class _Search:
         if not isinstance(node, Temporal | Until):
             return self._trace.start_ns
         start_ns, end_ns = clip_window(node, self._trace.start_ns, self._trace)
-        if isinstance(node, Temporal):
-            is_always = node.operator == "always"
-            return self._find_failure(node.operand, start_ns, end_ns) if is_always else end_ns
-        failed_ns = self._find_failure(node.left, self._trace.start_ns, end_ns)
-        return end_ns if failed_ns is None else failed_ns
+        is_beyond = self._trace.start_ns + convert_window(node)[0] > self._trace.end_ns
+        last_ns = None if is_beyond else end_ns
+        if isinstance(node, Until):
+            failed_ns = self._find_failure(node.left, self._trace.start_ns, end_ns)
+            return last_ns if failed_ns is None else failed_ns
+        if node.operator == "eventually" or is_beyond:
+            return last_ns
+        return self._find_failure(node.operand, start_ns, end_ns)
 
     def _find_failure(self, node: Node, start_ns: int, end_ns: int) -> int | None:
         cut = self._truths.compute(node).cut(start_ns, end_ns)

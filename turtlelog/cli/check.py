@@ -1,6 +1,6 @@
 """`turtlelog check`: hold recordings to a specification."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from turtlelog.cli.exit_codes import EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.options import Json, Output, TopicOptions, iterate_files, require_files
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.targets import require_apart, require_new_target
-from turtlelog.errors import UsageError
+from turtlelog.errors import LogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import ArtifactWriter, CheckResult, Run, Spec
@@ -65,9 +65,10 @@ def check(
 ) -> int:
     """Hold recordings to a specification: bounds, formulas over time, tolerances.
 
-    The exit code is 0 where nothing fails, 1 where a check fails, and 2 where
-    the specification or a recording cannot be read. A metric without a value
-    fails; so does a recording of which something is lost, but for --partial.
+    The exit code is 0 where nothing fails, 1 where a check fails or cannot be
+    decided, and 2 where the specification or its reference cannot be read. A
+    metric without a value fails; so does a recording that cannot be read, and
+    one of which something is lost, but for --partial.
 
     Example: turtlelog check --init good.mcap -o spec.toml
 
@@ -109,13 +110,20 @@ def _check(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: TopicOptions
 ) -> "list[CheckResult]":
     from turtlelog.check.junit import CheckedFile, format_junit
-    from turtlelog.check.runs import judge_run, read_reference
+    from turtlelog.check.runs import fail_recording, judge_run, read_reference
 
-    reference = read_reference(spec)
+    reference = read_reference(spec, topics.build_choice())
     checked: list[CheckedFile] = []
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(tl.ArtifactWriter(reports.artifacts))
-        for path, run in _read(files, topics):
+        for path in iterate_files(files):
+            try:
+                run = _read(path, topics)
+            except LogError as err:
+                reason = str(err).removeprefix(f"{path}: ")
+                failed = (fail_recording(str(path), reason),)
+                checked.append(CheckedFile(file=str(path), results=failed))
+                continue
             found = judge_run(spec, reference, run, file=str(path), allow_partial=topics.partial)
             results = tuple(found)
             report = {} if reports.junit is None else _describe(run, results)
@@ -138,11 +146,9 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
     return {"metrics": tl.measure_run(run), "details": details}
 
 
-def _read(files: Sequence[Path], topics: TopicOptions) -> "Iterator[tuple[Path, Run]]":
+def _read(path: Path, topics: TopicOptions) -> "Run":
     # A recording that is not whole fails its check, which says so.
-    choice = replace(topics.build_choice(), allow_partial=True)
-    for path in iterate_files(files):
-        yield path, choice.read(path)
+    return replace(topics.build_choice(), allow_partial=True).read(path)
 
 
 def _write_artifacts(
@@ -164,7 +170,7 @@ def _write_first(
     if words:
         raise UsageError(f"--init: expected one good run and no other file, found {words[0]}")
     require_new_target(output, [path], suffix=".toml")
-    ((_, run),) = _read([path], topics)
+    run = _read(path, topics)
     text = format_first_spec(run, reference=name_reference(path, output))
     if output is None:
         print_text(text)

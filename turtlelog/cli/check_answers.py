@@ -30,6 +30,7 @@ def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str
                 "decided_by": result.decided_by or None,
                 "first_violation_s": result.first_violation_s,
                 "reason": result.reason or None,
+                "decided": result.is_decided,
             }
             for result in results
         ],

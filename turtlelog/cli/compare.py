@@ -185,7 +185,8 @@ def _compare_against(
 
     def summarise(run: "Run") -> "Run":
         usual = tl.measure_run(run, only=tl.USUAL_METRICS)
-        summaries.append(tl.summarise_run(run, metrics=usual))
+        file = str(paths[len(summaries)])
+        summaries.append(tl.summarise_run(run, file=file, metrics=usual))
         return run
 
     comparisons = list(

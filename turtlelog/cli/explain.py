@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
@@ -18,6 +18,8 @@ from turtlelog.errors import ExplainError
 if TYPE_CHECKING:
     from turtlelog import Attribution, Identification, Run
 
+_NOTHING: Final = "No metric is explained: there is no scenario to simulate."
+
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +28,7 @@ class OutputOptions:
 
     Attributes:
         scenario: Write the identified scenario to this .toml file.
-        rrd: Write a Rerun recording of the run beside itself without each mechanism.
+        rrd: Write a Rerun recording of the run beside itself without each effect.
     """
 
     scenario: Path | None = None
@@ -38,58 +40,52 @@ def explain(
     /,
     *,
     metric: str = "final.position_error",
-    mechanisms: str = "queue,pause",
+    mechanisms: str | None = None,
     outputs: OutputOptions | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Say what made a run what it is, and which mechanism caused which part of a figure.
+    """Say what made a run what it is, and which effect caused which part of a metric.
 
-    First it identifies, from poses and commands alone: gains, limits, tolerances, dead times,
-    queues, start backlog and pause, each with its evidence or the reason why the log does not tell.
-    The identified scenario is simulated again and compared with the log, sample by sample.
+    First it identifies, from the samples of the controller (the poses that it read and the commands
+    that it gave): gains, limits, tolerances, dead times, queues, start backlog and pause, each with
+    its evidence or the reason why the log does not tell. The identified scenario is simulated again
+    and compared with the log, sample by sample. Of a law other than sequential-p nothing is said.
 
-    Then it simulates the scenario without its mechanisms, in every combination, and shares the
-    figure out among them: Shapley values, whose sum is the figure as built less that without all.
+    Then it simulates that scenario without its effects, in every combination, and divides the
+    metric among them: Shapley values, whose sum is the metric as built less that without all. They
+    are given where the re-simulation has the log's own value; both stand side by side. Effects are
+    what an implementation adds: queue, pause, delay, wrap. Properties of any such loop stand beside
+    them, each taken out alone: saturation, sampling, float32, projection, tolerance.
 
     Example: turtlelog explain kp10.mcap --metric final.heading_error --scenario found.toml
 
     Args:
         file: A recording (.mcap), a ROS 2 bag, or one of the paper's logs (.json, .csv).
-        metric: The figure to share out, by its id (turtlelog metrics lists them).
-        mechanisms: Who shares, separated by commas: queue, pause, delay, saturation, sampling,
-            float32, projection, wrap, tolerance.
+        metric: What to explain, by its id (turtlelog metrics lists them).
+        mechanisms: Effects and properties that share it, separated by commas; by default every
+            effect that is in the run. Of more than six, those six that change it most.
         json: Print one JSON object instead of tables.
     """
     outputs = outputs or OutputOptions()
     require_new_target(outputs.scenario, [file], suffix=".toml")
     require_new_target(outputs.rrd, [file], suffix=".rrd")
-    names = [name.strip() for name in mechanisms.split(",")]
+    names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
     tl.require_players(metric, names)
     (run,) = read_runs([file], topics)
     found = tl.identify_run(run)
     if outputs.scenario is not None:
         _write_scenario(found, outputs.scenario)
-    attribution, obstacle = _attribute(found, metric, names)
+    attribution = None
+    if found.scenario is not None:
+        attribution = tl.attribute_run(run, metric=metric, mechanisms=names, identified=found)
     if json:
-        print_json(describe_explanation(file, found, attribution, obstacle))
+        print_json(describe_explanation(file, found, attribution))
     else:
         print_text(format_identification(found))
-        print_text(obstacle if attribution is None else format_attribution(attribution))
+        print_text(_NOTHING if attribution is None else format_attribution(attribution))
     if outputs.rrd is not None:
         _draw(run, found, attribution, outputs.rrd)
-
-
-def _attribute(
-    found: "Identification", metric: str, mechanisms: list[str]
-) -> "tuple[Attribution | None, str]":
-    """Return the attribution, or why there is none."""
-    if found.scenario is None:
-        return None, "No figure is attributed: there is no scenario to simulate."
-    try:
-        return tl.attribute_scenario(found.scenario, metric=metric, mechanisms=mechanisms), ""
-    except ExplainError as err:
-        return None, f"No figure is attributed: {err}"
 
 
 def _draw(
@@ -98,9 +94,10 @@ def _draw(
     attribution: "Attribution | None",
     path: Path,
 ) -> None:
-    if attribution is None:
-        raise ExplainError(f"{path}: expected shares to draw, found no figure attributed")
-    shares = {share.mechanism: share.share or 0.0 for share in attribution.shares}
+    if attribution is None or attribution.withheld:
+        reason = _NOTHING if attribution is None else attribution.withheld
+        raise ExplainError(f"{path}: expected shares to draw, found none: {reason}")
+    shares = {share.mechanism: share.share for share in attribution.shares if share.share}
     chosen = [[name] for name in shares]
     if len(shares) > 1:
         chosen.append([*shares])

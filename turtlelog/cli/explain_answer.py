@@ -7,6 +7,7 @@ import turtlelog as tl
 
 if TYPE_CHECKING:
     from turtlelog import Attribution, Identification
+    from turtlelog.explain import StartRange
 
 
 _JSON: Final = {
@@ -38,9 +39,9 @@ _JSON: Final = {
 
 
 def describe_explanation(
-    file: Path, found: "Identification", attribution: "Attribution | None", obstacle: str
+    file: Path, found: "Identification", attribution: "Attribution | None"
 ) -> dict[str, Any]:
-    """Return the answer; `obstacle` says why there is no attribution."""
+    """Return the answer."""
     again = found.resimulation
     return {
         "file": str(file),
@@ -76,7 +77,7 @@ def describe_explanation(
             "is_exact": again.is_exact,
         },
         "attribution": None if attribution is None else _describe_attribution(attribution),
-        "notes": [*found.notes, *([obstacle] if obstacle else [])],
+        "notes": [*found.notes],
     }
 
 
@@ -84,16 +85,42 @@ def _describe_attribution(found: "Attribution") -> dict[str, Any]:
     return {
         "metric": found.metric,
         "unit": found.unit,
+        "as_logged": found.as_logged,
         "as_built": found.as_built,
         "without_all": found.without_all,
         "shares": [
             {"mechanism": share.mechanism, "share": share.share, "alone": share.alone}
             for share in found.shares
         ],
-        "others": [{"mechanism": share.mechanism, "alone": share.alone} for share in found.others],
-        "interaction": found.interaction,
-        "heading_tolerance_explains": found.bound,
-        "sentences": list(tl.write_sentences(found)),
+        "others": [
+            {"mechanism": share.mechanism, "alone": share.alone, "ending": share.ending or None}
+            for share in found.others
+        ],
+        "withheld": found.withheld or None,
+        "together": [
+            {"mechanisms": case.mechanisms, "value": case.value} for case in found.together
+        ],
+        "without_value": [
+            {"mechanisms": case.mechanisms, "reason": case.reason} for case in found.without_value
+        ],
+        "grain": {"size": found.grain.size, "reason": found.grain.reason},
+        "starts": None if found.starts is None else _describe_starts(found.starts),
+        "sentences": tl.write_sentences(found),
+    }
+
+
+def _describe_starts(found: "StartRange") -> dict[str, Any]:
+    return {
+        "count": found.count,
+        "within_rad": found.within_rad,
+        "low": found.low,
+        "high": found.high,
+        "without_value": found.without_value,
+        "is_wide": found.is_wide,
+        "parts": [
+            {"mechanism": name, "low": low, "high": high}
+            for name, (low, high) in found.parts.items()
+        ],
     }
 
 

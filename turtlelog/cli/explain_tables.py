@@ -62,7 +62,7 @@ def format_identification(found: "Identification") -> str:
 
 
 def format_attribution(found: "Attribution") -> str:
-    """Return the shares, and what they mean."""
+    """Return the values, the shares, and what they mean."""
     unit = found.unit
     table = tl.Table(
         title=f"What caused {found.metric}",

@@ -8,10 +8,10 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
-from turtlelog.errors import UsageError
+from turtlelog.errors import LogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -86,11 +86,16 @@ def _require_targets(options: ExportOptions, file: Path) -> None:
 
 def _write(run: "Run", options: ExportOptions) -> list[Path]:
     written: list[Path] = []
-    with show_progress("writing"):
-        if options.rosbag2 is not None:
-            written += tl.export_rosbag2(run, options.rosbag2)
-        if options.csv is not None:
-            written += tl.export_csv(run, options.csv, table=options.table)
-        if options.parquet is not None:
-            written += tl.export_parquet(run, options.parquet, table=options.table)
+    try:
+        with show_progress("writing"):
+            if options.rosbag2 is not None:
+                written += tl.export_rosbag2(run, options.rosbag2)
+            if options.csv is not None:
+                written += tl.export_csv(run, options.csv, table=options.table)
+            if options.parquet is not None:
+                written += tl.export_parquet(run, options.parquet, table=options.table)
+    except LogError:
+        for path in written:  # what stands, though another does not
+            print_note(f"wrote {path}")
+        raise
     return written

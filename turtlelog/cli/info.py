@@ -1,7 +1,6 @@
 """`turtlelog info`: what a recording holds."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from turtlelog.cli.output import format_table, print_error, print_json, print_te
 from turtlelog.errors import TurtlelogError
 
 if TYPE_CHECKING:
-    from turtlelog import RecordingInfo
+    from turtlelog import RecordingInfo, Table
 
 
 def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> int:
@@ -23,7 +22,8 @@ def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> in
     Example: turtlelog info kp1.mcap
 
     Args:
-        files: MCAP recordings, turtlelog's or other people's.
+        files: Recordings (.mcap), turtlelog's or other people's, ROS 2 bags, or the paper's logs
+            (.json, .csv).
         partial: Say what a damaged recording still holds.
         json: Print one JSON list instead of text.
     """
@@ -46,20 +46,10 @@ def _read(
     errors: list[TurtlelogError] = []
     for path in iterate_files(files):
         try:
-            if _is_folder(path):
-                found.append((path, tl.read_bag_info(path)))
-            else:
-                found.append((path, tl.read_info(path, allow_partial=partial)))
+            found.append((path, tl.read_file_info(path, allow_partial=partial)))
         except TurtlelogError as err:
             errors.append(err)
     return found, errors
-
-
-def _is_folder(path: Path) -> bool:
-    """Return whether it is one; reading tells what is wrong with a name that cannot be asked."""
-    with suppress(OSError):
-        return path.is_dir()
-    return False
 
 
 def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:
@@ -88,12 +78,10 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         "name": recording.name,
         "source": recording.source,
         "format": f"version {recording.format_version}" if recording.format_version else "not ours",
-        "complete": "yes"
-        if recording.complete
-        else "no: turtlelog recover FILE -o OUT makes it so",
+        "complete": _describe_completeness(recording),
         "ended": (recording.stop_reason or "not recorded").replace("_", " "),
         "duration": "-" if recording.duration_s is None else f"{recording.duration_s:.3f} s",
-        "absent": ", ".join(recording.absent) or ("nothing" if recording.format_version else "-"),
+        "absent": ", ".join(recording.absent) or "nothing",
         **recording.notes,
     }
     width = max(map(len, facts))
@@ -102,12 +90,8 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         str(path).replace("\n", r"\n"),
         *(f"  {key:<{width}}  {value}" for key, value in shown),
     ]
-    topics = tl.Table(
-        title="topics",
-        columns=tuple(tl.Column(title=title) for title in ("topic", "type", "messages")),
-        rows=tuple((topic.topic, topic.type, topic.count) for topic in recording.topics),
-    )
-    lines += ["", _indent(format_table(topics, indent=2))]
+    if recording.topics:
+        lines += ["", _indent(format_table(_tabulate(recording), indent=2))]
     if recording.not_understood:
         lines += ["", "  not understood", *(f"    {text}" for text in recording.not_understood)]
     if recording.parameters:
@@ -115,6 +99,22 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         lines += ["", f"  {known}"]
         lines += [f"    {key} = {value}" for key, value in recording.parameters.items()]
     return "\n".join(lines)
+
+
+def _describe_completeness(recording: "RecordingInfo") -> str:
+    if recording.complete:
+        return "yes"
+    if any(topic.count for topic in recording.topics):
+        return "no: turtlelog recover FILE -o OUT makes it so"
+    return "no, and it holds no message that could be recovered"
+
+
+def _tabulate(recording: "RecordingInfo") -> "Table":
+    return tl.Table(
+        title="topics",
+        columns=tuple(tl.Column(title=title) for title in ("topic", "type", "messages")),
+        rows=tuple((topic.topic, topic.type, topic.count) for topic in recording.topics),
+    )
 
 
 def _indent(text: str) -> str:

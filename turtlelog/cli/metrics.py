@@ -1,6 +1,5 @@
 """`turtlelog metrics`: measure recordings."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -40,9 +39,11 @@ def metrics(
 ) -> int:
     """Measure recordings: the essential metrics as a table, a status where there is no value.
 
-    Up to six runs stand side by side; of more, each has a row. JSON and CSV
-    hold every metric, CSV in one row per file. A file that cannot be read is
-    told on stderr; the others are measured, and the exit code is 2.
+    Up to six runs stand side by side; of more, each has a row. Runs stand in
+    order of their gains, and are called by their files where names are alike.
+    JSON and CSV hold every metric, file by file in the order given. A file that
+    cannot be read is reported on stderr; the others are measured, and the exit
+    code is 2.
 
     Example: turtlelog metrics kp1.mcap kp4.mcap
 
@@ -56,7 +57,7 @@ def metrics(
     require_files(files)
     measuring, topics = measuring or MeasureOptions(), topics or TopicOptions()
     kind = (formats or FormatOptions()).choose()
-    chosen = _choose(measuring, len(files), kind, everything=all_)
+    chosen = _choose(measuring, kind, everything=all_)
     found = tl.summarise_files(
         files,
         measuring.build_settings(),
@@ -79,14 +80,14 @@ def metrics(
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
-def _choose(options: MeasureOptions, runs: int, kind: str, *, everything: bool) -> tuple[str, ...]:
+def _choose(options: MeasureOptions, kind: str, *, everything: bool) -> tuple[str, ...]:
     """Return the metrics to compute."""
     patterns = options.list_patterns()
     if patterns is not None:
         return tl.choose_metrics(patterns)
     if everything or kind in {"json", "csv"}:
         return tuple(tl.METRICS)
-    return tl.ESSENTIAL_METRICS if runs <= _MOST_COLUMNS else tl.USUAL_METRICS
+    return tl.ESSENTIAL_METRICS
 
 
 def _print_tables(
@@ -94,8 +95,9 @@ def _print_tables(
 ) -> None:
     if not summaries:
         return
+    summaries = tl.order_by_gain(summaries)
     if len(summaries) > _MOST_COLUMNS:
-        table = tl.tabulate_runs(_name_apart(summaries), only=chosen)
+        table = tl.tabulate_runs(summaries, only=chosen)
     else:
         names = tl.name_runs(summaries)
         table = tl.tabulate_measured(names, [summary.metrics for summary in summaries])
@@ -103,15 +105,6 @@ def _print_tables(
         more = f"{len(chosen)} of {len(tl.METRICS)} metrics: --all shows every one, --only chooses."
         table = replace(table, notes=(more, *table.notes))
     print_tables([table], kind)
-
-
-def _name_apart(summaries: "Sequence[RunSummary]") -> "list[RunSummary]":
-    """Return the runs by their names, by their files where names are shared."""
-    counts = Counter(summary.name for summary in summaries)
-    return [
-        replace(summary, name=summary.file) if counts[summary.name] > 1 else summary
-        for summary in summaries
-    ]
 
 
 def _list_cells(summary: "RunSummary") -> list[str | float]:

@@ -1,7 +1,7 @@
 """Options that several commands share, and what they stand for."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -76,8 +76,37 @@ class TopicOptions:
 
 
 def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
-    """Return a preset or file with the options applied."""
-    return change_scenario(tl.load_scenario(name_or_path), options)
+    """Return a preset or file with the options applied, under a name that tells them."""
+    base = tl.load_scenario(name_or_path)
+    return name_by_changes(change_scenario(base, options), base.name, options)
+
+
+def name_by_changes(
+    scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
+) -> "Scenario":
+    """Return a scenario under the name that it was made from and what was changed.
+
+    One that --set gave a name keeps it.
+
+    Args:
+        scenario: With the changes.
+        base: Name of what it was made from.
+        options: The changes.
+        more: What else was changed, in words.
+    """
+    said = [*more, *_list_changes(options)]
+    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
+    return scenario if is_named else replace(scenario, name=" ".join([base, *said]))
+
+
+def _list_changes(options: ScenarioOptions | None) -> list[str]:
+    if options is None:
+        return []
+    said = [] if options.kp is None else [f"kp={options.kp:g}"]
+    said += [] if options.goal is None else [f"goal={options.goal}"]
+    texts = options.assignments or ()
+    # A name is one line; a value need not be.
+    return said + [text if text.isprintable() else repr(text)[1:-1] for text in texts]
 
 
 def change_scenario(scenario: "Scenario", options: ScenarioOptions | None) -> "Scenario":

@@ -1,11 +1,13 @@
 """What commands print: results to stdout, notes to stderr."""
 
 import csv
+import errno
 import json
 import math
 import os
 import re
 import shutil
+import stat
 import sys
 import tempfile
 import textwrap
@@ -36,8 +38,15 @@ def outlive_reader() -> Iterator[None]:
     """Go on where the reader of stdout has gone, as `head` does: the exit code still tells."""
     try:
         yield
-    except BrokenPipeError:
+    except OSError as err:
+        if err.errno != errno.EPIPE and not (err.errno == errno.EIO and _is_device()):
+            raise
         drop_stdout()
+
+
+def _is_device() -> bool:
+    """Return whether stdout is a terminal, or was: of a closed one `isatty` returns False."""
+    return stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)
 
 
 def drop_stdout() -> None:
@@ -73,7 +82,10 @@ def print_error(text: str) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON value and nothing else; what is not finite becomes null."""
+    """Print one JSON value and nothing else; what is not finite becomes null.
+
+    Numbers, booleans and arrays of numpy are printed as Python's.
+    """
     with outlive_reader():
         sys.stdout.write(json.dumps(_make_finite(value), indent=2, allow_nan=False) + "\n")
 
@@ -136,6 +148,8 @@ def _escape_controls(text: str) -> str:
 
 
 def _make_finite(value: Any) -> Any:
+    if hasattr(value, "dtype"):
+        value = value.tolist()
     if isinstance(value, Mapping):
         return {key: _make_finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

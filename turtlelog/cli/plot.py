@@ -6,8 +6,9 @@ from typing import Annotated, Any, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog import show
 from turtlelog.cli.options import Json, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_text
+from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
@@ -26,8 +27,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 ) -> None:
     """Make the paper's figures from any recordings, as PDF, PNG and SVG, and tables as LaTeX.
 
-    Without recordings: the figures of the ideal loop. Figures and tables that are there already
-    are replaced.
+    Only what the recordings hold is drawn; what is left out, and why, is said on stderr. Without
+    recordings: the figures of the ideal loop. Figures and tables that are there already are
+    replaced.
 
     Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane --format pdf
 
@@ -43,6 +45,9 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         text_width: Width of the page's text [mm], 120 to 1000.
         json: Print one JSON object instead of lines.
     """
+    from turtlelog.show.figures.files import add_figures, add_tables
+    from turtlelog.show.files import replace_together
+
     if output.exists() and not output.is_dir():
         raise UsageError(f"{output}: expected a folder to write to, found a file")
     page = tl.Page(text_width_mm=text_width, columns=columns)
@@ -55,12 +60,16 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         def count(_: Path) -> None:
             progress.done += 1
 
-        figures = tl.write_figures(
-            runs, output, only=names, formats=kinds, page=page, on_written=count
-        )
-    tables = tl.write_tables(runs, output) if runs and only is None else []
+        with replace_together(output) as write:
+            figures = add_figures(
+                write, runs, only=names, formats=kinds, page=page, on_written=count
+            )
+            tables = add_tables(write, runs) if runs and only is None else []
+    left_out = show.list_left_out(runs, names) if runs else ()
+    for line in left_out:
+        print_note(f"plot: {line}")
     if json:
-        print_json(_describe(files or [], figures, tables))
+        print_json({**_describe(files or [], figures, tables), "left_out": list(left_out)})
     else:
         print_text("\n".join(f"wrote {path}" for path in [*figures, *tables]))
 

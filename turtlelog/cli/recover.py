@@ -33,7 +33,7 @@ def recover(
     Example: turtlelog recover cut.mcap -o whole.mcap
 
     Args:
-        file: The MCAP file to read.
+        file: The MCAP file to read, or the folder of a bag with one.
         output: Write the recovered recording to this .mcap file.
         json: Print one JSON object instead of text.
     """

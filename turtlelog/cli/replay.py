@@ -46,6 +46,10 @@ def replay(
     recorded poses and compares what it commands. --plant takes the recorded commands through
     turtlelog's turtlesim. Times count from the first sample, or else the first pose.
 
+    A law that is not built in is code. The code of --law FILE:Class, --set law.kind=FILE:Class and
+    of a scenario file given by name runs; that of a law that only the recording names runs with
+    --trust-law and not otherwise.
+
     Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest -o newest.mcap
 
     Differences are an answer, not a failure: the exit code is 0, unless --expect-equal is given.
@@ -67,7 +71,7 @@ def replay(
     else:
         scenario = choose_scenario(run, mode, changes, kind)
         answer = _replay_loop if mode.law is None else _replay_law
-        described, text, first = answer(run, scenario, mode.tolerance or 0.0, output)
+        described, text, first = answer(run, scenario, mode, output)
     if json:
         print_json({"file": str(file), **described})
     else:
@@ -76,16 +80,18 @@ def replay(
 
 
 def _replay_law(
-    run: "Run", scenario: "Scenario | None", tolerance: float, _: Path | None
+    run: "Run", scenario: "Scenario | None", mode: ReplayOptions, _: Path | None
 ) -> _Answer:
-    found = tl.replay_law(run, scenario, tolerance=tolerance)
+    tolerance = mode.tolerance or 0.0
+    found = tl.replay_law(run, scenario, tolerance=tolerance, trust_law=mode.trust_law)
     return describe_law(run, found), format_law(run, found), found.first_difference
 
 
 def _replay_loop(
-    run: "Run", scenario: "Scenario | None", tolerance: float, output: Path | None
+    run: "Run", scenario: "Scenario | None", mode: ReplayOptions, output: Path | None
 ) -> _Answer:
-    found = tl.replay_loop(run, scenario, tolerance=tolerance)
+    tolerance = mode.tolerance or 0.0
+    found = tl.replay_loop(run, scenario, tolerance=tolerance, trust_law=mode.trust_law)
     if output is not None:
         tl.write_recording(found.run, output)
         print_note(f"wrote {output}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import ScenarioOptions, change_scenario
+from turtlelog.cli.options import ScenarioOptions, change_scenario, name_by_changes
 from turtlelog.cli.output import print_note
 from turtlelog.errors import UsageError
 
@@ -31,6 +31,7 @@ class ReplayOptions:
             of its scenario keeps that.
         tolerance: Differences up to this one count as none, in each signal's unit.
         expect_equal: Exit with code 1 where there is a difference.
+        trust_law: Run the code of the law that the recording names, where it is not built in.
     """
 
     plant: Annotated[bool, Parameter(negative="")] = False
@@ -40,6 +41,7 @@ class ReplayOptions:
     scenario: str | None = None
     tolerance: float | None = None
     expect_equal: Annotated[bool, Parameter(negative="")] = False
+    trust_law: Annotated[bool, Parameter(negative="")] = False
 
 
 def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | None]:
@@ -70,6 +72,7 @@ def require_sound(
     given = {
         "--scenario": options.scenario,
         "--tolerance": options.tolerance,
+        "--trust-law": options.trust_law or None,
         **_name_changes(changes),
     }
     wrong = [name for name, value in given.items() if value is not None]
@@ -85,22 +88,15 @@ def choose_scenario(
         _require_keys_of_law(changes)
     if changes is None and kind is None and options.scenario is None:
         return None
-    if kind is not None:
-        run = _replace_law(run, kind)
+    named = kind or _find_named_law(changes)
+    if named is not None:
+        run = _replace_law(run, named)
     scenario = _find_base(run, options.scenario)
     if kind is not None:
         scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
-    return _name_replay(run, change_scenario(scenario, changes), options, changes)
-
-
-def _name_replay(
-    run: "Run", scenario: "Scenario", options: ReplayOptions, changes: ScenarioOptions | None
-) -> "Scenario":
-    """Return the scenario under a name that tells what was changed, unless one was set."""
+    changed = change_scenario(scenario, changes)
     said = [] if options.scenario is None else [f"as {Path(options.scenario).stem}"]
-    said += _list_changes(changes)
-    is_named = any(change.partition("=")[0].strip() == "name" for change in said)
-    return scenario if is_named else replace(scenario, name=" ".join([run.name, *said]))
+    return name_by_changes(changed, run.name, changes, *said)
 
 
 def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
@@ -110,14 +106,23 @@ def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
     base = tl.load_scenario(name_or_path)
     if run.scenario_is_complete:
         return base
+    base = tl.resolve_scenario(base)
     completed = tl.complete_scenario(run, base)
     _print_conflicts(completed, base, name_or_path)
     return completed
 
 
+def _find_named_law(changes: ScenarioOptions | None) -> str | None:
+    """Return the law that --set names: nothing of the recorded one is judged before it is gone."""
+    if changes is None:
+        return None
+    kind = tl.parse_assignments(changes.assignments or (), source="--set").get("law.kind")
+    return kind if isinstance(kind, str) else None
+
+
 def _replace_law(run: "Run", kind: str) -> "Run":
     """Return a run that knows nothing of a law of another kind, which need not be there to load."""
-    if run.parameters.get("law.kind") in {None, kind}:
+    if run.parameters.get("law.kind") in (None, kind):
         return run
     kept = {key: value for key, value in run.parameters.items() if not key.startswith("law.")}
     return replace(run, parameters=kept)
@@ -141,14 +146,6 @@ def _require_keys_of_law(changes: ScenarioOptions | None) -> None:
                 f"--set: {key}: expected a key of {', '.join(_OF_LAW)}, as --law takes the poses"
                 " from the recording"
             )
-
-
-def _list_changes(changes: ScenarioOptions | None) -> list[str]:
-    if changes is None:
-        return []
-    said = [] if changes.kp is None else [f"kp={changes.kp:g}"]
-    said += [] if changes.goal is None else [f"goal={changes.goal}"]
-    return said + list(changes.assignments or ())
 
 
 def _name_changes(changes: ScenarioOptions | None) -> dict[str, object]:

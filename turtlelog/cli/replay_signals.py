@@ -50,6 +50,7 @@ def describe_law(run: "Run", found: "LawReplay") -> dict[str, Any]:
         "first_difference": describe_difference(run, found.first_difference),
         "first_command_difference": describe_difference(run, found.first_command_difference),
         "signals": _describe_signals(run, found.signals),
+        "commands": describe_difference(run, found.commands),
         "stop": describe_difference(run, found.stop),
         "missing_samples": found.missing_samples,
         "not_compared": list(found.absent),
@@ -92,11 +93,25 @@ def format_law(run: "Run", found: "LawReplay") -> str:
     command = found.first_command_difference
     if command is not None and command != found.first_difference:
         lines.append(f"In the commands: {_format_difference(run, command, found.signals)}.")
-    if command is None:
-        lines.append("The commands as published are those recorded.")
+    lines.append(_describe_published(found))
+    if found.commands is not None and found.commands != found.first_difference:
+        lines.append(f"Commands: {_format_difference(run, found.commands, found.signals)}.")
     if found.stop is not None and found.stop != found.first_difference:
         lines.append(f"The end: {_format_difference(run, found.stop, found.signals)}.")
     return "\n".join(lines)
+
+
+def _describe_published(found: "LawReplay") -> str:
+    differing = [
+        signal.signal
+        for signal in found.signals
+        if signal.signal.startswith("command_") and signal.differing
+    ]
+    if differing:
+        return f"The commands as published differ from the law's in {', '.join(differing)}."
+    if found.commands is not None or "command_speed" in found.absent:
+        return "The commands as published are not one per sample, and are not compared."
+    return "The commands as published are the law's."
 
 
 def format_loop(run: "Run", found: "LoopReplay") -> str:

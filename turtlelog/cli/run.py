@@ -66,8 +66,9 @@ def run(
     Example: turtlelog run paper-kp10 --set loop.queue_policy=newest -o kp10.mcap
 
     With --realtime the recording is written while the loop runs, to a new file that can be read up
-    to the last second whatever happens. Ctrl-C ends the run, and the file is finished (exit code
-    130). With --live a viewer shows it on the way; closing that does the run no harm.
+    to the last second whatever happens. Ctrl-C or a terminal that closes ends the run, and the file
+    is finished (exit code 130). With --live a viewer shows it on the way; closing that does the run
+    no harm.
 
     Args:
         scenario: A preset (paper-kp1, paper-kp2, paper-kp4, paper-kp10, paper, textbook) or a
@@ -78,7 +79,7 @@ def run(
     """
     require_new_target(output, [Path(scenario)], suffix=".mcap")
     require_new_target(rrd, [Path(scenario)], suffix=".rrd")
-    chosen = load_changed_scenario(scenario, options)
+    chosen = tl.resolve_scenario(load_changed_scenario(scenario, options))
     live = live or LiveOptions()
     with _open_viewer(live) as (window, url):
         result = _run(chosen, output, live, url)
@@ -99,9 +100,7 @@ def _answer(
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
         print_note(f"{name.replace('_', ' ')}: {note}")
-    _write(result, None if is_recorded else output, rrd)
-    for path in filter(None, (output, rrd)):
-        print_note(f"wrote {path}")
+    _write(result, output, rrd, is_recorded=is_recorded)
     if json:
         print_json(
             {
@@ -119,12 +118,16 @@ def _answer(
     return code
 
 
-def _write(run: "Run", output: Path | None, rrd: Path | None) -> None:
-    with show_progress("writing"):
-        if output is not None:
-            tl.write_recording(run, output)
-        if rrd is not None:
+def _write(run: "Run", output: Path | None, rrd: Path | None, *, is_recorded: bool) -> None:
+    if output is not None:
+        with show_progress("writing"):
+            if not is_recorded:
+                tl.write_recording(run, output)
+        print_note(f"wrote {output}")
+    if rrd is not None:
+        with show_progress("writing"):
             tl.write_run_rrd(run, rrd)
+        print_note(f"wrote {rrd}")
 
 
 def _simulate(scenario: "Scenario") -> "Run":
@@ -146,13 +149,19 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
 def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
     if not live.realtime and url is None:
         return _simulate(scenario)
+    from turtlelog.log.signals import hold_stop, interrupt_on_quit
+
     with ExitStack() as closing:
+        closing.enter_context(interrupt_on_quit())
         sinks: list[Sink] = []
         viewer = None if url is None else tl.LiveViewer(scenario, url)
         if viewer is not None:
             closing.callback(viewer.close, {})  # also where nothing comes to run
         if live.realtime and output is not None:
-            sinks.append(closing.enter_context(tl.Recorder(output, scenario)))
+            with hold_stop():  # so that whatever is created is finished as well
+                recorder = tl.Recorder(output, scenario)
+                closing.callback(recorder.close)
+            sinks.append(recorder)
         sinks += [] if viewer is None else [viewer]
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))

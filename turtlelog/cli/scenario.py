@@ -13,6 +13,8 @@ def scenario(
 ) -> None:
     """Print a preset or scenario file as a whole scenario file, to edit and run.
 
+    The code of a law of your own is not loaded: of its keys those that were given are printed.
+
     Example: turtlelog scenario paper-kp10 > mine.toml
 
     Args:

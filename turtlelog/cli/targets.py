@@ -19,7 +19,7 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
     with _name_target(target):
         if target.suffix.lower() != suffix:
             raise UsageError(f"expected a name that ends in {suffix}, found another")
-        _require_place(target)
+        _require_place(_resolve(target))
         if target.exists():
             _require_replaceable(target, inputs)
 

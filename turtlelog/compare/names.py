@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import count
+from pathlib import Path
 from typing import Final
 
 from turtlelog.compare.summary import RunSummary
@@ -15,14 +16,28 @@ _MOST_PARAMETERS: Final = 2
 def name_runs(runs: Sequence[Run | RunSummary]) -> tuple[str, ...]:
     """Return one name per run, in order, no two alike.
 
-    Names that clash get the one or two parameters that differ (`paper Kp 4`), and a number where
-    these do not tell the runs apart.
+    Runs of one name are called by their files where these are known: by the file's name, or by its
+    path where that clashes, too. Otherwise they get the one or two parameters that differ (`paper
+    Kp 4`). A number follows where that does not tell the runs apart either.
     """
-    clashing: dict[str, list[Run | RunSummary]] = {}
-    for run in runs:
-        clashing.setdefault(run.name, []).append(run)
-    differing = {name: _find_differing(found) for name, found in clashing.items()}
-    return _number([_add_parameters(run, differing[run.name]) for run in runs])
+    clashing: dict[str, list[int]] = {}
+    for row, run in enumerate(runs):
+        clashing.setdefault(run.name, []).append(row)
+    names = [run.name for run in runs]
+    for rows in clashing.values():
+        for row, name in zip(rows, _tell_apart([runs[row] for row in rows]), strict=True):
+            names[row] = name
+    return _number(names)
+
+
+def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:
+    """Return names for runs that have the same one."""
+    files = [run.file for run in runs if isinstance(run, RunSummary) and run.file]
+    if len(runs) == 1 or len(files) < len(runs):
+        differing = _find_differing(runs)
+        return [_add_parameters(run, differing) for run in runs]
+    counts = Counter(Path(file).name for file in {*files})
+    return [file if counts[Path(file).name] > 1 else Path(file).name for file in files]
 
 
 def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:

@@ -1,32 +1,35 @@
 """From a log to the reason, by numbers."""
 
 from turtlelog.explain.attribute import (
-    DEFAULT_MECHANISMS,
     DEFAULT_METRIC,
-    Attribution,
-    Share,
     attribute_run,
     attribute_scenario,
     require_players,
 )
+from turtlelog.explain.attribution import Attribution, Share, StartRange, Together, ValueSet
 from turtlelog.explain.finding import Certainty, Finding
+from turtlelog.explain.grain import Grain
 from turtlelog.explain.identification import Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.mechanisms import MECHANISMS, Mechanism, simulate_without
+from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS, Mechanism, simulate_without
 from turtlelog.explain.resimulation import Resimulation
 from turtlelog.explain.wording import write_sentences
 
 __all__ = [
-    "DEFAULT_MECHANISMS",
     "DEFAULT_METRIC",
+    "EFFECTS",
     "MECHANISMS",
     "Attribution",
     "Certainty",
     "Finding",
+    "Grain",
     "Identification",
     "Mechanism",
     "Resimulation",
     "Share",
+    "StartRange",
+    "Together",
+    "ValueSet",
     "attribute_run",
     "attribute_scenario",
     "identify_run",

@@ -1,204 +1,244 @@
-"""Which mechanism caused which part of a figure: Shapley shares over simulations without them."""
+"""Which mechanism caused which part of a value: Shapley shares over simulations without them."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from fractions import Fraction
-from itertools import combinations
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 from turtlelog.errors import ExplainError
+from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet
+from turtlelog.explain.finding import Certainty, Finding
+from turtlelog.explain.game import Game, Outcome
+from turtlelog.explain.grain import find_grain
+from turtlelog.explain.identification import LOOP_KEYS, Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.mechanisms import MECHANISMS, find_mechanism, simulate_without
+from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS, find_mechanism, is_present
+from turtlelog.explain.shapley import (
+    Coalition,
+    Worth,
+    compute_dividends,
+    compute_shares,
+    find_smallest,
+    list_coalitions,
+)
+from turtlelog.explain.starts import vary_start
 from turtlelog.measure import METRICS, measure_run, suggest_metrics
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 
 DEFAULT_METRIC: Final = "final.position_error"
 
-DEFAULT_MECHANISMS: Final = ("queue", "pause")
-"""The two that accumulate."""
-
 _MOST: Final = 6
-"""Players; each doubles the simulations."""
+"""Players: 64 simulations, a second or two of the paper's runs; each more doubles them."""
 
-_Coalition = frozenset[str]
+_AGREEMENT: Final = 0.1
+"""Of what the effects add together: a re-simulation further away from the log does not tell what
+is in the log."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Share:
-    """The part of one mechanism.
-
-    Attributes:
-        mechanism: Its name.
-        share: Its Shapley share of as_built - without_all, in the metric's unit; negative where it
-            makes the figure smaller. None where it is no player.
-        alone: The metric with this mechanism out and all others in; None where it has no value.
-    """
-
-    mechanism: str
-    share: float | None
-    alone: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Attribution:
-    """What caused a figure.
-
-    Attributes:
-        metric: Its id.
-        unit: Its unit.
-        as_built: With all mechanisms in.
-        without_all: With all players out.
-        shares: Of the players, in their order; `math.fsum` of them is as_built - without_all.
-        others: What is no player: the figure with this one alone taken out.
-        interaction: as_built - without_all, less what each player adds where all others are out:
-            the part that they make only together.
-        bound: What the heading tolerance alone may leave of the figure, None where it is no error
-            of the heading's making.
-    """
-
-    metric: str
-    unit: str
-    as_built: float
-    without_all: float
-    shares: tuple[Share, ...]
-    others: tuple[Share, ...]
-    interaction: float
-    bound: float | None = None
+_SAME: Final = 1e-6
+"""Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
 
 
 def attribute_run(
-    run: Run, *, metric: str = DEFAULT_METRIC, mechanisms: Sequence[str] = DEFAULT_MECHANISMS
+    run: Run,
+    *,
+    metric: str = DEFAULT_METRIC,
+    mechanisms: Sequence[str] | None = None,
+    identified: Identification | None = None,
 ) -> Attribution:
-    """Identify the scenario of a run, and attribute one of its figures to mechanisms.
+    """Attribute a value of a run to mechanisms of the scenario that stands for it.
+
+    Shares are withheld where the log's value and the re-simulation's differ by more than a tenth of
+    what the effects add together.
+
+    Args:
+        run: Whose value it is.
+        metric: Its id.
+        mechanisms: Those that take part; otherwise every effect that is in the scenario.
+        identified: What `identify_run` found, where that is known already.
 
     Raises:
         ExplainError: Where the scenario cannot be identified, or as in `attribute_scenario`.
     """
-    scenario = identify_run(run).build_scenario()
-    return attribute_scenario(scenario, metric=metric, mechanisms=mechanisms)
+    require_players(metric, mechanisms)
+    identified = identified or identify_run(run)
+    scenario = identified.build_scenario()
+    found = attribute_scenario(scenario, metric=metric, mechanisms=mechanisms)
+    logged = measure_run(run, only=[metric])[metric]
+    found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason)
+    obstacle = found.withheld or _compare_with_log(found)
+    if obstacle:
+        return replace(found, withheld=obstacle, shares=())
+    return replace(found, doubts=tuple(_list_doubts(identified.findings, found.acting)))
 
 
 def attribute_scenario(
     scenario: Scenario,
     *,
     metric: str = DEFAULT_METRIC,
-    mechanisms: Sequence[str] = DEFAULT_MECHANISMS,
+    mechanisms: Sequence[str] | None = None,
 ) -> Attribution:
-    """Attribute a figure of a scenario to mechanisms.
+    """Attribute a value of a scenario to mechanisms.
 
-    A share is a Shapley value (Shapley, "A value for n-person games", 1953): what a mechanism adds
-    to the figure, averaged over all orders in which the players can be put in. All 2^n sets of
-    players are simulated.
+    All 2^n sets of n players are simulated. Of more than six mechanisms the six that change the
+    value most, alone out or alone in, are players; the others stay as built.
 
     Raises:
         ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, there are
-            none or too many, the scenario is of another law, or the figure has no value.
+            none, or the scenario is of another law.
     """
     require_players(metric, mechanisms)
     if scenario.law.kind != "sequential-p":
         raise ExplainError(
             f"{scenario.name}: expected a run of the law sequential-p, found {scenario.law.kind}"
         )
-    values = {
-        inside: _require_value(scenario, metric, inside, mechanisms)
-        for inside in _list_coalitions(mechanisms)
-    }
-    everything, nothing = frozenset(mechanisms), _Coalition()
-    total = Fraction(values[everything]) - Fraction(values[nothing])
-    exact = {name: _compute_share(values, name, mechanisms) for name in mechanisms}
-    singles = [Fraction(values[_Coalition({name})]) for name in mechanisms]
-    interaction = total - sum(value - Fraction(values[nothing]) for value in singles)
-    shares = tuple(
-        Share(mechanism=name, share=share, alone=values[everything - {name}])
-        for name, share in zip(mechanisms, _round_shares([*exact.values()], total), strict=True)
-    )
-    others = [name for name in MECHANISMS if name not in mechanisms]
-    return Attribution(
+    if mechanisms is None:
+        mechanisms = [name for name in EFFECTS if is_present(scenario, name)]
+    game = Game(scenario, metric)
+    players = _choose_players(game, mechanisms)
+    outcomes = {inside: game.play(inside, players) for inside in list_coalitions(players)}
+    worth = {key: found.value for key, found in outcomes.items() if found.value is not None}
+    built, without = outcomes[frozenset(players)], outcomes[frozenset()]
+    others = [name for name in MECHANISMS if name not in players and is_present(scenario, name)]
+    found = Attribution(
         metric=metric,
         unit=METRICS[metric].unit,
-        as_built=values[everything],
-        without_all=values[nothing],
-        shares=shares,
-        others=tuple(
-            Share(mechanism=name, share=None, alone=_measure(scenario, metric, [name])[0])
-            for name in others
-        ),
-        interaction=float(interaction),
-        bound=None if "tolerance" in mechanisms else _bound_remainder(scenario, metric),
+        as_built=built.value,
+        without_all=without.value,
+        players=tuple(players),
+        shares=(),
+        others=tuple(_describe_alone(game, name) for name in others),
+        grain=find_grain(scenario, metric, built.value or 0.0),
+        reason=built.reason,
+        left=tuple(name for name in mechanisms if name not in players),
     )
+    if len(worth) < len(outcomes):
+        return _tell_what_has_no_value(found, outcomes)
+    return _divide(found, game, scenario, worth)
 
 
-def require_players(metric: str, mechanisms: Sequence[str]) -> None:
-    """Require a metric that is known, and different mechanisms that are.
+def require_players(metric: str, mechanisms: Sequence[str] | None) -> None:
+    """Require a metric that is known, and different mechanisms that are; None: every effect.
 
     Raises:
         ExplainError: Where they are not; with the names nearest to it.
     """
     if metric not in METRICS:
         raise ExplainError(f"metric {metric!r}: expected {suggest_metrics(metric)}")
+    if mechanisms is None:
+        return
     for name in mechanisms:
         find_mechanism(name)
-    if not 0 < len(mechanisms) <= _MOST or len({*mechanisms}) < len(mechanisms):
-        raise ExplainError(
-            f"mechanisms: expected 1 to {_MOST} different ones, found {', '.join(mechanisms)}"
-        )
+    if not mechanisms or len({*mechanisms}) < len(mechanisms):
+        raise ExplainError(f"mechanisms: expected different ones, found {', '.join(mechanisms)}")
 
 
-def _bound_remainder(scenario: Scenario, metric: str) -> float | None:
-    tolerance_rad = scenario.law.parameters.heading_tolerance_rad
-    if metric.startswith("final.heading_error"):
-        return math.degrees(tolerance_rad)
-    if not metric.startswith("final.position_error"):
-        return None
-    start, goal = scenario.start, scenario.goal
-    return float(tolerance_rad * math.hypot(goal.x_m - start.x_m, goal.y_m - start.y_m))
+def _choose_players(game: Game, mechanisms: Sequence[str]) -> list[str]:
+    if len(mechanisms) <= _MOST:
+        return [*mechanisms]
+
+    def weigh(name: str) -> float:
+        others = [other for other in mechanisms if other != name]
+        out = _compare(game.take_out(), game.take_out([name]))
+        return max(out, _compare(game.take_out(others), game.take_out(mechanisms)))
+
+    chosen = sorted(mechanisms, key=weigh, reverse=True)[:_MOST]
+    return [name for name in mechanisms if name in chosen]
 
 
-def _list_coalitions(mechanisms: Sequence[str]) -> list[_Coalition]:
-    return [
-        frozenset(inside)
-        for size in range(len(mechanisms) + 1)
-        for inside in combinations(mechanisms, size)
-    ]
+def _compare(left: Outcome, right: Outcome) -> float:
+    """Return how far two outcomes are apart; infinitely where only one has a value."""
+    if left.value is None or right.value is None:
+        return 0.0 if left.value is right.value else math.inf
+    return abs(left.value - right.value)
 
 
-def _require_value(
-    scenario: Scenario, metric: str, inside: _Coalition, mechanisms: Sequence[str]
-) -> float:
-    out = [name for name in mechanisms if name not in inside]
-    value, reason = _measure(scenario, metric, out)
-    if value is None:
-        without = f" without {' and '.join(out)}" if out else ""
-        raise ExplainError(f"{metric}: expected a value{without}, found none: {reason}")
-    return value
+def _describe_alone(game: Game, name: str, share: float | None = None) -> Share:
+    return Share(
+        mechanism=name,
+        share=share,
+        alone=game.take_out([name]).value,
+        ending=game.describe_ending(name),
+    )
 
 
-def _measure(scenario: Scenario, metric: str, out: Sequence[str]) -> tuple[float | None, str]:
-    found = measure_run(simulate_without(scenario, out), only=[metric])[metric]
-    return found.value, found.reason
+def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) -> Attribution:
+    shares = compute_shares(worth, found.players)
+    dividends = compute_dividends(worth, found.players)
+    found = replace(
+        found,
+        shares=tuple(_describe_alone(game, name, share) for name, share in shares.items()),
+        together=tuple(
+            Together(mechanisms=names, value=value) for names, value in dividends.items()
+        ),
+    )
+    starts = vary_start(
+        scenario,
+        found.metric,
+        added=worth[frozenset(found.players)] - worth[frozenset()],
+        grain=found.grain.size,
+        players=found.players,
+        acting=found.acting,
+    )
+    return replace(found, starts=starts)
 
 
-def _compute_share(
-    values: Mapping[_Coalition, float], name: str, mechanisms: Sequence[str]
-) -> Fraction:
-    count = len(mechanisms)
-    share = Fraction(0)
-    for others in _list_coalitions([other for other in mechanisms if other != name]):
-        orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
-        adds = Fraction(values[others | {name}]) - Fraction(values[others])
-        share += Fraction(orders, math.factorial(count)) * adds
-    return share
+def _tell_what_has_no_value(
+    found: Attribution, outcomes: Mapping[Coalition, Outcome]
+) -> Attribution:
+    """Return the smallest sets that decide whether there is a value, in place of shares."""
+    missing = [inside for inside, outcome in outcomes.items() if outcome.value is None]
+    present = [inside for inside in outcomes if inside not in missing]
+
+    def describe(inside: Coalition) -> ValueSet:
+        names = tuple(name for name in found.players if name in inside)
+        return ValueSet(mechanisms=names, reason=outcomes[inside].reason)
+
+    is_empty = frozenset() in missing
+    return replace(
+        found,
+        withheld="with some of the mechanisms it has a value, with others none"
+        if present
+        else "it has no value",
+        without_value=tuple(describe(inside) for inside in find_smallest(missing)),
+        with_value=tuple(describe(inside) for inside in find_smallest(present) if is_empty),
+    )
 
 
-def _round_shares(exact: list[Fraction], total: Fraction) -> list[float]:
-    """Return the shares as floats whose exact sum rounds to the total's nearest float.
+def _compare_with_log(found: Attribution) -> str:
+    """Return why the shares of the re-simulation say nothing of the log; empty where they do."""
+    logged, built, without = found.as_logged, found.as_built, found.without_all
+    if logged is None:
+        return "the log has no value of it"
+    if built is None or without is None:
+        return "the re-simulation has no value of it"
+    added, apart = abs(built - without), abs(logged - built)
+    if added <= _SAME * abs(logged):
+        same = f"{100.0 * _SAME:g} % of the value"
+        agrees = apart <= _SAME * abs(logged)
+        return "" if agrees else f"they differ by more than {same}, and the effects add less"
+    if apart <= _AGREEMENT * added:
+        return ""
+    return "they differ by more than a tenth of what the effects add together"
 
-    The smallest that is not 0 takes up what rounding the others leaves: its own steps are finest.
-    """
-    shares = [float(share) for share in exact]
-    last = min(range(len(shares)), key=lambda row: abs(shares[row]) or math.inf)
-    others = sum((Fraction(share) for row, share in enumerate(shares) if row != last), Fraction())
-    shares[last] = float(total - others)
-    return shares
+
+def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[str]) -> Iterator[str]:
+    """Yield what is not proven of the settings that the acting mechanisms take out."""
+    keys = [key for name in acting for key in MECHANISMS[name].without if key in findings]
+    found = {findings[key].certainty for key in keys}
+    if Certainty.AMBIGUOUS in found:
+        alike = [
+            f"{key} {' or '.join(map(str, finding.candidates))}"
+            for key, finding in findings.items()
+            if key in LOOP_KEYS and finding.certainty is Certainty.AMBIGUOUS
+        ]
+        yield f"Other settings fit the log alike, and their shares may differ: {'; '.join(alike)}."
+    if Certainty.FITTED in found:
+        yield "The shares are those of the likeliest settings; none reproduces every sample."
+    if Certainty.UNKNOWN in found:
+        assumed = [
+            f"{key} {findings[key].used}"
+            for key in keys
+            if findings[key].certainty is Certainty.UNKNOWN
+        ]
+        yield f"Assumed, as the log does not tell: {', '.join(assumed)}."

@@ -67,6 +67,12 @@ class Identification:
         return self.scenario
 
 
+def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Finding]:
+    """Return findings that say nothing of the law, but why."""
+    used = {key: findings[key].used if key in findings else None for key in LAW_KEYS}
+    return {**findings, **{key: miss(reason, value) for key, value in used.items()}}
+
+
 def give_up(name: str, findings: Mapping[str, Finding], reason: str) -> Identification:
     """Return what is known of a run that cannot be simulated again, and why it cannot.
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.command_fit import CommandFit
-from turtlelog.explain.ending import find_ending, find_pause
+from turtlelog.explain.ending import Ending, find_ending, find_pause
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
-from turtlelog.explain.identification import Identification, give_up
+from turtlelog.explain.identification import Identification, disclaim_law, give_up
 from turtlelog.explain.law import identify_rotation, identify_translation
 from turtlelog.explain.loop import read_hints
 from turtlelog.explain.plant import identify_plant
-from turtlelog.explain.resimulation import Resimulation, compare_samples
+from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.settings import describe_loop, describe_pause
 from turtlelog.explain.start import describe_goal, describe_start, read_start
@@ -23,7 +23,7 @@ from turtlelog.explain.stretches import describe_breaks, space_out
 from turtlelog.explain.trace import Trace, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import Phase, Run
-from turtlelog.scenario import DEFAULT_LAW
+from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
 
 _LONGEST_S: Final = 3600.0
@@ -63,7 +63,7 @@ def _identify_samples(run: Run) -> Identification:
         return give_up(run.name, findings, obstacle)
     rotation, turning = identify_rotation(trace)
     translation, driving = identify_translation(trace)
-    obstacle = _find_law_obstacle(turning, driving)
+    obstacle = _contradict_law(trace, turning, driving)
     if obstacle:
         return give_up(run.name, findings, obstacle)
     obstacle = _find_obstacle(trace)
@@ -82,7 +82,8 @@ def _identify_samples(run: Run) -> Identification:
     known = {**_collect(findings), **read_start(trace)}
     try:
         fits = search_loop(trace, known, hints, dead_times)
-        again = simulate_run(fits.scenario)
+        scenario = _cut_scenario(trace, fits, ending)
+        again = simulate_run(scenario)
     except (ScenarioError, SimulationError) as err:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}")
     findings |= describe_start(trace, fits)
@@ -91,6 +92,8 @@ def _identify_samples(run: Run) -> Identification:
         findings |= _describe_dead_times_again(dead_times, again)
     if not (fits.is_exact or fits.is_close):
         findings |= _withhold_law(findings, turning, driving)
+    if not (fits.is_exact or fits.is_close or fits.is_fitted):
+        findings = disclaim_law(findings, "no setting of the loop explains the motion")
     findings |= {**find_pause(trace, hints), **describe_pause(trace, fits)}
     findings["stop_reason"] = ending.reason
     resimulation = compare_samples(trace, again)
@@ -98,7 +101,7 @@ def _identify_samples(run: Run) -> Identification:
         name=run.name,
         findings=MappingProxyType(findings),
         resimulation=resimulation,
-        scenario=fits.scenario,
+        scenario=scenario,
         notes=(
             *describe_breaks(trace),
             *_describe_difference(trace, fits, resimulation),
@@ -172,11 +175,22 @@ def _find_other_law(run: Run) -> str | None:
     return f"its law is {kind}: only of {DEFAULT_LAW} the commands tell the parameters"
 
 
-def _find_law_obstacle(turning: CommandFit | None, driving: CommandFit | None) -> str | None:
+def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
+    """Return the scenario; where the log was cut, and no search has found its end, cut there."""
+    if fits.is_exact or fits.is_close or ending.reason.value not in {None, "cut"}:
+        return fits.scenario
+    return cut_where_logged(fits.scenario, trace)
+
+
+def _contradict_law(
+    trace: Trace, turning: CommandFit | None, driving: CommandFit | None
+) -> str | None:
     """Return why the commands are not those of the sequential law."""
     for name, fit in (("rotating", turning), ("translating", driving)):
         if fit is not None and fit.obstacle:
             return f"{name}: {fit.obstacle}"
+    if trace.speed_m_s[: trace.rotating].any() or trace.turn_rate_rad_s[trace.rotating :].any():
+        return "it drives while rotating, or turns while translating"
     return None
 
 

@@ -1,10 +1,10 @@
-"""The effects of an implementation, each a switch of the scenario."""
+"""What an implementation adds to the ideal loop, each a switch of the scenario."""
 
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from turtlelog.errors import ExplainError, suggest_names
 from turtlelog.explain.finer import FINER, simulate_finer
@@ -18,14 +18,17 @@ _NO_TOLERANCE: Final = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mechanism:
-    """One effect that can be taken out.
+    """What can be taken out of a scenario.
 
     Attributes:
+        kind: `effect`: it takes part where shares are divided; `property`: it belongs to any loop
+            of this kind, and stands beside them, taken out alone.
         meaning: What taking it out means, in one clause.
         without: Values by key of the scenario that take it out.
         is_finer: Whether it takes a finer clock instead.
     """
 
+    kind: Literal["effect", "property"]
     meaning: str
     without: Mapping[str, Any] = field(default_factory=dict)
     is_finer: bool = False
@@ -34,26 +37,39 @@ class Mechanism:
 MECHANISMS: Final[Mapping[str, Mechanism]] = MappingProxyType(
     {
         "queue": Mechanism(
+            kind="effect",
             meaning="the newest command wins, and no backlog at the start",
             without={"loop.queue_policy": "newest", "loop.start_backlog": 1},
         ),
-        "pause": Mechanism(meaning="no pause after the rotation", without={"law.pause_ticks": 0}),
-        "delay": Mechanism(meaning="no transport delay", without={"loop.transport_delay_ticks": 0}),
+        "pause": Mechanism(
+            kind="effect", meaning="no pause after the rotation", without={"law.pause_ticks": 0}
+        ),
+        "delay": Mechanism(
+            kind="effect", meaning="no transport delay", without={"loop.transport_delay_ticks": 0}
+        ),
         "saturation": Mechanism(
+            kind="property",
             meaning="no limit of speed and turn rate",
             without={"limits.speed_m_s": math.inf, "limits.turn_rate_rad_s": math.inf},
         ),
         "sampling": Mechanism(
-            meaning=f"a clock {FINER} times finer, dead times unchanged", is_finer=True
+            kind="property",
+            meaning=f"a clock {FINER} times finer, dead times unchanged",
+            is_finer=True,
         ),
         "float32": Mechanism(
-            meaning="poses of 64 bits", without={"loop.pose_precision": "float64"}
+            kind="property", meaning="poses of 64 bits", without={"loop.pose_precision": "float64"}
         ),
         "projection": Mechanism(
-            meaning="projection on the current heading", without={"law.projection": "heading"}
+            kind="property",
+            meaning="projection on the current heading",
+            without={"law.projection": "heading"},
         ),
-        "wrap": Mechanism(meaning="the error wrapped", without={"law.wrap_error": True}),
+        "wrap": Mechanism(
+            kind="effect", meaning="the error wrapped", without={"law.wrap_error": True}
+        ),
         "tolerance": Mechanism(
+            kind="property",
             meaning=f"tolerances of {_NO_TOLERANCE:g}",
             without={
                 "law.heading_tolerance_rad": _NO_TOLERANCE,
@@ -63,6 +79,19 @@ MECHANISMS: Final[Mapping[str, Mechanism]] = MappingProxyType(
     }
 )
 """Every mechanism by name."""
+
+EFFECTS: Final = tuple(name for name, found in MECHANISMS.items() if found.kind == "effect")
+"""Those that share a deviation among themselves."""
+
+
+def is_present(scenario: Scenario, name: str) -> bool:
+    """Return whether a mechanism is in a scenario: whether taking it out changes a setting.
+
+    Raises:
+        ExplainError: Where no mechanism has that name.
+    """
+    mechanism = find_mechanism(name)
+    return mechanism.is_finer or override_scenario(scenario, mechanism.without) != scenario
 
 
 def simulate_without(scenario: Scenario, names: Iterable[str]) -> Run:

@@ -1,7 +1,7 @@
 """A scenario simulated again, sample by sample against a log."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from turtlelog.replay import PoseError
 from turtlelog.run import Phase, Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import CommandQueue, Sample, iterate_ticks
-from turtlelog.turtlesim import TICK_NS
+from turtlelog.turtlesim import TICK_NS, TICK_S
 
 Row = tuple[Any, ...]
 """What is compared of a sample."""
@@ -138,6 +138,15 @@ def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
         right = np.flatnonzero(again.samples.phase == phase)
         count = min(len(left), len(right))
         yield left[:count], right[:count]
+
+
+def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
+    """Return the scenario, cut at the tick in which the log ends."""
+    run, loop = trace.run, scenario.loop
+    first_ns = run.poses.time_ns[0] if trace.has_ticks else trace.time_ns[0]
+    waited = 0 if trace.has_ticks else (loop.start_backlog - 1) * loop.period_ticks
+    ticks = waited + round(float(run.end_ns - first_ns) / TICK_NS)
+    return replace(scenario, max_duration_s=min(scenario.max_duration_s, ticks * TICK_S))
 
 
 def count_lost_commands(scenario: Scenario) -> int:

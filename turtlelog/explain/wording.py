@@ -1,81 +1,197 @@
-"""An attribution in sentences."""
+"""An attribution in sentences, each of which is so."""
 
+import math
 from typing import Final
 
-from turtlelog.explain.attribute import Attribution, Share
+from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet
+from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS
 
-_NOTABLE: Final = 0.1
-"""From this share of the figure on, acting together and helping are worth a clause."""
+_NAMED: Final = 0.1
+"""Of the sum of the shares' magnitudes: a mechanism with a larger share is named, and so is what
+arises only together. A property is named beyond this part of the value."""
 
+_MOST_TOGETHER: Final = 3
+"""Sets that arise only together, in one sentence; of four players there are eleven."""
 
-_NEGLIGIBLE: Final = 0.01
+_SAME: Final = 1e-6
+"""Of a value: a smaller difference between log and re-simulation goes without a word."""
 
 
 def write_sentences(found: Attribution) -> tuple[str, ...]:
-    """Return what matters most, what is left without it, and what helps."""
-    sentences = [_write_main(found), _write_remainder(found)]
-    sentences += [_write_help(found, other) for other in found.others if _helps(found, other)]
+    """Return the value, what caused it, what it hangs on, and which property changes it alone."""
+    sentences = [_write_value(found)]
+    if found.without_value:
+        sentences += [_write_missing(found)]
+    elif found.withheld:
+        sentences += [_write_withheld(found)]
+    else:
+        sentences += [_write_cause(found), _write_starts(found)]
+        sentences += [*found.doubts, *(_write_alone(found, other) for other in found.others)]
+    if found.left:
+        sentences += [f"{_capitalise(_join(found.left))} {_be(found.left)} left as built."]
     return tuple(filter(None, sentences))
 
 
-def _write_main(found: Attribution) -> str:
-    names = _join([share.mechanism for share in found.shares])
-    without = _format(found, found.without_all)
-    if not any(share.share for share in found.shares):
-        return f"{found.metric} is {without}, with or without {names}."
-    ordered = sorted(found.shares, key=lambda share: -abs(share.share or 0.0))
-    parts = _join([_write_part(found, share) for share in ordered])
-    together = _write_interaction(found)
+def _write_value(found: Attribution) -> str:
+    logged, built = found.as_logged, found.as_built
+    if logged is None and built is None:
+        return f"{found.metric} has no value: {found.reason}."
+    if logged is None:
+        in_log = f", and none in the log: {found.reason}" if found.reason else ""
+        return f"{found.metric} is {_format(found, built)}{' re-simulated' * bool(in_log)}{in_log}."
+    if built is None:
+        return (
+            f"{found.metric} is {_format(found, logged)} in the log; re-simulated it has no value."
+        )
+    if abs(logged - built) <= _SAME * abs(built):
+        return f"{found.metric} is {_format(found, built)}, in the log and re-simulated."
+    if _format(found, logged) == _format(found, built):
+        apart = _format(found, abs(logged - built))
+        size = _format(found, logged)
+        return f"{found.metric} is {size}, in the log and re-simulated; they differ by {apart}."
     return (
-        f"{found.metric} is {_format(found, found.as_built)}: {parts}{together};"
-        f" without {names} it would be {without}."
+        f"{found.metric} is {_format(found, logged)} in the log, and {_format(found, built)}"
+        " re-simulated."
     )
+
+
+def _write_withheld(found: Attribution) -> str:
+    return f"No shares: {found.withheld}."
+
+
+def _write_missing(found: Attribution) -> str:
+    if not found.with_value and found.without_all is None:
+        return f"Nor has it one without {_join(found.players, 'or')}." if found.players else ""
+    parts = [
+        f"{_name_set(found, case)} it has no value: {case.reason}" for case in found.without_value
+    ]
+    parts += [f"{_name_set(found, case)} it has one" for case in found.with_value]
+    return _capitalise("; ".join(parts)) + ". So there are no shares."
+
+
+def _name_set(found: Attribution, case: ValueSet) -> str:
+    if not case.mechanisms:
+        return f"without {_join(found.players)}"
+    alone = " alone" if len(found.players) > len(case.mechanisms) else ""
+    return f"with {_join(case.mechanisms)}{alone}"
+
+
+def _write_cause(found: Attribution) -> str:
+    if not found.players:
+        return f"None of the effects is in this run: {_join(EFFECTS)}."
+    if not found.acting:
+        return f"Without {_join(found.players, 'or')} it is the same."
+    largest = max(abs(share.share or 0.0) for share in found.shares)
+    added = (found.as_built or 0.0) - (found.without_all or 0.0)
+    if max(largest, abs(added)) <= found.grain.size:
+        together = " together change" if len(found.players) > 1 else " changes"
+        return (
+            f"{_capitalise(_join(found.players))}{together} it by {_format(found, added)}: next to"
+            f" nothing, no more than {_describe_grain(found)}."
+        )
+    parts = [_write_part(found, share) for share in _choose_named(found)]
+    nothing = ", next to nothing together" if abs(added) <= found.grain.size else ""
+    return (
+        f"{_capitalise(_join(parts))}{_write_together(found)}{nothing};"
+        f" without {_join(found.acting)} it would be {_format(found, found.without_all)}"
+        f"{_write_remainder(found)}."
+    )
+
+
+def _describe_grain(found: Attribution) -> str:
+    return f"{found.grain.reason} ({_format(found, found.grain.size)})"
+
+
+def _choose_named(found: Attribution) -> list[Share]:
+    ordered = sorted(found.shares, key=lambda share: -abs(share.share or 0.0))
+    return [share for share in ordered if abs(share.share or 0.0) > _NAMED * _sum_shares(found)]
+
+
+def _sum_shares(found: Attribution) -> float:
+    return math.fsum(abs(share.share or 0.0) for share in found.shares)
 
 
 def _write_part(found: Attribution, share: Share) -> str:
-    largest = max(abs(other.share or 0.0) for other in found.shares)
-    if not share.share or abs(share.share) < _NEGLIGIBLE * largest:
-        return f"{share.mechanism} changes {'next to ' if share.share else ''}nothing"
-    size = _format(found, abs(share.share))
-    if share.share > 0.0:
-        return f"{share.mechanism} adds {size}"
-    return f"{share.mechanism} helps and takes {size} away"
-
-
-def _write_interaction(found: Attribution) -> str:
-    largest = max(abs(share.share or 0.0) for share in found.shares)
-    if len(found.shares) < 2 or abs(found.interaction) < _NOTABLE * largest:
-        return ""
-    size = _format(found, abs(found.interaction))
-    verb = f"adds {size}" if found.interaction > 0.0 else f"takes {size} away"
-    return f" (their acting together, which is in these shares, {verb})"
-
-
-def _write_remainder(found: Attribution) -> str:
-    if found.bound is None:
-        return ""
-    bound = _format(found, found.bound)
-    if found.without_all <= 1.01 * found.bound:
-        return f"What remains without them the heading tolerance explains: up to {bound}."
-    return f"The heading tolerance explains {bound} of what remains without them."
-
-
-def _helps(found: Attribution, other: Share) -> bool:
-    if other.alone is None:
-        return False
-    return other.alone - found.as_built > _NOTABLE * abs(found.as_built)
-
-
-def _write_help(found: Attribution, other: Share) -> str:
+    value = share.share or 0.0
+    size = _format(found, abs(value))
     return (
-        f"{other.mechanism.capitalize()} helps: without it alone, all else as built,"
-        f" it would be {_format(found, other.alone or 0.0)}."
+        f"{share.mechanism} adds {size}" if value > 0.0 else f"{share.mechanism} takes away {size}"
     )
 
 
-def _format(found: Attribution, value: float) -> str:
-    return f"{value:.4g} {found.unit}".removesuffix(" 1")
+def _write_together(found: Attribution) -> str:
+    """Return what arises only when several act, in brackets; empty where that is little."""
+    largest = sorted(found.together, key=lambda case: -abs(case.value))[:_MOST_TOGETHER]
+    parts = [
+        _write_case(found, case)
+        for case in largest
+        if abs(case.value) > _NAMED * _sum_shares(found)
+    ]
+    return f" ({'; '.join(parts)})" if parts else ""
 
 
-def _join(words: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+def _write_case(found: Attribution, case: Together) -> str:
+    size, names = _format(found, abs(case.value)), _join(case.mechanisms)
+    if case.value > 0.0:
+        both = "both" if len(case.mechanisms) == 2 else "all"
+        return f"{size} of this arises only when {names} {both} act"
+    return f"{names} together make {size} less than the sum of their parts"
+
+
+def _write_starts(found: Attribution) -> str:
+    starts = found.starts
+    if starts is None:
+        return ""
+    within = f"{math.degrees(starts.within_rad):.3g} deg either way"
+    where = f"over {starts.count} starts that span one sample's turn ({within})"
+    low, high = _format(found, starts.low), _format(found, starts.high)
+    missing = f"; {starts.without_value} of them have no value" if starts.without_value else ""
+    if not starts.is_wide:
+        span = f"is {low}" if low == high else f"is between {low} and {high}"
+        return f"{_capitalise(where)} it {span}{missing}."
+    parts = [
+        f"{name}'s part of what {_join([*starts.parts])} add is between {low:.2g} and {high:.2g}"
+        for name, (low, high) in [*starts.parts.items()][: len(starts.parts) - 1]
+    ]
+    return (
+        f"It hangs on single samples: {where} it is between {low} and {high}"
+        f"{''.join(f', and {part}' for part in parts)}{missing}."
+    )
+
+
+def _write_remainder(found: Attribution) -> str:
+    """Return whether the tolerances leave as much, of the errors at the end that they bound."""
+    is_bounded = found.metric in {"final.position_error", "final.heading_error"}
+    if not is_bounded or found.without_all is None or found.without_all > found.grain.size:
+        return ""
+    return f", no more than {_describe_grain(found)}"
+
+
+def _write_alone(found: Attribution, other: Share) -> str:
+    built = found.as_built or 0.0
+    meaning = MECHANISMS[other.mechanism].meaning
+    without = f"Re-simulated without {other.mechanism} alone ({meaning})"
+    if other.alone is None:
+        return f"{without} it has no value: {other.ending}."
+    change = abs(other.alone - built)
+    if change <= found.grain.size or change <= _NAMED * abs(built):
+        return ""
+    if other.ending:
+        return f"{without} {other.ending}."
+    return f"{without} it would be {_format(found, other.alone)}."
+
+
+def _format(found: Attribution, value: float | None) -> str:
+    return f"{value or 0.0:.4g} {found.unit}".removesuffix(" 1")
+
+
+def _join(words: "list[str] | tuple[str, ...]", last: str = "and") -> str:
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _be(words: "tuple[str, ...]") -> str:
+    return "is" if len(words) == 1 else "are"
+
+
+def _capitalise(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}"

@@ -1,7 +1,7 @@
 """Control laws, one per file: the thing under test."""
 
 from turtlelog.laws.base import ABSENT_BY_DEFAULT, Decision, Goal, Law, Pose
-from turtlelog.laws.loading import LAWS, find_law
+from turtlelog.laws.loading import LAWS, find_law, require_law_name
 from turtlelog.laws.sequential_p import SequentialP, SequentialPParameters
 
 __all__ = [
@@ -14,4 +14,5 @@ __all__ = [
     "SequentialP",
     "SequentialPParameters",
     "find_law",
+    "require_law_name",
 ]

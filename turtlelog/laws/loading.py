@@ -26,15 +26,25 @@ def find_law(kind: str) -> type[Law]:
     """
     if kind in LAWS:
         return LAWS[kind]
-    place, colon, name = kind.rpartition(":")
-    if not colon or not place or not name:
-        known = ", ".join(LAWS)
-        raise LawError(f"expected {known}, path.py:Class or package.module:Class, found {kind!r}")
+    require_law_name(kind)
+    place, _, name = kind.rpartition(":")
     law = getattr(_load_module(place), name, None)
     if law is None:
         raise LawError(f"expected a class {name} in {place}, found none")
     _require_law(law, kind)
     return law  # type: ignore[no-any-return]
+
+
+def require_law_name(kind: str) -> None:
+    """Refuse what can name no law. Loads nothing.
+
+    Raises:
+        LawError: Where it is neither built in nor `place:Class`.
+    """
+    place, colon, name = kind.rpartition(":")
+    if kind not in LAWS and not (colon and place and name):
+        known = ", ".join(LAWS)
+        raise LawError(f"expected {known}, path.py:Class or package.module:Class, found {kind!r}")
 
 
 def _load_module(place: str) -> ModuleType:

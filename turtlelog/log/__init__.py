@@ -1,6 +1,6 @@
 """Run <-> files: topics and schemas, writers, readers, columns of any file, importers, recovery."""
 
-from turtlelog.log.any_file import TopicChoice, read_run
+from turtlelog.log.any_file import TopicChoice, read_file_info, read_run
 from turtlelog.log.atomic import replace_when_complete
 from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
 from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
@@ -33,6 +33,7 @@ __all__ = [
     "read_bag",
     "read_bag_info",
     "read_columns",
+    "read_file_info",
     "read_info",
     "read_recording",
     "read_run",

@@ -10,11 +10,11 @@ from mcap.writer import MCAP0_MAGIC
 from turtlelog.errors import LogError
 from turtlelog.log.border import name_file, open_file
 from turtlelog.log.importers import import_log
-from turtlelog.log.info import read_info
+from turtlelog.log.info import RecordingInfo, read_info
 from turtlelog.log.recording.partial import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_recording
 from turtlelog.log.recording.topics import COMMAND, POSE
-from turtlelog.log.ros2 import list_bag_files, read_bag
+from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
 from turtlelog.run import Run
 
 _LOG_SUFFIXES: Final = frozenset({".json", ".csv"})
@@ -64,19 +64,56 @@ def read_run(
     path = Path(path)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
-    if not is_folder:
-        with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
-            is_mcap = stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
-        if not is_mcap:
-            # What should be a recording is told so.
-            is_log = path.suffix.lower() in _LOG_SUFFIXES
-            return import_log(path) if is_log else read_recording(path)
+    if not is_folder and not _is_mcap(path):
+        # What should be a recording is told so.
+        is_log = path.suffix.lower() in _LOG_SUFFIXES
+        return import_log(path) if is_log else read_recording(path)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     is_usual = pose_topic in {None, POSE.name} and command_topic in {None, COMMAND.name}
     own = _find_own_recording(path) if is_usual else None
     if own is not None:
         return read_recording(own, allow_partial=allow_partial)
     return read_bag(path, pose_topic=pose_topic, command_topic=command_topic)
+
+
+def read_file_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:
+    """Return what is in any file that `read_run` takes: a recording, a bag's folder, a paper's log.
+
+    Args:
+        path: A log is read as a whole; of the others `read_info` and `read_bag_info` tell.
+        allow_partial: As in `read_info`.
+
+    Raises:
+        LogError: One line with the file and the place.
+    """
+    path = Path(path)
+    with name_file(path, expected="a recording, a bag or a log"):
+        is_folder = path.is_dir()
+    if is_folder:
+        return read_bag_info(path)
+    is_log = path.suffix.lower() in _LOG_SUFFIXES
+    if not is_log or _is_mcap(path):
+        return read_info(path, allow_partial=allow_partial)
+    run = import_log(path)
+    rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
+    return RecordingInfo(
+        file=str(path),
+        format_version=None,
+        source=run.source,
+        name=run.name,
+        complete=True,
+        stop_reason=run.stop_reason,
+        duration_s=(run.end_ns - run.start_ns) / 1e9,
+        parameters=run.parameters,
+        topics=(),
+        absent=run.absent,
+        notes={"rows": rows, **run.notes},
+    )
+
+
+def _is_mcap(path: Path) -> bool:
+    with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
+        return stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
 
 def _find_own_recording(path: Path) -> Path | None:

@@ -59,7 +59,7 @@ class ChunkRows:
     """
 
     channels: Sequence[tuple[Schema | None, Channel]]
-    records: bytes | bytearray
+    records: bytes | bytearray | memoryview
     index: Mapping[int, NDArray[np.uint64]]
     start_ns: int
     end_ns: int
@@ -101,7 +101,8 @@ class _Summary:
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    chunks: list[bytes] = field(default_factory=list)  # records: their tables are large
+    spans_ns: list[tuple[int, int]] = field(default_factory=list)
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
 
@@ -180,7 +181,8 @@ class McapFile:
             message_start_time=rows.start_ns,
             uncompressed_size=chunk.uncompressed_size,
         )
-        self._summary.chunks.append(index)
+        self._summary.chunks.append(_join_records([index]))
+        self._summary.spans_ns.append((rows.start_ns, rows.end_ns))
         for schema, channel in rows.channels:
             if schema is not None:
                 self._summary.schemas[schema.id] = schema
@@ -193,7 +195,7 @@ class McapFile:
         data_end = _join_records([DataEnd(data_section_crc=self._checksum)])
         start = self.end + len(data_end)
         # A group without records is an error to strict checkers.
-        groups = [_join_records(group) for group in self._list_groups() if group]
+        groups = [group for group in self._join_groups() if group]
         ends = np.cumsum([start, *map(len, groups)]).tolist()
         offsets = [
             SummaryOffset(group_opcode=group[0], group_start=place, group_length=len(group))
@@ -210,12 +212,14 @@ class McapFile:
         self._stream.seek(self.end)
         self._stream.truncate()
 
-    def _list_groups(self) -> Iterator[Sequence[McapRecord]]:
+    def _join_groups(self) -> Iterator[bytes]:
         summary = self._summary
-        yield [schema for _, schema in sorted(summary.schemas.items())]
-        yield [channel for _, channel in sorted(summary.channels.items())]
-        yield [_count_records(summary)]
-        yield from (summary.chunks, summary.attachments, summary.metadata)
+        yield _join_records([schema for _, schema in sorted(summary.schemas.items())])
+        yield _join_records([channel for _, channel in sorted(summary.channels.items())])
+        yield _join_records([_count_records(summary)])
+        yield b"".join(summary.chunks)
+        yield _join_records(summary.attachments)
+        yield _join_records(summary.metadata)
 
     def _write(self, data: bytes) -> None:
         rest = memoryview(data)
@@ -233,8 +237,8 @@ def _count_records(summary: _Summary) -> Statistics:
         channel_message_counts=dict(sorted(summary.counts.items())),
         chunk_count=len(summary.chunks),
         message_count=sum(summary.counts.values()),
-        message_end_time=max((chunk.message_end_time for chunk in summary.chunks), default=0),
-        message_start_time=min((chunk.message_start_time for chunk in summary.chunks), default=0),
+        message_end_time=max((end for _, end in summary.spans_ns), default=0),
+        message_start_time=min((start for start, _ in summary.spans_ns), default=0),
         metadata_count=len(summary.metadata),
         schema_count=len(summary.schemas),
     )

@@ -1,7 +1,7 @@
 """What is in a file, without reading its messages."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from turtlelog.log.engine.survey import Survey, survey_file
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
 from turtlelog.log.recording.partial import describe_damages
 from turtlelog.log.recording.recovery_note import describe_recovery
+from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
 
@@ -41,7 +42,7 @@ class RecordingInfo:
         scenario: The tables of the whole scenario, None where it is not known.
         parameters: What is known of the scenario, by dotted key.
         topics: By name.
-        absent: As in `Run`.
+        absent: As in `Run`; of somebody else's file what no topic in it holds.
         notes: As in `Run`; of a recovered file `recovered`, of a damaged one `partial`.
         not_understood: Topics whose messages cannot become columns, each with the reason.
     """
@@ -95,7 +96,7 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
     """Return the info with what a recording of ours says of itself."""
     metadata = {found.name: found for found in survey.records if isinstance(found, Metadata)}
     if HEAD not in metadata:
-        return info
+        return replace(info, absent=list_absent(info.topics))
     head = parse_head(metadata[HEAD].metadata)
     attachments = {
         found.name: found.data for found in survey.records if isinstance(found, Attachment)
@@ -112,6 +113,23 @@ def _add_head(info: RecordingInfo, survey: Survey) -> RecordingInfo:
         absent=head.absent,
         notes={**head.notes, **info.notes},
     )
+
+
+def list_absent(topics: Iterable[TopicInfo]) -> tuple[str, ...]:
+    """Return what somebody else's file does not hold, by the names of `Run`.
+
+    Its scenario and why it ended stand in turtlelog's own record alone.
+    """
+    held = {found.topic for found in topics if found.count}
+    places = {
+        "samples": CONTROL,
+        "goal_xy_m": GOAL,
+        "goal_heading_rad": GOAL,
+        "parameters": None,
+        "stop_reason": None,
+        "events": EVENT,
+    }
+    return tuple(name for name, topic in places.items() if topic is None or topic.name not in held)
 
 
 def _describe_losses(survey: Survey) -> dict[str, str]:

@@ -3,15 +3,23 @@
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-from typing import Final
-
-_STOPS: Final = (signal.SIGINT, signal.SIGTERM)
+from typing import Any, Final
 
 Handler = Callable[[int, FrameType | None], object]
+
+
+def _find_signals(*names: str) -> tuple[signal.Signals, ...]:
+    """Return the signals of these names that the system knows; Windows lacks some."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+_KEYBOARD: Final = _find_signals("SIGINT", "SIGQUIT")
+_REQUESTS: Final = _find_signals("SIGTERM", "SIGHUP")
+_STOPS: Final = (*_KEYBOARD, *_REQUESTS)
 
 
 @dataclass(slots=True)
@@ -27,10 +35,12 @@ class StopRequest:
 
 @contextmanager
 def catch_stop() -> Iterator[StopRequest]:
-    """Note SIGINT and SIGTERM instead of ending at once; a second one ends as before.
+    """Note SIGINT, SIGTERM, SIGHUP and SIGQUIT instead of ending at once; a second one interrupts.
 
-    The block asks the value it is given when it suits it. Outside the main thread, where Python
-    delivers no signals, nothing is changed, and nothing noted.
+    The block asks the value it is given when it suits it. SIGTERM or SIGHUP stays without effect
+    where it had none, as under `nohup`; of the keyboard's two signals that says nothing, since a
+    shell turns them off for every job in the background of a script. Outside the main thread, where
+    Python delivers no signals, nothing is changed, and nothing noted.
     """
     request = StopRequest()
 
@@ -39,16 +49,17 @@ def catch_stop() -> Iterator[StopRequest]:
             raise KeyboardInterrupt
         request.signal_number = number
 
-    with _handle(note):
+    ignored = [number for number in _REQUESTS if signal.getsignal(number) == signal.SIG_IGN]
+    with _handle(note, [number for number in _STOPS if number not in ignored]):
         yield request
 
 
 @contextmanager
 def hold_stop() -> Iterator[None]:
-    """Let a block end before SIGINT and SIGTERM have the effect that they had outside it."""
+    """Let a block end before the signals of `catch_stop` have the effect they had outside it."""
     held: list[int] = []
     try:
-        with _handle(lambda number, _frame: held.append(number)):
+        with _handle(lambda number, _frame: held.append(number), _STOPS):
             yield
     finally:
         for number in dict.fromkeys(held):
@@ -57,20 +68,32 @@ def hold_stop() -> Iterator[None]:
 
 @contextmanager
 def exit_on_terminate() -> Iterator[None]:
-    """Make SIGTERM end the block as an exception does, so that files are finished on the way out.
+    """Make SIGTERM, SIGHUP and SIGQUIT end the block as an exception does: files are finished.
 
-    Ctrl-C does so anyway. On Windows only a console sends SIGTERM; ending a task kills it.
+    Ctrl-C does so anyway. Where somebody else has a say, as `nohup` or a handler, that stays. On
+    Windows only a console sends SIGTERM; ending a task kills it.
     """
 
     def leave(number: int, _frame: FrameType | None) -> None:
         sys.exit(128 + number)
 
-    with _handle(leave, (signal.SIGTERM,)):
+    with _handle(leave, _find_defaults((*_REQUESTS, *_KEYBOARD))):
         yield
 
 
 @contextmanager
-def _handle(handler: Handler, numbers: tuple[signal.Signals, ...] = _STOPS) -> Iterator[None]:
+def interrupt_on_quit() -> Iterator[None]:
+    """Let SIGQUIT act as Ctrl-C where it would end the program without a word."""
+    with _handle(signal.default_int_handler, _find_defaults(_find_signals("SIGQUIT"))):
+        yield
+
+
+def _find_defaults(numbers: Iterable[signal.Signals]) -> list[signal.Signals]:
+    return [number for number in numbers if signal.getsignal(number) == signal.SIG_DFL]
+
+
+@contextmanager
+def _handle(handler: Handler, numbers: Iterable[signal.Signals]) -> Iterator[None]:
     """Set a handler for a while; in the main thread only, since Python allows no other."""
     before = {}
     try:
@@ -81,6 +104,14 @@ def _handle(handler: Handler, numbers: tuple[signal.Signals, ...] = _STOPS) -> I
                     signal.signal(number, handler)
         yield
     finally:
-        for number, previous in before.items():
-            if previous is not None:
-                signal.signal(number, previous)
+        try:
+            _restore(before)
+        except BaseException:  # a handler that is set again may raise before the others are
+            _restore(before)
+            raise
+
+
+def _restore(before: Mapping[signal.Signals, Any]) -> None:
+    for number, previous in before.items():
+        if previous is not None:
+            signal.signal(number, previous)

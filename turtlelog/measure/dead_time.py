@@ -80,7 +80,7 @@ def find_dead_time(run: Run, phase: Phase) -> DeadTime | Missing:
     The standstill before a phase's first command acts is no evidence: commands may have been lost.
     """
     if not len(run.samples):
-        return Missing(status=Status.ABSENT, reason="the recording holds no samples")
+        return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
     motion = read_phase_motion(run, phase)
     if motion is None:
         return Missing(status=Status.NO_PHASE, reason=f"the run has no phase {phase.label}")

@@ -11,12 +11,18 @@ Between samples a sampled loop moves along a line, for the command holds. The de
 minus theory, and the line through its values at the response's own times.
 """
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.theory import compute_sampled_step_response, compute_step_response
+from turtlelog.theory.responses import LARGEST_DEVIATION
 
 Values = NDArray[np.float64]
+
+_ROUNDING: Final = 1e-9
+"""More than adding the reference to a response can change, as a share of it."""
 
 
 def compute_ideal_response(
@@ -34,10 +40,11 @@ def compute_sampled_response(
     dead_time_ticks: int,
     initial: float,
     reference: float,
-) -> Values:
+) -> Values | None:
     """Return the sampled loop at times from the start of the phase, shape (n,).
 
-    Its samples are at 0, T, 2 T ... from there; `dead_time_ticks` counts in them.
+    Its samples are at 0, T, 2 T ... from there; `dead_time_ticks` counts in them. None where the
+    loop is unstable, and goes beyond `LARGEST_DEVIATION` before the last of the times.
     """
     count = int(np.ceil(time_s[-1] / period_s)) + 2
     values = compute_sampled_step_response(
@@ -48,6 +55,10 @@ def compute_sampled_response(
         initial=initial,
         reference=reference,
     )
+    # Where theory stops an unstable loop, what follows is no response of that loop.
+    furthest = np.abs(values[:-1] - reference).max()
+    if furthest > (1.0 - _ROUNDING) * LARGEST_DEVIATION * abs(reference - initial) > 0.0:
+        return None
     return np.interp(time_s, np.arange(count) * period_s, values)
 
 

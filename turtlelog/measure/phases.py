@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import dropwhile, takewhile
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from turtlelog.measure.signals import Signal
 from turtlelog.run import Phase, PhaseSpan, Run
 
 Values = NDArray[np.float64]
+
+_TIMEOUT: Final = "timeout"
+"""Stop reason of a law whose time was up."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,6 +66,8 @@ class Response:
         band: Half-width of the settling band, as a share of the step.
         commands: Those of its samples.
         was_cut: Whether the run was cut before the phase had come to its end.
+        ended_itself: Whether the law ended the phase because it was done: neither a cut nor the
+            law's timeout did.
     """
 
     phase: Phase
@@ -74,6 +80,7 @@ class Response:
     band: float
     commands: CommandStretch
     was_cut: bool
+    ended_itself: bool
 
     @cached_property
     def error(self) -> Values:
@@ -100,7 +107,7 @@ def find_response(
     `signal` is what the phase controls: `heading` or `along_track`.
     """
     if signal is None or not len(run.samples):
-        return Missing(status=Status.ABSENT, reason="the recording holds no samples")
+        return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
     stretch = _find_first_stretch(run, phase)
     if not stretch:
         return Missing(status=Status.NO_PHASE, reason=f"the run has no phase {phase.label}")
@@ -123,7 +130,13 @@ def find_response(
         band=settings.band,
         commands=_find_commands(run, phase, end_ns),
         was_cut=not run.is_complete and end_ns == run.end_ns,
+        ended_itself=stretch[-1].phase is not phase or end_ns < run.end_ns or came_to_rest(run),
     )
+
+
+def came_to_rest(run: Run) -> bool:
+    """Return whether the law ended the run because it was done; a timeout ends it as a cut does."""
+    return run.is_complete and run.stop_reason != _TIMEOUT
 
 
 def _find_first_stretch(run: Run, phase: Phase) -> list[PhaseSpan]:

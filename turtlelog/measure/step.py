@@ -11,10 +11,22 @@ step leading from any initial value to any reference. All take `values` of shape
 `time_s` of the same shape, not decreasing. A step downwards gives what its mirror image gives.
 """
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 Values = NDArray[np.float64]
+
+SHORTEST_HOLD_S: Final = 1.0
+"""How long a response whose recording was cut must have stayed in the band to count as settled [s].
+
+It is the time constant of the slowest gain of the paper, 1 / s, and some 60 samples."""
+
+SWING: Final = 0.5
+"""What counts as a swing around the reference, as a share of the settling band's half-width.
+
+Half of it, so that noise and rounding deep in the band are no oscillation."""
 
 
 def find_level_time(
@@ -40,6 +52,7 @@ def find_rise(
     """Return the first times at which the response has come 10 % and 90 % of the step [s].
 
     Their difference is the rise time: ln 9 tau of an exponential. None where 90 % is never reached.
+    The step is not 0, and the response does not begin beyond 10 % of it.
     """
     start_s, end_s = (
         find_level_time(time_s, values, level=level, initial=initial, reference=reference)
@@ -91,6 +104,30 @@ def find_settling_time(
         return None
     edge = reference + np.copysign(half_width, values[last] - reference)
     return _interpolate(time_s, values, last, float(edge))
+
+
+def find_swing_period(
+    time_s: Values, values: Values, *, reference: float, half_width: float
+) -> float:
+    """Return the period of the oscillation around the reference, as its last two swings tell [s].
+
+    A swing is a stretch of rows further than `SWING` times the band's half-width from the
+    reference, on one side; stretches less than `SHORTEST_HOLD_S` apart are one. From the end of a
+    swing to the end of the next is half a period where they are on opposite sides, a whole one
+    where they are on one. 0 where less than two swings are over.
+    """
+    error = values - reference
+    rows = np.flatnonzero(np.abs(error) > SWING * half_width)
+    side = error[rows] > 0.0
+    is_away = (np.diff(rows) > 1) & (np.diff(time_s[rows]) >= SHORTEST_HOLD_S)
+    is_last = np.append(is_away | (side[1:] != side[:-1]), True)[: len(rows)]
+    # One that the recording ends in is not over.
+    over = np.flatnonzero(is_last & (rows < len(values) - 1))
+    if len(over) < 2:
+        return 0.0
+    before, last = over[-2:]
+    between_s = float(time_s[rows[last]] - time_s[rows[before]])
+    return between_s if side[last] == side[before] else 2.0 * between_s
 
 
 def find_crossing_rows(values: Values, reference: float) -> NDArray[np.int64]:

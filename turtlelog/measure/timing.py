@@ -34,6 +34,18 @@ def compute_jitter(periods_s: Values) -> float | None:
     return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
 
 
+def find_percentile(ordered_s: Values, percent: int) -> float:
+    """Return the shortest period than which so many percent are no longer [s]; 50: the median.
+
+    Args:
+        ordered_s: In rising order, at least one.
+        percent: From 1 to 100.
+    """
+    if percent == 50:
+        return float(np.median(ordered_s))
+    return float(ordered_s[-(-len(ordered_s) * percent // 100) - 1])
+
+
 def count_burst_rows(periods_s: Values) -> int:
     """Return how many rows share their time with the row before."""
     return int(np.count_nonzero(periods_s == 0.0))

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from turtlelog.check.reference import Reference
 
 _MARKERS = (
-    "recordings(*patterns, allow_partial=False): run the test once per recording; patterns are"
-    " relative to the test's folder, else to the root",
+    "recordings(*patterns, allow_partial=False, trust_law=False): run the test once per recording;"
+    " patterns are relative to the test's folder, else to the root; trust_law lets driven_by() run"
+    " the code of a law that a recording names",
     "reference(path): what recording.matches(reference) compares with; {stem} is the recording's",
 )
 
@@ -67,9 +68,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     marker = metafunc.definition.get_closest_marker("recordings")
     if marker is None or "recording" not in metafunc.fixturenames:
         return
-    paths, allow_partial = choose_recordings(metafunc, marker)
+    paths, settings = choose_recordings(metafunc, marker)
     names = name_recordings(paths, metafunc.config.rootpath)
-    cases = [(str(path), allow_partial) for path in paths]
+    cases = [(str(path), settings) for path in paths]
     metafunc.parametrize("recording", cases, ids=names, indirect=True)
 
 
@@ -80,8 +81,8 @@ def recording(request: pytest.FixtureRequest) -> "Recording":
         raise pytest.UsageError(
             f'{request.node.nodeid}: expected @pytest.mark.recordings("runs/*.mcap"), found none'
         )
-    path, allow_partial = request.param
-    return request.config.stash[SESSION].open_recording(Path(path), allow_partial=allow_partial)
+    path, settings = request.param
+    return request.config.stash[SESSION].open_recording(Path(path), **settings)
 
 
 @pytest.fixture

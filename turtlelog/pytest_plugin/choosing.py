@@ -5,15 +5,18 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import pytest
+
+_SETTINGS: Final = ("allow_partial", "trust_law")
+"""What the marker takes beside patterns."""
 
 
 def choose_recordings(
     metafunc: pytest.Metafunc, marker: pytest.Mark
-) -> tuple[list[Path], bool | None]:
-    """Return the files of a marker, and whether they may have lost something; None: as usual.
+) -> tuple[list[Path], dict[str, bool]]:
+    """Return the files of a marker, and the settings that it gives for them.
 
     Patterns are looked for beside the test, then below the root.
 
@@ -21,9 +24,12 @@ def choose_recordings(
         CollectError: Where the marker is wrong, or a pattern has no file.
     """
     place = f"{metafunc.definition.nodeid}: recordings"
-    unknown = sorted(marker.kwargs.keys() - {"allow_partial"})
+    unknown = sorted(marker.kwargs.keys() - {*_SETTINGS})
     if unknown:
-        _refuse(f"{place}: expected allow_partial, found {unknown[0]}")
+        _refuse(f"{place}: expected {' or '.join(_SETTINGS)}, found {unknown[0]}")
+    wrong = [name for name, value in marker.kwargs.items() if not isinstance(value, bool)]
+    if wrong:
+        _refuse(f"{place}: {wrong[0]}: expected True or False, found {marker.kwargs[wrong[0]]!r}")
     if not marker.args:
         _refuse(f'{place}: expected a pattern such as "runs/*.mcap", found none')
     folders = [metafunc.definition.path.parent, metafunc.config.rootpath]
@@ -36,7 +42,7 @@ def choose_recordings(
             where = " or ".join(dict.fromkeys(map(str, folders)))
             _refuse(f"{place}: expected files for {os.fspath(pattern)!r} in {where}, found none")
         paths |= dict.fromkeys(found)
-    return list(paths), marker.kwargs.get("allow_partial")
+    return list(paths), dict(marker.kwargs)
 
 
 def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import ReplayError
 from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.topics import CONTROL
+from turtlelog.log.ros2.reader import NOT_READ
 from turtlelog.replay.difference import (
     Difference,
     Pairing,
@@ -19,21 +20,21 @@ from turtlelog.replay.difference import (
 )
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
+    PUBLISHED,
     count_missing,
     has_all_commands,
+    has_published,
     list_absent,
+    pair_published,
     pair_samples,
 )
 from turtlelog.replay.stops import compare_last_decision
 from turtlelog.run import Run, SampleColumns
-from turtlelog.scenario import Scenario, restore_scenario
+from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import LawDriver, Sample, build_law, build_samples, pack_sample
 from turtlelog.turtlesim import TICK_NS
 
-_NOTHING_READ: Final = (
-    f"expected the samples of a controller (topic {CONTROL.name}), found none: what the law read"
-    " and commanded is not recorded; --plant drives recorded commands through the plant"
-)
+_PLANT: Final = "--plant drives recorded commands through the plant"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,11 +47,13 @@ class LawReplay:
         samples: Compared: all, or up to that at which the replayed law stops.
         missing_samples: Recorded ones that are lost: the law did not see their poses.
         signals: By signal, commands first.
+        commands: Where not one command per sample was published; None where one was, or where
+            rows are lost.
         stop: Where the law ends the run elsewhere, or for another reason; None where it does not.
         first_difference: The earliest of all; of several in one sample that of the first signal in
             `signals`. None where there is none.
-        first_command_difference: The earliest in the commands as published.
-        absent: Signals that the recording does not hold.
+        first_command_difference: The earliest in the commands, as computed and as published.
+        absent: Signals that the recording does not hold, or of which rows are lost.
         answers: The samples as replayed.
     """
 
@@ -59,6 +62,7 @@ class LawReplay:
     samples: int
     missing_samples: int
     signals: tuple[SignalDifference, ...]
+    commands: Difference | None
     stop: Difference | None
     first_difference: Difference | None
     first_command_difference: Difference | None
@@ -72,9 +76,11 @@ def replay_law(
     *,
     law: Law | None = None,
     tolerance: float = 0.0,
+    trust_law: bool = False,
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
+    Its answers are compared with the recorded samples and with the commands that were published.
     The law sees what the recorded one saw; its own commands have no effect on the poses. Of the
     scenario only the law, the limits and the goal count.
 
@@ -83,37 +89,54 @@ def replay_law(
         scenario: Otherwise that of the recording.
         law: Takes the place of the scenario's.
         tolerance: Differences up to this one are none, in each signal's unit.
+        trust_law: Run the law that the recording names, where it is not built in: its code.
 
     Raises:
         ReplayError: Where the run holds no samples.
-        ScenarioError: Where no scenario is given, and the run does not hold all of its own.
+        ScenarioError: Where no scenario is given, and the run does not hold all of its own or names
+            a law that is neither built in nor trusted.
         SimulationError: Where the law fails or answers with something that is no number.
     """
     require_tolerance(tolerance)
     if not len(run.samples):
-        raise ReplayError(f"{run.name}: {_NOTHING_READ}: {run.source}")
+        raise ReplayError(f"{run.name}: {_describe_nothing_read(run)}; {_PLANT}: {run.source}")
     scenario = restore_scenario(run) if scenario is None else scenario
-    law = build_law(scenario.law) if law is None else law
+    if law is None:
+        scenario = resolve_scenario(scenario, trust_law=trust_law)
+        law = build_law(scenario.law)
     answers, blocks_ticks, last = _answer_poses(run, scenario, law)
     rows = slice(len(answers))
     pairings = [*pair_samples(run.samples, answers, rows=rows, others=rows)]
-    pairings += _pair_pauses(run, blocks_ticks)
+    pairings += [*pair_published(run, answers), *_pair_pauses(run, blocks_ticks)]
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
     stop = compare_last_decision(run, len(answers) - 1, last.decision)
+    others = [_count_published(run), stop]
     return LawReplay(
         name=run.name,
         scenario=scenario,
         samples=len(answers),
         missing_samples=count_missing(run.samples),
         signals=signals,
+        commands=others[0],
         stop=stop,
-        first_difference=find_earliest([*(found.first_difference for found in signals), stop]),
+        first_difference=find_earliest([*(found.first_difference for found in signals), *others]),
         first_command_difference=find_earliest(
             found.first_difference for found in signals if found.signal in COMMANDS
         ),
-        absent=list_absent(run.samples),
+        absent=(*list_absent(run.samples), *(() if has_published(run) else PUBLISHED)),
         answers=answers,
     )
+
+
+def _describe_nothing_read(run: Run) -> str:
+    """Return why there are no samples: they are not there, or not read."""
+    expected = f"expected the samples of a controller (topic {CONTROL.name})"
+    if CONTROL.name in run.notes.get(NOT_READ, ""):
+        return (
+            f"{expected} in a recording of turtlelog's, found {run.notes[NOT_READ]} in a file"
+            " without its metadata record: these are not read"
+        )
+    return f"{expected}, found none: what the law read and commanded is not recorded"
 
 
 def _answer_poses(
@@ -131,6 +154,15 @@ def _answer_poses(
         if sample.decision.stop_reason is not None:
             break
     return build_samples(packed), np.array(blocks_ticks, dtype=np.int64), sample
+
+
+def _count_published(run: Run) -> Difference | None:
+    """Return how many commands there are beside how many samples, where no row is lost."""
+    is_lossy = count_missing(run.samples) or not {"partial", "recovered"}.isdisjoint(run.notes)
+    if has_published(run) or is_lossy or "commands" in run.absent:
+        return None
+    samples, commands = len(run.samples), len(run.commands)
+    return Difference(signal="commands", time_ns=run.end_ns, recorded=commands, replayed=samples)
 
 
 def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:

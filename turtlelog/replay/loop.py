@@ -25,7 +25,7 @@ from turtlelog.replay.run_pairs import (
 from turtlelog.replay.sample_pairs import list_absent
 from turtlelog.replay.stops import compare_ends
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario, restore_scenario
+from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run
 from turtlelog.turtlesim import TICK_NS
 
@@ -68,7 +68,11 @@ class LoopReplay:
 
 
 def replay_loop(
-    run: Run, scenario: Scenario | None = None, *, tolerance: float = 0.0
+    run: Run,
+    scenario: Scenario | None = None,
+    *,
+    tolerance: float = 0.0,
+    trust_law: bool = False,
 ) -> LoopReplay:
     """Simulate the scenario of a recording again, and compare row by row.
 
@@ -80,10 +84,12 @@ def replay_loop(
         run: With ticks of exactly 16 ms, or with samples.
         scenario: Otherwise that of the recording; a changed one answers "what if".
         tolerance: Differences up to this one are none, in each signal's unit.
+        trust_law: Run the law that the recording names, where it is not built in: its code.
 
     Raises:
         ReplayError: Where the run holds neither such ticks nor samples.
-        ScenarioError: Where no scenario is given, and the run does not hold all of its own.
+        ScenarioError: Where no scenario is given, and the run does not hold all of its own or names
+            a law that is neither built in nor trusted.
         SimulationError: Where the simulation cannot go on.
     """
     require_tolerance(tolerance)
@@ -95,6 +101,7 @@ def replay_loop(
             f" {run.source}"
         )
     scenario = restore_scenario(run) if scenario is None else scenario
+    scenario = resolve_scenario(scenario, trust_law=trust_law)
     replayed = replace(simulate_run(scenario), source=f"replay of {run.name}")
     pairings = pair_by_tick(run, replayed) if by_tick else pair_by_sample(run, replayed)
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)

@@ -31,8 +31,11 @@ _NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = MappingProxyType(
 )
 """What a controller computes, as it computed it, by name: commands first, then errors."""
 
-COMMANDS: Final = ("speed", "turn_rate")
-"""The signals that leave the controller."""
+PUBLISHED: Final = ("command_speed", "command_lateral_speed", "command_turn_rate")
+"""The signals of the commands as they were published."""
+
+COMMANDS: Final = ("speed", "turn_rate", *PUBLISHED)
+"""The signals that leave the controller: as samples tell them, and as published."""
 
 
 def pair_samples(
@@ -59,6 +62,37 @@ def pair_samples(
         replayed=replayed.phase[others],
         kind="phase",
     )
+
+
+def pair_published(run: Run, answers: SampleColumns) -> Iterator[Pairing]:
+    """Yield the commands as published beside what a law answers; none where they do not match.
+
+    The n-th command is that of the sample with the number n.
+    """
+    if not has_published(run):
+        return
+    commands, numbers = run.commands, run.samples.sequence[: len(answers)]
+    rows = np.flatnonzero(numbers < len(commands))
+    none = np.zeros(len(answers))  # no law moves sideways
+    sides = (
+        ("m/s", commands.speed_m_s, answers.speed_m_s),
+        ("m/s", commands.lateral_speed_m_s, none),
+        ("rad/s", commands.turn_rate_rad_s, answers.turn_rate_rad_s),
+    )
+    for name, (unit, recorded, replayed) in zip(PUBLISHED, sides, strict=True):
+        yield Pairing(
+            signal=name,
+            unit=unit,
+            time_ns=commands.time_ns[numbers[rows]],
+            recorded=recorded[numbers[rows]],
+            replayed=replayed[rows],
+        )
+
+
+def has_published(run: Run) -> bool:
+    """Whether there is one command per sample, lost samples included; the last may be missing."""
+    count = int(run.samples.sequence[-1]) + 1
+    return count - 1 <= len(run.commands) <= count
 
 
 def list_absent(recorded: SampleColumns) -> tuple[str, ...]:

@@ -10,11 +10,14 @@ from turtlelog.scenario.convert import (
     flatten_tables,
     nest_parameters,
     nest_scenario,
+    resolve_law,
+    resolve_scenario,
     restore_scenario,
 )
 from turtlelog.scenario.model import (
     DEFAULT_LAW,
     LawChoice,
+    LawTable,
     Limits,
     LoopSettings,
     Scenario,
@@ -34,6 +37,7 @@ __all__ = [
     "PAPER_RUNS",
     "PRESETS",
     "LawChoice",
+    "LawTable",
     "Limits",
     "LoopSettings",
     "Scenario",
@@ -54,6 +58,8 @@ __all__ = [
     "parse_assignments",
     "parse_scenario",
     "read_scenario",
+    "resolve_law",
+    "resolve_scenario",
     "restore_scenario",
 ]
 

@@ -9,20 +9,33 @@ from typing import Any, get_type_hints
 import msgspec
 
 from turtlelog.errors import LawError, ScenarioError, suggest_names
-from turtlelog.laws import ABSENT_BY_DEFAULT, find_law
+from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS, find_law, require_law_name
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
-from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, Scenario
+from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
 
 _INFINITE_KEYS = frozenset(
     {"limits.speed_m_s", "limits.turn_rate_rad_s", "law.timeout_s", "law.settled_for_s"}
 )
+_LONGEST_KIND = 300
+"""A path and a class are shown whole, so that they can be looked at before they are trusted."""
+
 _MISSING = re.compile(r"Object missing required field `(\w+)`")
 _PLACE = re.compile(r" - at `\$\.(.*)`$")
 
 
-def build_scenario(tables: Mapping[str, Any], *, source: str = "scenario") -> Scenario:
+def build_scenario(
+    tables: Mapping[str, Any], *, source: str = "scenario", trust_law: bool = False
+) -> Scenario:
     """Return the scenario that nested tables describe; a key left out takes the textbook's value.
+
+    Loads no code: the table of a law that is not built in is judged when the law is to run.
+
+    Args:
+        tables: As in a scenario file.
+        source: Begins error lines.
+        trust_law: Whether a law that is not built in may run: where the user named it. Tables of
+            a recording name nothing.
 
     Raises:
         ScenarioError: `source: key: expected ..., found ...`, for the first key that is wrong.
@@ -33,17 +46,54 @@ def build_scenario(tables: Mapping[str, Any], *, source: str = "scenario") -> Sc
     kind = law_table.get("kind", DEFAULT_LAW)
     if not isinstance(kind, str):
         raise ScenarioError(f"{source}: law.kind: expected text, found {describe_value(kind)}")
-    try:
-        law = find_law(kind)
-    except LawError as err:
-        raise ScenarioError(f"{source}: law.kind: {err}") from err
     rest = {key: value for key, value in tables.items() if key != "law"}
     own = {key: value for key, value in law_table.items() if key != "kind"}
     _require_sound(rest, Scenario, "", source)
-    _require_sound(own, law.Parameters, "law.", source)
-    parameters = _convert(own, law.Parameters, "law.", source)
+    law = LawChoice(kind=kind, parameters=LawTable(values=own, source=source, is_trusted=trust_law))
+    if kind in LAWS:
+        law = resolve_law(law)
+    else:
+        _require_law_name(kind, source)
     scenario: Scenario = _convert(rest, Scenario, "", source)
-    return dataclasses.replace(scenario, law=LawChoice(kind=kind, parameters=parameters))
+    return dataclasses.replace(scenario, law=law)
+
+
+def resolve_scenario(scenario: Scenario, *, trust_law: bool = False) -> Scenario:
+    """Return the scenario with the parameters of its law, whose code is loaded if need be.
+
+    Raises:
+        ScenarioError: As `resolve_law`.
+    """
+    return dataclasses.replace(scenario, law=resolve_law(scenario.law, trust_law=trust_law))
+
+
+def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
+    """Return the choice with the law's own parameters; the one place that loads what is named.
+
+    Args:
+        choice: Returned as it is where it has them.
+        trust_law: Whether a law that a recording names may run, too.
+
+    Raises:
+        ScenarioError: Where the law stands in a recording and is not trusted, is not there, or does
+            not have these keys and values.
+    """
+    table = choice.parameters
+    if not isinstance(table, LawTable):
+        return choice
+    if choice.kind not in LAWS and not (table.is_trusted or trust_law):
+        raise ScenarioError(
+            f"{table.source}: law.kind: expected a built-in law, or --trust-law (in Python and"
+            " pytest trust_law=True) to run the code that the recording names,"
+            f" found {describe_value(choice.kind, longest=_LONGEST_KIND)}"
+        )
+    try:
+        law = find_law(choice.kind)
+    except LawError as err:
+        raise ScenarioError(f"{table.source}: law.kind: {err}") from err
+    _require_sound(table.values, law.Parameters, "law.", table.source)
+    parameters = _convert(table.values, law.Parameters, "law.", table.source)
+    return LawChoice(kind=choice.kind, parameters=parameters)
 
 
 def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
@@ -54,7 +104,9 @@ def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
 def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario as the nested tables of its file."""
     tables = dataclasses.asdict(scenario)
-    own = _drop_absent(tables["law"]["parameters"], scenario.law.parameters)
+    parameters = scenario.law.parameters
+    own = tables["law"]["parameters"]
+    own = own["values"] if isinstance(parameters, LawTable) else _drop_absent(own, parameters)
     tables["law"] = {"kind": scenario.law.kind, **own}
     tables["start"] = _drop_absent(tables["start"], scenario.start)
     return {key: _drop_none(value) for key, value in tables.items()}
@@ -71,8 +123,13 @@ def _drop_absent(table: dict[str, Any], values: Any) -> dict[str, Any]:
     return {key: value for key, value in table.items() if key not in absent}
 
 
-def restore_scenario(run: Run) -> Scenario:
-    """Return the scenario of a run; a law of the user's own is loaded.
+def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
+    """Return the scenario of a run. Loads no code.
+
+    Args:
+        run: With its whole scenario.
+        trust_law: Whether the law that it names may run where it is not built in: that runs the
+            code that the run, or the file it was read from, names.
 
     Raises:
         ScenarioError: Where the run does not hold all of it.
@@ -82,7 +139,7 @@ def restore_scenario(run: Run) -> Scenario:
             f"{run.name}: expected a run with its whole scenario, found {run.source} without"
             f" {_list_unknown(run)}: --scenario gives the rest from another"
         )
-    return build_scenario(nest_parameters(run.parameters), source=run.name)
+    return build_scenario(nest_parameters(run.parameters), source=run.name, trust_law=trust_law)
 
 
 def nest_parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
@@ -144,6 +201,13 @@ def _walk(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
             yield from _walk(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+def _require_law_name(kind: str, source: str) -> None:
+    try:
+        require_law_name(kind)
+    except LawError as err:
+        raise ScenarioError(f"{source}: law.kind: {err}") from err
 
 
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:

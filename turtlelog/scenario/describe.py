@@ -6,7 +6,6 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import msgspec
 
 _WORDS = {float: "a number", int: "a whole number", str: "text", bool: "true or false"}
-_LONGEST = 60
 
 
 def describe_type(hint: Any) -> str:
@@ -22,14 +21,14 @@ def describe_type(hint: Any) -> str:
     return _WORDS.get(hint, "a table")
 
 
-def describe_value(value: Any) -> str:
+def describe_value(value: Any, *, longest: int = 60) -> str:
     """Return a value as a scenario file would have it, cut where it is long; `none` for none."""
     if value is None:
         return "none"
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     if hasattr(value, "isoformat"):
         text = value.isoformat()
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}... ({len(text)} characters)"
+    return text if len(text) <= longest else f"{text[:longest]}... ({len(text)} characters)"
 
 
 def name_key(key: str) -> str:

@@ -1,6 +1,7 @@
 """Scenario: everything that determines a run, frozen and typed."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
 
@@ -53,12 +54,27 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LawTable:
+    """The keys of a law whose code has not been loaded yet; `resolve_scenario` loads it.
+
+    Attributes:
+        values: As written, beside `kind`.
+        source: Where they were read, for error lines.
+        is_trusted: Whether the user named the law; one that a recording names is not loaded.
+    """
+
+    values: Mapping[str, Any]
+    source: str = field(default="scenario", compare=False)
+    is_trusted: bool = field(default=True, compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LawChoice:
     """The law under test and its parameters.
 
     Attributes:
         kind: A built-in kind, `path.py:Class` or `package.module:Class`.
-        parameters: The law's own frozen dataclass.
+        parameters: The law's own frozen dataclass; a `LawTable` until its code is loaded.
     """
 
     kind: str = DEFAULT_LAW

@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from turtlelog.errors import ScenarioError
@@ -10,22 +11,30 @@ from turtlelog.scenario.convert import (
     build_scenario,
     flatten_scenario,
     nest_scenario,
+    resolve_scenario,
     set_nested,
 )
-from turtlelog.scenario.model import Scenario
+from turtlelog.scenario.model import LawTable, Scenario
 
 
 def override_scenario(
     scenario: Scenario, values: Mapping[str, Any], *, source: str = "changes"
 ) -> Scenario:
-    """Return the scenario with values set by dotted key, checked like a file.
+    """Return the scenario with values set by dotted key, checked like a file. Loads no code.
 
-    A new `law.kind` drops the old law's parameters.
+    A new `law.kind` drops the old law's parameters. Who sets `law.kind` names the law: it may run.
 
     Raises:
         ScenarioError: Where a key or value is wrong.
     """
-    tables = nest_scenario(scenario)
+    is_trusted = "law.kind" in values or _is_trusted(scenario)
+    return _override(scenario, values, source=source, trust_law=is_trusted)
+
+
+def _override(
+    scenario: Scenario, values: Mapping[str, Any], *, source: str, trust_law: bool
+) -> Scenario:
+    tables, was = nest_scenario(scenario), scenario.law.parameters
     if "law.kind" in values and values["law.kind"] != scenario.law.kind:
         tables["law"] = {}
     for key, value in values.items():
@@ -33,22 +42,39 @@ def override_scenario(
             set_nested(tables, key, value)
         except ScenarioError as err:
             raise ScenarioError(f"{source}: {err}") from err
-    return build_scenario(tables, source=source)
+    changed = build_scenario(tables, source=source, trust_law=trust_law)
+    table = changed.law.parameters
+    is_same = changed.law.kind == scenario.law.kind
+    if not (is_same and isinstance(table, LawTable) and isinstance(was, LawTable)):
+        return changed
+    # The keys of the law are judged later, in one table: error lines name all who wrote into it.
+    is_written = any(key.startswith("law.") and key != "law.kind" for key in values)
+    sources = dict.fromkeys([was.source, source] if is_written else [was.source])
+    table = replace(table, source=", ".join(sources))
+    return replace(changed, law=replace(changed.law, parameters=table))
+
+
+def _is_trusted(scenario: Scenario) -> bool:
+    table = scenario.law.parameters
+    return table.is_trusted if isinstance(table, LawTable) else True
 
 
 def complete_scenario(run: Run, base: Scenario) -> Scenario:
     """Return the scenario of a run: what it holds of its own, and the rest from another.
 
     An imported log knows gains, tolerances, limits and goal at most. Keys that the law of `base`
-    does not have are left out.
+    does not have are left out; a law of its own is loaded to know them. A law that only the run
+    names may not run.
 
     Raises:
-        ScenarioError: Where a value of the run is wrong.
+        ScenarioError: Where a value of the run is wrong, or the law of `base` may not run.
     """
+    base = resolve_scenario(base)
     known = flatten_scenario(base).keys() | {"goal.heading_rad"}
     values: dict[str, Any] = {} if run.goal_xy_m is None else _name_goal(run.goal_xy_m)
     values |= {key: value for key, value in run.parameters.items() if key in known}
-    return override_scenario(base, values, source=run.name)
+    is_same = values.get("law.kind", base.law.kind) == base.law.kind
+    return _override(base, values, source=run.name, trust_law=is_same)
 
 
 def parse_assignments(assignments: Iterable[str], *, source: str = "changes") -> dict[str, Any]:

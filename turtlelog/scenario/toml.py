@@ -11,7 +11,7 @@ from turtlelog.scenario.model import Scenario
 
 
 def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
-    """Return the scenario that a TOML text describes.
+    """Return the scenario that a TOML text describes. The text is the user's own: its law may run.
 
     Raises:
         ScenarioError: Where it is no TOML, or a key or value is wrong.
@@ -20,7 +20,7 @@ def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as err:
         raise ScenarioError(f"{source}: expected TOML, found: {describe_error(err)}") from err
-    return build_scenario(tables, source=source)
+    return build_scenario(tables, source=source, trust_law=True)
 
 
 def format_scenario(scenario: Scenario) -> str:

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
         FIGURES,
         Page,
         draw_figure,
+        list_left_out,
         write_figures,
         write_tables,
     )
@@ -35,6 +36,7 @@ __all__ = [
     "draw_figure",
     "follow_recording",
     "format_table",
+    "list_left_out",
     "open_viewer",
     "open_window",
     "serve_recordings",
@@ -51,6 +53,7 @@ _MODULES: Final = {
     "FIGURES": "figures",
     "Page": "figures",
     "draw_figure": "figures",
+    "list_left_out": "figures",
     "write_figures": "figures",
     "write_tables": "figures",
     "TABLE_FORMATS": "tables",

@@ -1,7 +1,7 @@
 """Files of this stage are complete or not there, and fail with its own error."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from turtlelog.errors import LogError, ShowError
@@ -20,3 +20,38 @@ def replace_file(path: str | Path) -> Iterator[Path]:
             yield part_path
     except LogError as err:
         raise ShowError(str(err)) from err
+
+
+@contextmanager
+def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path]]:
+    """Yield what writes files into a folder, by name; all take their places at the end together.
+
+    Where the block fails nothing is left: no file, and no folder that was not there.
+
+    Raises:
+        ShowError: Where the place cannot be written.
+    """
+    folder = Path(folder)
+    with ExitStack() as undoing:
+        try:
+            for new in [place for place in (folder, *folder.parents) if not place.exists()][::-1]:
+                new.mkdir(exist_ok=True)
+                undoing.callback(_remove_folder, new)
+            folder.mkdir(exist_ok=True)
+        except OSError as err:
+            raise ShowError(
+                f"{folder}: expected a folder to write to, found: {err.strerror or err}"
+            ) from err
+        with ExitStack() as parts:
+
+            def write(name: str, data: bytes) -> Path:
+                parts.enter_context(replace_file(folder / name)).write_bytes(data)
+                return folder / name
+
+            yield write
+        undoing.pop_all()
+
+
+def _remove_folder(folder: Path) -> None:
+    with suppress(OSError):  # somebody else writes there, too
+        folder.rmdir()

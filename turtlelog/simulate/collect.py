@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlelog.errors import SimulationError
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run
-from turtlelog.scenario import Scenario, flatten_scenario
+from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.loop import Tick, iterate_ticks
 from turtlelog.simulate.sample_rows import build_samples, pack_sample, split_rows
 
@@ -21,8 +21,10 @@ def simulate_run(scenario: Scenario) -> Run:
     """Simulate a scenario and return its run.
 
     Raises:
+        ScenarioError: Where the law cannot be loaded or may not run.
         SimulationError: Where the law fails, or no pose is answered within `max_duration_s`.
     """
+    scenario = resolve_scenario(scenario)
     return collect_run(scenario, iterate_ticks(scenario))
 
 
@@ -41,7 +43,7 @@ class RunCollector:
     """Ticks packed as they come, and the run that they make so far."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+        self._scenario = resolve_scenario(scenario)
         self._poses, self._samples, self._commands = bytearray(), bytearray(), bytearray()
         self._events: list[Event] = []
         self._stop_reason: str | None = None

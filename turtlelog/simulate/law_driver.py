@@ -9,7 +9,7 @@ import msgspec
 from turtlelog.errors import SimulationError, TurtlelogError, describe_error
 from turtlelog.laws import Decision, Goal, Law, Pose, find_law
 from turtlelog.run import Phase
-from turtlelog.scenario import LawChoice, Scenario
+from turtlelog.scenario import LawChoice, Scenario, resolve_law
 
 _ROTATE, _TRANSLATE, _DONE = Phase.ROTATE, Phase.TRANSLATE, Phase.DONE
 
@@ -123,8 +123,10 @@ def build_law(choice: LawChoice) -> Law:
 
     Raises:
         SimulationError: Where it does not take them.
+        ScenarioError: As `resolve_law`.
         LawError: Where there is no such law.
     """
+    choice = resolve_law(choice)
     try:
         return find_law(choice.kind)(choice.parameters)
     except TurtlelogError:

@@ -202,6 +202,19 @@ def test_messages_alone_are_found_again_after_damage(lone: bytes) -> None:
     assert [(damage.start, damage.end) for damage in damages] == [(before, end)]
 
 
+@pytest.mark.parametrize(("between", "found"), [(4, 0), (5, 4)])
+def test_four_messages_in_a_row_are_found_between_damage(
+    lone: bytes, between: int, found: int
+) -> None:
+    # Nothing bears out the length of the last one before damage.
+    first, _ = find(lone, 5, 9)
+    last, _ = find(lone, 5, 10 + between)
+    garbage = b"\xff" * HEAD
+    sections, _ = walk(change(change(lone, first, garbage), last, garbage))
+    records = [section for section in sections if first < section.start < last]
+    assert len(split(records)) == found
+
+
 @pytest.mark.parametrize("data", [b"", b"\x89MCAP0\r\n", bytes(5000), b"time,x\n" * 900])
 def test_what_is_no_recording_is_damage(data: bytes) -> None:
     sections, damages = walk(data)

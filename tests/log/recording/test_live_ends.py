@@ -1,13 +1,17 @@
 import io
+import os
+import re
 import signal
+import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.log.live import read_messages, read_rest, start_recording, wait_for_tick
+from tests.log.live import PROGRAM, ROOT, read_messages, read_rest, start_recording, wait_for_tick
 from tests.log.recording.ticks import POSE, make_scenario, record, record_ticks
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
@@ -15,6 +19,12 @@ from turtlelog.log import read_recording, replace_when_complete, write_recording
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.run import Run
 from turtlelog.simulate import iterate_ticks, simulate_run
+
+STOPS = [
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+    if hasattr(signal, name)
+]
 
 
 def record_half(path: Path, error: BaseException) -> None:
@@ -40,9 +50,9 @@ def test_a_loop_that_is_left_by_an_error_leaves_a_whole_file(
 
 
 def test_signals_act_as_before_once_the_recorder_is_closed(tmp_path: Path) -> None:
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [signal.getsignal(number) for number in STOPS]
     record(tmp_path / "a.mcap", make_scenario(max_duration_s=0.5))
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert [signal.getsignal(number) for number in STOPS] == before
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
@@ -76,7 +86,7 @@ with Recorder(sys.argv[1], scenario) as recorder:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows ends processes in other ways")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", STOPS)
 def test_a_signal_to_a_loop_of_ones_own_finishes_the_file(
     number: signal.Signals, tmp_path: Path
 ) -> None:
@@ -89,38 +99,172 @@ def test_a_signal_to_a_loop_of_ones_own_finishes_the_file(
     run = read_recording(path)
     assert run.stop_reason == "interrupted"
     assert run.poses.time_ns[-1] >= last_ns
-    assert process.returncode in {-signal.SIGINT, 128 + signal.SIGTERM}
+    assert process.returncode == (-number if number == signal.SIGINT else 128 + number)
 
 
-def test_a_signal_amid_a_flush_waits_for_its_end(tmp_path: Path) -> None:
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no terminal that hangs up")
+def test_a_loop_that_ignores_the_end_of_its_terminal_goes_on(tmp_path: Path) -> None:
+    ignoring = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+    for program in (OWN_LOOP, PROGRAM):
+        path = tmp_path / f"{len(program)}.mcap"
+        process = start_recording(path, ignoring + program)
+        wait_for_tick(process, 0.3)
+        process.send_signal(signal.SIGHUP)
+        wait_for_tick(process, 1.0)
+        process.terminate()
+        read_rest(process)
+        assert read_recording(path).end_ns >= 1e9
+
+
+RANDOM_MOMENTS = """
+import os, random, signal, sys, time
+from contextlib import ExitStack
+from pathlib import Path
+from turtlelog.log.recording.recorder import Recorder
+from turtlelog.log.signals import hold_stop
+from turtlelog.runner import run_live
+from turtlelog.scenario import get_preset, override_scenario
+
+SCENARIO = override_scenario(get_preset("paper"), {"law.kp_angular": 0.0001})
+
+def record(path):
+    with ExitStack() as closing:
+        os.write(begun[1], b"x")
+        with hold_stop():
+            recorder = Recorder(path, SCENARIO, flush_s=0.0)
+            closing.callback(recorder.close)
+        run_live(SCENARIO, [recorder], realtime=False)
+
+draw = random.Random(0)
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+    for count in (1, 2):
+        for moment in range(10):
+            begun = os.pipe()
+            child = os.fork()
+            if not child:
+                signal.signal(number, signal.default_int_handler)
+                try:
+                    record(Path(sys.argv[1]) / f"{number}-{count}-{moment}.mcap")
+                except KeyboardInterrupt:
+                    os._exit(0)
+                os._exit(0)
+            os.read(begun[0], 1)
+            for _ in range(count):
+                time.sleep(draw.uniform(0.0, 0.05))
+                os.kill(child, number)
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows ends processes in other ways")
+def test_a_signal_at_any_moment_tears_no_write(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", RANDOM_MOMENTS, tmp_path], check=True, cwd=ROOT)
+    paths = list(tmp_path.iterdir())
+    assert len(paths) > 60  # the others were asked to end before they had begun
+    for path in paths:
+        check_strictly(path)
+        assert b"interrupted" in path.read_bytes()  # in the head, which is not compressed
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_a_signal_amid_a_flush_waits_for_its_end(number: signal.Signals, tmp_path: Path) -> None:
     scenario, path = make_scenario(), tmp_path / "a.mcap"
 
     class Interrupted(io.FileIO):
-        """Ctrl-C comes in the middle of every write."""
+        """A signal comes in the middle of every write."""
 
         def write(self, data: Any, /) -> int:
             count = super().write(bytes(data)[: len(data) // 2 + 1])
             if self.tell() > 10_000:
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(number)
             return count
 
     ticks = list(iterate_ticks(scenario))
     left = iter(ticks)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
         record_ticks(path, scenario, left, lambda path: Interrupted(path, "x+"))
     check_strictly(path)
     assert len(read_recording(path).poses) == len(ticks) - len(list(left))
 
 
-def test_a_file_that_another_program_replaced_is_told(tmp_path: Path) -> None:
+def replace(path: Path) -> None:
+    path.unlink()  # as somebody does who knows no lock
+    path.write_bytes(b"somebody else's")
+
+
+def move(path: Path) -> None:
+    path.rename(path.with_name("moved.mcap"))
+
+
+def move_and_replace(path: Path) -> None:
+    move(path)
+    path.write_bytes(b"somebody else's")
+
+
+LOSSES = [
+    (Path.unlink, "deleted: its {s} s are lost"),
+    (replace, "deleted: its {s} s are lost"),
+    (move, "moved: {s} s are safe where it is now"),
+    (move_and_replace, "moved: {s} s are safe where it is now"),
+]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows deletes no file that is open")
+@pytest.mark.parametrize(("lose", "found"), LOSSES)
+def test_a_recording_that_loses_its_file_ends_with_the_next_chunk(
+    lose: Callable[[Path], object], found: str, tmp_path: Path
+) -> None:
+    path, scenario = tmp_path / "a.mcap", make_scenario()
+    ticks = iterate_ticks(scenario)
+    with Recorder(path, scenario, flush_s=1000.0) as recorder:
+        for _, tick in zip(range(100), ticks, strict=False):
+            recorder.receive(tick)
+        recorder.flush()
+        lose(path)
+        recorder.receive(next(ticks))
+        expected = "a.mcap: expected a file that stays, found it " + found.format(s="1.600")
+        with pytest.raises(LogError, match=rf"{re.escape(expected)}\Z"):
+            recorder.flush()
+        with pytest.raises(LogError, match="found a closed one"):
+            recorder.receive(next(ticks))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows deletes no file that is open")
+@pytest.mark.parametrize(("lose", "found"), LOSSES)
+def test_a_file_that_is_lost_at_the_end_is_told(
+    lose: Callable[[Path], object], found: str, tmp_path: Path
+) -> None:
     path, scenario = tmp_path / "a.mcap", make_scenario(max_duration_s=0.5)
     recorder = Recorder(path, scenario)
     for tick in iterate_ticks(scenario):
         recorder.receive(tick)
-    path.unlink()  # as somebody does who knows no lock
-    write_recording(simulate_run(scenario), path)
-    with pytest.raises(LogError, match="expected it to stay, found it replaced meanwhile"):
+    lose(path)
+    with pytest.raises(LogError, match=re.escape(found.format(s="0.496"))):
         recorder.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows moves no file that is open")
+def test_a_moved_recording_is_whole_where_it_is(tmp_path: Path) -> None:
+    path, moved, scenario = tmp_path / "a.mcap", tmp_path / "b.mcap", make_scenario()
+    with Recorder(path, scenario, flush_s=0.0) as recorder:
+        ticks = iterate_ticks(scenario)
+        recorder.receive(next(ticks))
+        path.rename(moved)
+        with pytest.raises(LogError, match=r"found it moved: 0\.016 s are safe"):
+            recorder.receive(next(ticks))
+    check_strictly(moved)
+    assert read_recording(moved).notes == {"recording_failed": "the file was moved"}
+
+
+def test_a_loop_may_change_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scenario = make_scenario(max_duration_s=0.5)
+    with Recorder("a.mcap", scenario, flush_s=0.0) as recorder:
+        (tmp_path / "elsewhere").mkdir()
+        monkeypatch.chdir(tmp_path / "elsewhere")
+        for tick in iterate_ticks(scenario):
+            recorder.receive(tick)
+    check_strictly(tmp_path / "a.mcap")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows replaces no file that is open")

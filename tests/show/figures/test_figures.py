@@ -10,14 +10,18 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import turtlelog as tl
+from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
+from turtlelog.show import list_left_out
 from turtlelog.show.figures.page import choose_lines
+from turtlelog.show.figures.theory import find_gains
 
 Columns = TypeVar("Columns", SampleColumns, CommandColumns)
 
@@ -225,9 +229,130 @@ def test_names_that_differ_in_the_middle_stay_apart() -> None:
     assert (first[:2], second[:2]) == ("1:", "2:")
 
 
-def test_poses_alone_give_position_and_plane(tmp_path: Path) -> None:
+HELD = ["heading", "position", "turn-rate", "speed", "plane", "panel"]
+
+
+def test_of_poses_and_applied_commands_that_is_drawn_and_nothing_else(tmp_path: Path) -> None:
     written = tl.write_figures([keep_poses(simulate(4))], tmp_path, formats=["svg"])
-    assert [path.stem for path in written] == [*THEORY, "position", "plane"]
+    assert [path.stem for path in written] == HELD
+    assert list_left_out([keep_poses(simulate(4))]) == (
+        "left out plant, step-responses, root-locus: expected the law's gain, found none",
+        "left out heading-error, world-velocity, error-log, panel (along track),"
+        " panel (heading error), panel (cross track): expected the controller's samples,"
+        " found none",
+        "left out position-error: expected a goal, found none",
+        "left out wanted-speed: expected what the law wanted before clipping, found none",
+        "left out table1.tex: expected a gain or the controller's samples, found none",
+        "left out plane (how each run ends): expected one goal, and a run that ends within 1 m of"
+        " it, found none",
+    )
+
+
+def test_of_poses_alone_no_command_is_drawn(tmp_path: Path) -> None:
+    run = keep_poses(simulate(4))
+    run = replace(run, poses=replace(run.poses, speed_m_s=None, turn_rate_rad_s=None))
+    written = tl.write_figures([run], tmp_path, formats=["svg"])
+    assert [path.stem for path in written] == ["heading", "position", "plane", "panel"]
+    assert "left out turn-rate, panel (turn rate): expected turn rate commands, found none" in (
+        list_left_out([run])
+    )
+
+
+def test_of_a_whole_run_nothing_is_left_out() -> None:
+    assert list_left_out(RUNS) == list_left_out([simulate(10)]) == ()
+
+
+def test_what_some_runs_lack_is_named_with_them() -> None:
+    bag = replace(keep_poses(simulate(4)), name="bag")
+    lines = list_left_out([bag, simulate(1)], ["heading-error", "plane", "speed"])
+    assert lines == (
+        "left bag out of heading-error: expected the controller's samples, found none",
+        "left bag out of speed: expected speed commands, found none",
+    )
+    bags = [replace(bag, name=f"bag{number}") for number in range(5)]
+    (line,) = list_left_out([*bags, simulate(1)], ["heading-error"])
+    assert line.startswith("left bag0, bag1, bag2 and 2 more out of heading-error: ")
+
+
+@pytest.mark.parametrize("command", ["speed", "turn-rate"])
+def test_commands_of_a_bag_are_those_of_its_topic(command: str) -> None:
+    bag = make_foreign_run(50)
+    time_s, values = find_line(tl.draw_figure(command, [bag]), "commanded")
+    commands = bag.commands
+    expected = commands.speed_m_s if command == "speed" else commands.turn_rate_rad_s
+    assert values.tolist() == expected.tolist()
+    assert time_s == pytest.approx((commands.time_ns - bag.start_ns) / 1e9)
+    _, compared = find_line(tl.draw_figure(command, [bag, simulate(4)]), "bag")
+    assert compared.tolist() == expected.tolist()
+
+
+def test_an_axis_says_what_time_zero_is() -> None:
+    bag = make_foreign_run(50)
+    labels = [
+        tl.draw_figure("heading", runs).axes[0].get_xlabel()
+        for runs in ([simulate(4)], [bag], [simulate(4), bag])
+    ]
+    assert labels == [
+        "time from the first sample [s]",
+        "time from the first pose [s]",
+        "time from the first sample or pose [s]",
+    ]
+
+
+def test_an_axis_of_commands_holds_those_of_a_run_without_limits() -> None:
+    bag = make_foreign_run(50)
+    fast = replace(bag, commands=replace(bag.commands, speed_m_s=np.full(50, 2.0)))
+    low, high = tl.draw_figure("speed", [simulate(4), fast]).axes[0].get_ylim()
+    assert low < 0.0
+    assert high > 2.0
+
+
+def test_a_panel_has_no_empty_views() -> None:
+    figure = tl.draw_figure("panel", [make_foreign_run(50)])
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "heading [deg]",
+        "turn rate [rad/s]",
+        "speed [m/s]",
+    ]
+    whole = tl.draw_figure("panel", [simulate(4)])
+    assert figure.get_size_inches()[1] < whole.get_size_inches()[1]
+
+
+def test_theory_is_of_the_gains_of_the_runs_or_of_the_paper_s() -> None:
+    bag = make_foreign_run(50)
+    assert find_gains([bag]) == ()
+    assert find_gains([bag, simulate(4)]) == (4.0,)
+    assert find_gains([]) == (1.0, 2.0, 4.0, 10.0)
+
+
+def list_words(axes: Axes) -> list[str]:
+    return [text.get_text() for text in axes.texts]
+
+
+def test_the_close_up_tells_how_far_each_run_ends_from_the_goal() -> None:
+    _, close = tl.draw_figure("plane", RUNS).axes
+    assert list_words(close) == ["1.01, 2.52, 8.52 mm", "107 mm", "50 mm", "100 mm"]
+    assert close.get_xlim() == pytest.approx((1.85, 2.15))
+    assert close.get_ylim() == pytest.approx((9.85, 10.15))
+
+
+def test_where_no_run_ends_at_the_goal_there_is_no_close_up() -> None:
+    far = replace(simulate(4), goal_xy_m=(2.0, 2.0))
+    (whole,) = tl.draw_figure("plane", [far]).axes
+    assert whole.get_title() == "whole paths"
+    _, close = tl.draw_figure("plane", [simulate(4), stop_far_away(simulate(1))]).axes
+    assert close.get_title() == "how each run ends, 1 of 2 runs outside"
+
+
+def stop_far_away(run: tl.Run) -> tl.Run:
+    xy_m = np.array(run.poses.xy_m)
+    xy_m[-1] = 5.0, 5.0
+    return replace(run, poses=replace(run.poses, xy_m=xy_m))
+
+
+def test_a_table_without_a_value_is_left_out(tmp_path: Path) -> None:
+    written = tl.write_tables([make_foreign_run(50)], tmp_path)
+    assert [path.name for path in written] == ["whole-runs.tex", "metrics.tex"]
 
 
 @pytest.mark.parametrize(
@@ -235,15 +360,16 @@ def test_poses_alone_give_position_and_plane(tmp_path: Path) -> None:
     [
         (["headng"], [], "expected heading or heading-error, found 'headng'"),
         (["heading"], [], "figure heading: expected a recording, found none"),
-        (["speed"], [keep_poses(simulate(4))], "expected the controller's samples, found none"),
+        (["wanted-speed"], [keep_poses(simulate(4))], "expected what the law wanted before clip"),
+        (["plant"], [keep_poses(simulate(4))], "figure plant: expected the law's gain, found none"),
     ],
-    ids=["unknown", "no run", "no samples"],
+    ids=["unknown", "no run", "no samples", "no gain"],
 )
 def test_figures_that_cannot_be_are_refused_before_any_is_written(
     only: Sequence[str], runs: Sequence[tl.Run], match: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ShowError, match=match):
-        tl.write_figures(runs, tmp_path / "new", only=["plant", *only])
+        tl.write_figures(runs, tmp_path / "new", only=["plane" if runs else "plant", *only])
     assert not (tmp_path / "new").exists()
 
 

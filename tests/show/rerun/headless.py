@@ -6,10 +6,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
+from numpy.typing import NDArray
 
 from turtlelog.show.rerun.connection import build_url, find_free_port, wait_for_viewer
 from turtlelog.show.rerun.viewer import ViewerProcess, start_viewer
@@ -56,6 +60,31 @@ class Headless:
             assert time.monotonic() < deadline, found
             self.client.take_screenshot(max_size=16)  # it moves when the viewer paints
 
+    def picture_view(self, name: str, timeline: str) -> NDArray[np.float64]:
+        """Return a view of what is loaded, the cursor at the end, shape (rows, columns, 3)."""
+        deadline = time.monotonic() + PATIENCE_S
+        while self.client.get_state().loading:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        (line,) = [
+            line
+            for recording in self.client.get_state().recordings
+            for line in recording.timelines
+            if line.name == timeline
+        ]
+        end = line.end or 0
+        if timeline == "tick":
+            self.client.set_time(timeline, sequence=end, play_state="paused")
+        else:
+            self.client.set_time(timeline, duration=end / 1e9, play_state="paused")
+        (view,) = [view for view in self.client.get_state().views if view.name == name]
+        before, picture = b"", self.client.take_screenshot(view.view_id)
+        while picture != before:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+            before, picture = picture, self.client.take_screenshot(view.view_id)
+        return np.asarray(imread(BytesIO(picture)), dtype=np.float64)[..., :3]
+
     def list_times(self) -> list[int]:
         found = [recording.current_time for recording in self.client.get_state().recordings]
         return [at for at in found if at is not None]
@@ -71,10 +100,10 @@ class Headless:
 
 
 @contextmanager
-def start_headless() -> Iterator[Headless]:
+def start_headless(size: str = "640x400") -> Iterator[Headless]:
     port = find_free_port()
     options = ["--headless", "--port", str(port), "--hide-welcome-screen"]
-    with start_viewer([*options, "--window-size", "640x400"]) as process:
+    with start_viewer([*options, "--window-size", size]) as process:
         try:
             client = wait_for_viewer(process, port)
         except ConnectionError as err:

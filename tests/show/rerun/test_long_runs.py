@@ -2,7 +2,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+import turtlelog as tl
+from tests.show.rerun.headless import start_headless
 from tests.show.rerun.rrds import (
     count_chunks,
     join_strips,
@@ -14,7 +17,8 @@ from tests.show.rerun.rrds import (
     verify,
 )
 from turtlelog.show import write_run_rrd
-from turtlelog.show.rerun import run_stream
+from turtlelog.show.rerun import palette, run_stream
+from turtlelog.show.run_colors import Color, choose_run_colors
 
 RUN = simulate_preset("paper-kp10")
 
@@ -55,3 +59,49 @@ def test_a_long_trace_is_thinned_and_says_so(
     np.testing.assert_array_equal(trace.min(axis=0), RUN.poses.xy_m.min(axis=0))
     (text,) = read_static(tmp_path / "run.rrd", "/documents/Drawn", "TextDocument:text")
     assert "about 100 of" in text
+
+
+@pytest.fixture(scope="module")
+def turn_of_ten_minutes() -> tl.Run:
+    """Return a run whose heading rises all the way, and ends well below the line of its goal."""
+    changes = {"law.kp_angular": 0.004, "law.kp_linear": 0.004, "max_duration_s": 600.0}
+    return tl.simulate_run(tl.override_scenario(tl.load_scenario("paper"), changes))
+
+
+def test_a_run_of_ten_minutes_is_drawn_from_its_beginning_to_its_end(
+    turn_of_ten_minutes: tl.Run, tmp_path: Path
+) -> None:
+    """And so is the short one beside it, which has ended after 2 % of the time."""
+    tl.write_comparison_rrd([turn_of_ten_minutes, RUN], tmp_path / "both.rrd")
+    picture = picture_heading(tmp_path / "both.rrd", "sim_time")
+    long, short = (find_pixels(picture, color) for color in choose_run_colors(2))
+    assert_spans(long, picture)
+    assert len(short)
+
+
+def test_ticks_of_a_run_of_ten_minutes_are_drawn_from_first_to_last(
+    turn_of_ten_minutes: tl.Run, tmp_path: Path
+) -> None:
+    tl.write_run_rrd(turn_of_ten_minutes, tmp_path / "run.rrd")
+    picture = picture_heading(tmp_path / "run.rrd", "tick")
+    assert_spans(find_pixels(picture, palette.MAIN), picture)
+
+
+def picture_heading(path: Path, timeline: str) -> NDArray[np.float64]:
+    """Return the plot of the heading with the cursor at the end, shape (rows, columns, 3)."""
+    with start_headless("1200x860") as viewer:
+        viewer.open(path)
+        viewer.wait_for_end(600 * 10**9)
+        return viewer.picture_view("Heading [deg]", timeline)
+
+
+def find_pixels(picture: NDArray[np.float64], color: Color) -> NDArray[np.int64]:
+    """Return row and column of what has a colour, shape (n, 2)."""
+    near = np.abs(picture - np.array(color) / 255.0).max(axis=2) < 0.05
+    return np.argwhere(near)
+
+
+def assert_spans(pixels: NDArray[np.int64], picture: NDArray[np.float64]) -> None:
+    """Assert that a rising curve is there from end to end; axes and title take the rest."""
+    assert len(pixels)
+    assert (np.ptp(pixels, axis=0) > np.array([0.6, 0.75]) * picture.shape[:2]).all()

@@ -14,6 +14,7 @@ from tests.show.rerun.rrds import (
 )
 from turtlelog.show import write_run_rrd
 from turtlelog.show.rerun import palette
+from turtlelog.show.run_colors import choose_run_colors
 
 RUN = simulate_preset("paper-kp10")
 
@@ -46,7 +47,7 @@ def test_the_trace_by_speed_is_the_path_brightest_where_it_is_fast(run_rrd: Path
     lengths = [len(s) for s in read_static(run_rrd, "/plane/path_by_speed", "LineStrips2D:strips")]
     # Most of the way it drives at the limit.
     assert colors[int(np.argmax(lengths[1:])) + 1] == palette.pack_colors(
-        [palette.choose_run_colors(16)[-1]]
+        [choose_run_colors(16)[-1]]
     )
 
 

@@ -158,7 +158,7 @@ def test_recording_verifies_and_stays_small(comparison_rrd: Path) -> None:
 
 
 def test_the_layout_has_its_views(comparison_rrd: Path) -> None:
-    views = {"Plane", "At the goal, ±171 mm", "Along-track [m]", "Table 1"}
+    views = {"Plane", "At the goal, ±150 mm", "Along-track [m]", "Table 1"}
     assert views < set(read_layout(comparison_rrd))
 
 

@@ -1,12 +1,14 @@
 import struct
 from pathlib import Path
+from typing import cast
 
 import pytest
+from rerun.experimental import ViewerClient
 
 from tests.show.rerun.rrds import list_entities, make_foreign_run
 from turtlelog.errors import ShowError
 from turtlelog.show import ViewReport, open_viewer, write_run_rrd, write_snapshot
-from turtlelog.show.rerun import viewer
+from turtlelog.show.rerun import snapshot, viewer
 
 NO_GRAPHICS = "expected a graphics adapter"
 
@@ -86,6 +88,25 @@ def test_a_viewer_that_cannot_start_names_the_packages(
         write_snapshot(tmp_path / "run.rrd", tmp_path / "x.png")
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "x.png").exists()
+
+
+class SlowClient:
+    """Draws its first picture too slowly."""
+
+    def __init__(self, found: str) -> None:
+        self.found = [found]
+
+    def take_screenshot(self) -> bytes:
+        if self.found:
+            raise ConnectionError(self.found.pop())
+        return b"a picture"
+
+
+def test_a_picture_that_takes_longer_than_rerun_waits_is_waited_for() -> None:
+    client = SlowClient("Deadline expired before operation could complete")
+    assert snapshot._take_picture(cast("ViewerClient", client)) == b"a picture"
+    with pytest.raises(ConnectionError, match="transport error"):
+        snapshot._take_picture(cast("ViewerClient", SlowClient("transport error")))
 
 
 def test_a_viewer_ends_with_its_block() -> None:

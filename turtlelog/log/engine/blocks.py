@@ -6,7 +6,6 @@ Otherwise the headers of the records are walked one by one.
 """
 
 import struct
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -15,19 +14,23 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.gather import gather_bytes
+from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
+from turtlelog.log.engine.stretches import MESSAGE_HEAD, Stretch, take_apart
 from turtlelog.log.engine.summary import ChunkEntry
 
 Offsets = NDArray[np.int64]
 
-MESSAGE_HEAD: Final = 31
-"""Bytes of a message record before its data."""
-
 _HEADING: Final = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
+_NOTES: Final = frozenset({Opcode.METADATA, Opcode.ATTACHMENT})
+_SLOT: Final = 4  # bits; no two messages start within 16 bytes
+_WITHIN: Final = 15
+_UNMARKED: Final = 255
 _INDEX: Final = struct.Struct("<HI")  # channel, bytes of the pairs of log time and offset
 
 
@@ -49,12 +52,13 @@ class Block:
     rest: tuple[Any, ...]
 
 
-def build_indexed_block(entry: ChunkEntry, stored: bytes) -> Block:
+def build_indexed_block(entry: ChunkEntry, stored: bytes, largest: int = LARGEST_CHUNK) -> Block:
     """Return a chunk as a block.
 
     Args:
         entry: What the summary says of it.
         stored: The bytes of the file from the start of the chunk to the end of its indexes.
+        largest: What a chunk may hold unpacked [bytes].
 
     Raises:
         DamageError: Where chunk, indexes and summary are not sound, or do not agree.
@@ -66,8 +70,8 @@ def build_indexed_block(entry: ChunkEntry, stored: bytes) -> Block:
             f"byte {byte}: expected a chunk of {entry.length} bytes,"
             f" found opcode {opcode} with {RECORD.size + length}"
         )
-    body = stored[RECORD.size : entry.length]
-    head = parse_chunk_head(body, byte)
+    body = memoryview(stored)[RECORD.size : entry.length]
+    head = parse_chunk_head(body, byte, largest)
     found = (head.start_ns, head.end_ns, head.size)
     if found != (entry.start_ns, entry.end_ns, entry.size):
         expected = f"times {entry.start_ns} to {entry.end_ns} and {entry.size} bytes"
@@ -80,26 +84,58 @@ def build_indexed_block(entry: ChunkEntry, stored: bytes) -> Block:
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)
 
 
-def build_walked_block(data: bytes, byte: int) -> Block:
+def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Block:
     """Return records as a block; their headers are walked.
 
     Raises:
-        DamageError: Where the records do not make sense.
+        DamageError: Where the records do not make sense, or are too many.
     """
-    offsets: dict[int, list[int]] = defaultdict(list)
-    rest = []
-    for place in iterate_places(data, 0, len(data), byte):
-        if place.opcode == Opcode.MESSAGE:
-            if place.length < MESSAGE_HEAD - RECORD.size:
-                raise DamageError(f"byte {byte}: expected a message, found {place.length} bytes")
-            offsets[data[place.start] | data[place.start + 1] << 8].append(
-                place.start - RECORD.size
-            )
-        else:
-            rest.append(parse_record(place, data[place.start : place.end], byte))
-    arrays = {channel: np.array(found, np.int64) for channel, found in offsets.items()}
-    found = tuple(record for record in rest if record is not None)
-    return Block(data=data, byte=byte, offsets=arrays, rest=found)
+    stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
+    channels = [heads["channel"] for _, heads in stretch.iterate_rows()]
+    offsets: dict[int, Offsets] = {}
+    if channels:
+        numbers = np.concatenate(channels)
+        order = np.argsort(numbers, kind="stable")
+        present, firsts = np.unique(numbers[order], return_index=True)
+        starts = stretch.starts[order].astype(np.int64)
+        offsets = dict(zip(present.tolist(), np.split(starts, firsts[1:]), strict=True))
+    return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
+
+
+def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Stretch:
+    """Return where records stand that must make sense from the first to the last.
+
+    Raises:
+        DamageError: Where they do not, or are too many.
+    """
+    left = allowance.count_left(RECORDS)
+    stretch = take_apart(data, is_chunk=is_chunk, most_records=left)
+    try:
+        allowance.spend(RECORDS, stretch.records)
+        notes = sum(opcode in _NOTES for _, opcode, _ in stretch.others)
+        allowance.spend(NOTES, notes)
+        allowance.spend(DESCRIPTIONS, len(stretch.others) - notes)
+    except LogError as err:
+        raise DamageError(f"byte {byte}: {err}") from err
+    if stretch.fault is not None:
+        raise DamageError(f"byte {byte}: {stretch.fault}")
+    return stretch
+
+
+def parse_others(stretch: Stretch, byte: int) -> tuple[Any, ...]:
+    """Return the records of a stretch beside its messages.
+
+    Raises:
+        DamageError: Where one is not sound.
+    """
+    return tuple(
+        parse_record(
+            Place(opcode, start + RECORD.size, end - start - RECORD.size),
+            stretch.data[start + RECORD.size : end],
+            byte,
+        )
+        for start, opcode, end in stretch.others
+    )
 
 
 def _parse_indexes(data: bytes, byte: int) -> dict[int, Offsets]:
@@ -107,7 +143,7 @@ def _parse_indexes(data: bytes, byte: int) -> dict[int, Offsets]:
     offsets = {}
     for place in iterate_places(data, 0, len(data), byte):
         channel, size = _INDEX.unpack_from(data, place.start) if place.length >= 6 else (0, -1)
-        if place.opcode != Opcode.MESSAGE_INDEX or size % 16 or size != place.length - 6:
+        if place.opcode != Opcode.MESSAGE_INDEX or size % 16 or size > place.length - 6:
             found = f"opcode {place.opcode} with {place.length}"
             raise DamageError(f"byte {byte}: expected a message index, found {found} bytes")
         pairs = np.frombuffer(data, "<u8", size // 8, place.start + _INDEX.size)
@@ -130,11 +166,12 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> tup
     starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
     counts = [len(found) for found in offsets.values()]
     ends = _check_messages(data, starts, np.repeat(np.array([*offsets], np.uint16), counts), byte)
-    marks = np.zeros(len(data) + 1, np.bool_)
-    marks[starts] = True
-    marks[len(data)] = True
-    gaps = ends[~marks[ends]].tolist()
-    if not marks[0]:
+    # A mark says where in its 16 bytes a message starts: a sixteenth of the chunk in memory.
+    marks = np.full((len(data) >> _SLOT) + 1, _UNMARKED, np.uint8)
+    marks[starts >> _SLOT] = starts & _WITHIN
+    marks[-1] = len(data) & _WITHIN
+    gaps = ends[marks[ends >> _SLOT] != ends & _WITHIN].tolist()
+    if marks[0]:
         gaps.append(0)
     rest, filled = [], int((ends - starts).sum())
     for gap in gaps:
@@ -168,13 +205,13 @@ def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: 
     return ends
 
 
-def _walk_gap(data: bytes, start: int, marks: NDArray[np.bool_], byte: int) -> list[Place]:
+def _walk_gap(data: bytes, start: int, marks: NDArray[np.uint8], byte: int) -> list[Place]:
     places = []
     for place in iterate_places(data, start, len(data), byte):
         if place.opcode == Opcode.MESSAGE:
             raise _mistrust(byte, f"a message at {start} that is not in it")
         places.append(place)
-        if marks[place.end]:
+        if marks[place.end >> _SLOT] == place.end & _WITHIN:
             break
     return places
 

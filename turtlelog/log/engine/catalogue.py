@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
@@ -10,9 +10,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from turtlelog.errors import LogError
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.layout import Layout, lay_out
-from turtlelog.log.engine.schema import Field, parse_schema
-
-_NO_FIELDS: Final[tuple[Field, ...]] = ()
+from turtlelog.log.engine.limits import FIELDS, Allowance
+from turtlelog.log.engine.schema import LONGEST_TEXT, Field, count_fields, parse_schema
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,10 +36,18 @@ class TopicPlan:
 class Catalogue:
     """The schemas and channels of a file, in the order in which they are found."""
 
-    def __init__(self) -> None:
+    def __init__(self, allowance: Allowance) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
+        self._allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
+        self._of_topics: dict[str, list[Channel]] = {}
+        self._types: dict[int, _Parsed] = {}
+
+    @property
+    def topics(self) -> Collection[str]:
+        """Their names, in no order."""
+        return self._of_topics.keys()
 
     @property
     def types(self) -> dict[str, str]:
@@ -61,11 +68,11 @@ class Catalogue:
                 known: Any = self.schemas.setdefault(record.id, record)
             elif isinstance(record, Channel):
                 known = self.channels.setdefault(record.id, record)
-                if known is record:
-                    self._plans.pop(record.topic, None)
             else:
                 continue
-            if known != record:
+            if known is record:
+                self._take(record, byte)
+            elif known != record:
                 kind = type(record).__name__.lower()
                 raise DamageError(f"byte {byte}: expected one {kind} {record.id}, found two")
 
@@ -80,7 +87,7 @@ class Catalogue:
 
     def iterate_plans(self) -> Iterator[TopicPlan]:
         """Yield the plan of every topic, in order of the topics' names."""
-        for topic in sorted({channel.topic for channel in self.channels.values()}):
+        for topic in sorted(self._of_topics):
             yield self.find_plan(topic)
 
     def find_plan(self, topic: str) -> TopicPlan:
@@ -104,10 +111,18 @@ class Catalogue:
             topics.setdefault(self.channels[number].topic, []).append(number)
         return topics
 
+    def _take(self, record: Schema | Channel, byte: int) -> None:
+        """Note what is new."""
+        try:
+            self._allowance.spend_description(record)
+        except LogError as err:
+            raise DamageError(f"byte {byte}: {err}") from err
+        if isinstance(record, Channel):
+            self._of_topics.setdefault(record.topic, []).append(record)
+            self._plans.pop(record.topic, None)
+
     def _merge_plans(self, topic: str) -> TopicPlan:
-        plans = [
-            self._plan(channel) for channel in self.channels.values() if channel.topic == topic
-        ]
+        plans = [self._plan(channel) for channel in self._of_topics[topic]]
         first = plans[0]
         for plan in plans[1:]:
             if (plan.type, plan.fields, plan.reason) != (first.type, first.fields, first.reason):
@@ -120,24 +135,45 @@ class Catalogue:
         schema = self.schemas.get(channel.schema_id)
         kind = "" if schema is None else schema.name
         encoding = channel.message_encoding
-        reason, fields = "", _NO_FIELDS
         if encoding != MessageEncoding.CDR:
-            reason = f"messages in cdr expected, found {encoding!r}"
+            parsed = _Parsed(reason=f"messages in cdr expected, found {encoding!r}")
         elif schema is None:
-            reason = "a schema expected, found none"
+            parsed = _Parsed(reason="a schema expected, found none")
         elif schema.encoding != SchemaEncoding.ROS2:
-            reason = f"a schema in ros2msg expected, found {schema.encoding!r}"
+            parsed = _Parsed(reason=f"a schema in ros2msg expected, found {schema.encoding!r}")
         else:
-            fields, reason = _parse(schema)
-        layout = None if reason else lay_out(fields)
+            if schema.id not in self._types:
+                self._types[schema.id] = _parse(schema, self._allowance)
+            parsed = self._types[schema.id]
         return TopicPlan(
-            topic=channel.topic, type=kind, reason=reason, fields=fields, layout=layout
+            topic=channel.topic,
+            type=kind,
+            reason=parsed.reason,
+            fields=parsed.fields,
+            layout=parsed.layout,
         )
 
 
-def _parse(schema: Schema) -> tuple[tuple[Field, ...], str]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Parsed:
+    reason: str = ""
+    fields: tuple[Field, ...] = ()
+    layout: Layout | None = None
+
+
+def _parse(schema: Schema, allowance: Allowance) -> _Parsed:
     """Return the fields, or why there are none."""
     try:
-        return parse_schema(schema.name, schema.data.decode()), ""
+        _check_length(schema)
+        allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
+        fields = parse_schema(schema.name, schema.data.decode())
+        allowance.spend(FIELDS, count_fields(fields))
     except (LogError, UnicodeDecodeError) as err:
-        return (), str(err)
+        return _Parsed(reason=str(err))
+    return _Parsed(fields=fields, layout=lay_out(fields))
+
+
+def _check_length(schema: Schema) -> None:
+    found = len(schema.data)
+    if found > LONGEST_TEXT:
+        raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {found}")

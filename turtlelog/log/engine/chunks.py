@@ -7,7 +7,8 @@ from typing import Final
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.ends import DamageError
-from turtlelog.log.engine.unpack import LARGEST_CHUNK, unpack_chunk
+from turtlelog.log.engine.limits import LARGEST_CHUNK
+from turtlelog.log.engine.unpack import unpack_chunk
 
 _HEAD: Final = struct.Struct("<QQQII")  # start, end, uncompressed size, crc, length of the name
 _SIZE: Final = struct.Struct("<Q")
@@ -36,11 +37,13 @@ class ChunkHead:
     data_size: int
 
 
-def parse_chunk_head(body: bytes, byte: int) -> ChunkHead:
+def parse_chunk_head(
+    body: bytes | memoryview, byte: int, largest: int = LARGEST_CHUNK
+) -> ChunkHead:
     """Return the head of a chunk record; `byte` is where it stands in the file.
 
     Raises:
-        DamageError: Where the body is too short for what it says.
+        DamageError: Where the body is too short for what it says, or that is more than `largest`.
     """
     try:
         start_ns, end_ns, size, crc, length = _HEAD.unpack_from(body)
@@ -50,10 +53,10 @@ def parse_chunk_head(body: bytes, byte: int) -> ChunkHead:
     except (struct.error, ValueError) as err:
         raise DamageError(f"byte {byte}: expected a chunk, found {describe_error(err)}") from err
     data_start = _HEAD.size + length + _SIZE.size
-    if data_start + data_size > len(body) or size > LARGEST_CHUNK:
+    if data_start + data_size > len(body) or size > largest:
         raise DamageError(
             f"byte {byte}: expected a chunk of up to {len(body) - data_start} bytes for up to"
-            f" {LARGEST_CHUNK}, found {data_size} for {size}"
+            f" {largest}, found {data_size} for {size}"
         )
     return ChunkHead(
         start_ns=start_ns,
@@ -66,7 +69,7 @@ def parse_chunk_head(body: bytes, byte: int) -> ChunkHead:
     )
 
 
-def open_chunk(head: ChunkHead, body: bytes, byte: int) -> bytes:
+def open_chunk(head: ChunkHead, body: bytes | memoryview, byte: int) -> bytes:
     """Return the records in a chunk, decompressed, their checksum checked.
 
     Raises:

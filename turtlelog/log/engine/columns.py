@@ -85,6 +85,17 @@ def read_columns(
         return collect_columns(source, select_topics(topics, start_ns, end_ns))
 
 
+def read_flat_columns(path: str | Path, topics: Collection[str]) -> Mapping[str, TopicColumns]:
+    """Return some topics as `read_columns` does, of types without sequences of texts or messages.
+
+    Raises:
+        LogError: As `read_columns`, and where a type has such a sequence.
+    """
+    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
+        selection = Selection(topics=frozenset(topics), is_flat=True)
+        return collect_columns(Source(stream), selection)
+
+
 def iter_columns(
     path: str | Path,
     *,

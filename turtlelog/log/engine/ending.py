@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from io import SEEK_END
 from typing import BinaryIO
 
 from mcap.records import Channel, Schema
 
 from turtlelog.log.engine.ends import DamageError, read_summary
+from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.summary import parse_summary
 
 
@@ -31,7 +33,7 @@ class Ending:
 def read_ending(stream: BinaryIO) -> Ending:
     """Return what the summary says; nothing where there is none, or its checksum fails."""
     try:
-        summary = parse_summary(read_summary(stream))
+        summary = parse_summary(read_summary(stream), Allowance(stream.seek(0, SEEK_END)))
     except DamageError:
         return Ending()
     statistics = summary.statistics

@@ -7,7 +7,7 @@ from typing import BinaryIO, Final
 from mcap.opcode import Opcode
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.unpack import LARGEST_CHUNK
+from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance
 
 RECORD: Final = struct.Struct("<BQ")
 """Opcode, length of the body."""
@@ -23,11 +23,21 @@ SUMMARY_ONLY: Final = frozenset(
 )
 """Records that stand only behind the data."""
 
+CHAIN: Final = 4
+"""So many records in a row are no accident, where no checksum vouches for them.
+
+At worst, in messages half of zeros, one in a hundred places that look like a head is followed by
+another, and there are a thousand such places in a megabyte: three in a row come about by accident
+once in a gigabyte, four once in a hundred. After damage as many messages must stand together to be
+found.
+"""
+
 _LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
 _PRIVATE: Final = 0x80  # first opcode that anybody may use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
 _BEFORE_INDEX: Final = frozenset({0, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _WINDOW: Final = 2**20  # bytes read at once
+_HELD: Final = 2**24  # bytes of a file that is read only once, wherever its records point
 
 # Bytes of fixed size at the front of a body, and how many fields with a length of their own follow.
 _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
@@ -37,23 +47,37 @@ _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
     Opcode.METADATA: (0, 2),
     Opcode.MESSAGE_INDEX: (2, 1),
     Opcode.ATTACHMENT: (16, 2),
+    Opcode.CHUNK: (28, 1),
 }
+# Then, in two of them, data with a length of 8 bytes, and how many bytes follow these.
+_DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
 _LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: 22, Opcode.CHUNK: 40}
 _EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 
 
 class FileWindow:
-    """A file read by place; small reads are served from one window of it."""
+    """A file read by place; small reads are served from one window of it, or all of it.
+
+    Attributes:
+        size: Of the file [bytes].
+        allowance: What its chunks may unpack to.
+    """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._start, self._data = 0, b""
         self.size = stream.seek(0, 2)
+        self._spare = self.size
+        self.allowance = Allowance(self.size)
+        self._is_held = self.size <= _HELD
+        if self._is_held:
+            stream.seek(0)
+            self._data = stream.read(self.size)
 
     def read(self, start: int, count: int) -> bytes:
         """Return `count` bytes from `start`, fewer at the end of the file."""
         at = start - self._start
-        if at >= 0 and at + count <= len(self._data):
+        if self._is_held or (at >= 0 and at + count <= len(self._data)):
             return self._data[at : at + count]
         self._stream.seek(start)
         if count > _WINDOW:
@@ -61,9 +85,20 @@ class FileWindow:
         self._start, self._data = start, self._stream.read(_WINDOW)
         return self._data[:count]
 
+    def spend(self, count: int) -> bool:
+        """Return whether so many bytes may be read for their checksum, though no length agrees.
+
+        All together no more than the file has: records that claim each other's bytes would
+        otherwise be read many times over.
+        """
+        self._spare -= count
+        return self._spare >= 0
+
 
 def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     """Return opcode and end of the record at `place`, whose lengths agree and which is whole.
+
+    Bytes behind its fields are its own where `is_padding` says so.
 
     Raises:
         LogError: One clause, where they do not agree, or the file ends within the record.
@@ -73,13 +108,12 @@ def find_record_end(window: FileWindow, place: int) -> tuple[int, int]:
     if end > window.size:
         raise LogError(f"expected {length} bytes in a record, found the end of the file within it")
     found = measure_record(window, place, opcode, end)
-    # A later version may append fields; a length that swallows the next record is damage.
-    if found > end or (found < end and is_record_start(window, found)):
+    if found > end or (found < end and not is_padding(window, found, end, opcode)):
         found -= place + RECORD.size
         raise LogError(f"expected a record (opcode {opcode}) of {length} bytes, found {found}")
     # What its fields do not bear out, the next record must.
     is_borne_out = opcode in _SHAPES or opcode in _EXACT
-    if not (is_borne_out and found == end) and not is_record_start(window, end, after=opcode):
+    if not is_borne_out and not is_record_start(window, end, after=opcode):
         raise LogError(f"expected another record after one of {length} bytes, found none")
     return opcode, end
 
@@ -110,9 +144,55 @@ def measure_record(window: FileWindow, place: int, opcode: int, end: int) -> int
         if at + 4 > end:
             return at + 4
         at += 4 + int.from_bytes(window.read(at, 4), "little")
-    if opcode == Opcode.ATTACHMENT and at + 8 <= end:
-        at += 8 + int.from_bytes(window.read(at, 8), "little") + 4
-    return at
+    if opcode not in _DATA:
+        return at
+    if at + 8 > end:
+        return at + 8
+    return at + 8 + int.from_bytes(window.read(at, 8), "little") + _DATA[opcode]
+
+
+def is_padding(window: FileWindow, start: int, end: int, opcode: int) -> bool:
+    """Return whether a record whose fields end at `start` goes on to `end`, as its length says.
+
+    A later version may append fields, which readers ignore. So the length is believed where a
+    sound record follows it. It is damage where sound records follow the fields: it swallows them.
+    """
+    return _is_followed(window, end, opcode) and not _is_chain(window, start, opcode)
+
+
+def _is_followed(window: FileWindow, place: int, after: int) -> bool:
+    """Return whether a record follows whose fields, or the next one, bear its length out.
+
+    One that the end of the file cuts off needs no more than its head.
+    """
+    if not is_record_start(window, place, after=after):
+        return False
+    if window.size - place < RECORD.size:
+        return True
+    opcode, length = _read_head(window, place)
+    end = place + RECORD.size + length
+    if end > window.size:
+        return True
+    if opcode in _SHAPES:
+        return measure_record(window, place, opcode, end) <= end
+    return is_record_start(window, end, after=opcode)
+
+
+def _is_chain(window: FileWindow, place: int, after: int) -> bool:
+    """Return whether whole records of known kinds follow each other from here, up to the footer."""
+    for _ in range(CHAIN):
+        if window.size - place < RECORD.size or not is_record_start(window, place, after=after):
+            return False
+        opcode, length = _read_head(window, place)
+        end = place + RECORD.size + length
+        if opcode >= _PRIVATE or end > window.size:
+            return False
+        if measure_record(window, place, opcode, end) > end:
+            return False
+        if opcode == Opcode.FOOTER:
+            return True
+        place, after = end, opcode
+    return True
 
 
 def _read_head(window: FileWindow, place: int) -> tuple[int, int]:

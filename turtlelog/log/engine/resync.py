@@ -1,6 +1,5 @@
 """Where a damaged file makes sense again."""
 
-import struct
 from collections.abc import Iterator
 from typing import Final
 
@@ -11,20 +10,23 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.framing import (
+    CHAIN,
     RECORD,
     SUMMARY_ONLY,
     FileWindow,
     find_record_end,
     is_record_start,
+    measure_record,
 )
 
-_STEP: Final = 2**19  # bytes looked through at a time
+_FIRST_STEP: Final = 2**12  # bytes looked through at a time, while the next record may be near
+_STEP: Final = 2**19
 _FOOTER_SIZE: Final = 29
-_CHAIN: Final = 4  # single messages carry no checksum; so many in a row are no accident
+_INDEX_HEAD: Final = 6  # bytes of a message index before its pairs: channel, their length
+_PAIR: Final = 16  # bytes: log time, offset
 
 _BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
 _LONE: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
-_SIZES: Final = struct.Struct("<QQQII")  # start, end, size unpacked, crc, length of the name
 
 
 def find_next_record(window: FileWindow, place: int, *, is_lone: bool) -> int | None:
@@ -48,8 +50,10 @@ def _iterate_candidates(
     window: FileWindow, place: int, is_wanted: NDArray[np.bool_]
 ) -> Iterator[int]:
     """Yield where an opcode and a length of less than 2 to the 40 may stand."""
-    for start in range(place, window.size, _STEP):
-        block = np.frombuffer(window.read(start, _STEP + RECORD.size - 1), dtype=np.uint8)
+    start, after, step = place, place, _FIRST_STEP
+    while after < window.size:
+        start, after, step = after, after + step, min(2 * step, _STEP)
+        block = np.frombuffer(window.read(start, after - start + RECORD.size - 1), dtype=np.uint8)
         count = len(block) - RECORD.size + 1
         if count <= 0:
             return
@@ -62,9 +66,9 @@ def _is_borne_out(window: FileWindow, place: int) -> bool:
     opcode = window.read(place, 1)[0]
     if opcode == Opcode.FOOTER:
         return place + _FOOTER_SIZE + len(MCAP0_MAGIC) == window.size
-    if opcode == Opcode.CHUNK:
-        return _is_chunk(window, place)
     _, end = find_record_end(window, place)
+    if opcode == Opcode.CHUNK:  # its reader checks what it holds
+        return is_record_start(window, end, after=opcode)
     if opcode == Opcode.DATA_END:
         follows = window.read(end, 1)
         return bool(follows) and follows[0] in {
@@ -74,23 +78,12 @@ def _is_borne_out(window: FileWindow, place: int) -> bool:
             *SUMMARY_ONLY,
         }
     if opcode == Opcode.MESSAGE_INDEX:
-        return (end - place - RECORD.size - 6) % 16 == 0
+        pairs = measure_record(window, place, opcode, end) - place - RECORD.size - _INDEX_HEAD
+        return pairs % _PAIR == 0
     if opcode == Opcode.ATTACHMENT:
         return True
-    for _ in range(_CHAIN - 1):
+    for _ in range(CHAIN - 1):
         if end == window.size:
             break
         _, end = find_record_end(window, end)
     return True
-
-
-def _is_chunk(window: FileWindow, place: int) -> bool:
-    """Return whether the lengths within a chunk agree; its reader checks what it holds."""
-    head = window.read(place, RECORD.size + _SIZES.size)
-    if len(head) < RECORD.size + _SIZES.size:
-        return False
-    _, length = RECORD.unpack_from(head)
-    *_, name = _SIZES.unpack_from(head, RECORD.size)
-    at = place + RECORD.size + _SIZES.size + name
-    end = at + 8 + int.from_bytes(window.read(at, 8), "little")
-    return end == place + RECORD.size + length and is_record_start(window, end, after=Opcode.CHUNK)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.blocks import MESSAGE_HEAD, Block, Offsets
+from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.catalogue import TopicPlan
 from turtlelog.log.engine.decode import Order, decode_messages
 from turtlelog.log.engine.gather import gather_bytes
@@ -20,6 +20,7 @@ from turtlelog.log.engine.layout import (
     Layout,
     split_rows,
 )
+from turtlelog.log.engine.stretches import MESSAGE_HEAD
 
 Rows = dict[str, Column]
 

@@ -14,6 +14,9 @@ TEXT: Final = "text"
 _MOST_FIELDS: Final = 10_000  # types nested in types multiply; none that people use comes near
 _DEEPEST: Final = 64
 
+LONGEST_TEXT: Final = 2**20
+"""Bytes of a definition with all its types that is read; the longest known take a tenth."""
+
 _KINDS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "bool": "?",
@@ -92,6 +95,17 @@ def parse_schema(name: str, text: str) -> tuple[Field, ...]:
     return _Resolver(definitions).resolve(_shorten(name), ())
 
 
+def count_fields(fields: tuple[Field, ...]) -> int:
+    """Return how many numbers, texts and sequences fields come to, nested ones among them."""
+    count = 0
+    for field in fields:
+        if isinstance(field.kind, str):
+            count += 1
+        else:
+            count += max(count_fields(field.kind), 1) * (field.length or 1)
+    return count
+
+
 class _Resolver:
     """Puts nested types in, once each, and counts what they come to."""
 
@@ -117,8 +131,10 @@ class _Resolver:
             is_sequence = found["brackets"] is not None and length is None
             field = Field(name=found["name"], kind=kind, length=length, is_sequence=is_sequence)
             fields.append(field)
-        if count > _MOST_FIELDS:
-            raise LogError(f"schema {name}: expected up to {_MOST_FIELDS} fields, found {count}")
+            if count > _MOST_FIELDS:
+                raise LogError(
+                    f"schema {name}: expected up to {_MOST_FIELDS} fields, found {count} or more"
+                )
         if len({field.name for field in fields}) < len(fields):
             raise LogError(f"schema {name}: expected names that differ, found one twice")
         return tuple(fields), count

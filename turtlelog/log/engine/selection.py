@@ -1,7 +1,7 @@
 """What is asked for of a file, and its messages piece by piece."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.rows import LOG_TIME, Rows, read_rows, select_rows
+from turtlelog.log.engine.schema import TEXT, Field
 from turtlelog.log.engine.source import EVER, Source
 
 
@@ -23,11 +24,17 @@ class Selection:
         topics: By name; None for all that can be understood.
         start_ns: Least log time.
         end_ns: The log time before which they end.
+        is_lenient: Whether topics may be missing or not understood; then all chunks are read and
+            checked.
+        is_flat: Whether fields must be numbers and texts, not sequences of texts or messages: those
+            take some hundred times the memory of their bytes.
     """
 
     topics: frozenset[str] | None = None
     start_ns: int = 0
     end_ns: int = EVER
+    is_lenient: bool = False
+    is_flat: bool = False
 
     @property
     def is_ever(self) -> bool:
@@ -41,14 +48,27 @@ class Selection:
             LogError: Where one that is asked for by name cannot be understood.
         """
         plans = {}
-        for plan in catalogue.iterate_plans():
-            if self.topics is not None and plan.topic not in self.topics:
-                continue
-            if not plan.reason:
-                plans[plan.topic] = plan
-            elif self.topics is not None:
-                raise LogError(f"topic {plan.topic}: not understood: {plan.reason}")
+        for topic in sorted(catalogue.topics):
+            plan = self.choose_plan(catalogue, topic)
+            if plan is not None:
+                plans[topic] = plan
         return plans
+
+    def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
+        """Return the plan of a topic, None where it is not asked for.
+
+        Raises:
+            LogError: Where it is asked for by name and cannot be understood.
+        """
+        if self.topics is not None and topic not in self.topics:
+            return None
+        plan = catalogue.find_plan(topic)
+        if plan.reason and self.topics is not None and not self.is_lenient:
+            raise LogError(f"topic {topic}: not understood: {plan.reason}")
+        if self.is_flat and (name := _find_list(plan.fields)) is not None:
+            expected = "fields of numbers and texts"
+            raise LogError(f"topic {topic}: expected {expected}, found the sequence {name}")
+        return None if plan.reason else plan
 
     def require_topics(self, catalogue: Catalogue) -> None:
         """Check that every topic asked for by name is there.
@@ -56,9 +76,20 @@ class Selection:
         Raises:
             LogError: Where one is not.
         """
-        known = {channel.topic for channel in catalogue.channels.values()}
-        for topic in sorted((self.topics or frozenset()) - known):
+        missing = (self.topics or frozenset()).difference(catalogue.topics)
+        for topic in () if self.is_lenient else sorted(missing):
             raise LogError(f"topic {topic}: expected it in the file, found no such topic")
+
+
+def _find_list(fields: tuple[Field, ...]) -> str | None:
+    """Return the name of a sequence of texts or messages."""
+    for field in fields:
+        is_plain = isinstance(field.kind, str) and field.kind != TEXT
+        if not is_plain and (field.is_sequence or (field.length and field.kind == TEXT)):
+            return field.name
+        if not isinstance(field.kind, str) and (found := _find_list(field.kind)) is not None:
+            return f"{field.name}.{found}"
+    return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +135,8 @@ def iterate_pieces(
         selection.require_topics(catalogue)
         plans = selection.choose_plans(catalogue)
         known = catalogue.channels.values()
-        channels = {channel.id for channel in known if channel.topic in plans}
+        if not selection.is_lenient:
+            channels = {channel.id for channel in known if channel.topic in plans}
     counts: Counter[int] = Counter()
 
     def read(block: Block) -> list[Piece]:
@@ -117,6 +149,7 @@ def iterate_pieces(
             counts.update(piece.counts)
             yield piece
     selection.require_topics(catalogue)
+    selection.choose_plans(catalogue)
     if selection.is_ever:
         _check_counts(source, counts, channels)
 
@@ -144,12 +177,13 @@ def read_piece(
     Raises:
         LogError: Where one is not of its topic's type.
     """
-    plans, found = selection.choose_plans(catalogue), {}
+    found = {}
     for topic, channels in catalogue.group_channels(offsets, block.byte).items():
         starts = _merge([offsets[channel] for channel in channels])
-        if topic not in plans or not len(starts):
+        plan = selection.choose_plan(catalogue, topic)
+        if plan is None or not len(starts):
             continue
-        rows = read_rows(plans[topic], block, starts)
+        rows = read_rows(plan, block, starts)
         if not selection.is_ever:
             times = rows[LOG_TIME]
             rows = select_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
@@ -164,16 +198,21 @@ def _merge(offsets: list[Offsets]) -> Offsets:
     return offsets[0] if len(offsets) == 1 else np.sort(np.concatenate(offsets))
 
 
-def _split(offsets: Mapping[int, Offsets], most_rows: int | None) -> list[Mapping[int, Offsets]]:
+def _split(
+    offsets: Mapping[int, Offsets], most_rows: int | None
+) -> Sequence[Mapping[int, Offsets]]:
     """Return the messages of a block in stretches of up to so many of a channel."""
     if most_rows is None or max(map(len, offsets.values()), default=0) <= most_rows:
         return [offsets]
     borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
-    cuts = {channel: np.split(of, np.searchsorted(of, borders)) for channel, of in offsets.items()}
-    return [
-        {channel: parts[number] for channel, parts in cuts.items()}
-        for number in range(len(borders) + 1)
-    ]
+    stretches: Sequence[dict[int, Offsets]] = [{} for _ in range(len(borders) + 1)]
+    for channel, of in offsets.items():
+        for stretch, part in zip(
+            stretches, np.split(of, np.searchsorted(of, borders)), strict=True
+        ):
+            if len(part):
+                stretch[channel] = part
+    return stretches
 
 
 def _check_counts(source: Source, counts: Counter[int], channels: Collection[int] | None) -> None:

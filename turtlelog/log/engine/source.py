@@ -13,9 +13,10 @@ from turtlelog.log.engine.blocks import Block, build_indexed_block, build_walked
 from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.ends import DamageError, Ends, check_data, check_start, read_ends
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import Place, read_record
 from turtlelog.log.engine.summary import ChunkEntry, find_lone_records, parse_summary
-from turtlelog.log.engine.walk import Damage, walk_sections
+from turtlelog.log.engine.walk import Damage, Section, walk_sections
 
 T = TypeVar("T")
 
@@ -47,15 +48,17 @@ class Source:
         catalogue: Channels and schemas; without an index it fills as blocks are read.
         index: None where the file has none that tells all.
         ends: Where its parts are.
+        allowance: What may be asked for.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self.ends: Ends = read_ends(stream)
-        summary = parse_summary(self.ends.summary)
-        self.catalogue = Catalogue()
+        self.allowance = Allowance(stream.seek(0, os.SEEK_END))
+        summary = parse_summary(self.ends.summary, self.allowance)
+        self.catalogue = Catalogue(self.allowance)
         self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary.start)
-        lone = find_lone_records(stream, self.ends, summary)
+        lone = find_lone_records(stream, self.ends, summary, self.allowance)
         self.statistics = summary.statistics
         self._named = summary.named
         self.index = None
@@ -95,7 +98,7 @@ class Source:
         the time; otherwise over everything; there the checksum of all data comes at the end.
         """
         if self.index is None:
-            yield from map(work, walk_blocks(self._stream, self.catalogue))
+            yield from map(work, walk_blocks(self._stream, self.catalogue, self.allowance))
             return
         wanted = [
             entry
@@ -106,7 +109,7 @@ class Source:
         ]
 
         def build(job: tuple[ChunkEntry, bytes]) -> T:
-            block = build_indexed_block(*job)
+            block = build_indexed_block(*job, self.allowance.largest_chunk)
             self.catalogue.check(block.rest, block.byte)
             return work(block)
 
@@ -119,9 +122,32 @@ class Source:
 
 
 def walk_blocks(
-    stream: BinaryIO, catalogue: Catalogue, *, damages: list[Damage] | None = None
+    stream: BinaryIO,
+    catalogue: Catalogue,
+    allowance: Allowance,
+    *,
+    damages: list[Damage] | None = None,
 ) -> Iterator[Block]:
     """Yield everything in a file as blocks, in its order, and fill the catalogue meanwhile.
+
+    Raises:
+        DamageError: Where something is damaged and there is no list that takes the damage.
+    """
+
+    def build(section: Section) -> Block:
+        block = build_walked_block(
+            section.data, section.start, allowance, is_chunk=section.is_chunk
+        )
+        catalogue.add(block.rest, block.byte)
+        return block
+
+    yield from walk_through(stream, build, damages=damages)
+
+
+def walk_through(
+    stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Damage] | None = None
+) -> Iterator[T]:
+    """Yield what `work` makes of every section of a file, in its order.
 
     Raises:
         DamageError: Where something is damaged and there is no list that takes the damage.
@@ -134,15 +160,14 @@ def walk_blocks(
             damages.append(section)
             continue
         try:
-            block = build_walked_block(section.data, section.start)
-            catalogue.add(block.rest, block.byte)
+            found = work(section)
         except DamageError as err:
             if damages is None:
                 raise
             end = section.start + len(section.data)
             damages.append(Damage(start=section.start, end=end, reason=str(err)))
             continue
-        yield block
+        yield found
 
 
 def _map_ahead(

@@ -3,26 +3,37 @@
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from turtlelog.errors import describe_error
+from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.ends import DamageError, Ends, SummaryBytes
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 
 _TIMES: Final = struct.Struct("<QQQQI")  # start, end, place, length, bytes of the offsets
 _OFFSET: Final = np.dtype([("channel", "<u2"), ("offset", "<u8")])
 _SIZES: Final = struct.Struct("<QI")  # length of the message indexes, of the compression's name
 
-_ALONE: Final = frozenset(
-    {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA}
-)
-"""What may stand between chunks of a file that is read by its index."""
+_ALONE: Final = frozenset({Opcode.HEADER, Opcode.ATTACHMENT, Opcode.METADATA})
+"""What is read from between the chunks of a file that has an index."""
+
+_KINDS: Final[Mapping[int, str]] = {
+    Opcode.SCHEMA: DESCRIPTIONS,
+    Opcode.CHANNEL: DESCRIPTIONS,
+    Opcode.STATISTICS: NOTES,
+    Opcode.METADATA_INDEX: NOTES,
+    Opcode.ATTACHMENT_INDEX: NOTES,
+    Opcode.HEADER: NOTES,
+    Opcode.METADATA: NOTES,
+    Opcode.ATTACHMENT: NOTES,
+}
+"""Under what a record of the summary, or one that stands alone, is counted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,42 +83,54 @@ class Summary:
     named: Mapping[int, tuple[int, str]]
 
 
-def parse_summary(section: SummaryBytes) -> Summary:
+def parse_summary(section: SummaryBytes, allowance: Allowance) -> Summary:
     """Return what the summary section says.
 
     Raises:
-        DamageError: Where a record in it makes no sense.
+        DamageError: Where a record in it makes no sense, or there are too many.
     """
     chunks: list[ChunkEntry] = []
-    records: list[Any] = []
+    schemas: list[Schema] = []
+    channels: list[Channel] = []
+    statistics, named = None, dict[int, tuple[int, str]]()
     data, byte = section.data, section.start
     for place in iterate_places(data, 0, len(data), byte):
         if place.opcode == Opcode.CHUNK_INDEX:
             chunks.append(_parse_entry(data, place, byte))
-        else:
-            records.append(parse_record(place, data[place.start : place.end], byte + place.start))
-    statistics = [record for record in records if isinstance(record, Statistics)]
+            continue
+        _spend(allowance, place.opcode, byte + place.start)
+        found = parse_record(place, data[place.start : place.end], byte + place.start)
+        if isinstance(found, Schema):
+            schemas.append(found)
+        elif isinstance(found, Channel):
+            channels.append(found)
+        elif isinstance(found, Statistics):
+            statistics = found
+        elif isinstance(found, MetadataIndex):
+            named[found.offset] = Opcode.METADATA, found.name
+        elif isinstance(found, AttachmentIndex):
+            named[found.offset] = Opcode.ATTACHMENT, found.name
     return Summary(
-        schemas=tuple(record for record in records if isinstance(record, Schema)),
-        channels=tuple(record for record in records if isinstance(record, Channel)),
+        schemas=tuple(schemas),
+        channels=tuple(channels),
         chunks=tuple(sorted(chunks, key=lambda entry: entry.start)),
-        statistics=statistics[-1] if statistics else None,
-        named={
-            **{
-                found.offset: (Opcode.METADATA, found.name)
-                for found in records
-                if isinstance(found, MetadataIndex)
-            },
-            **{
-                found.offset: (Opcode.ATTACHMENT, found.name)
-                for found in records
-                if isinstance(found, AttachmentIndex)
-            },
-        },
+        statistics=statistics,
+        named=named,
     )
 
 
-def find_lone_records(stream: BinaryIO, ends: Ends, summary: Summary) -> tuple[Place, ...] | None:
+def _spend(allowance: Allowance, opcode: int, byte: int) -> None:
+    kind = _KINDS.get(opcode)
+    try:
+        if kind is not None:
+            allowance.spend(kind)
+    except LogError as err:
+        raise DamageError(f"byte {byte}: {err}") from err
+
+
+def find_lone_records(
+    stream: BinaryIO, ends: Ends, summary: Summary, allowance: Allowance
+) -> tuple[Place, ...] | None:
     """Return the records that stand between the chunks; None where the index does not tell all.
 
     It tells all where what lies between the chunks that it names holds no message and no further
@@ -122,7 +145,7 @@ def find_lone_records(stream: BinaryIO, ends: Ends, summary: Summary) -> tuple[P
         end = ends.data_end if entry is None else entry.start
         if entry is not None and not _is_indexed(entry, known):
             return None
-        places = _find_between(stream, start, end)
+        places = _find_between(stream, start, end, allowance)
         if places is None:
             return None
         lone += places
@@ -134,7 +157,9 @@ def _is_indexed(entry: ChunkEntry, known: set[int]) -> bool:
     return bool(entry.channels and entry.index_length) and entry.channels <= known
 
 
-def _find_between(stream: BinaryIO, start: int, end: int) -> list[Place] | None:
+def _find_between(
+    stream: BinaryIO, start: int, end: int, allowance: Allowance
+) -> list[Place] | None:
     found = []
     while start < end:
         stream.seek(start)
@@ -144,10 +169,10 @@ def _find_between(stream: BinaryIO, start: int, end: int) -> list[Place] | None:
         opcode, length = RECORD.unpack(heading)
         if opcode in {0, Opcode.CHUNK, Opcode.MESSAGE}:
             return None
-        place = Place(opcode, start + RECORD.size, length)
-        if place.opcode in _ALONE:
-            found.append(place)
-        start = place.end
+        _spend(allowance, opcode, start)
+        if opcode in _ALONE:
+            found.append(Place(opcode, start + RECORD.size, length))
+        start += RECORD.size + length
     return found if start == end else None
 
 

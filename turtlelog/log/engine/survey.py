@@ -1,19 +1,23 @@
 """How much of what a file holds: from its summary where that tells, else counted."""
 
-from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+import os
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any, BinaryIO, Final
 
+import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
+from numpy.typing import NDArray
 
-from turtlelog.log.engine.blocks import MESSAGE_HEAD, Block
+from turtlelog.log.engine.blocks import Block, parse_others, take_walked
 from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.ends import DamageError, UnfinishedError
 from turtlelog.log.engine.gather import gather_bytes
-from turtlelog.log.engine.rows import LOG_TIME, MESSAGE_HEADER
-from turtlelog.log.engine.source import Source, walk_blocks
-from turtlelog.log.engine.walk import Damage
+from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.source import Source, walk_through
+from turtlelog.log.engine.stretches import HEADING, MESSAGE_HEAD
+from turtlelog.log.engine.walk import Damage, Section
 
 _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
 
@@ -39,13 +43,6 @@ class Survey:
     damages: tuple[Damage, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Tally:
-    counts: Mapping[int, int]
-    span_ns: tuple[int, int] | None
-    records: tuple[Any, ...]
-
-
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
     """Return what an MCAP file holds; one that was never finished is walked as far as it goes.
 
@@ -68,22 +65,25 @@ def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
 
 
 def _survey_damaged(stream: BinaryIO) -> Survey:
-    catalogue, damages = Catalogue(), list[Damage]()
-    blocks = walk_blocks(stream, catalogue, damages=damages)
-    survey = _add_up(catalogue, map(_tally_block, blocks), (), is_finished=False)
-    return replace(survey, damages=tuple(damages))
+    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Damage]()
+    tally = _Tally(Catalogue(allowance), allowance)
+    for _ in walk_through(stream, tally.take_section, damages=damages):
+        pass
+    return tally.sum_up((), damages, is_finished=False)
 
 
 def _survey_source(stream: BinaryIO) -> Survey:
     source = Source(stream)
     lone = () if source.index is None else tuple(source.read_lone(_LONE))
-    statistics = source.statistics
-    if (
-        source.index is None
-        or statistics is None
-        or (statistics.message_count and not statistics.channel_message_counts)
-    ):
-        return _add_up(source.catalogue, source.map_blocks(_tally_block), lone, is_finished=True)
+    statistics, tally = source.statistics, _Tally(source.catalogue, source.allowance)
+    if source.index is None:
+        for _ in walk_through(stream, tally.take_section):
+            pass
+        return tally.sum_up((), (), is_finished=True)
+    if statistics is None or (statistics.message_count and not statistics.channel_message_counts):
+        for found in source.map_blocks(_count_block):
+            tally.add(*found)
+        return tally.sum_up(lone, (), is_finished=True)
     span_ns = statistics.message_start_time, statistics.message_end_time
     return Survey(
         catalogue=source.catalogue,
@@ -94,31 +94,55 @@ def _survey_source(stream: BinaryIO) -> Survey:
     )
 
 
-def _add_up(
-    catalogue: Catalogue, tallies: Iterable[_Tally], lone: tuple[Any, ...], *, is_finished: bool
-) -> Survey:
-    counts: Counter[int] = Counter()
-    spans, records = [], [*lone]
-    for tally in tallies:
-        counts.update(tally.counts)
-        spans += [] if tally.span_ns is None else [tally.span_ns]
-        records += tally.records
-    firsts, lasts = zip(*spans, strict=True) if spans else ((), ())
-    return Survey(
-        catalogue=catalogue,
-        counts=counts,
-        span_ns=(min(firsts), max(lasts)) if spans else None,
-        records=tuple(records),
-        is_finished=is_finished,
-    )
+class _Tally:
+    """Counts messages, and keeps what is said of them."""
+
+    def __init__(self, catalogue: Catalogue, allowance: Allowance) -> None:
+        self._catalogue, self._allowance = catalogue, allowance
+        self._counts = np.zeros(2**16, np.int64)
+        self._times: list[int] = []
+        self._records: list[Any] = []
+
+    def take_section(self, section: Section) -> None:
+        """Take a stretch of records, all of it or nothing.
+
+        Raises:
+            DamageError: Where it makes no sense.
+        """
+        byte, is_chunk = section.start, section.is_chunk
+        stretch = take_walked(section.data, byte, self._allowance, is_chunk=is_chunk)
+        others = parse_others(stretch, byte)
+        self._catalogue.add(others, byte)
+        self._records += [found for found in others if isinstance(found, Metadata | Attachment)]
+        for _, heads in stretch.iterate_rows():
+            self.add(np.bincount(heads["channel"]), heads["log_time"])
+
+    def add(self, counts: NDArray[np.int64], times: NDArray[np.uint64]) -> None:
+        """Take messages by channel, and some times among which are the least and the greatest."""
+        self._counts[: len(counts)] += counts
+        if len(times):
+            known = [*self._times, int(times.min()), int(times.max())]
+            self._times = [min(known), max(known)]
+
+    def sum_up(
+        self, lone: tuple[Any, ...], damages: Collection[Damage], *, is_finished: bool
+    ) -> Survey:
+        """Return what has come, and records that stand elsewhere."""
+        present = np.flatnonzero(self._counts)
+        return Survey(
+            catalogue=self._catalogue,
+            counts=dict(zip(present.tolist(), self._counts[present].tolist(), strict=True)),
+            span_ns=(self._times[0], self._times[1]) if self._times else None,
+            records=(*lone, *self._records),
+            is_finished=is_finished,
+            damages=tuple(damages),
+        )
 
 
-def _tally_block(block: Block) -> _Tally:
-    spans = []
-    for starts in block.offsets.values():
-        heads = gather_bytes(block.data, starts, MESSAGE_HEAD).view(MESSAGE_HEADER)
-        if len(heads):
-            spans.append((int(heads[LOG_TIME].min()), int(heads[LOG_TIME].max())))
-    span_ns = (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
-    counts = {channel: len(starts) for channel, starts in block.offsets.items()}
-    return _Tally(counts=counts, span_ns=span_ns, records=block.rest)
+def _count_block(block: Block) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+    counts, times = np.zeros(2**16, np.int64), [np.empty(0, np.uint64)]
+    for channel, starts in block.offsets.items():
+        heads = gather_bytes(block.data, starts, MESSAGE_HEAD).view(HEADING)
+        counts[channel] = len(starts)
+        times.append(heads["log_time"])
+    return counts, np.concatenate(times)

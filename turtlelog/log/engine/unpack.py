@@ -1,15 +1,14 @@
 """Compressed chunk -> bytes, in bounded memory whatever its headers claim."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from io import SEEK_END, BytesIO
 from typing import Final
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from turtlelog.errors import LogError, describe_error
-
-LARGEST_CHUNK: Final = 2**30
-"""No chunk may hold more bytes, packed or unpacked; a damaged header may claim anything."""
+from turtlelog.log.engine.limits import LARGEST_CHUNK
 
 SPARE: Final = 2**25
 """Bytes that may be allocated on the word of a header alone."""
@@ -17,23 +16,38 @@ SPARE: Final = 2**25
 _STEP: Final = 2**22  # bytes unpacked at a time, where the header may lie
 
 
-def unpack_chunk(compression: str, packed: bytes, size: int) -> bytes:
+def unpack_chunk(
+    compression: str,
+    packed: bytes | memoryview,
+    size: int,
+    *,
+    largest: int = LARGEST_CHUNK,
+    spend: Callable[[int], None] = lambda _: None,
+) -> bytes:
     """Return the bytes of a chunk that claims to unpack to `size`; the claim is not trusted.
 
     What comes may be longer or shorter than claimed: the checksum decides.
 
+    Args:
+        compression: `zstd`, `lz4` or empty.
+        packed: The compressed bytes.
+        size: The claim.
+        largest: What no chunk may exceed [bytes].
+        spend: Called with bytes as they come, of damaged streams too; may refuse them.
+
     Raises:
-        LogError: One clause, where the stream is damaged or holds far more than it claims.
+        LogError: One clause, where the stream is damaged, holds far more than it claims, or more
+            than `largest`.
     """
-    limit = min(max(size, SPARE), LARGEST_CHUNK)
+    limit = min(max(size, SPARE), largest)
     try:
         match compression:
             case "":
-                return packed
+                return bytes(packed)
             case "zstd":
-                return _unpack_zstd(packed, size, limit)
+                return _unpack_zstd(packed, size, limit, spend)
             case "lz4":
-                return _unpack_lz4(packed, size, limit)
+                return _join(_iterate_lz4(packed, size), limit, spend)
     except LogError:
         raise
     except Exception as err:  # the libraries raise ZstdError, RuntimeError, MemoryError and more
@@ -41,35 +55,38 @@ def unpack_chunk(compression: str, packed: bytes, size: int) -> bytes:
     raise LogError(f"expected the compression zstd, lz4 or none, found {compression[:20]!r}")
 
 
-def _unpack_zstd(packed: bytes, size: int, limit: int) -> bytes:
+def _unpack_zstd(
+    packed: bytes | memoryview, size: int, limit: int, spend: Callable[[int], None]
+) -> bytes:
     promised = zstandard.frame_content_size(packed)  # -1: not said
-    if promised in {-1, size} and size <= SPARE:
+    # Two headers that agree are believed: one alone may be damaged.
+    if promised in {-1, size} and size <= (limit if promised == size else SPARE):
+        spend(size)
         return zstandard.ZstdDecompressor().decompress(packed, size)
     # A window is allocated on the word of the frame's header; a sound one is within the chunk.
     unpacker = zstandard.ZstdDecompressor(max_window_size=limit).stream_reader(packed)
-    return _join(iter(lambda: unpacker.read(_STEP), b""), limit)
+    return _join(iter(lambda: unpacker.read(_STEP), b""), limit, spend)
 
 
-def _unpack_lz4(packed: bytes, size: int, limit: int) -> bytes:
+def _iterate_lz4(packed: bytes | memoryview, size: int) -> Iterator[bytes]:
     unpacker = lz4.frame.LZ4FrameDecompressor()
-    first = unpacker.decompress(packed, max_length=min(max(size, 1), SPARE))
-    if unpacker.eof:
-        return bytes(first)
-    return _join(_continue_lz4(unpacker, first), limit)
-
-
-def _continue_lz4(unpacker: lz4.frame.LZ4FrameDecompressor, piece: bytes) -> Iterator[bytes]:
-    yield piece
+    yield unpacker.decompress(packed, max_length=min(max(size, 1), SPARE))
     while not unpacker.eof:
         if unpacker.needs_input:
             raise LogError("expected sound lz4 data, found the end of the chunk within it")
         yield unpacker.decompress(b"", max_length=_STEP)
 
 
-def _join(pieces: Iterator[bytes], limit: int) -> bytes:
-    data = bytearray()
+def _join(pieces: Iterator[bytes], limit: int, spend: Callable[[int], None]) -> bytes:
+    first = next(pieces, b"")
+    spend(len(first))
+    data = BytesIO(first)  # takes bytes over, and hands them over, without a copy
+    data.seek(0, SEEK_END)
     for piece in pieces:
-        data += piece
-        if len(data) > limit:
-            raise LogError(f"expected up to {limit} bytes in a chunk, found more")
-    return bytes(data)
+        spend(len(piece))
+        data.write(piece)
+        if data.tell() > limit:
+            break
+    if data.tell() > limit:
+        raise LogError(f"expected up to {limit} bytes in a chunk, found more")
+    return data.getvalue()

@@ -20,15 +20,18 @@ from turtlelog.log.engine.framing import (
     SUMMARY_ONLY,
     FileWindow,
     find_record_end,
+    is_padding,
     is_record_start,
     measure_record,
 )
+from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
 from turtlelog.log.engine.resync import find_next_record
-from turtlelog.log.engine.unpack import LARGEST_CHUNK, unpack_chunk
+from turtlelog.log.engine.unpack import unpack_chunk
 
 _CHUNK: Final = struct.Struct("<BQQQQII")  # ... start, end, size unpacked, crc, length of the name
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression
+_RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
 _LONE: Final = frozenset(
     {
         Opcode.HEADER,
@@ -127,7 +130,12 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Damage]:
         start = place
         try:
             found, place = _read_record(window, place, kind)
+            window.allowance.spend(DAMAGES, sum(isinstance(one, Damage) for one in found))
         except LogError as err:
+            if not window.allowance.count_left(DAMAGES):
+                yield Damage(start=start, end=window.size, reason=str(err))
+                return
+            window.allowance.spend(DAMAGES)
             place = find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
             end = window.size if place is None else place
             yield Damage(start=start, end=end, reason=str(err))
@@ -150,6 +158,8 @@ def _read_record(
         return [Damage(start=window.size, end=window.size, reason=reason)], None
     if window.read(place, 1)[0] == Opcode.CHUNK:
         return _read_chunk(window, place)
+    if window.read(place, 1)[0] == Opcode.ATTACHMENT:
+        return _read_attachment(window, place)
     opcode, end = find_record_end(window, place)
     # One bit makes a message of a header or of a message index. Nobody mixes chunks and messages.
     if opcode == Opcode.MESSAGE and kind in {0, Opcode.CHUNK}:
@@ -160,8 +170,6 @@ def _read_record(
     if opcode == Opcode.FOOTER:
         reason = "expected the end of the data, found that of the file"
         return [Damage(start=place, end=place, reason=reason)], None
-    if opcode == Opcode.ATTACHMENT:
-        return [_read_attachment(window, place, end)], end
     if opcode not in _LONE:
         return [], end
     data = _read_run(window, place, opcode)
@@ -173,7 +181,7 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     """Return the records of one kind that follow each other from `place`, up to a batch."""
     _, end = find_record_end(window, place)
     parts = [window.read(place, end - place)]
-    while opcode == Opcode.MESSAGE and end - place < _BATCH:
+    while opcode in _RUNS and end - place < _BATCH:
         start = end
         try:
             found, end = find_record_end(window, start)
@@ -185,15 +193,30 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     return b"".join(parts)
 
 
-def _read_attachment(window: FileWindow, place: int, end: int) -> Section | Damage:
-    data = window.read(place, end - place)
-    # Some writers leave bytes behind the checksum.
-    last = measure_record(window, place, Opcode.ATTACHMENT, end) - 4 - place
-    checksum = int.from_bytes(data[last : last + 4], "little")
-    if checksum and (found := zlib.crc32(data[RECORD.size : last])) != checksum:
+def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Damage], int]:
+    fault = None
+    last = measure_record(window, place, Opcode.ATTACHMENT, window.size)
+    try:
+        _, end = find_record_end(window, place)
+    except LogError as err:
+        if last > window.size or not window.spend(last - place):
+            raise
+        fault, end = err, last
+    data = window.read(place, last - place)
+    checksum, found = int.from_bytes(data[-4:], "little"), zlib.crc32(data[RECORD.size : -4])
+    is_checked = checksum != 0 and found == checksum
+    if fault is not None and not is_checked:
+        raise fault
+    if checksum and not is_checked:
         reason = f"expected an attachment with checksum {checksum:#010x}, found {found:#010x}"
-        return Damage(start=place, end=end, reason=reason)
-    return Section(data=data, start=place, is_chunk=False, is_checked=checksum != 0)
+        return [Damage(start=place, end=end, reason=reason)], end
+    # Bytes behind the checksum are left out; the length is then that of the rest.
+    data = data[:1] + (last - place - RECORD.size).to_bytes(8, "little") + data[RECORD.size :]
+    section = Section(data=data, start=place, is_chunk=False, is_checked=is_checked)
+    if fault is None:
+        return [section], end
+    # The checksum holds, so it is the length that is wrong, or what follows.
+    return [section, Damage(start=place, end=place, reason=str(fault))], end
 
 
 def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage], int]:
@@ -206,30 +229,51 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage],
     rest = window.read(place + _CHUNK.size, name_size + 8)
     start = place + _CHUNK.size + name_size + 8
     by_record, by_data = place + RECORD.size + length, start + int.from_bytes(rest[-8:], "little")
+    agree = by_data == by_record or (
+        by_data < by_record <= window.size and is_padding(window, by_data, by_record, Opcode.CHUNK)
+    )
     ends = [
         end
         for end in dict.fromkeys((by_data, by_record))
         if start <= end <= min(window.size, start + LARGEST_CHUNK)
-        and (by_data == by_record or is_record_start(window, end, after=Opcode.CHUNK))
     ]
-    if not ends:
-        raise LogError(f"expected a chunk of {length} bytes, found {window.size - start} to come")
-    reason = f"expected a chunk with lengths that agree, found {length} and {by_data - start}"
-    for end in ends:
+    after = [end for end in ends if agree or is_record_start(window, end, after=Opcode.CHUNK)]
+    reason = f"expected a chunk of {length} bytes, found {window.size - start} to come"
+    for end in filter(lambda end: end in after or (checksum and window.spend(end - start)), ends):
         try:
             packed = window.read(start, end - start)
-            data = unpack_chunk(rest[:-8].decode("utf-8", "replace"), packed, size)
-            _check_chunk(data, size, checksum, agree=by_data == by_record)
+            data = _unpack(window.allowance, rest[:-8].decode("utf-8", "replace"), packed, size)
+            _check_chunk(data, size, checksum, agree=agree and end == by_data)
         except LogError as err:
             reason = str(err)
             continue
         section = Section(data=data, start=place, is_chunk=True, is_checked=checksum != 0)
-        if by_data == by_record and len(data) == size:
-            return [section], end
-        # The checksum holds, so it is the header that is wrong.
+        if agree and end == by_data and len(data) == size:
+            return [section], by_record
+        # The checksum holds, so it is the header that is wrong, or what follows.
         reason = f"expected a chunk of {len(data)} bytes, found a header that says otherwise"
+        if len(data) == size:
+            reason = (
+                "expected a chunk with lengths that agree, or a sound record after it, found none"
+            )
         return [section, Damage(start=place, end=start, reason=reason)], end
-    return [Damage(start=place, end=ends[0], reason=reason)], ends[0]
+    if not after:
+        raise LogError(reason)
+    end = by_record if agree else after[0]
+    return [Damage(start=place, end=end, reason=reason)], end
+
+
+def _unpack(allowance: Allowance, compression: str, packed: bytes, size: int) -> bytes:
+    largest = allowance.largest_chunk
+    if compression and size > largest:
+        raise LogError(f"expected a chunk of up to {largest} bytes, found {size}")
+    if compression and not allowance.count_left(UNPACKED):
+        allowance.spend(UNPACKED)
+
+    def spend(count: int) -> None:
+        allowance.spend(UNPACKED, count)
+
+    return unpack_chunk(compression, packed, size, largest=largest, spend=spend)
 
 
 def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:

@@ -1,9 +1,10 @@
 """File -> what a recording of ours consists of: its head, attachments, columns of its topics."""
 
-from collections.abc import Collection, Mapping
+import os
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Final
 
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
@@ -14,6 +15,7 @@ from turtlelog.log.engine.columns import TopicColumns, build_columns
 from turtlelog.log.engine.ending import read_ending
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.layout import lay_out
+from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.rows import Rows, make_empty_rows
 from turtlelog.log.engine.schema import parse_schema
 from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
@@ -24,7 +26,9 @@ from turtlelog.log.recording.recovery_note import describe_recovery
 from turtlelog.log.recording.schemas import SCHEMAS
 from turtlelog.log.recording.topics import TOPICS, Topic
 
-_EVERYTHING = Selection()
+_OWN: Final = Selection(
+    topics=frozenset(topic.name for topic in TOPICS), is_lenient=True, is_flat=True
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,11 +77,15 @@ def _read_source(source: Source) -> Contents:
         found += source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT))
         # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
         _find_head(found)
-    for piece in iterate_pieces(source, _EVERYTHING):
-        found += piece.rest
+    for piece in iterate_pieces(source, _OWN):
+        found += _keep_notes(piece.rest)
         for topic, rows in piece.rows.items():
             parts.setdefault(topic, []).append(rows)
     return build_contents(found, source.catalogue, parts, ())
+
+
+def _keep_notes(records: Iterable[Any]) -> list[Any]:
+    return [found for found in records if isinstance(found, Metadata | Attachment)]
 
 
 def salvage_contents(stream: BinaryIO) -> Contents:
@@ -86,16 +94,17 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     Raises:
         LogError: Where the file is no MCAP, or a topic of ours has another type.
     """
-    catalogue, damages = Catalogue(), list[Damage]()
+    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Damage]()
+    catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
     ending = read_ending(stream)
     catalogue.add((*ending.schemas.values(), *ending.channels.values()), 0)
-    for block in walk_blocks(stream, catalogue, damages=damages):
-        found += block.rest
+    for block in walk_blocks(stream, catalogue, allowance, damages=damages):
+        found += _keep_notes(block.rest)
         known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
         try:
-            piece = read_piece(catalogue, _EVERYTHING, block, known)
+            piece = read_piece(catalogue, _OWN, block, known)
         except LogError as err:
             end = block.byte + len(block.data)
             damages.append(Damage(start=block.byte, end=end, reason=str(err)))
@@ -120,9 +129,9 @@ def build_contents(
         LogError: Where they are no recording of ours, or a topic of ours has another type.
     """
     head, topics = _find_head(records), {}
-    plans = {plan.topic: plan for plan in catalogue.iterate_plans()}
     for topic in TOPICS:
-        _check_type(topic, plans.get(topic.name))
+        if topic.name in catalogue.topics:
+            _check_type(topic, catalogue.find_plan(topic.name))
         rows = parts.get(topic.name) or [make_empty_rows(_plan(topic))]
         topics[topic.name] = build_columns({topic.name: rows}, {topic.name: topic.schema})
     return Contents(
@@ -144,9 +153,7 @@ def _find_head(records: Collection[Any]) -> Head:
     return parse_head(heads[-1].metadata)
 
 
-def _check_type(topic: Topic, found: TopicPlan | None) -> None:
-    if found is None:
-        return
+def _check_type(topic: Topic, found: TopicPlan) -> None:
     if found.type != topic.schema:
         kind = found.type or "no type"
         raise LogError(f"topic {topic.name}: expected {topic.schema}, found {kind}")

@@ -28,6 +28,11 @@ PARAMETER_FILE: Final = "parameters.toml"
 """Attachment that holds what is known of a scenario."""
 
 
+_LONGEST: Final = 2**18
+"""Bytes of the record, and of an attachment that is read; ours take a few thousand. TOML needs some
+hundred bytes of memory for each."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Head:
     """The metadata record.
@@ -108,6 +113,8 @@ def parse_head(record: Mapping[str, str]) -> Head:
     Raises:
         LogError: Where it was written by a newer turtlelog, or an entry is missing or wrong.
     """
+    if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
+        raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
     # Brings older versions up to date, once there is an older one.
     version = _decode(record, "format_version", int)
     if version > FORMAT_VERSION:
@@ -148,8 +155,11 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
         LogError: Where the attachment is no TOML.
     """
     name = SCENARIO_FILE if SCENARIO_FILE in attachments else PARAMETER_FILE
+    text = attachments.get(name, b"")
+    if len(text) > _LONGEST:
+        raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
     try:
-        tables = tomllib.loads(attachments.get(name, b"").decode())
+        tables = tomllib.loads(text.decode())
     except ValueError as err:
         raise LogError(f"attachment {name}: expected TOML, found: {err}") from err
     return tables, name in attachments and name == SCENARIO_FILE

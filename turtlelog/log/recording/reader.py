@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.layout import Column
+from turtlelog.log.engine.survey import survey_file
 from turtlelog.log.recording.contents import Contents, read_contents, salvage_contents
 from turtlelog.log.recording.head import Head, parse_scenario_file
 from turtlelog.log.recording.partial import (
@@ -47,11 +48,24 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
             return _build_whole_run(read_contents(stream))
         except DamageError as err:
             if not allow_partial:
-                raise LogError(f"{err}: {_ADVICE}") from err
-        contents, dropped = reconcile_contents(salvage_contents(stream))
-        run, lost = build_run(contents), describe_damages(contents.damages) + dropped
+                raise LogError(f"{err}: {_advise(stream)}") from err
+            damage = str(err)
+        try:
+            contents, dropped = reconcile_contents(salvage_contents(stream))
+            run, lost = build_run(contents), describe_damages(contents.damages) + dropped
+        except LogError as err:
+            raise LogError(f"{damage}; in what it still holds: {err}") from err
     warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=2)
     return replace(run, notes={**run.notes, "partial": lost})
+
+
+def _advise(stream: BinaryIO) -> str:
+    """Return what to do about a damaged file: nothing recovers one that holds no message."""
+    try:
+        counts = survey_file(stream, allow_partial=True).counts
+    except LogError:
+        return _ADVICE
+    return _ADVICE if any(counts.values()) else "it holds no message that could be recovered"
 
 
 def _build_whole_run(contents: Contents) -> Run:

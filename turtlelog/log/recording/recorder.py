@@ -1,10 +1,10 @@
 """Ticks -> file, while the loop runs: readable up to the last second however it ends."""
 
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from io import UnsupportedOperation
 from os import fstat
 from os.path import samestat
 from pathlib import Path
@@ -17,7 +17,7 @@ from turtlelog.log.live_lock import mark_live
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
 from turtlelog.log.signals import exit_on_terminate, hold_stop
-from turtlelog.scenario import Scenario, format_scenario
+from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick
 
 CHUNK_BYTES: Final = 2**16
@@ -29,6 +29,7 @@ FLUSH_S: Final = 1.0
 INTERRUPTED: Final = "interrupted"
 """Stop reason of a run that somebody ended from outside."""
 
+_INTERRUPTIONS: Final = (KeyboardInterrupt, SystemExit)
 _NO_NOTES: Final[Mapping[str, str]] = MappingProxyType({})
 
 
@@ -45,8 +46,10 @@ class Recorder:
     power failure may take what the system had not written yet. Nothing runs in the background:
     ticks that came before the loop stood still wait for the next one.
 
-    As a context manager it finishes the file on the way out, also on Ctrl-C and SIGTERM. An
-    existing file is refused, and so is one that another recorder is writing.
+    As a context manager it finishes the file on the way out, also on Ctrl-C and where it is asked
+    to end by SIGTERM, SIGHUP or SIGQUIT. An existing file is refused, and so is one that another
+    recorder is writing. Where somebody deletes, moves or replaces the file, the recording ends with
+    the next chunk: nobody would find what is written from then on.
     """
 
     def __init__(
@@ -67,27 +70,28 @@ class Recorder:
 
         Raises:
             LogError: Where the file exists or cannot be written.
+            ScenarioError: Where the law cannot be loaded or may not run.
         """
+        scenario = resolve_scenario(scenario)
         self._path, self._scenario, self._flush_s = Path(path), scenario, flush_s
         self._records = TickRecords(scenario)
         self._ticks: list[Tick] = []
         self._size, self._oldest_s = 0, 0.0
         self._safe_ns: int | None = None
         self._stop_reason: str | None = None
-        self._exits = ExitStack()
-        self._stream = self._create(create)
-        mark_live(self._stream)
-        self._file = McapFile(self._stream)
-        self._is_open = True
-        try:
-            with self._guard():
-                self._file.begin()
-                self._add_head(_NO_NOTES)
-                self._file.add_attachment(SCENARIO_FILE, format_scenario(scenario).encode())
-        except LogError:
-            # Without a head it is no recording, and would only be in the way.
-            self._path.unlink(missing_ok=True)
-            raise
+        self._exits, self._error_before = ExitStack(), sys.exception()
+        with ExitStack() as undoing:
+            with hold_stop():
+                self._stream = self._create(create)
+                undoing.callback(self._discard)
+                self._place = self._path.absolute()  # a loop may change its folder
+                mark_live(self._stream)
+                self._file, self._is_open = McapFile(self._stream), True
+                with self._guard():
+                    self._file.begin()
+                    self._add_head(_NO_NOTES)
+                    self._file.add_attachment(SCENARIO_FILE, format_scenario(scenario).encode())
+            undoing.pop_all()
 
     def __enter__(self) -> Self:
         self._exits.enter_context(exit_on_terminate())
@@ -95,13 +99,11 @@ class Recorder:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        _kind: type[BaseException] | None,
+        _error: BaseException | None,
+        _trace: TracebackType | None,
     ) -> None:
         with self._exits:
-            if isinstance(error, KeyboardInterrupt | SystemExit):
-                self._stop_reason = self._stop_reason or INTERRUPTED
             self.close()
 
     def receive(self, tick: Tick) -> None:
@@ -124,8 +126,47 @@ class Recorder:
         """Hand what is kept to the operating system.
 
         Raises:
-            LogError: As `receive`.
+            LogError: As `receive`, or where the file has lost its name meanwhile.
         """
+        self._write_ticks()
+        loss = self._find_loss() if self._is_open else None
+        if loss is not None:
+            self._give_up(f"the file was {loss}")
+            raise self._describe_loss(loss)
+
+    def close(self, notes: Mapping[str, str] = _NO_NOTES) -> None:
+        """Finish the file; a second call does nothing.
+
+        A recording that is closed on the way out of Ctrl-C or of an exit was `interrupted`.
+
+        Args:
+            notes: As in `Run`.
+
+        Raises:
+            LogError: As `flush`.
+        """
+        with hold_stop():
+            self._write_ticks()
+            if not self._is_open:
+                return
+            error = sys.exception()
+            if error is not self._error_before and isinstance(error, _INTERRUPTIONS):
+                self._stop_reason = self._stop_reason or INTERRUPTED
+            with self._guard():
+                self._add_head(notes)
+                self._file.finish()
+            self._is_open = False
+            loss = self._find_loss()
+            try:
+                self._stream.close()
+            except OSError as err:
+                raise LogError(
+                    f"{self._path}: expected the system to keep the file, found: {err.strerror}"
+                ) from err
+            if loss is not None:
+                raise self._describe_loss(loss)
+
+    def _write_ticks(self) -> None:
         if self._is_open and self._ticks:
             with self._guard():
                 self._file.add_chunk(pack_chunk(self._records.encode(self._ticks)))
@@ -133,42 +174,27 @@ class Recorder:
                 self._stop_reason = self._ticks[-1].stop_reason or self._stop_reason
                 self._ticks, self._size = [], 0
 
-    def close(self, notes: Mapping[str, str] = _NO_NOTES) -> None:
-        """Finish the file; a second call does nothing.
-
-        Args:
-            notes: As in `Run`.
-
-        Raises:
-            LogError: As `receive`.
-        """
-        with hold_stop():
-            self.flush()
-            if not self._is_open:
-                return
-            with self._guard():
-                self._add_head(notes)
-                self._file.finish()
-            self._is_open = False
-            is_in_place = self._is_in_place()
-            try:
-                self._stream.close()
-            except OSError as err:
-                raise LogError(
-                    f"{self._path}: expected the system to keep the file, found: {err.strerror}"
-                ) from err
-            if not is_in_place:
-                # Its name would be another program's file, and this one lost without a word.
-                raise LogError(f"{self._path}: expected it to stay, found it replaced meanwhile")
-
-    def _is_in_place(self) -> bool:
-        """Return whether the file still has its name; a stream that is no file always has."""
+    def _find_loss(self) -> str | None:
+        """Return what has become of the file where its name no longer leads to it."""
         try:
-            return samestat(fstat(self._stream.fileno()), self._path.stat())
-        except UnsupportedOperation:
-            return True
-        except OSError:
-            return False
+            own = fstat(self._stream.fileno())
+            with suppress(FileNotFoundError, NotADirectoryError):
+                if samestat(own, self._place.stat()):
+                    return None
+        except OSError:  # a stream that is no file, or a folder that nobody may read now
+            return None
+        return "moved" if own.st_nlink else "deleted"
+
+    def _describe_loss(self, loss: str) -> LogError:
+        until = f"{(self._safe_ns or 0) / 1e9:.3f} s"
+        rest = f"its {until} are lost" if loss == "deleted" else f"{until} are safe where it is now"
+        return LogError(f"{self._path}: expected a file that stays, found it {loss}: {rest}")
+
+    def _discard(self) -> None:
+        """Take away a file that nobody will finish, and that would only be in the way."""
+        with suppress(OSError):
+            self._stream.close()
+        self._path.unlink(missing_ok=True)
 
     def _create(self, create: Callable[[Path], BinaryIO]) -> BinaryIO:
         try:

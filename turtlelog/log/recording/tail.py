@@ -13,6 +13,7 @@ from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.ends import check_start
+from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.rows import Rows
 from turtlelog.log.engine.selection import Selection, read_piece
 from turtlelog.log.engine.walk import Section, walk_growing
@@ -24,6 +25,7 @@ from turtlelog.log.recording.topics import POSE
 from turtlelog.run import Run
 
 _EVERYTHING = Selection()
+_ANY_SIZE = 2**40  # bytes; nobody knows how large it becomes
 
 
 class RecordingTail:
@@ -41,7 +43,8 @@ class RecordingTail:
         """
         self.is_finished = False
         self._path, self._place = Path(path), len(MCAP0_MAGIC)
-        self._catalogue = Catalogue()
+        self._allowance = Allowance(_ANY_SIZE)
+        self._catalogue = Catalogue(self._allowance)
         self._records: list[Any] = []
         self._parts: dict[str, list[Rows]] = {}
         with ExitStack() as closing, name_file(path, expected="a turtlelog recording"):
@@ -102,7 +105,9 @@ class RecordingTail:
         if not section.is_chunk and section.data[0] == Opcode.DATA_END:
             self.is_finished = True
             return False
-        block = build_walked_block(section.data, section.start)
+        block = build_walked_block(
+            section.data, section.start, self._allowance, is_chunk=section.is_chunk
+        )
         self._catalogue.add(block.rest, block.byte)
         self._records += block.rest
         piece = read_piece(self._catalogue, _EVERYTHING, block, block.offsets)

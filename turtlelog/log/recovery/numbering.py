@@ -1,14 +1,15 @@
 """Which schema and channel an id of a file means, and its id in a file that is written from it."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.limits import Allowance
 
-_IDS: Final = range(1, 2**16)
+_MOST_IDS: Final = 2**16 - 1
 
 Pair = tuple[Schema | None, Channel]
 """A channel, and its schema if it has one."""
@@ -24,13 +25,19 @@ class Numbering:
         first_channels: The same.
     """
 
-    def __init__(self, schemas: Mapping[int, Schema], channels: Mapping[int, Channel]) -> None:
+    def __init__(
+        self,
+        schemas: Mapping[int, Schema],
+        channels: Mapping[int, Channel],
+        allowance: Allowance,
+    ) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Pair] = {}
         self.first_schemas: dict[int, Schema] = {}
         self.first_channels: dict[int, Channel] = {}
-        self._taken_schemas: set[int] = set()
-        self._taken_channels: set[int] = set()
+        self._allowance = allowance
+        self._taken_schemas = _Ids(least=1)
+        self._taken_channels = _Ids(least=0)
         self._known_schemas: dict[object, Schema] = {}
         self._known_channels: dict[object, Pair] = {}
         self._awaited: set[int] = set()
@@ -44,9 +51,10 @@ class Numbering:
         self.first_schemas.setdefault(schema.id, schema)
         key = (schema.id, schema.name, schema.encoding, schema.data)
         if key not in self._known_schemas:
-            number = _choose_id(schema.id, self._taken_schemas)
-            self._taken_schemas.add(number)
-            self._known_schemas[key] = replace(schema, id=number)
+            self._allowance.spend_description(schema)
+            number = self._taken_schemas.choose(schema.id)
+            is_same = number == schema.id
+            self._known_schemas[key] = schema if is_same else replace(schema, id=number)
         self.schemas[schema.id] = self._known_schemas[key]
 
     def add_channel(self, channel: Channel) -> None:
@@ -72,18 +80,29 @@ class Numbering:
         entries = tuple(sorted(channel.metadata.items()))
         key = (channel.id, channel.topic, channel.message_encoding, schema_id, entries)
         if key not in self._known_channels:
-            number = _choose_id(channel.id, self._taken_channels, least=0)
-            self._taken_channels.add(number)
-            numbered = replace(channel, id=number, schema_id=schema_id)
+            self._allowance.spend_description(channel)
+            number = self._taken_channels.choose(channel.id)
+            is_same = (number, schema_id) == (channel.id, channel.schema_id)
+            numbered = channel if is_same else replace(channel, id=number, schema_id=schema_id)
             self._known_channels[key] = schema, numbered
         return self._known_channels[key]
 
 
-def _choose_id(wanted: int, taken: Collection[int], *, least: int = 1) -> int:
-    """Return the id as it is, or the greatest free one: the least may be wanted later."""
-    if wanted >= least and wanted not in taken:
-        return wanted
-    for number in reversed(_IDS):
-        if number not in taken:
-            return number
-    raise LogError(f"expected up to {len(_IDS)} schemas and channels, found more")
+class _Ids:
+    """Ids that are taken."""
+
+    def __init__(self, *, least: int) -> None:
+        self._least, self._greatest = least, _MOST_IDS
+        self._taken: set[int] = set()
+
+    def choose(self, wanted: int) -> int:
+        """Take the id as it is, or the greatest free one: the least may be wanted later."""
+        number = wanted
+        if wanted < self._least or wanted in self._taken:
+            while self._greatest in self._taken:
+                self._greatest -= 1
+            number = self._greatest
+        if number < 1 and number != wanted:
+            raise LogError(f"expected up to {_MOST_IDS} schemas and channels, found more")
+        self._taken.add(number)
+        return number

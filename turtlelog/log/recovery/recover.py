@@ -4,18 +4,21 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import BinaryIO
 
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
 from turtlelog.log.atomic import replace_when_complete
 from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.ending import Ending, read_ending
+from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
+from turtlelog.log.engine.stretches import take_apart
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
 from turtlelog.log.recording.recovery_note import RECOVERY, Loss, format_recovery
 from turtlelog.log.recovery.numbering import Numbering
 from turtlelog.log.recovery.rewriting import Rewriter
-from turtlelog.log.recovery.stretches import take_apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,28 +55,44 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     file. Damaged chunks are left out as a whole, and so are messages whose channel is described
     nowhere. What was lost is noted in a metadata record `turtlelog_recovery`.
 
+    Args:
+        source: The file, or the folder of a bag with one .mcap file: a bag that was never closed
+            has no `metadata.yaml`.
+        target: The file to write.
+
     Raises:
         LogError: Where the source cannot be read, or holds no message that can be recovered;
             where the target is the source, or cannot be written.
     """
-    source, target = Path(source), Path(target)
+    source, target = _find_file(Path(source)), Path(target)
     with name_file(source, expected="an MCAP file"), open_file(source) as stream:
         if target.exists() and source.samefile(target):
             raise LogError(f"expected another file to write to, found the same: {target}")
         ending = read_ending(stream)
     with replace_when_complete(target) as temporary, temporary.open("wb") as output:
-        numbering = Numbering(ending.schemas, ending.channels)
-        copied = _copy_records(source, Rewriter(output, numbering), ending)
+        copied = _copy_records(source, output, ending, ending.schemas, ending.channels)
         if copied.is_described_late:
             # Behind its messages, by a later chunk: now it is known from the start.
             output.seek(0)
             output.truncate()
-            numbering = Numbering(numbering.first_schemas, numbering.first_channels)
-            copied = _copy_records(source, Rewriter(output, numbering), ending)
+            known = copied.rewriter.numbering
+            copied = _copy_records(
+                source, output, ending, known.first_schemas, known.first_channels
+            )
         report = _build_report(str(source), copied, ending)
         note = format_recovery(report.lost, report.missing, report.unchecked)
         copied.rewriter.finish({} if report.complete else {RECOVERY: note})
     return report
+
+
+def _find_file(source: Path) -> Path:
+    """Return the file to read: of a folder the only one in it."""
+    with name_file(source, expected="an MCAP file"):
+        files = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
+        if len(files) != 1:
+            names = ", ".join(file.name for file in files) or "none"
+            raise LogError(f"expected an MCAP file or a folder with one, found {names}")
+    return files[0]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -94,6 +113,15 @@ class _Copied:
     mismatch: Loss | None = None
     summary: Loss | None = None
 
+    def lose(self, loss: Loss) -> None:
+        """Note a loss; what follows on one of the same reason is part of it."""
+        last = self.lost[-1] if self.lost else None
+        is_place = loss.start == loss.end
+        if last and last.reason == loss.reason and (is_place or last.end == loss.start):
+            self.lost[-1] = replace(last, end=loss.end)
+        else:
+            self.lost.append(loss)
+
     @property
     def is_described_late(self) -> bool:
         numbering = self.rewriter.numbering
@@ -101,7 +129,15 @@ class _Copied:
         return numbering.has_late_schemas or not unknown.isdisjoint(numbering.channels)
 
 
-def _copy_records(source: Path, rewriter: Rewriter, ending: Ending) -> _Copied:
+def _copy_records(
+    source: Path,
+    output: BinaryIO,
+    ending: Ending,
+    schemas: Mapping[int, Schema],
+    channels: Mapping[int, Channel],
+) -> _Copied:
+    allowance = Allowance(source.stat().st_size)
+    rewriter = Rewriter(output, Numbering(schemas, channels, allowance), allowance)
     copied, is_at_end = _Copied(rewriter=rewriter), False
     for found in _walk(source):
         if isinstance(found, Damage):
@@ -109,17 +145,28 @@ def _copy_records(source: Path, rewriter: Rewriter, ending: Ending) -> _Copied:
             if is_at_end:  # all that is told there is that the checksum of the data fails
                 copied.mismatch = loss
             else:
-                copied.lost.append(loss)
+                copied.lose(loss)
             continue
         is_checked, place = found.is_checked, found.start
-        for reason in rewriter.take_stretch(take_apart(found.data), place, is_checked=is_checked):
-            copied.lost.append(Loss(start=place, end=place, reason=reason))
+        for reason in _take_section(rewriter, found, allowance):
+            copied.lose(Loss(start=place, end=place, reason=reason))
         if not found.is_chunk and found.data[0] == Opcode.DATA_END:
             is_at_end, copied.is_vouched = True, is_checked
             if not ending.is_sound:
                 start, reason = place + len(found.data), "expected a sound summary, found none"
                 copied.summary = Loss(start=start, end=source.stat().st_size, reason=reason)
     return copied
+
+
+def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) -> list[str]:
+    left = allowance.count_left(RECORDS)
+    stretch = take_apart(section.data, is_chunk=section.is_chunk, most_records=left)
+    allowance.spend(RECORDS, stretch.records)
+    try:
+        allowance.spend(DESCRIPTIONS, len(stretch.others))
+    except LogError as err:
+        return [str(err)]
+    return rewriter.take_stretch(stretch, section.start, is_checked=section.is_checked)
 
 
 def _walk(path: Path) -> Iterator[Section | Damage]:

@@ -1,8 +1,10 @@
 """The messages of one file written to another, whoever described their channels, and where."""
 
 from collections import Counter
-from collections.abc import Mapping
-from typing import BinaryIO, Final
+from collections.abc import Callable, Mapping
+from functools import partial
+from hashlib import blake2b
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -11,14 +13,14 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.container import LIBRARY, ChunkRows, McapFile, pack_chunk
-from turtlelog.log.engine.blocks import MESSAGE_HEAD
-from turtlelog.log.engine.gather import gather_bytes
-from turtlelog.log.engine.rows import LOG_TIME, MESSAGE_HEADER
+from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, NOTES, Allowance
+from turtlelog.log.engine.stretches import Stretch
 from turtlelog.log.recovery.numbering import Numbering
 from turtlelog.log.recovery.single_records import parse_record
-from turtlelog.log.recovery.stretches import Stretch
 
 _CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
+_MOST_FAULTS: Final = 100  # that are told of one stretch
 
 Numbers = NDArray[np.int64]
 
@@ -35,14 +37,16 @@ class Rewriter:
         numbering: What the ids of the source mean.
     """
 
-    def __init__(self, output: BinaryIO, numbering: Numbering) -> None:
+    def __init__(self, output: BinaryIO, numbering: Numbering, allowance: Allowance) -> None:
         self.recovered: Counter[str] = Counter()
         self.unchecked: Counter[str] = Counter()
         self.unknown: Counter[int] = Counter()
         self.first_unknown: dict[int, int] = {}
         self.span_ns: tuple[int, int] | None = None
         self.numbering = numbering
-        self._file, self._is_begun = McapFile(output), False
+        self._file, self._is_begun, self._allowance = McapFile(output), False, allowance
+        # What each id meant last, by kind: some writers say it again in every chunk.
+        self._last: dict[int, dict[bytes, bytes]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
 
     def take_stretch(self, stretch: Stretch, byte: int, *, is_checked: bool) -> list[str]:
         """Write records that stand at a byte of the source; return what is wrong with them.
@@ -51,20 +55,28 @@ class Rewriter:
         """
         faults = [] if stretch.fault is None else [stretch.fault]
         first = 0
-        for place, opcode, body in stretch.others:
+
+        def add_before(place: int) -> None:
+            nonlocal first
+            after = int(np.searchsorted(stretch.starts, place))
+            self._add_messages(stretch, slice(first, after), byte, is_checked)
+            first = after
+
+        for place, opcode, end in stretch.others:
+            body = stretch.data[place + RECORD.size : end]
             try:
-                if opcode == Opcode.CHANNEL:
-                    channel = parse_record(Channel, body)
-                    if self.numbering.is_news(channel):
-                        after = int(np.searchsorted(stretch.starts, place))
-                        self._add_messages(stretch, slice(first, after), byte, is_checked)
-                        first = after
-                    self.numbering.add_channel(channel)
+                if opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
+                    self._take_description(opcode, body, partial(add_before, place))
                 else:
                     self._take_record(opcode, body)
             except LogError as err:
                 faults.append(str(err))
-        self._add_messages(stretch, slice(first, None), byte, is_checked)
+            if len(faults) == _MOST_FAULTS:
+                break
+        try:
+            self._add_messages(stretch, slice(first, None), byte, is_checked)
+        except LogError as err:
+            faults.append(str(err))
         return faults
 
     def finish(self, notes: Mapping[str, Mapping[str, str]]) -> None:
@@ -77,16 +89,32 @@ class Rewriter:
             self._file.add_metadata(name, entries)
         self._file.finish()
 
+    def _take_description(self, opcode: int, body: bytes, flush: Callable[[], None]) -> None:
+        """Take a schema or channel; where its id has another meaning, `flush` what came before."""
+        known, digest = self._last[opcode], blake2b(body, digest_size=16).digest()
+        if known.get(body[:2]) == digest:
+            return
+        if opcode == Opcode.SCHEMA:
+            self.numbering.add_schema(parse_record(Schema, body))
+            self._last[Opcode.CHANNEL].clear()  # they may mean something else now
+        else:
+            channel = parse_record(Channel, body)
+            if self.numbering.is_news(channel):
+                self._allowance.spend(CHANGES)
+                flush()
+            self.numbering.add_channel(channel)
+        known[body[:2]] = digest
+
     def _take_record(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.HEADER:
             self._begin(parse_record(Header, body))
-        elif opcode == Opcode.SCHEMA:
-            self.numbering.add_schema(parse_record(Schema, body))
         elif opcode == Opcode.METADATA:
+            self._allowance.spend(NOTES)
             metadata = parse_record(Metadata, body)
             self._begin()
             self._file.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.ATTACHMENT:
+            self._allowance.spend(NOTES)
             attachment = parse_record(Attachment, body)
             self._begin()
             self._file.add_attachment_record(attachment)
@@ -99,42 +127,55 @@ class Rewriter:
             self._is_begun = True
 
     def _add_messages(self, stretch: Stretch, rows: slice, byte: int, is_checked: bool) -> None:  # noqa: FBT001
-        starts, ends = stretch.starts[rows], stretch.ends[rows]
-        numbers = stretch.channels[rows]
-        present = np.flatnonzero(np.bincount(numbers)).tolist() if len(numbers) else []
-        unknown = [number for number in present if number not in self.numbering.channels]
-        for number in unknown:
-            self.unknown[number] += int((numbers == number).sum())
-            self.first_unknown.setdefault(number, byte)
-        if unknown:
-            is_known = ~np.isin(numbers, unknown)
-            starts, ends, numbers = starts[is_known], ends[is_known], numbers[is_known]
-        if not len(starts):
-            return
-        records = _join(stretch.data, starts, ends)
-        places = np.cumsum(ends - starts) - (ends - starts)
-        chunk = self._build_chunk(records, places, numbers)
-        self._begin()
-        self._file.add_chunk(pack_chunk(chunk))
-        self._count(chunk, is_checked=is_checked)
+        for starts, heads in stretch.iterate_rows(rows):
+            ends = starts + heads["length"].astype(np.int64) + RECORD.size
+            unknown = self._note_unknown(heads["channel"], byte)
+            if unknown:
+                is_known = ~np.isin(heads["channel"], unknown)
+                starts, ends, heads = starts[is_known], ends[is_known], heads[is_known]
+            if not len(starts):
+                continue
+            places = np.cumsum(ends - starts) - (ends - starts)
+            chunk = self._build_chunk(_join(stretch.data, starts, ends), places, heads)
+            self._begin()
+            self._file.add_chunk(pack_chunk(chunk))
+            self._count(chunk, is_checked=is_checked)
 
-    def _build_chunk(self, records: bytearray, places: Numbers, numbers: Numbers) -> ChunkRows:
-        heads = gather_bytes(records, places, MESSAGE_HEAD).view(MESSAGE_HEADER)
-        entries = np.column_stack([heads[LOG_TIME], places.astype(np.uint64)])
-        index, pairs = {}, {}
-        for there in np.flatnonzero(np.bincount(numbers)).tolist():
+    def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> list[int]:
+        """Count messages of channels that nobody describes; return these."""
+        present, counts = np.unique(numbers, return_counts=True)
+        known, unknown = self.numbering.channels, []
+        for number, count in zip(present.tolist(), counts.tolist(), strict=True):
+            if number not in known:
+                unknown.append(number)
+                self.unknown[number] += count
+                self.first_unknown.setdefault(number, byte)
+        return unknown
+
+    def _build_chunk(
+        self, records: bytearray | memoryview, places: Numbers, heads: NDArray[Any]
+    ) -> ChunkRows:
+        numbers, times = heads["channel"], heads["log_time"]
+        order = np.argsort(numbers, kind="stable")
+        present, firsts = np.unique(numbers[order], return_index=True)
+        self._allowance.spend(CHUNK_CHANNELS, len(present))
+        entries = np.column_stack([times, places.astype(np.uint64)])[order]
+        index, pairs, renamed = {}, {}, present.astype(np.int64)
+        for row, (there, of) in enumerate(
+            zip(present.tolist(), np.split(entries, firsts[1:]), strict=True)
+        ):
             schema, channel = self.numbering.channels[there]
-            is_own = numbers == there
-            if channel.id != there:
-                _rename(records, places[is_own], channel.id)
-            index[channel.id] = entries[is_own]
-            pairs[channel.id] = schema, channel
+            index[channel.id], pairs[channel.id] = of, (schema, channel)
+            renamed[row] = channel.id
+        if (renamed != present).any():
+            records = bytearray(records)
+            _rename(records, places, renamed[np.searchsorted(present, numbers)])
         return ChunkRows(
             channels=list(pairs.values()),
             records=records,
             index=index,
-            start_ns=int(entries[:, 0].min()),
-            end_ns=int(entries[:, 0].max()),
+            start_ns=int(times.min()),
+            end_ns=int(times.max()),
         )
 
     def _count(self, chunk: ChunkRows, *, is_checked: bool) -> None:
@@ -147,18 +188,21 @@ class Rewriter:
         self.span_ns = min(start_ns, chunk.start_ns), max(end_ns, chunk.end_ns)
 
 
-def _join(data: bytes, starts: Numbers, ends: Numbers) -> bytearray:
+def _join(data: bytes, starts: Numbers, ends: Numbers) -> bytearray | memoryview:
     """Return records without what stands between them."""
     breaks = np.flatnonzero(starts[1:] != ends[:-1])
     firsts = starts[np.concatenate(([0], breaks + 1))].tolist()
     lasts = ends[np.concatenate((breaks, [len(ends) - 1]))].tolist()
-    view, joined = memoryview(data), bytearray()
+    view = memoryview(data)
+    if len(firsts) == 1:
+        return view[firsts[0] : lasts[0]]
+    joined = bytearray()
     for first, last in zip(firsts, lasts, strict=True):
         joined += view[first:last]
     return joined
 
 
-def _rename(records: bytearray, places: Numbers, number: int) -> None:
+def _rename(records: bytearray, places: Numbers, numbers: Numbers) -> None:
     array = np.frombuffer(records, np.uint8)
-    array[places + _CHANNEL] = number & 0xFF
-    array[places + _CHANNEL + 1] = number >> 8
+    array[places + _CHANNEL] = numbers & 0xFF
+    array[places + _CHANNEL + 1] = numbers >> 8

@@ -18,7 +18,11 @@ def parse_record(kind: type[Described], body: bytes) -> Described:
     Raises:
         LogError: One clause, where they do not.
     """
-    record, _ = parse_body(kind, body)
+    record, size = parse_body(kind, body)
+    if isinstance(record, Channel | Schema):
+        if size != _measure(record):
+            raise LogError(f"expected a sound {kind.__name__} record, found an entry twice")
+        return record
     builder = RecordBuilder()
     record.write(builder)
     # A table that claims to be shorter than it is would lose entries without a word.
@@ -26,3 +30,13 @@ def parse_record(kind: type[Described], body: bytes) -> Described:
     if kind is not Attachment and not body.startswith(written):
         raise LogError(f"expected a sound {kind.__name__} record, found lengths that disagree")
     return record
+
+
+def _measure(record: Channel | Schema) -> int:
+    """Return the bytes that it takes if its entries are all."""
+    if isinstance(record, Schema):
+        texts = [record.name.encode(), record.encoding.encode(), record.data]
+        return 2 + sum(4 + len(found) for found in texts)
+    texts = [record.topic.encode(), record.message_encoding.encode()]
+    texts += [found.encode() for entry in record.metadata.items() for found in entry]
+    return 4 + 4 + sum(4 + len(found) for found in texts)

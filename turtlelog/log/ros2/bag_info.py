@@ -3,7 +3,7 @@
 from collections import Counter
 from pathlib import Path
 
-from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
+from turtlelog.log.info import RecordingInfo, TopicInfo, list_absent, read_info
 from turtlelog.log.ros2.bag_folder import list_bag_files, read_bag_metadata
 
 
@@ -23,6 +23,10 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
     counts: Counter[tuple[str, str]] = Counter()
     for info in infos:
         counts.update({(topic.topic, topic.type): topic.count for topic in info.topics})
+    topics = tuple(
+        TopicInfo(topic=topic, type=kind, count=count)
+        for (topic, kind), count in sorted(counts.items())
+    )
     duration_ns = read_bag_metadata(path).duration_ns
     name = path.resolve().name
     return RecordingInfo(
@@ -32,10 +36,8 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
         name=name,
         complete=all(info.complete for info in infos),
         duration_s=None if duration_ns is None else duration_ns / 1e9,
-        topics=tuple(
-            TopicInfo(topic=topic, type=kind, count=count)
-            for (topic, kind), count in sorted(counts.items())
-        ),
+        topics=topics,
+        absent=list_absent(topics),
         not_understood=tuple(dict.fromkeys(text for info in infos for text in info.not_understood)),
         notes={name: text for info in infos for name, text in info.notes.items()},
     )

@@ -10,8 +10,9 @@ import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
-from turtlelog.log.engine.columns import TopicColumns, read_columns
+from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
+from turtlelog.log.recording.topics import CONTROL, GOAL
 from turtlelog.log.ros2.bag_folder import list_bag_files
 from turtlelog.log.ros2.columns_of_types import (
     Fields,
@@ -27,6 +28,9 @@ from turtlelog.log.ros2.topic_choice import (
     choose_pose_topic,
 )
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+NOT_READ: Final = "not_read"
+"""Note on messages that are there and are not read."""
 
 _NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
@@ -59,6 +63,12 @@ def read_bag(
     path = Path(path)
     files = list_bag_files(path)
     infos = {file: read_info(file) for file in files}
+    for file, info in infos.items():
+        if not info.complete:
+            raise LogError(
+                f"{file}: expected the end of an MCAP file, found none: cut short, or never"
+                f" finished: {info.notes['partial']}"
+            )
     topics = {file: info.topics for file, info in infos.items()}
     distinct = _merge([topic for of_file in topics.values() for topic in of_file])
     with name_file(path, expected="a bag"):
@@ -66,12 +76,23 @@ def read_bag(
         commands = choose_command_topic(distinct, command_topic, pose_topic=poses.topic)
     names = {choice.topic for choice in (poses, commands) if choice}
     found = [
-        read_columns(file, topics=names & {topic.topic for topic in topics[file] if topic.count})
+        read_flat_columns(file, names & {topic.topic for topic in topics[file] if topic.count})
         for file in files
     ]
     with name_file(path, expected="a bag"):
         run = _build_run(path, found, poses, commands)
-    return replace(run, notes={**run.notes, **_join_notes(infos.values())})
+    return replace(run, notes={**run.notes, **_note_rest(distinct), **_join_notes(infos.values())})
+
+
+def _note_rest(topics: Iterable[TopicInfo]) -> dict[str, str]:
+    """Return a note on the topics of a recording of ours, which only one of ours is read with."""
+    own = {topic.name: topic.schema for topic in (CONTROL, GOAL)}
+    rest = [
+        f"{topic.count} of {topic.topic}"
+        for topic in topics
+        if topic.count and own.get(topic.topic) == topic.type
+    ]
+    return {NOT_READ: ", ".join(rest)} if rest else {}
 
 
 def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:

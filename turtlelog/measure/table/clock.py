@@ -15,10 +15,8 @@ from turtlelog.measure.table.kinds import MetricKind
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]
 
-_NO_ROWS: Final = Missing(
-    status=Status.ABSENT, reason="the recording holds neither samples nor commands"
-)
-_NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="the recording holds no samples")
+_NO_ROWS: Final = Missing(status=Status.ABSENT, reason="neither samples nor commands were read")
+_NO_SAMPLES: Final = Missing(status=Status.ABSENT, reason="no samples of a controller were read")
 
 
 def _on_periods(
@@ -61,7 +59,7 @@ def _get_periods(context: RunContext, rows: Rows) -> Values | Missing:
 
 
 def _pick(percent: int) -> Callable[[RunContext], Result]:
-    """Return the metric of one percentile; all of them are found in one pass."""
+    """Return the metric of one percentile; all of them are found in one sorting."""
 
     def compute(context: RunContext) -> Result:
         periods_s = _get_periods(context, "sample")
@@ -69,8 +67,8 @@ def _pick(percent: int) -> Callable[[RunContext], Result]:
             return periods_s
         if not len(periods_s):
             return Missing(status=Status.TOO_SHORT, reason="1 sample")
-        found = context.recall("percentiles", lambda: np.percentile(periods_s, _PERCENTS).tolist())
-        return Found(found[_PERCENTS.index(percent)])
+        ordered_s = context.recall("ordered periods", lambda: np.sort(periods_s))
+        return Found(timing.find_percentile(ordered_s, percent))
 
     return compute
 

@@ -23,7 +23,7 @@ def _compute_heading_error(context: RunContext, at_s: float | None = None) -> Re
     run = context.run
     signal = context.get_signal("heading")
     if signal is None or not len(run.samples):
-        return Missing(status=Status.ABSENT, reason="the recording does not hold the goal bearing")
+        return Missing(status=Status.ABSENT, reason="the goal bearing is not known")
     heading_rad = _read_at(context.pose_time_s, signal.values, at_s)
     error_rad = abs(wrap_angle(float(run.samples.bearing_rad[0]) - heading_rad))
     return _find_cut(context, at_s) or Found(degrees(error_rad), _tell_time(context, at_s))
@@ -49,7 +49,7 @@ def _compute_goal_heading_error(context: RunContext) -> Result:
 def _compute_cross_track(context: RunContext) -> Result:
     signal = context.get_signal("cross_track")
     if signal is None:
-        return Missing(status=Status.ABSENT, reason="the recording does not hold the goal bearing")
+        return Missing(status=Status.ABSENT, reason="the goal bearing is not known")
     return Found(float(signal.values[-1]), _tell_time(context, None))
 
 
@@ -72,7 +72,7 @@ def _find_cut(context: RunContext, at_s: float | None) -> Missing | None:
     return Missing(status=Status.TOO_SHORT, reason=f"the run was cut at {length_s:.2f} s")
 
 
-_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the goal")
+_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
 
 FINAL_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
     {

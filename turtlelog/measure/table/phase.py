@@ -256,12 +256,16 @@ _KINDS: Final = {**_STEP_KINDS, **_ERROR_KINDS, **_COMMAND_KINDS, **_THEORY_KIND
 _TRACK_KINDS: Final[Mapping[str, _PhaseKind]] = {
     "cross_track_max": _PhaseKind(
         units=("m", "m"),
-        compute=lambda context, response: find_largest_cross_track(context, response.rows),
+        compute=lambda context, response: (
+            _CUT if response.was_cut else find_largest_cross_track(context, response.rows)
+        ),
         meaning="Largest distance from the line from start to goal, or from the path given.",
     ),
     "cross_track_rms": _PhaseKind(
         units=("m", "m"),
-        compute=lambda context, response: compute_rms_cross_track(context, response.rows),
+        compute=lambda context, response: (
+            _CUT if response.was_cut else compute_rms_cross_track(context, response.rows)
+        ),
         meaning="Root of the mean square of that distance over time.",
     ),
 }

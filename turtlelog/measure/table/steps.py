@@ -4,7 +4,7 @@ from typing import Final
 
 from turtlelog.measure import step
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.phases import Response
+from turtlelog.measure.phases import Response, Values
 
 SMALLEST_STEP: Final = 1e-6
 """What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
@@ -35,6 +35,10 @@ def compute_rise_time(response: Response) -> Result:
     """See `step.find_rise`; taken at its end."""
     if _has_no_step(response):
         return _NO_STEP
+    if _begins_beyond(response, 0.1):
+        return Missing(
+            status=Status.NOT_REACHED, reason="the response begins beyond 10 % of the step"
+        )
     rise = step.find_rise(
         response.time_s, response.values, initial=response.initial, reference=response.reference
     )
@@ -80,7 +84,7 @@ def compute_undershoot(response: Response) -> Result:
 
 
 def compute_settling_time(response: Response) -> Result:
-    """See `step.find_settling_time`."""
+    """See `step.find_settling_time`; where the law did not end the phase, `require_hold`."""
     if _has_no_step(response):
         return _NO_STEP
     settled_s = step.find_settling_time(
@@ -93,7 +97,37 @@ def compute_settling_time(response: Response) -> Result:
     if settled_s is None:
         reason = f"the phase ends outside the {100.0 * response.band:g} % band"
         return Missing(status=Status.NOT_REACHED, reason=reason)
+    if not response.ended_itself:
+        half_width = response.band * abs(response.reference - response.initial)
+        missing = require_hold(
+            response.time_s,
+            response.values,
+            settled_s,
+            reference=response.reference,
+            half_width=half_width,
+        )
+        if missing is not None:
+            return missing
     return Found(settled_s, response.start_s + settled_s)
+
+
+def require_hold(
+    time_s: Values, values: Values, settled_s: float, *, reference: float, half_width: float
+) -> Missing | None:
+    """Return why a response that entered the band may leave it again, None where it has settled.
+
+    Somebody else ended it: it has settled where it stayed in the band for at least
+    `step.SHORTEST_HOLD_S`, and for a period of the oscillation that remains.
+    """
+    period_s = step.find_swing_period(time_s, values, reference=reference, half_width=half_width)
+    held_s, needed_s = float(time_s[-1]) - settled_s, max(step.SHORTEST_HOLD_S, period_s)
+    if held_s >= needed_s:
+        return None
+    reason = (
+        f"the run was stopped {held_s:.3g} s after the response came into the band: it settles"
+        f" where it stays for {needed_s:.3g} s"
+    )
+    return Missing(status=Status.NOT_REACHED, reason=reason)
 
 
 def compute_crossings(response: Response) -> Result:
@@ -117,6 +151,11 @@ def compute_decay_ratio(response: Response) -> Result:
 
 def _has_no_step(response: Response) -> bool:
     return abs(response.reference - response.initial) <= SMALLEST_STEP
+
+
+def _begins_beyond(response: Response, level: float) -> bool:
+    step_size = response.reference - response.initial
+    return (float(response.values[0]) - response.initial) / step_size > level
 
 
 def _find_peak_row(response: Response) -> int:

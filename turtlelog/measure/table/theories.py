@@ -13,6 +13,7 @@ from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.phases import Response
 from turtlelog.measure.settings import MOST_TICKS
 from turtlelog.run import Phase
+from turtlelog.theory.responses import LARGEST_DEVIATION
 
 THEORIES: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -26,6 +27,10 @@ THEORIES: Final[Mapping[str, str]] = MappingProxyType(
 _MOST_SAMPLES: Final = 20_000_000
 
 _NO_GAIN: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the gain")
+_UNSTABLE: Final = Missing(
+    status=Status.TOO_LARGE,
+    reason=f"theory's loop is unstable: beyond {LARGEST_DEVIATION:g} steps before the phase ends",
+)
 _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share one time")
 
 
@@ -75,7 +80,7 @@ def _predict(theory: str, context: RunContext, response: Response) -> deviation.
     dead_time = _find_dead_time_samples(theory, context, response, period_s)
     if isinstance(dead_time, Missing):
         return dead_time
-    return deviation.compute_sampled_response(
+    predicted = deviation.compute_sampled_response(
         response.time_s,
         kp=kp,
         period_s=period_s,
@@ -83,6 +88,7 @@ def _predict(theory: str, context: RunContext, response: Response) -> deviation.
         initial=response.initial,
         reference=response.reference,
     )
+    return _UNSTABLE if predicted is None else predicted
 
 
 def _find_gain(context: RunContext, phase: Phase) -> float | None:

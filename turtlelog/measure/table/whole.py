@@ -11,7 +11,7 @@ from turtlelog.measure import integrals, path, step
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.deviation import find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.phases import CommandStretch
+from turtlelog.measure.phases import CommandStretch, came_to_rest
 from turtlelog.measure.table.commands import (
     compute_effort,
     compute_largest_jump,
@@ -20,13 +20,12 @@ from turtlelog.measure.table.commands import (
     compute_total_variation,
 )
 from turtlelog.measure.table.kinds import MetricKind
+from turtlelog.measure.table.steps import require_hold
 
 Values = NDArray[np.float64]
 
-NO_LINE: Final = Missing(
-    status=Status.ABSENT, reason="the recording does not hold the line from start to goal"
-)
-_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the goal")
+NO_LINE: Final = Missing(status=Status.ABSENT, reason="the line from start to goal is not known")
+_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
 _NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
 
 
@@ -86,6 +85,11 @@ def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Value
     if arrived_s is None:
         reason = f"the run ends further from the goal than {100.0 * band:g} % of its first distance"
         return Missing(status=Status.NOT_REACHED, reason=reason)
+    if not came_to_rest(context.run):
+        half_width = band * first_m
+        missing = require_hold(time_s, distance_m, arrived_s, reference=0.0, half_width=half_width)
+        if missing is not None:
+            return missing
     return Found(arrived_s, arrived_s)
 
 
@@ -143,7 +147,18 @@ def _list_command_metrics(name: str, column: str, unit: str, square: str) -> dic
     }
 
 
-_ALL: Final = slice(None)
+def _from_first_sample(
+    compute: Callable[[RunContext, slice], Result],
+) -> Callable[[RunContext], Result]:
+    """Compute on the poses from the first sample on: time zero of the run."""
+
+    def compute_from_first_sample(context: RunContext) -> Result:
+        run = context.run
+        first = int(np.searchsorted(run.poses.time_ns, run.start_ns))
+        return compute(context, slice(min(first, len(run.poses) - 1), None))
+
+    return compute_from_first_sample
+
 
 RUN_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
     {
@@ -166,12 +181,12 @@ RUN_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
         ),
         "run.cross_track_max": MetricKind(
             unit="m",
-            compute=lambda context: find_largest_cross_track(context, _ALL),
+            compute=_from_first_sample(find_largest_cross_track),
             meaning="Largest distance from the line from start to goal, or from the path given.",
         ),
         "run.cross_track_rms": MetricKind(
             unit="m",
-            compute=lambda context: compute_rms_cross_track(context, _ALL),
+            compute=_from_first_sample(compute_rms_cross_track),
             meaning="Root of the mean square of that distance over time.",
         ),
         "run.iae": MetricKind(

@@ -4,7 +4,7 @@
 looks, `files` writes them.
 """
 
-from turtlelog.show.figures.catalogue import FIGURES, FigureKind
+from turtlelog.show.figures.catalogue import FIGURES, FigureKind, list_left_out
 from turtlelog.show.figures.files import FIGURE_FORMATS, draw_figure, write_figures, write_tables
 from turtlelog.show.figures.page import Page
 
@@ -14,6 +14,7 @@ __all__ = [
     "FigureKind",
     "Page",
     "draw_figure",
+    "list_left_out",
     "write_figures",
     "write_tables",
 ]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Phase, Run
+from turtlelog.show.commanded import Command, read_commanded
 from turtlelog.show.thinning import MOST_POINTS, choose_rows
 from turtlelog.theory import compute_step_response
 
@@ -54,7 +55,16 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
     )
 
 
-def read_applied(run: Run, command: str) -> Curve | None:
+def read_command(run: Run, command: Command) -> Curve | None:
+    """Return what was commanded, None where the run holds no commands."""
+    found = read_commanded(run, command)
+    if found is None:
+        return None
+    time_ns, values = found
+    return Curve(time_s=(time_ns - run.start_ns) / 1e9, values=values, holds=True)
+
+
+def read_applied(run: Run, command: Command) -> Curve | None:
     """Return what the plant applied of `speed` or `turn_rate`, None where not recorded.
 
     turtlesim publishes the magnitude of the applied speed, whichever way it drives.

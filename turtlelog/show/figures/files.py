@@ -1,5 +1,6 @@
 """Figures as files."""
 
+import io
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +20,10 @@ from turtlelog.compare import (
 from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import ESSENTIAL_METRICS
 from turtlelog.run import Run
-from turtlelog.show.figures.catalogue import FIGURES, FigureKind
+from turtlelog.show.figures.catalogue import FIGURES, FigureKind, has_table1
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import LOOKS, Page
-from turtlelog.show.files import replace_file
+from turtlelog.show.files import replace_together
 from turtlelog.show.tables import format_latex
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
@@ -53,9 +54,9 @@ def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None
     if name in _WIDE:
         page = Page(text_width_mm=page.text_width_mm, columns=2)
     with mpl.rc_context(dict(LOOKS)):
-        size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.height)
+        size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
         figure = Figure(figsize=size, layout="constrained")
-        kind.draw(figure, order_by_gain(runs))
+        kind.draw_on(figure, order_by_gain(runs))
         add_legend(figure)
     return figure
 
@@ -77,12 +78,28 @@ def write_figures(
         only: Names of `FIGURES`; otherwise all that the runs hold the data for.
         formats: Some of `FIGURE_FORMATS`.
         page: Where they will stand.
-        on_written: Called with each file as it is complete.
+        on_written: Called with each file as it is drawn.
 
     Raises:
         ShowError: Where a name or format is unknown, the runs lack what a named figure needs, or
-            the folder cannot be written.
+            the folder cannot be written; nothing is written then.
     """
+    with replace_together(folder) as write:
+        return add_figures(
+            write, runs, only=only, formats=formats, page=page, on_written=on_written
+        )
+
+
+def add_figures(
+    write: Callable[[str, bytes], Path],
+    runs: Sequence[Run],
+    *,
+    only: Collection[str] | None = None,
+    formats: Collection[str] = FIGURE_FORMATS,
+    page: Page | None = None,
+    on_written: Callable[[Path], None] | None = None,
+) -> list[Path]:
+    """Write figures as `write_figures` does, with what `replace_together` yields."""
     unknown = [form for form in formats if form not in FIGURE_FORMATS]
     if unknown or not formats:
         found = repr(unknown[0]) if unknown else "none"
@@ -90,18 +107,17 @@ def write_figures(
     names = [name for name, kind in FIGURES.items() if not kind.find_lack(runs)]
     for name in only or ():
         _find_kind(name, runs)
-    folder = _make_folder(folder)
     written = []
     for name in names if only is None else dict.fromkeys(only):
         figure = draw_figure(name, runs, page=page)
         _settle_layout(figure)
         for form in dict.fromkeys(formats):
-            path = folder / f"{name}.{form}"
-            with replace_file(path) as part, mpl.rc_context(dict(LOOKS)):
-                figure.savefig(part, format=form, dpi=_DPI, metadata=_NO_DATE[form])
-            written.append(path)
+            data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
+            with mpl.rc_context(dict(LOOKS)):
+                figure.savefig(data, format=form, dpi=_DPI, metadata=_NO_DATE[form])
+            written.append(write(f"{name}.{form}", data.getvalue()))
             if on_written:
-                on_written(path)
+                on_written(written[-1])
     return written
 
 
@@ -122,23 +138,20 @@ def _find_kind(name: str, runs: Sequence[Run]) -> FigureKind:
     return FIGURES[name]
 
 
-def _make_folder(folder: str | Path) -> Path:
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as err:
-        raise ShowError(
-            f"{folder}: expected a folder to write to, found: {err.strerror or err}"
-        ) from err
-    return folder
-
-
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
     """Write Table 1, the whole runs and the first metrics as LaTeX with booktabs; return the files.
 
+    Table 1 is left out where no run has a value for it.
+
     Raises:
-        ShowError: Where the folder cannot be written.
+        ShowError: Where the folder cannot be written; nothing is written then.
     """
+    with replace_together(folder) as write:
+        return add_tables(write, runs)
+
+
+def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list[Path]:
+    """Write tables as `write_tables` does, with what `replace_together` yields."""
     runs = order_by_gain(runs)
     if len(runs) <= _MOST_COLUMNS:
         metrics = tabulate_metrics(runs, only=ESSENTIAL_METRICS)
@@ -151,11 +164,9 @@ def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
         "whole-runs": tabulate_whole_runs(runs),
         "metrics": metrics,
     }
-    folder = _make_folder(folder)
-    written = []
-    for name, table in tables.items():
-        path = folder / f"{name}.tex"
-        with replace_file(path) as part:
-            part.write_text(format_latex(table, label=f"tab:{name}"), "utf-8")
-        written.append(path)
-    return written
+    if not has_table1(runs):
+        del tables["table1"]
+    return [
+        write(f"{name}.tex", format_latex(table, label=f"tab:{name}").encode())
+        for name, table in tables.items()
+    ]

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-import numpy as np
-from matplotlib import colormaps
-
 from turtlelog.errors import ShowError
+from turtlelog.show.run_colors import FEW, choose_run_colors
 
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
@@ -45,9 +43,6 @@ LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     }
 )
 """Settings of matplotlib under which every figure is drawn and written."""
-
-_INKS: Final = ("#0072B2", "#E69F00", "#000000", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
-"""The palette of Okabe and Ito; the first four are the furthest apart in grey."""
 
 _DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
 """Patterns of lines: what tells runs apart where colours are gone."""
@@ -93,16 +88,16 @@ class Page:
 
 
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
-    """Return colour and dashes for each of several runs.
+    """Return colour and dashes for each of several runs; the colours are those on screen.
 
-    More runs than the palette has inks shade from dark to light, which stays an order in grey, and
-    the first lie on top: the fast swings of a large gain would cover all others.
+    Of more runs than have a hue of their own, the first lie on top: the fast swings of a large gain
+    would cover all others.
     """
-    dashes = [_DASHES[index % len(_DASHES)] for index in range(count)]
-    if count <= len(_INKS):
-        return [{"color": _INKS[i], "linestyle": dashes[i]} for i in range(count)]
-    shades = colormaps["viridis"](np.linspace(0.0, 0.9, count))
-    return [
-        {"color": shades[i], "linestyle": dashes[i], "zorder": 2.9 - 0.9 * i / count}
-        for i in range(count)
+    colors = [tuple(part / 255.0 for part in color) for color in choose_run_colors(count)]
+    lines = [
+        {"color": color, "linestyle": _DASHES[index % len(_DASHES)]}
+        for index, color in enumerate(colors)
     ]
+    if count <= len(FEW):
+        return lines
+    return [{**line, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]

@@ -1,29 +1,48 @@
 """Figures of the plane: where the robot drove."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Rectangle
+from numpy.typing import NDArray
 
 from turtlelog.run import Run
+from turtlelog.show.close_up import (
+    CloseUp,
+    Label,
+    Lettering,
+    find_close_up,
+    find_tolerance,
+    list_miss_labels,
+    list_ring_labels,
+)
 from turtlelog.show.figures.curves import draw_thinned
 from turtlelog.show.figures.legend import label_runs
 from turtlelog.show.figures.page import REFERENCE, choose_lines
 
-_ARRIVED_M = 1.0
+Values = NDArray[np.float64]
+
+_WORDS_POINTS: Final = 6.5
+_RING: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
+)
 
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the paths from start to goal, and beside them how each ends, close up."""
-    whole, close = figure.subplots(1, 2)
-    _draw_paths(whole, runs)
+    """Draw the paths from start to goal, and beside them, where runs arrive, how each ends."""
+    close_up = find_close_up(runs)
+    grid = figure.subplots(1, 1 if close_up is None else 2, squeeze=False)[0]
+    _draw_paths(grid[0], runs)
     points = np.concatenate([run.poses.xy_m for run in runs] + [_list_goals(runs)])
-    _show_square(whole, points.min(axis=0), points.max(axis=0), 0.08)
-    whole.set(title="whole paths")
-    _draw_paths(close, runs)
-    _close_up(close, runs)
+    _show_square(grid[0], points.min(axis=0), points.max(axis=0), 0.08)
+    grid[0].set(title="whole paths")
+    if close_up is not None:
+        _draw_paths(grid[1], runs)
+        _close_up(grid[1], runs, close_up, _measure_letters(figure))
 
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
@@ -39,43 +58,50 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
-def _close_up(axes: Axes, runs: Sequence[Run]) -> None:
-    """Show what lies around the one goal; without one, or where none came near, the ends."""
-    goals, ends = _list_goals(runs), np.array([run.poses.xy_m[-1] for run in runs])
-    center = goals[0] if len(goals) == 1 else ends.mean(axis=0)
-    reach_m = np.hypot(*(ends - center).T)
-    near_m = reach_m[reach_m < _ARRIVED_M]
-    half_m = max(1.5 * float(near_m.max(initial=0.0)), 0.004)
-    _show_square(axes, center - half_m, center + half_m, 0.0)
+def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Lettering) -> None:
+    """Show what lies around the goal: rings, and how far from it each run ends."""
+    goal = np.array(close_up.goal_xy_m)
+    _show_square(axes, goal - close_up.half_m, goal + close_up.half_m)
     for run in runs:
-        tolerance_m = run.parameters.get("law.position_tolerance_m")
-        if run.goal_xy_m is not None and isinstance(tolerance_m, int | float):
+        if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None:
             corner = (run.goal_xy_m[0] - tolerance_m, run.goal_xy_m[1] - tolerance_m)
+            side_m = 2 * tolerance_m
             axes.add_patch(
-                Rectangle(
-                    corner,
-                    2 * tolerance_m,
-                    2 * tolerance_m,
-                    fill=False,
-                    label="tolerance",
-                    **REFERENCE,
-                )
+                Rectangle(corner, side_m, side_m, fill=False, label="tolerance", **REFERENCE)
             )
-    axes.set(title="how each run ends", ylabel="")
+    for ring_m in close_up.rings_m:
+        axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
+    misses = list_miss_labels(close_up, lettering)
+    lines = choose_lines(len(runs))
+    for label in misses:
+        color = lines[label.runs[0]]["color"] if len(label.runs) == 1 else "0.2"
+        _write(axes, label, color)
+    for label in list_ring_labels(close_up, runs[0].poses.xy_m[0], misses, lettering):
+        _write(axes, label, "0.45")
+    axes.set(title=f"how each run ends{close_up.count_outside()}", ylabel="")
     axes.locator_params(nbins=5)
 
 
-def _list_goals(runs: Sequence[Run]) -> "np.ndarray[tuple[int, int], np.dtype[np.float64]]":
+def _write(axes: Axes, label: Label, color: Any) -> None:
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+    words = axes.text(*label.xy_m, label.text, color=color, fontsize=_WORDS_POINTS)
+    words.set(ha="center", va="center", bbox=box)
+
+
+def _measure_letters(figure: Figure) -> Lettering:
+    """Return the room that words take: a close-up is about two fifths of the figure wide."""
+    half_points, size = 0.2 * figure.get_figwidth() * 72.0, _WORDS_POINTS
+    return Lettering(
+        letter=0.62 * size / half_points, line=1.5 * size / half_points, gap=8.0 / half_points
+    )
+
+
+def _list_goals(runs: Sequence[Run]) -> Values:
     goals = sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
     return np.array(goals).reshape(-1, 2)
 
 
-def _show_square(
-    axes: Axes,
-    low: "np.ndarray[tuple[int], np.dtype[np.float64]]",
-    high: "np.ndarray[tuple[int], np.dtype[np.float64]]",
-    margin: float,
-) -> None:
+def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> None:
     center, half = (low + high) / 2.0, max(float((high - low).max()) * (0.5 + margin), 1e-3)
     axes.set_xlim(center[0] - half, center[0] + half)
     axes.set_ylim(center[1] - half, center[1] + half)

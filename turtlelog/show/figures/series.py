@@ -1,8 +1,7 @@
 """Figures over time: what the robot did, what it missed, and what it was told."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -12,12 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.run import Run
+from turtlelog.show.commanded import Command
 from turtlelog.show.figures.curves import (
     compute_ideal,
     draw_curve,
     draw_level,
     find_target,
     read_applied,
+    read_command,
     read_curve,
 )
 from turtlelog.show.figures.legend import label_runs
@@ -31,6 +32,10 @@ _LIMIT = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "limit"}
 _TOLERANCE = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "tolerance"}
 
 
+Draw = Callable[[Axes, Sequence[Run]], None]
+"""Draws one panel of some runs."""
+
+
 def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
     """Draw one signal of every run, with its goal and the ideal response where there are."""
     found = {find_target(run, signal) for run in runs}
@@ -42,7 +47,7 @@ def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> 
             draw_curve(axes, ideal, **{**looks, **IDEAL})
         if (curve := read_curve(run, signal)) is not None:
             draw_curve(axes, curve, **looks)
-    _finish(axes, label)
+    _finish(axes, runs, label)
 
 
 def draw_error_magnitude(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
@@ -65,23 +70,23 @@ def draw_error_magnitude(axes: Axes, runs: Sequence[Run], *, signal: str, label:
         draw_curve(axes, replace(curve, values=sizes), **looks)
     if extremes:
         axes.set_ylim(0.6 * min(extremes), 1.8 * max(extremes))
-    _finish(axes, label)
+    _finish(axes, runs, label)
 
 
-def draw_command(axes: Axes, runs: Sequence[Run], *, command: str, label: str) -> None:
+def draw_command(axes: Axes, runs: Sequence[Run], *, command: Command, label: str) -> None:
     """Draw a command: of one run wanted, commanded and applied, of several what was commanded."""
     _draw_limits(axes, runs, command)
     if len(runs) == 1:
         _draw_stages(axes, runs[0], command)
     else:
         for run, looks in _style_runs(runs):
-            if (curve := read_curve(run, command)) is not None:
+            if (curve := read_command(run, command)) is not None:
                 draw_curve(axes, curve, **looks)
-    _finish(axes, f"{label} [{_UNITS[command]}]")
+    _finish(axes, runs, f"{label} [{_UNITS[command]}]")
     _keep_to_limits(axes, runs, command)
 
 
-def draw_wanted(axes: Axes, runs: Sequence[Run], *, command: str, label: str) -> None:
+def draw_wanted(axes: Axes, runs: Sequence[Run], *, command: Command, label: str) -> None:
     """Draw commands before clipping, on a symmetric logarithmic scale that is linear to 1."""
     axes.set_yscale("symlog", linthresh=1.0)
     ticks = SymmetricalLogLocator(base=10.0, linthresh=1.0, subs=(1.0, 2.0, 5.0))
@@ -91,10 +96,10 @@ def draw_wanted(axes: Axes, runs: Sequence[Run], *, command: str, label: str) ->
     for run, looks in _style_runs(runs):
         if (curve := read_curve(run, f"wanted_{command}")) is not None:
             draw_curve(axes, curve, **looks)
-    _finish(axes, f"{label} [{_UNITS[command]}]")
+    _finish(axes, runs, f"{label} [{_UNITS[command]}]")
 
 
-def draw_stack(figure: Figure, runs: Sequence[Run], *, panels: Sequence[Any]) -> None:
+def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
     """Draw panels over each other on one time axis."""
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
     for axes, panel in zip(grid[:, 0], panels, strict=True):
@@ -103,21 +108,18 @@ def draw_stack(figure: Figure, runs: Sequence[Run], *, panels: Sequence[Any]) ->
         axes.set_xlabel("")
 
 
-def draw_panel(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the six views of a run on half a page: both loops, what they missed, their commands."""
-    grid = figure.subplots(3, 2, sharex=True)
-    panels = (
-        partial(draw_signal, signal="heading", label="heading [deg]"),
-        partial(draw_signal, signal="along_track", label="along-track [m]"),
-        partial(draw_error_magnitude, signal="heading_error", label="|heading error| [deg]"),
-        partial(draw_signal, signal="cross_track", label="cross-track [m]"),
-        partial(draw_command, command="turn_rate", label="turn rate"),
-        partial(draw_command, command="speed", label="speed"),
-    )
-    for axes, panel in zip(grid.flat, panels, strict=True):
-        panel(axes, runs)
-    for axes in grid[:-1].flat:
-        axes.set_xlabel("")
+def draw_columns(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
+    """Draw panels in two columns on one time axis, from left to right."""
+    grid = figure.subplots(-(-len(panels) // 2), min(len(panels), 2), sharex=True, squeeze=False)
+    for number, axes in enumerate(grid.flat):
+        if number >= len(panels):
+            axes.remove()
+            continue
+        panels[number](axes, runs)
+        if number + 2 < len(panels):
+            axes.set_xlabel("")
+        else:
+            axes.tick_params(labelbottom=True)
 
 
 def _style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
@@ -131,7 +133,7 @@ def _draw_tolerances(axes: Axes, runs: Sequence[Run], signal: str) -> None:
     draw_level(axes, list(levels), **_TOLERANCE)
 
 
-def _draw_limits(axes: Axes, runs: Sequence[Run], command: str) -> None:
+def _draw_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     draw_level(axes, [0.0], color="0.8", linewidth=0.5)
     levels = [
         sign * limit for limit in _find_parameters(runs, _LIMITS[command]) for sign in (1.0, -1.0)
@@ -145,13 +147,13 @@ def _find_parameters(runs: Sequence[Run], key: str) -> list[float]:
     return sorted(float(value) for value in found if isinstance(value, int | float) and value < 1e9)
 
 
-def _draw_stages(axes: Axes, run: Run, command: str) -> None:
+def _draw_stages(axes: Axes, run: Run, command: Command) -> None:
     lines = choose_lines(3)
     # The plant tells its speed without a sign.
     applied = "|applied|" if command == "speed" else "applied"
     stages = (
         ("wanted", read_curve(run, f"wanted_{command}"), {**lines[1], "linewidth": 0.9}),
-        ("commanded", read_curve(run, command), {**lines[0], "linewidth": 1.7}),
+        ("commanded", read_command(run, command), {**lines[0], "linewidth": 1.7}),
         (applied, read_applied(run, command), {**lines[2], "linewidth": 0.8}),
     )
     for name, curve, looks in stages:
@@ -159,17 +161,19 @@ def _draw_stages(axes: Axes, run: Run, command: str) -> None:
             draw_curve(axes, curve, **looks, label=name)
 
 
-def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: str) -> None:
+def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     """End the axis a little beyond the limits: what was wanted may lie far outside."""
     limits = _find_parameters(runs, _LIMITS[command])
     if not limits:
         return
-    curves = [read_curve(run, command) for run in runs]
+    curves = [read_command(run, command) for run in runs]
     low = min((float(curve.values.min()) for curve in curves if curve), default=0.0)
-    axes.set_ylim(min(1.3 * low, -0.2 * limits[-1]), 1.3 * limits[-1])
+    high = max((float(curve.values.max()) for curve in curves if curve), default=0.0)
+    axes.set_ylim(min(1.3 * low, -0.2 * limits[-1]), 1.3 * max(high, limits[-1]))
 
 
-def _finish(axes: Axes, label: str) -> None:
-    axes.set(xlabel="time from the first sample [s]", ylabel=label)
+def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
+    firsts = dict.fromkeys("sample" if len(run.samples) else "pose" for run in runs)
+    axes.set(xlabel=f"time from the first {' or '.join(firsts)} [s]", ylabel=label)
     axes.margins(x=0.01)
     axes.locator_params(axis="x", nbins=6)

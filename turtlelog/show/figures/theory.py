@@ -59,10 +59,13 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of the runs in rising order, the paper's where none is recorded."""
+    """Return the gains of the runs in rising order; without runs the paper's."""
+    if not runs:
+        return PAPER_GAINS
     keys = ("law.kp_angular", "law.kp_linear")
     found = {run.parameters.get(key) for run in runs for key in keys}
-    gains = sorted(
-        float(gain) for gain in found if isinstance(gain, int | float) and 0.0 < gain < np.inf
+    return tuple(
+        sorted(
+            float(gain) for gain in found if isinstance(gain, int | float) and 0.0 < gain < np.inf
+        )
     )
-    return tuple(gains) or PAPER_GAINS

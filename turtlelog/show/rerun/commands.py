@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
+from turtlelog.show.commanded import read_commanded
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.series import Series
+from turtlelog.show.run_colors import Color
 
 _COMMANDED_WIDTH: Final = 3.0
 _THIN_WIDTH: Final = 1.25
@@ -22,8 +24,9 @@ def list_commands(run: Run, plot: str) -> Iterator[Series]:
     wanted = read_signal(run, f"wanted_{plot}")
     if wanted is not None:
         yield _build(plot, entities.WANTED, wanted.time_ns, wanted.values, palette.WANTED)
-    time_ns, commanded = _read_commanded(run, plot)
-    yield _build(plot, entities.COMMANDED, time_ns, commanded, palette.MAIN)
+    commanded = read_commanded(run, "speed" if plot == entities.SPEED else "turn_rate")
+    if commanded is not None:
+        yield _build(plot, entities.COMMANDED, *commanded, palette.MAIN)
     if applied is not None:
         yield _build(plot, entities.APPLIED, poses.time_ns, applied, palette.SECOND)
 
@@ -35,17 +38,12 @@ def find_limits(runs: Sequence[Run], key: str) -> set[float]:
     return {sign * size for size in sizes if np.isfinite(size) for sign in (-1.0, 1.0)}
 
 
-def _read_commanded(run: Run, plot: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    table = run.samples if len(run.samples) else run.commands
-    return table.time_ns, table.speed_m_s if plot == entities.SPEED else table.turn_rate_rad_s
-
-
 def _build(
     plot: str,
     kind: str,
     time_ns: NDArray[np.int64],
     values: NDArray[np.float64],
-    color: palette.Color,
+    color: Color,
 ) -> Series:
     return Series(
         entity=f"{plot}/{kind}",

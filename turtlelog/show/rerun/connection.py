@@ -18,6 +18,8 @@ _START_S: Final = 30.0
 _ANSWER_S: Final = 5.0
 _SCHEMES: Final = frozenset({"rerun", "rerun+http", "rerun+https"})
 _PAUSE_S: Final = 0.1
+_PROOF_PIXELS: Final = 16
+"""Longest side of the picture that shows that a viewer draws: the smallest costs the least."""
 
 
 def find_free_port() -> int:
@@ -54,10 +56,13 @@ def require_viewer(url: str) -> None:
 
 
 def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
-    """Return a client as soon as the viewer shows something.
+    """Return a client as soon as the viewer has drawn something.
+
+    An answer alone proves nothing: without a graphics driver the viewer listens first, and dies
+    when it begins to draw.
 
     Raises:
-        ConnectionError: Where it ended, or never answered.
+        ConnectionError: Where it ended, or never drew anything.
     """
     from rerun.experimental import ViewerClient
 
@@ -65,10 +70,11 @@ def wait_for_viewer(viewer: ViewerProcess, port: int) -> "ViewerClient":
     while True:
         try:
             client = ViewerClient.connect(build_url(port))
-            client.get_state()
+            client.take_screenshot(max_size=_PROOF_PIXELS)
         except Exception as err:
             if not viewer.has_ended and time.monotonic() < deadline:
                 time.sleep(_PAUSE_S)
                 continue
-            raise ConnectionError(viewer.read_error()) from err
+            found = viewer.read_error() if viewer.has_ended else f"no picture in {_START_S:g} s"
+            raise ConnectionError(found) from err
         return client

@@ -7,11 +7,12 @@ import numpy as np
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Phase, Run
+from turtlelog.show.close_up import CloseUp, find_close_up
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.corners import Corners
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.series import Reference, Series
-from turtlelog.show.rerun.surroundings import Bounds, find_goal_bounds, find_plane_bounds
+from turtlelog.show.rerun.surroundings import Bounds, find_plane_bounds
 
 _HEADROOM = 1.25
 _ROOM = 0.08
@@ -56,7 +57,7 @@ class Content:
     has_events: bool
     documents: tuple[str, ...]
     plane: Bounds
-    goal: Bounds | None
+    goal: CloseUp | None
     ranges: Mapping[str, tuple[float, float]]
     corners: Corners = field(default_factory=dict)
 
@@ -94,7 +95,7 @@ def describe_content(
         has_events=any(run.events for run in runs),
         documents=tuple(documents),
         plane=find_plane_bounds(runs),
-        goal=find_goal_bounds(runs),
+        goal=find_close_up(runs),
         ranges={
             **_find_ranges(series, references),
             **_find_command_ranges(series, references),

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Final
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.show.rerun import entities, views
@@ -44,11 +45,25 @@ _COMPARED_MOVING: Final = (
 )
 """Cells from top to bottom; several plots in one cell are tabs."""
 
+_SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
+"""Where the viewer keeps the range of all linked time axes: in a view that is never shown."""
+
 _LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
 _COLUMN_SHARES: Final = (1.0, 1.8)
 _PHASE_HEAD_SHARE: Final = 0.09
 _PHASE_ROW_SHARE: Final = 0.055
 _LARGEST_PHASE_SHARE: Final = 0.4
+
+
+class LinkedBlueprint(rrb.Blueprint):
+    """A layout whose time axes are linked and show all there is, on every timeline.
+
+    Of a range of its own the viewer would show one minute, which goes with the cursor.
+    """
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        super()._log_to_stream(stream)
+        stream.log(_SHARED_TIME_AXIS, rrb.TimeAxis(view_range=views.WHOLE_TIME))
 
 
 def build_run_layout(content: Content) -> rrb.Blueprint:
@@ -83,7 +98,7 @@ def _build_blueprint(
     stacks = [cells for column in columns if (cells := _list_cells(content, column, legends))]
     if stacks:
         parts.append(_add_phases(content, rrb.Horizontal(*(rrb.Vertical(*s) for s in stacks))))
-    return rrb.Blueprint(
+    return LinkedBlueprint(
         rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)]),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),

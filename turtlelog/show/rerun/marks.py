@@ -13,6 +13,7 @@ from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.run_stream import RunStream
 from turtlelog.show.rerun.series import Series
+from turtlelog.show.run_colors import Color
 
 Shape = Literal["Circle", "Diamond", "Right", "Up"]
 
@@ -150,7 +151,7 @@ def draw_lines(
     run_stream: RunStream,
     entity: str,
     label: str,
-    color: palette.Color,
+    color: Color,
     times_ns: Sequence[int],
     *,
     largest: float,

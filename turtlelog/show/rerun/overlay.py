@@ -11,13 +11,14 @@ from turtlelog.show.rerun import drawing, plane
 from turtlelog.show.rerun.clock import Clock, build_compared_clock, read_span
 from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
+from turtlelog.show.rerun.goal import draw_close_up
 from turtlelog.show.rerun.legend import draw_legend
-from turtlelog.show.rerun.palette import Color, choose_run_colors
 from turtlelog.show.rerun.properties import send_comparison_properties
 from turtlelog.show.rerun.run_stream import RunStream
 from turtlelog.show.rerun.series import Reference, Series
 from turtlelog.show.rerun.signals import list_compared_series, list_references
 from turtlelog.show.rerun.surroundings import draw_surroundings
+from turtlelog.show.run_colors import Color, choose_run_colors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,4 +99,13 @@ def draw_overlay(
         for curves in overlay.series[number]:
             drawing.draw_series(run_stream, curves)
         streams.append(run_stream)
+    if content.goal is not None:
+        draw_close_up(
+            stream,
+            content.goal,
+            overlay.runs[0],
+            overlay.prefixes,
+            overlay.colors,
+            is_small=content.shares_title is not None,
+        )
     return streams

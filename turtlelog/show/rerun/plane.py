@@ -13,6 +13,7 @@ from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.run_stream import RunStream, Values, choose_trace_rows
 from turtlelog.show.rerun.surroundings import UPWARD
+from turtlelog.show.run_colors import Color, choose_run_colors
 
 _SPEED_LEVELS: Final = 16
 _TRACE_RADIUS: Final = 1.0  # [points], as are the others
@@ -36,11 +37,11 @@ class SpeedTrace:
     """
 
     strips: list[Values]
-    colors: list[palette.Color]
+    colors: list[Color]
     highest_m_s: float
 
 
-def draw_trace(run_stream: RunStream, run: Run, color: palette.Color) -> None:
+def draw_trace(run_stream: RunStream, run: Run, color: Color) -> None:
     """Draw the whole path in one colour."""
     run_stream.log(entities.PLANE, UPWARD)
     strip = run.poses.xy_m[choose_trace_rows(run)]
@@ -68,7 +69,7 @@ def build_speed_trace(run: Run) -> SpeedTrace | None:
     if not 0.0 < highest < np.inf:
         return None
     levels = np.rint(speed_m_s / highest * (_SPEED_LEVELS - 1)).astype(np.int64)
-    ramp = palette.choose_run_colors(_SPEED_LEVELS)
+    ramp = choose_run_colors(_SPEED_LEVELS)
     stretches = list(_split_where_changed(levels))
     return SpeedTrace(
         strips=[xy_m[first : last + 1] for first, last in stretches],
@@ -82,7 +83,7 @@ def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
     _log_strips(run_stream, entities.SPEED_PATH, trace.strips, trace.colors, _SPEED_RADIUS)
 
 
-def draw_turtle(run_stream: RunStream, run: Run, color: palette.Color, half_size_m: float) -> None:
+def draw_turtle(run_stream: RunStream, run: Run, color: Color, half_size_m: float) -> None:
     """Draw the turtle where it is at the cursor, with an arrow along its heading.
 
     Both begin with the first pose: a turtle without one would stand at the origin.
@@ -154,14 +155,14 @@ def _log_strips(
     run_stream: RunStream,
     entity: str,
     strips: list[Values],
-    colors: list[palette.Color],
+    colors: list[Color],
     radius: float,
 ) -> None:
     radii = rr.Radius.ui_points(radius)
     run_stream.log(entity, rr.LineStrips2D(strips, radii=radii, colors=palette.pack_colors(colors)))
 
 
-def _log_arrow_style(run_stream: RunStream, entity: str, color: palette.Color) -> None:
+def _log_arrow_style(run_stream: RunStream, entity: str, color: Color) -> None:
     style = rr.Arrows2D.from_fields(
         colors=[color], radii=rr.Radius.ui_points(_THIN_RADIUS), draw_order=_ABOVE_TRACES
     )

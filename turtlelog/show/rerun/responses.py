@@ -11,6 +11,7 @@ from turtlelog.measure import Metric, read_signal
 from turtlelog.run import Phase, PhaseSpan, Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.series import Series
+from turtlelog.show.run_colors import Color
 from turtlelog.theory import compute_sampled_step_response, compute_step_response
 
 _WIDTH: Final = 1.0
@@ -129,7 +130,7 @@ def _build(
     plot: str,
     kind: str,
     label: str,
-    color: palette.Color,
+    color: Color,
     response: tuple[_Step, NDArray[np.floating], NDArray[np.float64]],
 ) -> Series:
     step, time_s, values = response

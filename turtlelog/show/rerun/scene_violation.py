@@ -9,16 +9,16 @@ from rerun.blueprint.components import AbsoluteTimeRange
 
 from turtlelog.run import Event, Run
 from turtlelog.show.documents import describe_run
-from turtlelog.show.rerun import palette
 from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.recording import open_recording
 from turtlelog.show.rerun.run_stream import add_thinning
 from turtlelog.show.rerun.single import build_single, draw_single
+from turtlelog.show.run_colors import Color
 
 _RADIUS = 6.0
-_COLOR: palette.Color = (214, 39, 40)
+_COLOR: Color = (214, 39, 40)
 
 
 def write_violation_rrd(

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.show.rerun import palette
+from turtlelog.show.run_colors import Color
 
 LINE_WIDTH: Final = 1.5
 
@@ -29,7 +30,7 @@ class Series:
 
     entity: str
     labels: tuple[str, ...]
-    colors: tuple[palette.Color, ...] = (palette.MAIN,)
+    colors: tuple[Color, ...] = (palette.MAIN,)
     time_ns: NDArray[np.int64]
     values: NDArray[np.float64]
     width: float = LINE_WIDTH

@@ -9,6 +9,7 @@ from turtlelog.compare import Column, Table
 from turtlelog.measure import Metric
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.run_colors import Color
 from turtlelog.show.tables import format_markdown
 
 _BAR_WIDTH: Final = 0.8
@@ -16,7 +17,7 @@ _LEGEND_SHARE: Final = 0.35
 
 
 def draw_shares(
-    stream: rr.RecordingStream, shares: Mapping[str, float], colors: Mapping[str, palette.Color]
+    stream: rr.RecordingStream, shares: Mapping[str, float], colors: Mapping[str, Color]
 ) -> None:
     """Draw a bar per mechanism, in the colour of the run without it where there is one."""
     for number, (mechanism, share) in enumerate(shares.items(), start=1):

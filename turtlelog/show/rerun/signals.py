@@ -12,6 +12,7 @@ from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.commands import find_limits, list_commands
 from turtlelog.show.rerun.series import LINE_WIDTH, Reference, Series
+from turtlelog.show.run_colors import Color
 
 _POSE_SIGNALS: Final = (
     (entities.HEADING, "heading", "heading"),
@@ -40,7 +41,7 @@ def list_series(run: Run) -> tuple[Series, ...]:
     return tuple(curves for curves in series if len(curves.time_ns) > 1)
 
 
-def list_compared_series(run: Run, name: str, color: palette.Color) -> tuple[Series, ...]:
+def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...]:
     """Return the curves that a comparison shows, in the run's name and colour.
 
     The position is among them only where no track is known.

@@ -13,6 +13,7 @@ from turtlelog.show.rerun.clock import build_run_clock, read_span
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
 from turtlelog.show.rerun.corners import choose_corners
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.goal import draw_close_up
 from turtlelog.show.rerun.layout import RUN_LEGENDS
 from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks
 from turtlelog.show.rerun.properties import send_run_properties
@@ -81,6 +82,8 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
         plane.draw_speed_trace(run_stream, single.by_speed)
     plane.draw_turtle(run_stream, run, palette.MAIN, content.plane.half_size_m)
     plane.draw_arrows(run_stream, run)
+    if content.goal is not None:
+        draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
     drawing.draw_phases(run_stream, run)
     if run.events:
         _draw_events(run_stream, run, find_largest(content))

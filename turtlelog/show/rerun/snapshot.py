@@ -208,14 +208,25 @@ def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
 
 def _take_picture(client: ViewerClient) -> bytes:
     """Return the first picture that equals the one before it: views settle over some frames."""
-    before = client.take_screenshot()
+    before = _shoot(client)
     for _ in range(_PICTURES):
         time.sleep(_PAUSE_S)
-        picture = client.take_screenshot()
+        picture = _shoot(client)
         if picture == before:
             break
         before = picture
     return before
+
+
+def _shoot(client: ViewerClient) -> bytes:
+    """Return a picture; Rerun gives up after 15 s, which many runs on a busy machine take."""
+    deadline = time.monotonic() + _LOAD_S
+    while True:
+        try:
+            return client.take_screenshot()
+        except (RuntimeError, OSError) as err:
+            if "Deadline expired" not in str(err) or time.monotonic() > deadline:
+                raise
 
 
 def _outlast_notices(client: ViewerClient) -> None:

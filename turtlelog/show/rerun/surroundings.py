@@ -9,8 +9,10 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
+from turtlelog.show.close_up import find_tolerance
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.run_colors import Color
 from turtlelog.turtlesim import WORLD_SIZE_M
 
 _WORLD_MARGIN = 0.03
@@ -18,7 +20,6 @@ _MARGIN = 0.12
 _GOAL_ASIDE = 0.22
 _START_ASIDE = 0.32  # beside the turtle's arrow
 _NAME_UP = 0.11  # The viewer writes a name below its point.
-_ARRIVED_M = 1.0
 _MARKER_RADIUS = 3.5  # [points]
 
 UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
@@ -47,21 +48,6 @@ def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
     return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
 
 
-def find_goal_bounds(runs: Sequence[Run]) -> Bounds | None:
-    """Return a close-up of the goal that holds every arrival; None without one goal for all."""
-    goals = _find_goals(runs)
-    if len(goals) != 1:
-        return None
-    ends = np.array([run.poses.xy_m[-1] for run in runs])
-    misses_m = np.hypot(*(ends - goals[0]).T)
-    arrived_m = misses_m[misses_m < _ARRIVED_M]
-    if not len(arrived_m):
-        return None
-    tolerance_m = max((_find_tolerance(run) or 0.0) for run in runs)
-    half_m = max(1.6 * float(arrived_m.max()), 4.0 * tolerance_m, 1e-3)
-    return Bounds(center_xy_m=goals[0], half_size_m=half_m)
-
-
 def draw_surroundings(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
     """Draw the border, and each start and goal once."""
     stream.log(join_path(entities.PLANE), UPWARD, static=True)
@@ -87,7 +73,7 @@ def _draw_marks(
     stream: rr.RecordingStream,
     entity: str,
     points: Sequence[tuple[float, float]],
-    color: palette.Color,
+    color: Color,
 ) -> None:
     radius = rr.Radius.ui_points(_MARKER_RADIUS)
     stream.log(join_path(entity), rr.Points2D(points, radii=radius, colors=[color]), static=True)
@@ -122,7 +108,7 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
         {
             (run.goal_xy_m, tolerance_m)
             for run in runs
-            if run.goal_xy_m is not None and (tolerance_m := _find_tolerance(run)) is not None
+            if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None
         }
     )
     if squares:
@@ -133,11 +119,6 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
             radii=rr.Radius.ui_points(0.75),
         )
         stream.log(join_path(entities.TOLERANCE), boxes, static=True)
-
-
-def _find_tolerance(run: Run) -> float | None:
-    tolerance_m = run.parameters.get("law.position_tolerance_m")
-    return float(tolerance_m) if isinstance(tolerance_m, int | float) else None
 
 
 def _find_starts(runs: Sequence[Run]) -> list[tuple[float, float]]:

@@ -4,13 +4,15 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
+import rerun as rr
 import rerun.blueprint as rrb
 
+from turtlelog.show.close_up import CloseUp
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.drawing import name_document
 from turtlelog.show.rerun.entities import TIMELINE, join_path
-from turtlelog.show.rerun.legend import arrange_names
+from turtlelog.show.rerun.legend import arrange_names, choose_names
 from turtlelog.show.rerun.surroundings import Bounds
 
 _TITLES: Final[Mapping[str, str]] = MappingProxyType(
@@ -31,6 +33,11 @@ _TITLES: Final[Mapping[str, str]] = MappingProxyType(
 )
 
 
+WHOLE_TIME: Final = rr.TimeRange(
+    start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+)
+"""From the first time to the last, on every timeline."""
+
 _PAIRS: Final = frozenset({entities.POSITION, entities.POSITION_ERROR, entities.WORLD_VELOCITY})
 
 
@@ -42,7 +49,7 @@ def view_plane(content: Content) -> rrb.View:
     """Show where the turtles drive."""
     return rrb.Spatial2DView(
         origin="/",
-        contents=[*_list_planes(content), f"- {join_path(entities.SPEED_PATH)}/**"],
+        contents=[*_list_planes(content), *_hide([entities.SPEED_PATH], content)],
         name="Plane",
         background=palette.GROUND,
         visual_bounds=_turn_bounds(content.plane),
@@ -51,25 +58,26 @@ def view_plane(content: Content) -> rrb.View:
 
 def view_speed(content: Content, highest_m_s: float) -> rrb.View:
     """Show where they drive fast."""
-    hidden = [entities.PATH, entities.ERROR, entities.NAMES]
+    hidden = _hide([entities.PATH, entities.ERROR, entities.NAMES], content)
     return rrb.Spatial2DView(
         origin="/",
-        contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
+        contents=[*_list_planes(content), *hidden],
         name=f"By speed, 0 to {highest_m_s:.3g} m/s",
         background=palette.GROUND,
         visual_bounds=_turn_bounds(content.plane),
     )
 
 
-def view_goal(content: Content, bounds: Bounds) -> rrb.View:
-    """Show how close they come; arrows and names would cover it."""
+def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
+    """Show how close they end; arrows and names would cover it."""
     arrows = (entities.ARROW, entities.COMMAND, entities.ERROR)
     hidden = [entities.NAMES, entities.SPEED_PATH]
     hidden += [join_path(prefix, arrow) for prefix in content.prefixes for arrow in arrows]
+    bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
     return rrb.Spatial2DView(
         origin="/",
         contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
-        name=f"At the goal, ±{_format_length(bounds.half_size_m)}",
+        name=f"At the goal, {close_up.describe()}",
         background=palette.GROUND,
         visual_bounds=_turn_bounds(bounds),
     )
@@ -117,11 +125,12 @@ def view_shares(title: str) -> rrb.View:
 
 def view_legend(names: Sequence[str]) -> rrb.View:
     """Show the names of many runs in their colours."""
-    grid = arrange_names(names)
+    shown = [names[number] for number in choose_names(len(names))]
+    grid = arrange_names(shown)
     return rrb.Spatial2DView(
         origin="/",
         contents=[join_path(entities.LEGEND)],
-        name="Runs",
+        name="Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs",
         background=palette.GROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=grid.x_range, y_range=grid.y_range),
     )
@@ -148,8 +157,10 @@ def _list_planes(content: Content) -> list[str]:
     return [f"{join_path(prefix, entities.PLANE)}/**" for prefix in prefixes]
 
 
-def _format_length(length_m: float) -> str:
-    return f"{length_m * 1e3:.3g} mm" if length_m < 1.0 else f"{length_m:.2f} m"
+def _hide(paths: Sequence[str], content: Content) -> list[str]:
+    """Leave out what a view of the whole plane does not show: some paths, and the close-up."""
+    ends = [join_path(prefix, entities.END) for prefix in content.prefixes]
+    return [f"- {join_path(path)}/**" for path in (*paths, entities.CLOSE_UP, *ends)]
 
 
 def _turn_bounds(bounds: Bounds) -> rrb.VisualBounds2D:

@@ -1,0 +1,78 @@
+import dataclasses
+import re
+import tomllib
+
+import pytest
+from hypothesis import given, strategies as st
+
+import turtlelog as tl
+from tests.check.recordings import simulate
+from turtlelog.check.first_spec import choose_bound, format_first_spec
+from turtlelog.measure import METRICS
+
+
+@given(st.floats(min_value=1e-4, max_value=1e6), st.booleans())
+def test_a_bound_leaves_ten_to_twenty_percent(value: float, up: bool) -> None:  # noqa: FBT001
+    bound, words = choose_bound(value, "m", up=up)
+    share = (bound - value) / value if up else (value - bound) / value
+    assert 0.1 - 1e-9 <= share <= 0.2 + 1e-9
+    assert words == f"{round(share * 100)} %"
+    assert float(f"{bound:.3g}") == bound
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "words"),
+    [
+        (0.0538, 0.06, "12 %"),
+        (0.5, 0.55, "10 %"),
+        (0.9166, 1.01, "10 %"),  # 1.1 leaves more than a fifth
+        (0.9167, 1.1, "20 %"),
+        (2.0, 2.2, "10 %"),
+    ],
+)
+def test_a_bound_has_two_digits_where_they_leave_no_more_than_a_fifth(
+    value: float, bound: float, words: str
+) -> None:
+    assert choose_bound(value, "m", up=True) == (bound, words)
+
+
+@pytest.mark.parametrize(
+    ("unit", "grain"), [("s", 0.016), ("m", 1e-6), ("deg", 1e-4), ("%", 1e-3), ("1", 1e-6)]
+)
+def test_a_value_at_zero_leaves_what_its_unit_may_differ_by(unit: str, grain: float) -> None:
+    words = f"{grain:g}" if unit == "1" else f"{grain:g} {unit}"
+    assert choose_bound(0.0, unit, up=True) == (grain, words)
+    assert choose_bound(0.0, unit, up=False) == (-grain, words)
+    below, above = (choose_bound(10 * grain * share, unit, up=True) for share in (0.99, 1.01))
+    assert (below[1], above[1].endswith(" %")) == (words, True)
+    assert below[0] >= 10.9 * grain * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("name", ["paper-kp1", "paper-kp4", "paper-kp10", "textbook"])
+def test_a_run_passes_what_was_read_off_it_and_a_fifth_more_does_not(name: str) -> None:
+    run = simulate(name)
+    tables = tomllib.loads(format_first_spec(run, reference="good.mcap"))
+    metrics = tl.measure_run(run)
+    results = list(tl.check_runs(tl.parse_spec({"checks": tables["checks"]}), [("a", run)]))
+    assert {result.verdict for result in results} == {"PASS"}
+    for result in results:
+        assert result.value is not None
+        assert result.margin is not None
+        floor = METRICS[result.check].floor if result.check in METRICS else None
+        base = abs(result.value if floor is None else max(result.value, floor))
+        limit = result.limit or 0.0
+        if re.match(r"observed, and \d\d % to spare", tables["checks"][result.check]["reason"]):
+            assert base * 1.2 * (1 + 1e-9) >= limit >= base * 1.1 * (1 - 1e-9)
+        else:
+            assert limit - base < 0.017
+    assert metrics["run.duration"].value == next(
+        result.value for result in results if result.check == "run.duration"
+    )
+
+
+def test_of_a_run_that_was_cut_nothing_is_read_off_that_it_does_not_pass() -> None:
+    for run in (simulate(max_duration_s=3.0), dataclasses.replace(simulate(), stop_reason=None)):
+        text = format_first_spec(run, reference="good.mcap")
+        assert "# always(abs(cross_track) <= ...): not read off" in text
+        spec = tl.parse_spec({"checks": tomllib.loads(text)["checks"]})
+        assert {result.verdict for result in tl.check_runs(spec, [("a", run)])} == {"PASS"}

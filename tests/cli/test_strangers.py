@@ -1,0 +1,127 @@
+"""What is said of files that turtlelog did not write: what they hold, and what they lack."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from tests.cli.conftest import Call
+from tests.log.ros2.bags import make_command, make_poses, write_mcap, write_metadata
+from tests.log.test_importers import make_log, write_csv, write_json
+
+NEVER = ["samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"]
+
+
+@pytest.fixture
+def plain(kp10: Path, tmp_path: Path) -> Path:
+    """A recording's messages in a file without turtlelog's metadata record."""
+    path = tmp_path / "plain.mcap"
+    with kp10.open("rb") as source, path.open("wb") as target:
+        writer, numbers = Writer(target), {}
+        writer.start(profile="ros2")
+        for schema, channel, message in make_reader(source).iter_messages():
+            assert schema is not None
+            if channel.topic not in numbers:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                numbers[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(
+                numbers[channel.topic], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def test_info_lists_what_a_strangers_file_lacks(call: Call, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", [*make_poses(), make_command()])
+    bag = write_metadata(tmp_path, ["a.mcap"])
+    alone, folder = call("info", tmp_path / "a.mcap", bag, "--json").json
+    assert alone["absent"] == folder["absent"] == NEVER
+    assert f"absent    {', '.join(NEVER)}" in call("info", bag).out
+
+
+def test_what_a_file_holds_is_not_called_absent(call: Call, plain: Path) -> None:
+    (answer,) = call("info", plain, "--json").json
+    assert answer["absent"] == ["parameters", "stop_reason"]
+    counts = {topic["topic"]: topic["count"] for topic in answer["topics"]}
+    assert (counts["/turtle1/control"], counts["/turtle1/goal"]) == (770, 1)
+
+
+def test_samples_that_are_there_and_not_read_are_not_called_missing(
+    call: Call, plain: Path
+) -> None:
+    answer = call("replay", plain, "--law")
+    assert (answer.code, answer.out) == (2, "")
+    assert (
+        "expected the samples of a controller (topic /turtle1/control) in a recording of"
+        " turtlelog's, found 770 of /turtle1/control, 1 of /turtle1/goal in a file without its"
+        " metadata record: these are not read"
+    ) in answer.err
+    (measured,) = call("metrics", plain, "--only", "rotate.overshoot,final.*", "--json").json
+    reasons = {metric["reason"] for metric in measured["metrics"]}
+    assert "no samples of a controller were read" in reasons
+    assert not [reason for reason in reasons if reason and "the recording" in reason]
+
+
+def test_samples_that_are_not_there_are_called_missing(call: Call, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", [*make_poses(), make_command()])
+    answer = call("replay", tmp_path / "a.mcap", "--law")
+    assert "(topic /turtle1/control), found none: what the law read" in answer.err
+
+
+@pytest.mark.parametrize("write", [write_json, write_csv])
+def test_info_describes_a_log_of_the_papers(call: Call, tmp_path: Path, write: object) -> None:
+    path = write(make_log(), tmp_path)  # type: ignore[operator]
+    (answer,) = call("info", path, "--json").json
+    (measured,) = call("metrics", path, "--only", "run.duration", "--json").json
+    assert answer["file"] == str(path)
+    assert answer["name"] == measured["name"]
+    assert (answer["format_version"], answer["complete"], answer["topics"]) == (None, True, [])
+    assert (answer["duration_s"], answer["stop_reason"]) == (0.75, "finished")
+    assert "samples.wanted_speed_m_s" in answer["absent"]
+    text = call("info", path).out
+    assert "4 poses, 4 commands, 4 samples" in text
+    assert "topics" not in text
+
+
+def test_info_says_what_is_wrong_with_a_log(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("{}")
+    answer = call("info", tmp_path / "a.json", tmp_path / "none.csv")
+    assert (answer.code, answer.err.count("\n")) == (2, 2)
+    assert f"{tmp_path / 'a.json'}: " in answer.err
+    assert f"{tmp_path / 'none.csv'}: expected a recording, a bag or a log" in answer.err
+
+
+@pytest.mark.parametrize("size", [60, 400, 3000, 20000, 60000, 90000])
+def test_recover_is_advised_where_it_recovers(
+    call: Call, kp10: Path, tmp_path: Path, size: int
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = kp10.read_bytes()
+    assert size < len(data)
+    cut.write_bytes(data[:size])
+    is_advised = "turtlelog recover FILE -o OUT makes it so" in call("info", cut).out
+    refused = call("metrics", cut)
+    assert refused.code == 2
+    assert ("turtlelog recover FILE -o OUT rewrites" in refused.err) == is_advised
+    answer = call("recover", cut, "-o", tmp_path / "whole.mcap")
+    assert is_advised == (answer.code == 0)
+    if not is_advised:
+        assert "no, and it holds no message that could be recovered" in call("info", cut).out
+
+
+def test_recover_takes_a_bag_that_was_never_closed(call: Call, kp4: Path, tmp_path: Path) -> None:
+    bag, whole = tmp_path / "bag", tmp_path / "whole.mcap"
+    bag.mkdir()
+    (bag / "bag_0.mcap").write_bytes(kp4.read_bytes()[:-3000])
+    answer = call("recover", bag, "-o", whole)
+    assert (answer.code, answer.err) == (0, "")
+    assert f"from {bag / 'bag_0.mcap'}" in answer.out
+    again = call("recover", bag, "-o", bag / "bag_0.mcap")
+    assert (again.code, again.err.count("\n")) == (2, 1)
+    shutil.copy(kp4, bag / "bag_1.mcap")
+    refused = call("recover", bag, "-o", whole)
+    assert "expected an MCAP file or a folder with one, found bag_0.mcap, bag_1.mcap" in refused.err
+    (tmp_path / "empty").mkdir()
+    assert "with one, found none" in call("recover", tmp_path / "empty", "-o", whole).err

@@ -1,0 +1,203 @@
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.log.runs import find_shared
+from turtlelog.explain import (
+    Attribution,
+    Grain,
+    Share,
+    StartRange,
+    Together,
+    ValueSet,
+    attribute_run,
+    attribute_scenario,
+    write_sentences,
+)
+from turtlelog.log import import_log
+from turtlelog.scenario import get_preset, override_scenario
+
+
+def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attribution:
+    """Return an attribution of an error of 1 m, of which nothing else is known."""
+    added = queue + pause
+    found = Attribution(
+        metric="final.position_error",
+        unit="m",
+        as_logged=1.0,
+        as_built=1.0,
+        without_all=1.0 - added,
+        players=("queue", "pause"),
+        shares=(
+            Share(mechanism="queue", share=queue, alone=1.0 - queue),
+            Share(mechanism="pause", share=pause, alone=1.0 - pause),
+        ),
+        others=(),
+        grain=Grain(size=0.01, reason="heading tolerance"),
+    )
+    return replace(found, **changes)
+
+
+def take_out(name: str, alone: float | None, ending: str = "") -> dict[str, Any]:
+    return {"others": (Share(mechanism=name, share=None, alone=alone, ending=ending),)}
+
+
+def test_the_gain_of_ten_in_words() -> None:
+    assert write_sentences(attribute_scenario(get_preset("paper-kp10"))) == (
+        "final.position_error is 0.1067 m.",
+        "Queue adds 0.05108 m and pause adds 0.05057 m (0.05761 m of this arises only when queue"
+        " and pause both act); without queue and pause it would be 0.005077 m, no more than heading"
+        " tolerance times distance plus position tolerance (0.006693 m).",
+        "It hangs on single samples: over 17 starts that span one sample's turn (0.458 deg either"
+        " way) it is between 0.03943 m and 0.4734 m, and queue's part of what queue and pause add"
+        " is between 0.16 and 0.62.",
+        "Re-simulated without saturation alone (no limit of speed and turn rate) it would be"
+        " 0.8506 m.",
+        "Re-simulated without tolerance alone (tolerances of 1e-06) it would be 0.0009877 m.",
+    )
+
+
+@pytest.mark.parametrize("name", ["paper-kp1", "paper-kp2", "paper-kp4"])
+def test_at_lower_gains_queue_and_pause_are_next_to_nothing(name: str) -> None:
+    cause = write_sentences(attribute_scenario(get_preset(name)))[1]
+    assert cause.startswith("Queue, pause and wrap together change it by ")
+    assert "next to nothing, no more than heading tolerance times distance plus" in cause
+
+
+def test_six_ticks_of_delay_are_named_by_their_time() -> None:
+    scenario = override_scenario(get_preset("textbook"), {"loop.transport_delay_ticks": 6})
+    cause = write_sentences(attribute_scenario(scenario, metric="rotate.settling_time"))[1]
+    assert cause == "Delay takes away 0.215 s; without delay it would be 4.338 s."
+
+
+def test_log_and_re_simulation_stand_side_by_side() -> None:
+    run = import_log(find_shared("paper", "kp4_210.json"))
+    assert write_sentences(attribute_run(run, metric="rotate.overshoot")) == (
+        "rotate.overshoot is 0.03936 % in the log, and 0.06673 % re-simulated.",
+        "No shares: they differ by more than a tenth of what the effects add together.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "first"),
+    [
+        ({}, "is 1 m, in the log and re-simulated."),
+        ({"as_logged": 1.2}, "is 1.2 m in the log, and 1 m re-simulated."),
+        (
+            {"as_logged": 1.0 + 1.1e-6},
+            "is 1 m, in the log and re-simulated; they differ by 1.1e-06 m.",
+        ),
+        ({"as_logged": 1.0 + 0.9e-6}, "is 1 m, in the log and re-simulated."),
+        (
+            {"as_logged": None, "reason": "no goal"},
+            "is 1 m re-simulated, and none in the log: no goal.",
+        ),
+        (
+            {"as_built": None, "reason": "no phase"},
+            "is 1 m in the log; re-simulated it has no value.",
+        ),
+        ({"as_logged": None, "as_built": None, "reason": "no goal"}, "has no value: no goal."),
+    ],
+)
+def test_the_value_is_the_logs_and_the_re_simulations(changes: Any, first: str) -> None:
+    assert write_sentences(describe(**changes))[0] == f"final.position_error {first}"
+
+
+@pytest.mark.parametrize(
+    ("queue", "cause"),
+    [
+        (0.0099, "Queue and pause together change it by 0.0099 m: next to nothing, no more than"),
+        (0.0101, "Queue adds 0.0101 m; without queue it would be 0.9899 m."),
+        (-0.0101, "Queue takes away 0.0101 m; without queue it would be 1.01 m."),
+    ],
+)
+def test_an_effect_is_named_beyond_the_grain(queue: float, cause: str) -> None:
+    assert write_sentences(describe(queue=queue))[1].startswith(cause)
+
+
+@pytest.mark.parametrize(("pause", "is_named"), [(0.0110, False), (0.0112, True)])
+def test_an_effect_is_named_beyond_a_tenth_of_all_shares(pause: float, *, is_named: bool) -> None:
+    cause = write_sentences(describe(queue=0.1, pause=pause))[1]
+    assert ("pause adds" in cause) == is_named
+    assert "without queue and pause it would be" in cause
+
+
+def test_shares_that_cancel_are_named_all_the_same() -> None:
+    cause = write_sentences(describe(queue=0.3, pause=-0.299))[1]
+    assert cause == (
+        "Queue adds 0.3 m and pause takes away 0.299 m, next to nothing together;"
+        " without queue and pause it would be 0.999 m."
+    )
+
+
+def test_what_is_not_there_is_not_said_to_act() -> None:
+    assert write_sentences(describe())[1] == "Without queue or pause it is the same."
+    assert write_sentences(describe(players=(), shares=()))[1] == (
+        "None of the effects is in this run: queue, pause, delay and wrap."
+    )
+
+
+@pytest.mark.parametrize(("size", "is_told"), [(0.009, False), (0.011, True)])
+def test_what_arises_only_together_is_told_from_a_tenth_on(size: float, *, is_told: bool) -> None:
+    case = Together(mechanisms=("queue", "pause"), value=size)
+    cause = write_sentences(describe(queue=0.1, together=(case,)))[1]
+    assert (f"({size} m of this arises only when queue and pause both act)" in cause) == is_told
+
+
+def test_what_makes_less_together_is_told_too() -> None:
+    case = Together(mechanisms=("queue", "pause"), value=-0.011)
+    cause = write_sentences(describe(queue=0.1, together=(case,)))[1]
+    assert "(queue and pause together make 0.011 m less than the sum of their parts)" in cause
+
+
+@pytest.mark.parametrize(
+    ("alone", "is_named"), [(1.0999, False), (1.1001, True), (0.9001, False), (0.8999, True)]
+)
+def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_named: bool) -> None:
+    sentences = write_sentences(describe(queue=0.5, **take_out("float32", alone)))
+    named = f"Re-simulated without float32 alone (poses of 64 bits) it would be {alone:.4g} m."
+    assert (named in sentences) == is_named
+
+
+@pytest.mark.parametrize(("alone", "is_named"), [(1.199, False), (1.201, True)])
+def test_a_property_is_named_beyond_the_grain(alone: float, *, is_named: bool) -> None:
+    grain = Grain(size=0.2, reason="heading tolerance")
+    sentences = write_sentences(describe(grain=grain, **take_out("float32", alone)))
+    assert any("without float32" in text for text in sentences) == is_named
+
+
+def test_a_property_without_which_something_never_ends_has_no_value() -> None:
+    ending = "the rotation no longer ends within 60 s"
+    sentences = write_sentences(describe(**take_out("tolerance", 5.7, ending)))
+    assert sentences[-1] == (
+        "Re-simulated without tolerance alone (tolerances of 1e-06) the rotation no longer ends"
+        " within 60 s."
+    )
+    sentences = write_sentences(describe(**take_out("tolerance", None, "no phase")))
+    assert sentences[-1].endswith("(tolerances of 1e-06) it has no value: no phase.")
+
+
+def test_what_has_no_value_is_explained_by_the_sets_that_decide() -> None:
+    case = ValueSet(mechanisms=("queue", "pause"), reason="no phase")
+    found = describe(without_value=(case,), shares=(), as_built=None, as_logged=None, reason="no")
+    assert write_sentences(found)[1:] == (
+        "With queue and pause it has no value: no phase. So there are no shares.",
+    )
+    never = ValueSet(mechanisms=(), reason="no phase")
+    ever = ValueSet(mechanisms=("queue",))
+    found = describe(without_value=(never,), with_value=(ever,), without_all=None, shares=())
+    assert write_sentences(found)[1] == (
+        "Without queue and pause it has no value: no phase; with queue alone it has one."
+        " So there are no shares."
+    )
+
+
+def test_starts_without_a_value_are_counted() -> None:
+    starts = StartRange(
+        count=17, within_rad=0.008, low=0.9, high=1.1, without_value=3, is_wide=False
+    )
+    assert write_sentences(describe(queue=0.5, starts=starts))[2] == (
+        "Over 17 starts that span one sample's turn (0.458 deg either way) it is between 0.9 m and"
+        " 1.1 m; 3 of them have no value."
+    )

@@ -1,0 +1,149 @@
+"""Small files that ask for much: bounded memory and time, one line where something is refused."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.torture.bombs import (
+    BOMBS,
+    MIB,
+    chunk,
+    cut,
+    describe,
+    message,
+    pose_messages,
+    whole,
+)
+from tests.torture.kills import ROOT
+from turtlelog.errors import LogError
+from turtlelog.log import read_columns, read_info, recover_recording
+
+IS_FULL = os.environ.get("TORTURE") == "full"
+MOST_BYTES = 10**7
+MOST_MEMORY_MB = 256
+MOST_CPU_S = 10.0
+
+QUICK = (
+    "zstd 900 MB",
+    "lz4 60 MB x 30",
+    "tiny messages 64 MB",
+    "schema 1e7 fields",
+    "channels",
+    "channels by turns",
+    "metadata",
+    "scenario",
+)
+
+# Prints exit code, peak memory [MB] and time on the processor [s]; what comes goes to stderr.
+CHILD = """
+import pathlib, re, resource, sys
+from turtlelog.cli.app import main
+sys.stdout = sys.stderr
+try:
+    main(sys.argv[1:])
+except SystemExit as end:
+    status = pathlib.Path("/proc/self/status").read_text()
+    peak = int(re.search(r"VmHWM:\\s+(\\d+)", status)[1]) / 1024
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    print(end.code, peak, used.ru_utime + used.ru_stime, file=sys.__stdout__)
+"""
+
+
+def run(*words: str) -> tuple[int, float, float, str]:
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, *words],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    code, memory_mb, cpu_s = done.stdout.split()
+    return int(code), float(memory_mb), float(cpu_s), done.stderr
+
+
+@pytest.mark.torture
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the peak memory from /proc")
+@pytest.mark.parametrize("name", BOMBS if IS_FULL else QUICK)
+def test_a_small_file_takes_little_whatever_it_claims(name: str, tmp_path: Path) -> None:
+    path, output = tmp_path / "bomb.mcap", tmp_path / "out.mcap"
+    path.write_bytes(BOMBS[name]())
+    assert path.stat().st_size < MOST_BYTES
+    for words in (["info", str(path)], ["recover", str(path), "-o", str(output)]):
+        code, memory_mb, cpu_s, said = run(*words)
+        assert code in {0, 2}, said[-500:]
+        assert memory_mb < MOST_MEMORY_MB, words
+        assert cpu_s < MOST_CPU_S, words
+        if code == 2:
+            assert said.startswith(f"turtlelog: error: {path}: ")
+            assert said.count("\n") == 1
+    _, memory_mb, _, said = run("metrics", str(path))
+    assert memory_mb < MOST_MEMORY_MB, said[-500:]
+
+
+def fill_chunk(size: int) -> bytes:
+    """Return a chunk of just this size: two topics, poses and one large message."""
+    front = describe("/turtle1/pose", "/fill") + pose_messages(1, 1000)
+    return chunk([front, message(2, bytes(size - len(front) - len(message(2))))])
+
+
+@pytest.mark.parametrize("size", [64 * MIB + 1000, 80 * MIB])
+def test_a_real_chunk_of_64_mib_is_read_and_recovered(size: int, tmp_path: Path) -> None:
+    path = tmp_path / "large.mcap"
+    path.write_bytes(whole(fill_chunk(size)))
+    assert len(read_columns(path, topics=["/turtle1/pose"])["/turtle1/pose"]) == 1000
+    report = recover_recording(path, tmp_path / "out.mcap")
+    assert (report.complete, report.recovered["/turtle1/pose"]) == (True, 1000)
+
+
+def test_a_chunk_that_is_larger_is_refused_and_the_rest_recovered(tmp_path: Path) -> None:
+    path, front = tmp_path / "large.mcap", fill_chunk(10_000_000 // 100)
+    path.write_bytes(whole(front + fill_chunk(80 * MIB + 1) + front))
+    with pytest.raises(LogError, match="expected a chunk of up to 83886080 bytes, found 83886081"):
+        read_info(path)
+    report = recover_recording(path, tmp_path / "out.mcap")
+    assert report.recovered["/turtle1/pose"] == 2000
+    assert ["up to 83886080 bytes" in loss.reason for loss in report.lost] == [True]
+
+
+def test_a_large_file_may_have_larger_chunks(tmp_path: Path) -> None:
+    path = tmp_path / "large.mcap"
+    noise = message(2, np.random.default_rng(0).bytes(12 * 10**6))
+    path.write_bytes(
+        whole(chunk([describe("/turtle1/pose", "/fill"), noise]) + fill_chunk(90 * MIB))
+    )
+    assert read_info(path).complete
+
+
+def test_messages_behind_a_bomb_are_recovered(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    poses = chunk([describe("/turtle1/pose"), pose_messages(1, 100)])
+    path.write_bytes(BOMBS["zstd 900 MB"]() + poses)
+    report = recover_recording(path, tmp_path / "out.mcap")
+    assert report.recovered == {"/turtle1/pose": 200}
+
+
+def test_a_type_with_too_many_fields_says_so_and_leaves_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "fields.mcap"
+    lines = "int8 a\n" * 100_000
+    path.write_bytes(
+        whole(chunk([describe("/a", kind="a/B", definition=lines), pose_messages(1, 1)]))
+    )
+    expected = "/a: schema a/B: expected up to 10000 fields, found 10001 or more"
+    assert read_info(path).not_understood == (expected,)
+
+
+def test_messages_beyond_what_a_file_may_hold_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "tiny.mcap"
+    poses, tiny = chunk([describe("/a"), pose_messages(1, 100)]), chunk([message(1) * 30_000] * 80)
+    path.write_bytes(cut(poses + tiny + tiny))
+    report = recover_recording(path, tmp_path / "out.mcap")
+    most = (
+        2**22 + path.stat().st_size // 2
+    )  # records: the messages, a header, a schema and a channel
+    assert report.recovered == {"/a": most - 3}
+    assert f"expected up to {most - 2_400_103} records more" in report.lost[0].reason

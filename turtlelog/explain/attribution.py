@@ -1,0 +1,129 @@
+"""What an attribution says: values, shares, and what they hang on."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from turtlelog.explain.grain import Grain
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Share:
+    """The part of one mechanism.
+
+    Attributes:
+        mechanism: Its name.
+        share: Its Shapley share of as_built - without_all, in the metric's unit; negative where it
+            makes the value smaller. None where it takes no part.
+        alone: The metric with this mechanism out and all others in; None where it has no value.
+        ending: What differs in kind without it, in one clause: a phase that no longer ends, or why
+            there is no value. Empty where the run passes the same phases.
+    """
+
+    mechanism: str
+    share: float | None
+    alone: float | None
+    ending: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Together:
+    """What several mechanisms make only when all of them act.
+
+    Attributes:
+        mechanisms: At least two.
+        value: What they add beyond all that fewer of them add, in the metric's unit; their shares
+            hold it in equal parts.
+    """
+
+    mechanisms: tuple[str, ...]
+    value: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValueSet:
+    """A smallest set of players that gives the metric a value, or leaves it without one.
+
+    Attributes:
+        mechanisms: Those that are in; all other players are out.
+        reason: Why there is no value; empty where there is.
+    """
+
+    mechanisms: tuple[str, ...]
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartRange:
+    """A value over starts that one sample's turn spans.
+
+    Attributes:
+        count: How many starts, at equal distances; the scenario's own is in the middle.
+        within_rad: How far the first and the last are turned from the scenario's own [rad].
+        low: The smallest value, in the metric's unit.
+        high: The largest value.
+        without_value: How many starts have none.
+        is_wide: Whether the value hangs on single samples: where the effects add more than the
+            grain, whether both its range and that of what they add exceed half of it.
+        parts: Where it is wide, the lowest and highest part of a player in what the players that
+            change the value add together; 1 is all of it. Empty where they do not all add to it at
+            every start, or where it takes too many simulations.
+    """
+
+    count: int
+    within_rad: float
+    low: float
+    high: float
+    without_value: int
+    is_wide: bool
+    parts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attribution:
+    """What caused a value.
+
+    Attributes:
+        metric: Its id.
+        unit: Its unit.
+        as_logged: The log's own value; None where it has none, or where there is no log.
+        as_built: Re-simulated, with all mechanisms in; None where it has no value.
+        without_all: Re-simulated, with all players out; None where it has no value.
+        players: The mechanisms among which the value is divided.
+        shares: Theirs, in their order; none where they are withheld. `math.fsum` of them is
+            as_built - without_all: see `compute_shares`.
+        others: What else is in the scenario, each taken out alone.
+        grain: The largest change that is next to nothing.
+        withheld: Why there are no shares, in one clause; empty where there are.
+        together: What several players make only together.
+        without_value: The smallest sets of players that leave the metric without a value.
+        with_value: The smallest sets that give it one, where it has none without players.
+        starts: The value over starts within one sample's turn; None where the robot does not turn.
+        reason: Why it has no value, in the log or else re-simulated; empty where it has.
+        doubts: What the shares rest on that the log does not prove, in whole sentences.
+        left: Mechanisms that were to take part and stay as built, being more than six.
+    """
+
+    metric: str
+    unit: str
+    as_logged: float | None = None
+    as_built: float | None
+    without_all: float | None
+    players: tuple[str, ...]
+    shares: tuple[Share, ...]
+    others: tuple[Share, ...]
+    grain: Grain
+    withheld: str = ""
+    together: tuple[Together, ...] = ()
+    without_value: tuple[ValueSet, ...] = ()
+    with_value: tuple[ValueSet, ...] = ()
+    starts: StartRange | None = None
+    reason: str = ""
+    doubts: tuple[str, ...] = ()
+    left: tuple[str, ...] = ()
+
+    @property
+    def acting(self) -> tuple[str, ...]:
+        """The players that change the value in any combination."""
+        names = {share.mechanism for share in self.shares if share.share}
+        names.update(name for case in self.together if case.value for name in case.mechanisms)
+        return tuple(name for name in self.players if name in names)

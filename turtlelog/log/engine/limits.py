@@ -1,0 +1,111 @@
+"""How much a file may ask for: by its size, before memory and time are spent on it.
+
+A few kilobytes can unpack to gigabytes, or hold millions of records that say nothing. A file of
+less than 10 MB is described and recovered with less than 256 MB and within 10 s, whatever is in it;
+a larger one may take more. Each limit is some ten times what recordings need.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from mcap.records import Channel, Schema
+
+from turtlelog.errors import LogError
+
+UNPACKED: Final = "bytes in chunks"
+RECORDS: Final = "records"
+DESCRIPTIONS: Final = "schemas and channels"
+SCHEMA_BYTES: Final = "bytes of schemas"
+CHANNEL_BYTES: Final = "bytes of channels"
+FIELDS: Final = "fields of types"
+NOTES: Final = "metadata records and attachments"
+DAMAGES: Final = "damaged places"
+CHUNK_CHANNELS: Final = "channels in chunks"
+CHANGES: Final = "channels that change their meaning"
+
+LARGEST_CHUNK: Final = 2**30
+"""No chunk may hold more bytes, packed or unpacked; a damaged header may claim anything."""
+
+MOST_DESCRIBED: Final = 2**17
+"""Schemas and channels in one chunk: their ids have 16 bits each."""
+
+LONGEST_DESCRIBED: Final = 2**24
+"""Bytes of one of them; a text with all the types that it names takes 100 kB."""
+
+# Writers close a chunk by the message that fills it: one of 64 MiB is a message longer. Chunks are
+# there to be much smaller than their file: no large file is refused for one eight times as large.
+_CHUNK: Final = 80 * 2**20
+_CHUNK_SHARE: Final = 8
+
+_BASES: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
+    {
+        # A robot that stands still packs to a fortieth, an empty map to a thousandth.
+        UNPACKED: (2**30, 64),
+        # The times of a message take two bytes at least, however well they pack.
+        RECORDS: (2**22, 0.5),
+        # Some writers repeat all that they have in every chunk.
+        DESCRIPTIONS: (2**19, 1 / 16),
+        # Of those that differ.
+        SCHEMA_BYTES: (2**24, 1),
+        # In memory: enough for as many as there are ids, each with a table.
+        CHANNEL_BYTES: (80 * 2**20, 1),
+        # Of types that differ, about 1 kB each in memory; 200 types of 50 fields are many.
+        FIELDS: (50_000, 1 / 1000),
+        # And the entries of the summary that name them; recordings have a handful.
+        NOTES: (2**16, 1 / 1000),
+        # Each is noted, with the reason.
+        DAMAGES: (10_000, 1 / 1000),
+        # Each in every chunk that it has messages in.
+        CHUNK_CHANNELS: (2**18, 1 / 32),
+        # Files that were joined have one for each channel.
+        CHANGES: (2**12, 1 / 1000),
+    }
+)
+"""By kind: what a file may hold, and what more by byte of the file."""
+
+_CHANNEL: Final = 500  # bytes in memory beside its letters
+_ENTRY: Final = 200  # the same of an entry of its table
+
+
+class Allowance:
+    """What a pass over a file may still spend.
+
+    Attributes:
+        largest_chunk: Bytes that a chunk may hold unpacked.
+    """
+
+    def __init__(self, file_size: int) -> None:
+        self.largest_chunk = min(LARGEST_CHUNK, max(_CHUNK, _CHUNK_SHARE * file_size))
+        self._file_size = file_size
+        self._most = {kind: base + int(share * file_size) for kind, (base, share) in _BASES.items()}
+        self._left = dict(self._most)
+
+    def count_left(self, kind: str) -> int:
+        """Return how many of a kind may still come."""
+        return max(self._left[kind], 0)
+
+    def spend(self, kind: str, count: int = 1) -> None:
+        """Take some of a kind.
+
+        Raises:
+            LogError: One clause, where there are more than a file of this size may hold.
+        """
+        self._left[kind] -= count
+        if self._left[kind] < 0:
+            raise LogError(
+                f"expected up to {self._most[kind]} {kind} in a file of {self._file_size} bytes,"
+                " found more"
+            )
+
+    def spend_description(self, described: Schema | Channel) -> None:
+        """Take a schema or a channel that is not known yet.
+
+        Raises:
+            LogError: As `spend`.
+        """
+        if isinstance(described, Schema):
+            self.spend(SCHEMA_BYTES, len(described.data))
+        else:
+            letters = len(described.topic) + sum(map(len, described.metadata.values()))
+            self.spend(CHANNEL_BYTES, _CHANNEL + letters + _ENTRY * len(described.metadata))
