@@ -210,6 +210,32 @@ def test_run_stops_30_s_after_its_first_sample() -> None:
     assert decision.speed_m_s == pytest.approx(math.hypot(3.5, 4.5))
 
 
+@pytest.mark.parametrize("timeout_s", [8.0, 45.0, math.inf])
+def test_the_timeout_is_a_parameter(timeout_s: float) -> None:
+    law, far = begin_translation(timeout_s=timeout_s), stand_from_goal(ahead_m=3.0)
+    at_ns = int(min(timeout_s, 1e6) * SECOND_NS)
+    assert law.step(at_ns, far).stop_reason is None
+    after = law.step(at_ns + 1, far).stop_reason
+    assert after == (None if math.isinf(timeout_s) else "timeout")
+
+
+def test_settling_is_judged_by_its_parameters() -> None:
+    law, close = begin_translation(settled_within_m=0.05, settled_for_s=2.0), Pose(2.04, 9.96, 0.0)
+    assert law.step(0, close).stop_reason is None
+    assert law.step(2 * SECOND_NS, close).stop_reason is None
+    assert law.step(2 * SECOND_NS + 1, close).stop_reason == "settled"
+    outside = begin_translation(settled_within_m=0.04, settled_for_s=2.0)
+    assert {outside.step(second * SECOND_NS, close).stop_reason for second in range(9)} == {None}
+
+
+def test_a_standstill_is_judged_by_its_parameters() -> None:
+    slow = stand_from_goal(ahead_m=0.0019, aside_m=0.5)
+    law = begin_translation(standstill_samples=20, standstill_below=0.002)
+    assert step_often(law, slow, 21) == [None] * 20 + ["standstill"]
+    law = begin_translation(standstill_samples=20, standstill_below=0.0018)
+    assert {*step_often(law, slow, 200)} == {None}
+
+
 def test_nothing_limits_how_long_rotating_may_take() -> None:
     assert begin_run().step(1000 * SECOND_NS, START).stop_reason is None
 

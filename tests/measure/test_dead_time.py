@@ -192,3 +192,41 @@ def drive(dead_time: Any) -> Run:
             world_velocity_m_s=np.zeros((len(ticks), 2)),
         ),
     )
+
+
+@pytest.mark.parametrize(("off_rad", "is_exact"), [(1.9e-8, True), (2.2e-8, False)])
+def test_a_step_in_double_precision_is_exact_to_2e_8(off_rad: float, is_exact: bool) -> None:  # noqa: FBT001
+    run = simulate("paper-kp4", loop__pose_precision="float64")
+    heading = run.poses.heading_rad.copy()
+    heading[60] += off_rad
+    found = find_dead_time(replace(run, poses=replace(run.poses, heading_rad=heading)), ROTATE)
+    assert (isinstance(found, DeadTime) and found.is_exact and not found.changes) == is_exact
+
+
+@pytest.mark.parametrize(("steps", "lost"), [(3.9, 0), (4.1, 6)])
+def test_a_silence_of_more_than_four_steps_of_a_log_is_a_gap(steps: float, lost: int) -> None:
+    log = import_log(find_shared("paper", "kp4_210.json"))
+    time_ns = log.poses.time_ns.copy()
+    usual_ns = float(np.median(np.diff(time_ns)))
+    time_ns[90:] += int((steps - 1.0) * usual_ns) - (time_ns[90] - time_ns[89] - int(usual_ns))
+    found = require_found(replace(log, poses=replace(log.poses, time_ns=time_ns)), ROTATE)
+    whole = require_found(log, ROTATE)
+    assert whole.rows - found.rows == (1 if lost else 0)
+
+
+@pytest.mark.parametrize(("seed", "is_found"), [(0, True), (34, False)])
+def test_a_dead_time_counts_as_found_from_10_of_log_likelihood(seed: int, is_found: bool) -> None:  # noqa: FBT001
+    # With these seeds the best dead time is 10.07 and 9.69 ahead of the second.
+    found = find_dead_time(add_noise(simulate("paper-kp1"), 0.025, seed), ROTATE)
+    assert isinstance(found, DeadTime) == is_found
+    if isinstance(found, DeadTime):
+        assert 10.0 < found.rows * np.log(found.margin) < 10.1
+
+
+@pytest.mark.parametrize(("noise", "is_exact"), [(0.0, True), (1e-2, False)])
+def test_steps_whose_commands_are_not_known_explain_nothing(noise: float, is_exact: bool) -> None:  # noqa: FBT001
+    # A rotation of 27 samples: of a dead time of 27 and more no command is known.
+    run = simulate("textbook", goal__x_m=8.0, goal__y_m=5.3, law__kp_angular=7.865)
+    assert np.count_nonzero(run.samples.phase == ROTATE) < 40
+    found = find_dead_time(add_noise(run, noise, seed=1) if noise else run, ROTATE)
+    assert (isinstance(found, DeadTime) and found.is_exact) == is_exact

@@ -244,6 +244,33 @@ def test_a_command_stamped_after_the_pose_that_shows_it_is_found_on_a_wall_clock
     assert found.max_abs_error == EXACT
 
 
+@pytest.mark.parametrize(("ticks", "gaps"), [(10, 0), (11, 1)])
+def test_ten_ticks_of_silence_of_a_standing_turtle_are_no_gap(ticks: int, gaps: int) -> None:
+    run = drive((0.0, 0.0, 0.0))
+    time_ns = run.poses.time_ns + np.arange(len(run.poses)) % 5
+    time_ns[15:] += (ticks - 1) * TICK_NS
+    assert len(replay_plant(replace_poses(run, time_ns=time_ns)).gaps) == gaps
+
+
+@pytest.mark.parametrize(("late_ns", "ticks"), [(2 * TICK_NS - 10, 0), (2 * TICK_NS + 10, 6)])
+def test_a_command_may_be_stamped_two_ticks_after_its_pose(late_ns: int, ticks: int) -> None:
+    run = drive((1.0, 0.5, 0.0), (0.5, -1.0, 0.0))
+    run = replace_poses(run, time_ns=run.poses.time_ns + np.arange(len(run.poses)) % 5)
+    shown_ns = run.poses.time_ns[[15, 45]]
+    found = replay_plant(replace_commands(run, time_ns=shown_ns + late_ns)).commands
+    assert found.unexplained_ticks == ticks
+
+
+@pytest.mark.parametrize(("aside_m_s", "taken"), [(1.6e-4, 1), (2.4e-4, 0)])
+def test_a_step_tells_its_direction_to_a_fifth_of_a_millimetre_per_second(
+    aside_m_s: float, taken: int
+) -> None:
+    run = drive((1.0, 0.0, 0.0))
+    aside = np.array([aside_m_s])
+    turned = replace_commands(run, speed_m_s=np.sqrt(1.0 - aside**2), lateral_speed_m_s=aside)
+    assert replay_plant(turned).commands.taken == taken
+
+
 def test_a_jump_names_both_poses() -> None:
     run = drive((0.0, 0.0, 0.0))
     xy_m, heading_rad = run.poses.xy_m.copy(), run.poses.heading_rad.copy()

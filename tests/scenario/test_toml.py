@@ -127,6 +127,9 @@ scenario_tables = choose_table(
         projection=st.sampled_from(["bearing", "heading"]),
         wrap_error=st.booleans(),
         pause_ticks=st.integers(0, 1000),
+        timeout_s=st.sampled_from([45.0, math.inf]),
+        settled_for_s=st.sampled_from([2.0, math.inf]),
+        standstill_samples=st.integers(101, 200),
     ),
     limits=choose_table(speed_m_s=limit, turn_rate_rad_s=limit),
     loop=choose_table(
@@ -154,3 +157,13 @@ def test_scenario_keeps_every_value_it_was_given(tables: dict[str, Any]) -> None
     for key, value in tables.items():
         expected = nested[key] | value if isinstance(value, dict) else value
         assert nested[key] == expected
+
+
+def test_a_stop_rule_stands_in_a_file_where_it_is_not_the_usual_one() -> None:
+    usual = build_scenario({"law": {"timeout_s": 30.0, "settled_for_s": 5.0}})
+    assert (
+        not {"timeout_s", "settled_for_s", "standstill_below"} & nest_scenario(usual)["law"].keys()
+    )
+    changed = build_scenario({"law": {"timeout_s": 45.0}})
+    assert "timeout_s = 45.0\n" in format_scenario(changed)
+    assert parse_scenario(format_scenario(changed)).law.parameters.timeout_s == 45.0

@@ -18,7 +18,9 @@ KEYS = "kp_angular, kp_linear, heading_tolerance_rad, position_tolerance_m,"
         ("law.kp_lin = 1", "law.kp_lin: expected kp_linear, found an unknown key"),
         (
             "law.q = 1",
-            f"law.q: expected {KEYS} projection, wrap_error or pause_ticks, found an unknown key",
+            f"law.q: expected {KEYS} projection, wrap_error, pause_ticks, timeout_s,"
+            " settled_within_m, settled_for_s, standstill_samples or standstill_below,"
+            " found an unknown key",
         ),
     ],
 )

@@ -3,25 +3,50 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
-from turtlelog.explain.numbers import GainFit, fit_gain
-from turtlelog.explain.trace import Values
+from turtlelog.explain.numbers import GainFit, Values, fit_gain
 
 Reproduce = Callable[[float], Values]
 """The commands that the law wants, by its gain."""
 
-_PROPORTIONAL: Final = 0.05
-"""Residual above which commands are not proportional to the error, as a share of their own size."""
+_FEWEST: Final = 8
+"""Commands from which on noise can be told from a curve: with fewer, the whiteness of noise may be
+as small as a curve's."""
 
-_BEYOND: Final = 1.02
-"""How far a wanted command lies beyond a plateau that noise cannot make."""
+_WHITE: Final = 0.4
+"""How far from 1 the whiteness of noise may be: what an integral, a derivative or a bend leaves is
+smooth, below 0.1, and what a switch leaves alternates, up to 2."""
+
+_WHITE_SURE: Final = 4.0
+"""The same in standard deviations, which are 1 over the root of the rows: one log in 16,000."""
+
+_LARGER: Final = 2.0
+"""How much more than the noise of the poses may be left: with 8 rows 2 is four standard deviations
+of an estimate, with more it is further."""
+
+_BEYOND: Final = 5.0
+"""Standard deviations by which the error must have changed along equal commands to show that they
+are clipped. In noise alone this happens once in a million logs."""
 
 _TINY: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseNoise:
+    """What the logged poses have of noise.
+
+    Attributes:
+        size: Its standard deviation [m or rad].
+        grain: Step in which they are logged [m or rad].
+    """
+
+    size: float
+    grain: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +59,8 @@ class CommandFit:
         least: The least gain that explains every command, where there is none.
         largest: The largest magnitude published.
         rows: Commands in the phase.
+        noise: Of the poses.
+        has_signs: Whether every command has the sign of its error.
     """
 
     gain: GainFit | None
@@ -41,48 +68,84 @@ class CommandFit:
     least: float = 0.0
     largest: float
     rows: int
+    noise: PoseNoise
+    has_signs: bool
 
     @property
-    def is_proportional(self) -> bool:
-        """Whether the commands follow the error at all."""
-        if self.gain is None:
-            return False
-        return self.gain.value > 0.0 and self.gain.residual <= _PROPORTIONAL * self.largest
+    def is_certain(self) -> bool:
+        """Whether the commands follow the logged errors bit for bit."""
+        return self.gain is not None and (self.gain.is_exact or self.gain.is_close)
+
+    @property
+    def obstacle(self) -> str | None:
+        """Why the commands are not proportional to the error, None where they may be."""
+        found = self.gain
+        if found is None:
+            return None
+        if not found.value > 0.0:
+            return f"the commands are not proportional: their gain would be {found.value:.4g}"
+        if self.is_certain:
+            return None
+        if found.rows < _FEWEST:
+            return f"{found.rows} unclipped commands cannot tell noise from another law"
+        reach = max(_WHITE, _WHITE_SURE / math.sqrt(found.rows))
+        is_pattern = abs(found.whiteness - 1.0) > reach and found.noise > self.noise.grain
+        if is_pattern or found.noise > _LARGER * max(self.noise.size, self.noise.grain):
+            return (
+                "the commands are not proportional to the error: a gain of"
+                f" {found.value:.4g} leaves a pattern of {found.noise:.2g} and no noise"
+            )
+        return None
 
 
-def fit_command(command: Values, reproduce: Reproduce) -> CommandFit:
+def fit_command(command: Values, reproduce: Reproduce, noise: PoseNoise) -> CommandFit:
     """Fit a gain to the commands that are not clipped; find out which are."""
-    size = np.abs(command)
+    size, error = np.abs(command), reproduce(1.0)
     largest = float(size.max())
     below = size < largest
-    whole = _fit_rows(command, reproduce, np.ones_like(below))
-    if whole.is_exact and np.ptp(reproduce(1.0)) > 0.0:
-        return CommandFit(gain=whole, limit=None, largest=largest, rows=len(command))
+    has_signs = bool((error * command > 0.0).all())
+    known: dict[str, Any] = {"largest": largest, "noise": noise, "has_signs": has_signs}
+    whole = fit_gain(command, reproduce)
+    if (whole.is_exact or whole.is_close) and np.ptp(error) > 0.0:
+        return CommandFit(gain=whole, limit=None, rows=len(command), **known)
     if not below.any():
-        per_unit = np.abs(reproduce(1.0))
         return CommandFit(
             gain=None,
-            limit=largest if np.ptp(per_unit) > 0.0 else None,
-            least=largest / max(float(per_unit.min()), _TINY),
-            largest=largest,
+            limit=None,
+            least=largest / max(float(np.abs(error).min()), _TINY),
             rows=len(command),
+            **known,
         )
-    fit = _fit_rows(command, reproduce, below)
-    wanted = np.abs(reproduce(fit.value))[~below]
-    is_clipped = wanted.min() >= largest if fit.is_exact else wanted.max() > _BEYOND * largest
+    fit = fit_gain(command[below], lambda gain: reproduce(gain)[below])
+    if fit.is_exact or fit.is_close:
+        is_clipped = bool((np.abs(reproduce(fit.value))[~below] >= largest).all())
+    else:
+        fit = _fit_noisy(command, error, below)
+        is_clipped = _shows_clipping(error[~below], fit.noise)
     if is_clipped:
-        return CommandFit(gain=fit, limit=largest, largest=largest, rows=len(command))
-    return CommandFit(gain=whole, limit=None, largest=largest, rows=len(command))
+        return CommandFit(gain=fit, limit=largest, rows=len(command), **known)
+    every = _fit_noisy(command, error, np.ones_like(below))
+    return CommandFit(gain=every, limit=None, rows=len(command), **known)
 
 
-def _fit_rows(command: Values, reproduce: Reproduce, rows: NDArray[np.bool_]) -> GainFit:
-    return fit_gain(command[rows], lambda gain: reproduce(gain)[rows])
+def _fit_noisy(command: Values, error: Values, rows: NDArray[np.bool_]) -> GainFit:
+    """Fit commands by least squares; a stretch of equal ones counts once, as rounding may too."""
+    first = np.flatnonzero(np.diff(command[rows], prepend=np.nan) != 0.0)
+    means = np.add.reduceat(error[rows], first) / np.diff(np.append(first, rows.sum()))
+    return fit_gain(command[rows][first], lambda gain: gain * means)
+
+
+def _shows_clipping(error: Values, noise: float) -> bool:
+    """Return whether the error changed along equal commands by more than its noise."""
+    third = len(error) // 3
+    if third < 1:
+        return False
+    change = abs(float(error[:third].mean() - error[-third:].mean()))
+    return change > _BEYOND * noise * math.sqrt(2.0 / third)
 
 
 def describe_gain(fit: CommandFit) -> Finding:
     """Return the gain, or by how much or why the commands do not tell it."""
-    if fit.gain is None and fit.limit is None:
-        return miss("the error never changes", fit.least)
     if fit.gain is None:
         return Finding(
             certainty=Certainty.UNKNOWN,
@@ -90,37 +153,42 @@ def describe_gain(fit: CommandFit) -> Finding:
             interval=(fit.least, math.inf),
             assumed=max(1.0, math.ceil(fit.least * 1.001)),
         )
+    if fit.obstacle:
+        return miss(fit.obstacle, max(fit.gain.value, _TINY))
     found = fit.gain
-    if not fit.is_proportional:
-        if found.value <= 0.0:
-            return miss(f"the commands are not proportional: their gain would be {found.value:.4g}")
-        share = found.residual / fit.largest if fit.largest else math.inf
-        return miss(
-            f"the commands are not proportional to the error: {share:.0%} of their size is left",
-            1.0,
-        )
+    noun = "command" if found.rows == 1 else "commands"
     if found.is_exact:
-        noun = "command" if found.rows == 1 else "commands"
         return find_exactly(found.value, f"reproduces {found.rows} unclipped {noun}")
+    if found.is_close:
+        return Finding(
+            value=found.value,
+            certainty=Certainty.BRACKETED,
+            evidence=f"reproduces {found.rows} unclipped {noun} to rounding",
+            interval=found.interval,
+        )
     return Finding(
         value=found.value,
         certainty=Certainty.FITTED,
-        evidence=f"least squares of {found.rows}, standard error {found.standard_error:.2g}",
+        evidence=f"least squares of {found.rows}, 95 %",
+        interval=found.interval,
     )
 
 
 def describe_limit(fit: CommandFit) -> Finding:
     """Return the limit, or the largest command where none is clipped."""
+    if fit.gain is None:
+        reason = f"all {fit.rows} commands stand at {fit.largest:g}: a limit, or the law's only one"
+        return miss(reason, fit.largest)
     if fit.limit is None:
         return miss(f"no command is clipped; the largest is {fit.largest:.4g}", math.inf)
-    clipped = fit.rows - (fit.gain.rows if fit.gain else 0)
+    clipped = int(fit.rows - fit.gain.rows)
     return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands stand there")
 
 
 def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:
     """Return the root mean square of what a fit leaves, clipped commands included."""
     gain = math.inf if fit.gain is None else max(fit.gain.value, 0.0)
-    limit = math.inf if fit.limit is None else fit.limit
+    limit = fit.largest if fit.gain is None else (fit.limit or math.inf)
     with np.errstate(invalid="ignore"):
         wanted = np.clip(np.nan_to_num(gain * error), -limit, limit)
     return float(np.sqrt(np.mean((wanted - command) ** 2)))

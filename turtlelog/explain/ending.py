@@ -1,71 +1,241 @@
-"""What happened between the phases, and at the end."""
+"""What happened between the phases, and which rule of the law ended the run."""
 
-from typing import Any
+import math
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 
 from turtlelog.angles import subtract_headings
-from turtlelog.explain.finding import Finding, find_exactly, miss
+from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.loop import Hints
+from turtlelog.explain.numbers import find_round_number
 from turtlelog.explain.trace import Trace
+from turtlelog.laws import SequentialPParameters
+from turtlelog.turtlesim import TICK_NS
 
-_STANDSTILL_SAMPLES = 100
-_STANDSTILL_COMMAND = 0.001  # [m/s] and [rad/s]
-_SETTLED_ERROR_M = 0.01
-_SETTLED_NS = 5_000_000_000
-_TIMEOUT_NS = 30_000_000_000
+_USUAL: Final = SequentialPParameters()
+
+_SLACK_NS: Final = 1.5 * TICK_NS
+"""How far the clock of a log may be from the law's own: a callback comes up to a tick late."""
+
+_ENDLESS_SAMPLES: Final = 1_000_000
+
+_ROUND_DIGITS: Final = 2
+"""A time or number that somebody typed has no more digits than this."""
+
+_PAUSE_KEYS: Final = (
+    *("pause.seconds", "pause.held_turn_rate_rad_s", "pause.turned_rad", "pause.burst"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ending:
+    """Which rule of the law ended a run.
+
+    Attributes:
+        reason: The finding `stop_reason`.
+        rules: Findings of the rules that are not the usual ones, by key of the scenario.
+    """
+
+    reason: Finding
+    rules: dict[str, Finding]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rule:
+    """A rule over the log's last samples.
+
+    Attributes:
+        name: The law's word for it.
+        key: Of the parameter that sets how long.
+        usual: Its usual value.
+        now: How long its condition has held at the last sample.
+        before: The same at the sample before.
+        longest: The longest that it held earlier without ending the run.
+        slack: How far these may be off.
+        evidence: What was seen.
+    """
+
+    name: str
+    key: str
+    usual: float
+    now: float
+    before: float
+    longest: float
+    slack: float
+    evidence: str
+
+    @property
+    def ends_here(self) -> bool:
+        return self.now + self.slack > self.usual >= self.before - self.slack
+
+    @property
+    def is_contradicted(self) -> bool:
+        return max(self.longest, self.before - self.slack) > self.usual
 
 
 def find_pause(trace: Trace, hints: Hints) -> dict[str, Finding]:
     """Return how long the controller was silent after rotating, and what the robot did meanwhile.
 
-    The rotation's last command but one is held, unless the silence ends before the queue is empty.
+    What it held, and how many poses it answered then, a simulation tells; see `describe_pause`.
     """
-    keys = ("pause.seconds", "pause.held_turn_rate_rad_s", "pause.turned_rad", "pause.burst")
     if hints.pause_s is None:
-        return dict.fromkeys(keys, miss("the log does not show the end of a rotation"))
+        return dict.fromkeys(_PAUSE_KEYS, miss("the log does not show the end of a rotation"))
     ended = trace.rotating - 1
     turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
+    reason = "no setting reproduces every sample"
     return {
         "pause.seconds": find_exactly(hints.pause_s, "from the last answer to the next one"),
-        "pause.held_turn_rate_rad_s": find_exactly(
-            float(trace.turn_rate_rad_s[ended - 1]), "the last command before the rotation's end"
-        ),
+        "pause.held_turn_rate_rad_s": miss(reason),
         "pause.turned_rad": find_exactly(
             float(turned), "heading at the end, less at the rotation's"
         ),
-        "pause.burst": find_exactly(hints.burst, "poses answered at once after it"),
+        "pause.burst": miss(f"{reason}; by the clock {hints.burst - 1} or {hints.burst}"),
     }
 
 
-def find_stop_reason(trace: Trace) -> Finding:
-    """Return which of the law's rules the last sample meets, in the law's word, or `cut`."""
+def find_ending(trace: Trace, *, is_certain: bool, is_finished: bool) -> Ending:
+    """Return which of the law's rules the last sample meets, in the law's word, or `cut`.
+
+    A rule that would have ended the run earlier is not the usual one, and bounded by the log.
+
+    Args:
+        trace: The samples.
+        is_certain: Whether the commands follow the logged poses bit for bit.
+        is_finished: Whether the log says that the controller came to its end.
+    """
     speed = trace.speed_m_s[trace.rotating :]
     if not len(speed):
-        return find_exactly("cut", "the log ends while the robot rotates")
+        return Ending(reason=find_exactly("cut", "the log ends while the robot rotates"), rules={})
+    rules = [_judge_standstill(trace), *_judge_times(trace)]
+    contradicted = {rule.key: _describe_beyond(rule) for rule in rules if rule.is_contradicted}
     if speed[-1] == 0.0:
-        return find_exactly("within_tolerance", "the last command is 0")
-    still = _count_trailing(np.abs(speed) < _STANDSTILL_COMMAND)
-    if still > _STANDSTILL_SAMPLES:
-        return find_exactly("standstill", f"{still} samples below {_STANDSTILL_COMMAND:g} m/s")
-    close_s = _find_close_s(trace)
-    if close_s > _SETTLED_NS / 1e9:
-        return find_exactly(
-            "settled", f"both errors below {_SETTLED_ERROR_M:g} m for {close_s:.2f} s"
+        return Ending(
+            reason=_say("within_tolerance", "the last command is 0", is_certain=is_certain),
+            rules=contradicted,
         )
-    length_ns = int(trace.time_ns[-1] - trace.time_ns[0])
-    if length_ns > _TIMEOUT_NS:
-        return find_exactly("timeout", f"{length_ns / 1e9:.2f} s after the first sample")
-    return find_exactly("cut", "no rule of the law ends the run at the last sample")
+    met = [rule for rule in rules if rule.ends_here and not rule.is_contradicted]
+    if met:
+        needs_poses = met[0].name == "settled"
+        reason = _say(met[0].name, met[0].evidence, is_certain=is_certain or not needs_poses)
+        return Ending(reason=reason, rules=contradicted)
+    if not is_finished:
+        evidence = "no rule of the law ends the run at the last sample"
+        return Ending(reason=_say("cut", evidence, is_certain=is_certain), rules=contradicted)
+    return _guess_rule(rules, contradicted)
 
 
-def _find_close_s(trace: Trace) -> float:
-    if trace.goal_xy_m is None:
-        return 0.0
-    errors = np.abs(np.subtract(trace.goal_xy_m, trace.xy_m[trace.rotating :]))
-    close = _count_trailing((errors < _SETTLED_ERROR_M).all(axis=1))
-    return float(trace.time_ns[-1] - trace.time_ns[len(trace) - close]) / 1e9 if close else 0.0
+def _say(reason: str, evidence: str, *, is_certain: bool) -> Finding:
+    certainty = Certainty.EXACT if is_certain else Certainty.FITTED
+    return Finding(value=reason, certainty=certainty, evidence=evidence)
 
 
-def _count_trailing(holds: Any) -> int:
-    return len(holds) if holds.all() else int((~holds[::-1]).argmax())
+def _judge_standstill(trace: Trace) -> _Rule:
+    still = np.abs(trace.speed_m_s[trace.rotating :]) < _USUAL.standstill_below
+    counts = _count_held(still)
+    # Missing rows count as well, if those around them stand still.
+    number = trace.number[trace.rotating :]
+    first = np.arange(len(counts)) - np.maximum(counts - 1, 0)
+    counts = np.where(counts > 0, number - number[first] + 1, 0)
+    return _Rule(
+        name="standstill",
+        key="law.standstill_samples",
+        usual=_USUAL.standstill_samples,
+        now=int(counts[-1]),
+        before=int(counts[-1]) - 1,
+        longest=int(counts[:-1].max(initial=0)),
+        slack=0.0,
+        evidence=f"{counts[-1]} samples below {_USUAL.standstill_below:g} m/s",
+    )
+
+
+def _judge_times(trace: Trace) -> list[_Rule]:
+    time_s = (trace.time_ns - trace.time_ns[0]) / 1e9
+    slack = 0.0 if trace.has_exact_clock else _SLACK_NS / 1e9
+    rules = []
+    if trace.goal_xy_m is not None:
+        driving = time_s[trace.rotating :]
+        errors = np.abs(np.subtract(trace.goal_xy_m, trace.xy_m[trace.rotating :]))
+        close = np.asarray((errors < _USUAL.settled_within_m).all(axis=1))
+        held = _count_held(close)
+        since = driving - driving[np.arange(len(close)) - np.maximum(held - 1, 0)]
+        rules.append(
+            _Rule(
+                name="settled",
+                key="law.settled_for_s",
+                usual=_USUAL.settled_for_s,
+                now=float(since[-1]),
+                before=float(since[-2]) if len(since) > 1 else 0.0,
+                longest=float(since[:-1].max(initial=0.0)) - slack,
+                slack=slack,
+                evidence=f"both errors below {_USUAL.settled_within_m:g} m for {since[-1]:.2f} s",
+            )
+        )
+    before = float(time_s[-2]) if len(time_s) > trace.rotating + 1 else 0.0
+    rules.append(
+        _Rule(
+            name="timeout",
+            key="law.timeout_s",
+            usual=_USUAL.timeout_s,
+            now=float(time_s[-1]),
+            before=before,
+            longest=0.0,
+            slack=slack,
+            evidence=f"{time_s[-1]:.2f} s after the first sample",
+        )
+    )
+    return rules
+
+
+def _count_held(holds: Any) -> Any:
+    """Return for each row for how many rows up to it a condition has held."""
+    rows = np.arange(1, len(holds) + 1)
+    return rows - np.maximum.accumulate(np.where(holds, 0, rows))
+
+
+def _describe_beyond(rule: _Rule) -> Finding:
+    seen = max(rule.longest, rule.before - rule.slack)
+    is_count = rule.key == "law.standstill_samples"
+    return Finding(
+        certainty=Certainty.UNKNOWN,
+        evidence=f"the run goes on after {seen:.4g}: more than the usual {rule.usual:g}",
+        interval=(seen, math.inf),
+        assumed=_ENDLESS_SAMPLES if is_count else math.inf,
+    )
+
+
+def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
+    """Return the rules that may have ended a run with another value than the usual."""
+    likely = [rule for rule in rules if rule.now > rule.before > 0.0 and rule.now > rule.longest]
+    findings = dict(contradicted)
+    # The rounder its value, the likelier that somebody typed it.
+    likely.sort(key=lambda rule: len(f"{_round_value(rule):.12g}".strip("0.")))
+    for rule in likely[:1]:
+        value = _round_value(rule)
+        findings[rule.key] = Finding(
+            certainty=Certainty.UNKNOWN,
+            evidence=f"{value:.6g} would end the run as the log does",
+            assumed=value,
+        )
+    reason = "the log says that the run ended, and no rule does with its usual value"
+    if len(likely) < 2:
+        known = [f"; with another {rule.name} would" for rule in likely]
+        return Ending(reason=miss("".join([reason, *known])), rules=findings)
+    return Ending(
+        reason=Finding(
+            value=likely[0].name,
+            certainty=Certainty.AMBIGUOUS,
+            evidence=reason,
+            candidates=tuple(rule.name for rule in likely),
+        ),
+        rules=findings,
+    )
+
+
+def _round_value(rule: _Rule) -> float:
+    if rule.key == "law.standstill_samples":
+        return int(rule.before)
+    low, high = max(rule.before - rule.slack, 1e-9), rule.now + rule.slack
+    found = find_round_number(low, high)
+    return found if len(f"{found:.12g}".strip("0.")) <= _ROUND_DIGITS + 1 else rule.before

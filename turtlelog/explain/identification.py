@@ -74,8 +74,12 @@ def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Find
 
 
 def give_up(name: str, findings: Mapping[str, Finding], reason: str) -> Identification:
-    """Return what is known of a run that cannot be simulated again, and why it cannot."""
-    unknown = {key: miss(reason) for key in (*LOOP_KEYS, "stop_reason", "lost_commands")}
+    """Return what is known of a run that cannot be simulated again, and why it cannot.
+
+    What `findings` do not hold, of the law and of the loop, is not known for the same reason.
+    """
+    keys = (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")
+    unknown = {key: miss(reason) for key in keys}
     return Identification(
         name=name,
         findings=MappingProxyType({**unknown, **findings}),

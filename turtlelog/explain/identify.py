@@ -1,5 +1,6 @@
 """From a log to the scenario that made it."""
 
+from collections import ChainMap
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
@@ -7,7 +8,8 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.errors import ScenarioError, SimulationError
-from turtlelog.explain.ending import find_pause, find_stop_reason
+from turtlelog.explain.command_fit import CommandFit
+from turtlelog.explain.ending import Ending, find_ending, find_pause
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.identification import Identification, disclaim_law, give_up
 from turtlelog.explain.law import identify_rotation, identify_translation
@@ -15,30 +17,29 @@ from turtlelog.explain.loop import read_hints
 from turtlelog.explain.plant import identify_plant
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
-from turtlelog.explain.settings import describe_loop
-from turtlelog.explain.start import identify_start
-from turtlelog.explain.trace import Trace, find_gaps, trace_run
-from turtlelog.measure import DeadTime, Missing, find_dead_time
+from turtlelog.explain.settings import describe_loop, describe_pause
+from turtlelog.explain.start import describe_goal, describe_start, read_start
+from turtlelog.explain.stretches import describe_breaks, space_out
+from turtlelog.explain.trace import Trace, trace_run
+from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import Phase, Run
+from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
-
-_LAW: Final = "sequential-p"
-
-_LOOPS: Final = {"law.kp_angular": "dead_time.rotate", "law.kp_linear": "dead_time.translate"}
-"""Gains, and where the motion that the loop's commands make is judged."""
 
 _LONGEST_S: Final = 3600.0
 
-_SHOW_NOISE: Final = ("start.heading_rad", "start.x_m", "law.kp_angular", "law.kp_linear")
-"""What is fitted by least squares only where there is noise."""
+_CUT: Final = (None, "interrupted", "max_duration")
+"""Stop reasons of runs whose controller did not come to its end."""
 
 
 def identify_run(run: Run) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
 
-    The run's own parameters are not read. Gains, limits and tolerances come from the commands; the
-    queues and the pause from the dead times and the time stamps, and from simulating every setting
-    that agrees with them: those that reproduce all samples are what fits.
+    Of the run's own parameters only the law's name is read: of another law nothing is claimed.
+    Gains, limits and tolerances come from the commands; the queues and the pause from the dead
+    times and the time stamps, and from simulating every setting that agrees with them: those that
+    reproduce all samples are what fits. Where none does, the plant is driven with the log's
+    commands, and what fits within the noise is told as that.
     A run without samples tells next to nothing, and the findings say why.
     """
     if not len(run.samples):
@@ -50,101 +51,155 @@ def identify_run(run: Run) -> Identification:
 
 def _identify_samples(run: Run) -> Identification:
     trace = trace_run(run)
-    dead_times = {phase: find_dead_time(run, phase) for phase in (Phase.ROTATE, Phase.TRANSLATE)}
+    motion = space_out(trace)
+    dead_times = {phase: find_dead_time(motion, phase) for phase in (Phase.ROTATE, Phase.TRANSLATE)}
     findings = {
-        f"dead_time.{phase.label}": _describe_dead_time(found)
+        f"dead_time.{phase.label}": _describe_dead_time(found, motion, run)
         for phase, found in dead_times.items()
     }
-    findings |= identify_start(trace, findings["dead_time.rotate"].value or 0)
-    other_law = _find_other_law(run)
-    if other_law:
-        return give_up(run.name, disclaim_law(findings, other_law), other_law)
-    findings |= identify_rotation(trace)
-    findings |= identify_translation(trace)
-    contradiction = _contradict_law(trace, findings)
-    if contradiction:
-        return give_up(run.name, disclaim_law(findings, contradiction), contradiction)
-    obstacle = _find_obstacle(trace)
+    findings |= describe_goal(trace)
+    obstacle = _find_other_law(run)
     if obstacle:
         return give_up(run.name, findings, obstacle)
+    rotation, turning = identify_rotation(trace)
+    translation, driving = identify_translation(trace)
+    obstacle = _contradict_law(trace, turning, driving)
+    if obstacle:
+        return give_up(run.name, findings, obstacle)
+    obstacle = _find_obstacle(trace)
+    if obstacle:
+        # Commands that follow their errors bit for bit tell their gain by themselves.
+        pairs = ((rotation, turning), (translation, driving))
+        sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
+        return give_up(run.name, {**findings, **dict(ChainMap(*sure))}, obstacle)
+    findings |= {**rotation, **translation}
+    is_certain = all(
+        fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
+    )
+    ending = find_ending(trace, is_certain=is_certain, is_finished=run.stop_reason not in _CUT)
+    findings |= ending.rules
     hints = read_hints(trace)
+    known = {**_collect(findings), **read_start(trace)}
     try:
-        fits = search_loop(trace, _collect(findings), hints, dead_times)
+        fits = search_loop(trace, known, hints, dead_times)
+        scenario = _cut_scenario(trace, fits, ending)
+        again = simulate_run(scenario)
     except (ScenarioError, SimulationError) as err:
         return give_up(run.name, findings, f"it cannot be simulated again: {err}")
-    is_noisy = any(findings[key].certainty is Certainty.FITTED for key in _SHOW_NOISE)
-    findings |= describe_loop(trace, fits, is_noisy=is_noisy)
-    if not fits.is_exact and findings["loop.pose_precision"].value == "float64":
-        reason = "poses have more than 32 bits, which noise may have added"
-        findings["loop.pose_precision"] = miss(reason, "float64")
-    findings |= find_pause(trace, hints)
-    findings["stop_reason"] = find_stop_reason(trace)
-    scenario = fits.scenario
-    if not fits.is_exact and findings["stop_reason"].value in {None, "cut"}:
-        scenario = cut_where_logged(scenario, trace)
-    gaps = _describe_gaps(trace)
-    if not (fits.is_exact or is_noisy or gaps):
-        findings = disclaim_law(findings, "no setting of the loop reproduces the samples")
-    resimulation = compare_samples(trace, simulate_run(scenario))
+    findings |= describe_start(trace, fits)
+    findings |= describe_loop(trace, fits)
+    if fits.is_fitted and not fits.is_exact:
+        findings |= _describe_dead_times_again(dead_times, again)
+    if not (fits.is_exact or fits.is_close):
+        findings |= _withhold_law(findings, turning, driving)
+    if not (fits.is_exact or fits.is_close or fits.is_fitted):
+        findings = disclaim_law(findings, "no setting of the loop explains the motion")
+    findings |= {**find_pause(trace, hints), **describe_pause(trace, fits)}
+    findings["stop_reason"] = ending.reason
+    resimulation = compare_samples(trace, again)
     return Identification(
         name=run.name,
         findings=MappingProxyType(findings),
         resimulation=resimulation,
         scenario=scenario,
         notes=(
-            *gaps,
-            *_describe_difference(fits, resimulation, is_noisy=is_noisy),
+            *describe_breaks(trace),
+            *_describe_difference(trace, fits, resimulation),
             *_list_candidates(findings),
         ),
     )
 
 
-def _describe_dead_time(found: DeadTime | Missing) -> Finding:
+def _describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Finding:
     if isinstance(found, Missing):
         return miss(found.reason)
-    changed = "".join(
-        f"; {change.before} until {change.time_ns / 1e9:.2f} s" for change in found.changes
-    )
+    changed = ""
+    for change in found.changes:
+        row = int(np.searchsorted(motion.poses.time_ns, change.time_ns))
+        changed += f"; {change.before} until {run.poses.time_ns[row] / 1e9:.2f} s"
     if found.is_exact:
         return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
     return Finding(
         value=found.ticks,
         certainty=Certainty.FITTED,
         evidence=f"least squares; the next best leaves {found.margin:.3g} times",
+        interval=(found.ticks, found.ticks),
     )
 
 
-def _find_other_law(run: Run) -> str | None:
-    kind = run.parameters.get("law.kind", _LAW)
-    if kind == _LAW:
-        return None
-    return f"its law is {kind}: only of {_LAW} the commands tell the parameters"
-
-
-def _contradict_law(trace: Trace, findings: Mapping[str, Finding]) -> str | None:
-    """Return why the samples are not those of the sequential law."""
-    if trace.rotating + trace.translating < len(trace):
-        return _list_phases(trace)
-    for key, dead_time in _LOOPS.items():
-        if "not proportional" in findings[key].evidence:
-            return f"{key}: {findings[key].evidence}"
-        # Without a rotation the start is unknown, and with it the bearing that the law projects on.
-        poses_are_clean = (
-            trace.rotating > 0
-            and findings[dead_time].certainty is Certainty.EXACT
-            and findings["loop.pose_precision"].value == "float32"
+def _describe_dead_times_again(
+    dead_times: Mapping[Phase, DeadTime | Missing], again: Run
+) -> dict[str, Finding]:
+    """Return the dead times that the settings found have, where noise hides the log's own."""
+    found = {}
+    for phase, logged in dead_times.items():
+        is_hidden = (
+            not logged.is_exact
+            if isinstance(logged, DeadTime)
+            else (logged.status is Status.UNDETERMINED)
         )
-        if poses_are_clean and findings[key].certainty is Certainty.FITTED:
-            return f"{key}: the poses hold no noise, and no gain reproduces the commands"
+        dead_time = find_dead_time(again, phase)
+        if is_hidden and isinstance(dead_time, DeadTime):
+            found[f"dead_time.{phase.label}"] = Finding(
+                value=dead_time.ticks,
+                certainty=Certainty.FITTED,
+                evidence="of the settings that explain the motion",
+                interval=(dead_time.ticks, dead_time.ticks),
+            )
+    return found
+
+
+def _withhold_law(
+    findings: Mapping[str, Finding], turning: CommandFit | None, driving: CommandFit | None
+) -> dict[str, Finding]:
+    """Claim nothing of a loop whose every command is clipped, and which nothing reproduces."""
+    keys = {
+        "law.kp_angular": turning,
+        "limits.turn_rate_rad_s": turning,
+        "law.heading_tolerance_rad": turning,
+        "law.kp_linear": driving,
+        "limits.speed_m_s": driving,
+        "law.position_tolerance_m": driving,
+    }
+    return {
+        key: miss(f"all {fit.rows} commands are alike in size: any law", findings[key].used)
+        for key, fit in keys.items()
+        if fit is not None and fit.gain is None
+    }
+
+
+def _find_other_law(run: Run) -> str | None:
+    kind = run.parameters.get("law.kind", DEFAULT_LAW)
+    if kind == DEFAULT_LAW:
+        return None
+    return f"its law is {kind}: only of {DEFAULT_LAW} the commands tell the parameters"
+
+
+def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
+    """Return the scenario; where the log was cut, and no search has found its end, cut there."""
+    if fits.is_exact or fits.is_close or ending.reason.value not in {None, "cut"}:
+        return fits.scenario
+    return cut_where_logged(fits.scenario, trace)
+
+
+def _contradict_law(
+    trace: Trace, turning: CommandFit | None, driving: CommandFit | None
+) -> str | None:
+    """Return why the commands are not those of the sequential law."""
+    for name, fit in (("rotating", turning), ("translating", driving)):
+        if fit is not None and fit.obstacle:
+            return f"{name}: {fit.obstacle}"
     if trace.speed_m_s[: trace.rotating].any() or trace.turn_rate_rad_s[trace.rotating :].any():
         return "it drives while rotating, or turns while translating"
     return None
 
 
 def _find_obstacle(trace: Trace) -> str | None:
-    """Return why a run of the sequential law cannot be simulated."""
-    if not trace.rotating:
-        return _list_phases(trace)
+    """Return why this is no whole run of the sequential law, or cannot be simulated."""
+    phases = {Phase(phase) for phase in np.unique(trace.run.samples.phase).tolist()}
+    if trace.rotating + trace.translating < len(trace) or not trace.rotating:
+        listed = ", ".join(sorted(phase.label for phase in phases))
+        return f"its phases are not one rotation and one translation: {listed}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
@@ -153,39 +208,34 @@ def _find_obstacle(trace: Trace) -> str | None:
     return None
 
 
-def _list_phases(trace: Trace) -> str:
-    phases = {Phase(phase) for phase in np.unique(trace.run.samples.phase).tolist()}
-    listed = ", ".join(sorted(phase.label for phase in phases))
-    return f"its phases are not one rotation and one translation: {listed}"
-
-
 def _collect(findings: Mapping[str, Finding]) -> dict[str, Any]:
     """Return the values to simulate with, by key of the scenario."""
     tables = ("start.", "goal.", "law.", "limits.", "loop.")
     return {key: finding.used for key, finding in findings.items() if key.startswith(tables)}
 
 
-def _describe_gaps(trace: Trace) -> list[str]:
-    gaps = find_gaps(trace)
-    if not gaps:
-        return []
-    start_ns, end_ns = gaps[0]
-    at_s, length_s = (start_ns - trace.run.start_ns) / 1e9, (end_ns - start_ns) / 1e9
-    more = f", and {len(gaps) - 1} more" if len(gaps) > 1 else ""
-    return [f"samples are missing after {at_s:.3f} s, for {length_s:.3f} s{more}"]
-
-
-def _describe_difference(fits: Fits, resimulation: Resimulation, *, is_noisy: bool) -> list[str]:
+def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -> list[str]:
     if fits.is_exact:
-        return (
-            []
-            if resimulation.is_exact
-            else ["the re-simulation agrees to rounding, not bit for bit"]
-        )
+        return []
+    if fits.is_close:
+        return ["the re-simulation agrees to rounding, not bit for bit"]
     if resimulation.is_exact:
         return ["poses and commands come again, but not the times at which they were answered"]
-    cause = "noise" if is_noisy else "gaps"
-    return [f"the re-simulation is not exact: the log has {cause}, or an effect not simulated"]
+    reach = _describe_reach(trace, fits)
+    if not fits.is_fitted:
+        return [f"{reach}: no setting explains the motion, so there is an effect not simulated"]
+    noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
+    left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
+    return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]
+
+
+def _describe_reach(trace: Trace, fits: Fits) -> str:
+    """Return how far the re-simulation goes along with the log, and where it departs."""
+    rows = int(np.searchsorted(trace.number, fits.reproduced))
+    if rows >= len(trace):
+        return f"the re-simulation reproduces all {len(trace)} samples and goes on"
+    at_s = float(trace.time_ns[rows] - trace.run.start_ns) / 1e9
+    return f"the re-simulation reproduces the first {rows:,} samples and departs at {at_s:.3f} s"
 
 
 def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:

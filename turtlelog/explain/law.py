@@ -9,6 +9,7 @@ import numpy as np
 from turtlelog.angles import wrap_angle
 from turtlelog.explain.command_fit import (
     CommandFit,
+    PoseNoise,
     Reproduce,
     compute_misfit,
     describe_gain,
@@ -18,17 +19,20 @@ from turtlelog.explain.command_fit import (
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.tolerances import (
     DEFAULT_TOLERANCE,
-    bound_heading_tolerance,
     bracket_heading_tolerance,
     bracket_position_tolerance,
 )
 from turtlelog.explain.trace import Trace, Values
 
 _CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which the better of two models counts as found."""
+"""Difference of log-likelihoods from which the better of two models counts as found: the other is
+20,000 times less likely."""
+
+_HALF_TURN_SURE: Final = 6.0
+"""Standard deviations beyond half a turn from which on a noisy error has wrapped."""
 
 
-def identify_rotation(trace: Trace) -> dict[str, Finding]:
+def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:
     """Return gain, limit, tolerance and wrapping of the heading loop, by key of the scenario."""
     rows = slice(1, trace.rotating - trace.ended_rotation)
     error = trace.bearing_rad - trace.heading_rad
@@ -38,26 +42,24 @@ def identify_rotation(trace: Trace) -> dict[str, Finding]:
         return {
             "law.kp_angular": miss(reason, 1.0),
             "limits.turn_rate_rad_s": miss(reason, math.inf),
-            **bracket_heading_tolerance(trace, error),
+            "law.heading_tolerance_rad": bracket_heading_tolerance(trace, error, None),
             "law.wrap_error": miss(reason, assumed=False),
-        }
-    wraps, wrap_finding = _choose_wrapping(command, error[rows])
-    if wraps:
-        error = wrap_angle(error)
-    fit = fit_command(command, partial(np.multiply, error[rows]))
-    if fit.gain and not fit.gain.is_exact and fit.is_proportional:
-        tolerance = bound_heading_tolerance(float(np.abs(command).min()) / fit.gain.value)
-    else:
-        tolerance = bracket_heading_tolerance(trace, error)
+        }, None
+    noise = PoseNoise(size=trace.noise_rad, grain=trace.grain_rad)
+    plain = fit_command(command, partial(np.multiply, error[rows]), noise)
+    wrapped = fit_command(command, partial(np.multiply, wrap_angle(error[rows])), noise)
+    wraps, wrap_finding = _choose_wrapping(command, error[rows], plain, wrapped)
+    fit = wrapped if wraps else plain
+    error = wrap_angle(error) if wraps else error
     return {
         "law.kp_angular": describe_gain(fit),
         "limits.turn_rate_rad_s": describe_limit(fit),
-        **tolerance,
+        "law.heading_tolerance_rad": bracket_heading_tolerance(trace, error, fit),
         "law.wrap_error": wrap_finding,
-    }
+    }, fit
 
 
-def identify_translation(trace: Trace) -> dict[str, Finding]:
+def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:
     """Return gain, limit, tolerance and projection of the position loop, by key of the scenario."""
     rows = slice(trace.rotating, trace.rotating + trace.translating)
     command = trace.speed_m_s[rows]
@@ -69,14 +71,15 @@ def identify_translation(trace: Trace) -> dict[str, Finding]:
             "limits.speed_m_s": miss(known, math.inf),
             "law.position_tolerance_m": miss(known, DEFAULT_TOLERANCE),
             "law.projection": miss(known, "heading"),
-        }
+        }, None
     errors = np.subtract(trace.goal_xy_m, trace.xy_m[rows])
     along = {
         "bearing": np.full(int(driven.sum()), trace.bearing_rad),
         "heading": trace.heading_rad[rows][driven],
     }
+    noise = PoseNoise(size=trace.noise_m, grain=trace.grain_m)
     fits = {
-        name: fit_command(command[driven], _project(errors[driven], headings))
+        name: fit_command(command[driven], _project(errors[driven], headings), noise)
         for name, headings in along.items()
     }
     projection = _choose_projection(fits)
@@ -84,9 +87,9 @@ def identify_translation(trace: Trace) -> dict[str, Finding]:
     return {
         "law.kp_linear": describe_gain(fit),
         "limits.speed_m_s": describe_limit(fit),
-        "law.position_tolerance_m": bracket_position_tolerance(errors, command),
+        "law.position_tolerance_m": bracket_position_tolerance(errors, command, fit),
         "law.projection": projection,
-    }
+    }, fit
 
 
 def _project(errors: Values, headings: Values) -> Reproduce:
@@ -101,31 +104,36 @@ def _project(errors: Values, headings: Values) -> Reproduce:
     return reproduce
 
 
-def _choose_wrapping(command: Values, error: Values) -> tuple[bool, Finding]:
-    if (np.abs(error) < math.pi).all():
+def _choose_wrapping(
+    command: Values, error: Values, plain: CommandFit, wrapped: CommandFit
+) -> tuple[bool, Finding]:
+    if plain.is_certain != wrapped.is_certain and (np.abs(error) >= math.pi).any():
+        chosen = wrapped.is_certain
+        return chosen, find_exactly(chosen, "the heading error exceeds half a turn")
+    noise = plain.gain.noise if plain.gain and not plain.is_certain else 0.0
+    if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * noise).any():
         return False, miss("the heading error stays within half a turn", assumed=False)
-    plain, wrapped = (
-        fit_command(command, partial(np.multiply, values)) for values in (error, wrap_angle(error))
-    )
-    wraps = compute_misfit(wrapped, command, wrap_angle(error)) < compute_misfit(
-        plain, command, error
-    )
-    return wraps, find_exactly(wraps, "the heading error exceeds half a turn")
+    left = compute_misfit(wrapped, command, wrap_angle(error))
+    chosen = left < compute_misfit(plain, command, error)
+    evidence = "the heading error exceeds half a turn"
+    return chosen, Finding(value=chosen, certainty=Certainty.FITTED, evidence=evidence)
 
 
 def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
     bearing, heading = fits["bearing"].gain, fits["heading"].gain
     if bearing is None or heading is None:
-        return miss("every command stands at its limit", "bearing")
-    if bearing.is_exact and heading.is_exact and bearing.is_bitwise == heading.is_bitwise:
+        signed = [name for name, fit in fits.items() if fit.has_signs]
+        assumed = signed[0] if len(signed) == 1 else "bearing"
+        return miss("every command stands at its limit", assumed)
+    if bearing.is_exact == heading.is_exact and (bearing.is_exact or bearing.is_close):
         return _leave_open(tuple(fits), "both reproduce every command", "heading")
     for name, gain in (("bearing", bearing), ("heading", heading)):
-        if gain.is_bitwise or (gain.is_exact and not (bearing.is_bitwise or heading.is_bitwise)):
+        if gain.is_exact:
             return find_exactly(name, f"reproduces {gain.rows} unclipped commands")
-    better = "bearing" if bearing.residual <= heading.residual else "heading"
-    gain = bearing if better == "bearing" else heading
-    ratio = max(bearing.residual, heading.residual) / gain.residual
-    if gain.rows * math.log(ratio) < _CERTAIN:
+    better, other = ("bearing", heading) if bearing.noise <= heading.noise else ("heading", bearing)
+    found = fits[better].gain or other
+    ratio = other.noise / found.noise if found.noise > 0.0 else math.inf
+    if found.rows * math.log(max(ratio, 1.0)) < _CERTAIN:
         return _leave_open(tuple(fits), "noise hides the difference", better)
     return Finding(
         value=better, certainty=Certainty.FITTED, evidence=f"the other leaves {ratio:.3g} times"

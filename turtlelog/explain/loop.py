@@ -16,9 +16,17 @@ Guess = Mapping[str, Any]
 """Values by key of the scenario."""
 
 _LARGEST_BACKLOG: Final = 12
+"""Start backlogs that are tried where the clock does not tell: beyond the queue's usual depth of 10
+they look alike."""
+
 _LARGEST_DELAY: Final = 8
+"""Transport delays that are tried where no dead time is known [ticks]."""
 _PAUSE_SLACK_TICKS: Final = 2.5
+"""How far a pause that is tried may be from the clock's: both of its ends may be a tick late."""
+
 _JITTER_TICKS: Final = 0.75
+"""How far a pause may be from the clock's without contradicting it: a callback waits for less than
+a tick, and the paper's clocks are off by a tenth of one."""
 _QUICK: Final = 0.5
 """Answers closer than this share of their usual distance belong to a burst."""
 

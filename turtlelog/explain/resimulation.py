@@ -149,25 +149,6 @@ def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
     return replace(scenario, max_duration_s=min(scenario.max_duration_s, ticks * TICK_S))
 
 
-def compute_misfit(trace: Trace, again: Run) -> float:
-    """Return the negative log-likelihood of a log with noise, up to a constant."""
-    total = 0.0
-    for left, right in _pair_phases(trace, again):
-        read = again.samples.pose_sequence[right]
-        xy = trace.xy_m[left] - again.poses.xy_m[read]
-        turned = subtract_headings(trace.heading_rad[left], again.poses.heading_rad[read])
-        for error in (xy[:, 0], xy[:, 1], turned):
-            total += _weigh(np.asarray(error))
-    return total
-
-
-def _weigh(error: Values) -> float:
-    if not len(error):
-        return 0.0
-    # Below the rounding of a pose nothing is told.
-    return len(error) * float(np.log(np.sqrt(np.mean(error**2)) + 1e-7))
-
-
 def count_lost_commands(scenario: Scenario) -> int:
     """Return how many commands a scenario publishes that the plant never takes.
 
@@ -185,6 +166,23 @@ def count_lost_commands(scenario: Scenario) -> int:
             queue.put(number, sample)
         superseded += max(len(tick.published) - 1, 0)
     return superseded if newest else queue.dropped
+
+
+def read_pause(scenario: Scenario) -> tuple[float | None, int]:
+    """Return the turn rate that the plant held when the law's pause ended, and the burst then.
+
+    The rate is None where commands were still queued. The burst counts poses answered at once; 0
+    where there is no pause.
+    """
+    is_blocked, sent = False, 0.0
+    for tick in iterate_ticks(scenario):
+        if is_blocked and tick.computed:
+            is_held = float(np.float32(sent)) == tick.turn_rate_rad_s
+            return (sent if is_held else None), len(tick.computed)
+        for sample in tick.computed:
+            is_blocked = sample.decision.blocks_ticks > 0
+            sent = sent if is_blocked else sample.turn_rate_rad_s
+    return None, 0
 
 
 def _max(values: Values) -> float:

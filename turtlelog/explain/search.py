@@ -8,29 +8,45 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.angles import wrap_angle
 from turtlelog.explain.loop import Guess, Hints, agrees_with_clock, list_queues
-from turtlelog.explain.resimulation import Row, compute_misfit, count_equal, list_rows
+from turtlelog.explain.open_loop import (
+    FLOOR,
+    Drive,
+    StartBounds,
+    bound_start,
+    drive_plant,
+    join_starts,
+)
+from turtlelog.explain.resimulation import Row, count_equal, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
-from turtlelog.simulate import iterate_ticks, simulate_run
-from turtlelog.turtlesim import TICK_S
+from turtlelog.simulate import iterate_ticks
+from turtlelog.turtlesim import WORLD_SIZE_M
 
 _CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which a setting is worse than another."""
+"""Difference of log-likelihoods from which a setting is worse than another: 20,000 times less
+likely. Log-likelihoods of the settings tried are estimates, and 5 would still be 150 times."""
 
-_MOST_SIMULATED: Final = 24
-"""Settings that are simulated to their end where none is exact."""
+_MOST_TICKS: Final = 150_000
+"""Ticks that are simulated where none is exact, some four seconds' worth."""
 
-_MOST_TICKS: Final = 100_000
+_MOST_SAMPLES: Final = 100_000
+"""Samples simulated from which on rarer queues are no longer tried, some three seconds' worth."""
 
 _SPARE_S: Final = 3.0
 """How much longer than the log a simulation may take before it counts as another [s]."""
 
 _USUAL_S: Final = Scenario().max_duration_s
 
+_OFF_GRID: Final = 0.02
+"""How far a logged value may be off its step, in steps: rounded to 32 bits after it."""
+
 _DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
+
+START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
 Settings = Mapping[str, Any]
 
@@ -45,21 +61,35 @@ class Fits:
     Attributes:
         guesses: Values by key of the scenario, the likeliest first; at least one.
         scenarios: The same as whole scenarios.
-        is_exact: Whether they reproduce every sample, bit for bit or else to rounding.
+        is_exact: Whether they reproduce every sample bit for bit.
+        is_close: Whether they reproduce every sample to rounding.
+        drive: The plant driven with the log's commands and the likeliest settings; None where it
+            was not needed, or cannot be.
+        reproduced: Samples that the likeliest reproduces, from the first one on.
         tried: How many were simulated.
         hidden: Keys whose value makes no difference in this run.
+        bounds: Of the start, where what is left is the rounding of poses alone.
     """
 
     guesses: tuple[Guess, ...]
     scenarios: tuple[Scenario, ...]
     is_exact: bool
+    is_close: bool = False
+    drive: Drive | None = None
+    reproduced: int
     tried: int
     hidden: frozenset[str] = frozenset()
+    bounds: StartBounds | None = None
 
     @property
     def scenario(self) -> Scenario:
         """The likeliest."""
         return self.scenarios[0]
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the settings explain the motion, and what is left of it is noise."""
+        return self.drive is not None and self.drive.explains
 
     def list_values(self, key: str) -> tuple[Any, ...]:
         """Return the values of a key, the likeliest first."""
@@ -76,22 +106,18 @@ def search_loop(
 
     The usual depths of the queues are tried first, others only where those do not fit, or fit with
     a pause or a backlog that the clock contradicts.
-    Where nothing is exact the settings that leave the least are returned.
+    Where nothing is exact, the plant is driven with the log's own commands, and the settings that
+    explain the motion best are returned.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[Phase.ROTATE], dead_times[Phase.TRANSLATE])
-    for search.to_rounding in (False, True):
-        exact: list[_Exact] = []
-        for tier in tiers:
-            exact += search.find_exact(tier)
-            if any(search.contradict_clock(guess) == (False, False) for guess, _ in exact):
-                break
-        if exact:
-            least = min(search.contradict_clock(guess) for guess, _ in exact)
-            return search.build_exact_fits(
-                [found for found in exact if search.contradict_clock(found[0]) == least]
-            )
-    return search.find_likeliest(next(filter(None, tiers)))
+    found = search.find_in_tiers(tiers)
+    if found is None:
+        likeliest = search.find_likeliest(next(filter(None, tiers)))
+        found = search.start_between_floats(tiers, likeliest)
+        search.to_rounding = found is None
+        found = found or search.find_in_tiers(tiers) or likeliest
+    return found
 
 
 class _Search:
@@ -102,12 +128,12 @@ class _Search:
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
-        self._trace, self._known, self._hints = trace, known, hints
+        self._trace, self._known, self._hints = trace, dict(known), hints
         self._rows = list_rows(trace)
         pauses = hints.pauses
         self._near = [p for p in pauses if agrees_with_clock(p, hints, trace)] or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
-        self._tried = 0
+        self._tried = self._simulated = 0
         self.to_rounding = False
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
@@ -115,6 +141,25 @@ class _Search:
         values = {"name": self._trace.run.name, **self._known, **guess, **more}
         values.setdefault("max_duration_s", self._most_s)
         return build_scenario(nest_parameters(values), source=self._trace.run.name)
+
+    def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
+        """Return the settings that reproduce every sample, None where none does."""
+        exact: list[_Exact] = []
+        for tier in tiers:
+            # Once the clock agrees with one, only others that it agrees with as well count.
+            is_settled = any(self.contradict_clock(guess) == (False, False) for guess, _ in exact)
+            exact += self.find_exact(self._keep_agreeing(tier) if is_settled else tier)
+            if self._simulated > _MOST_SAMPLES:
+                break
+        if not exact:
+            return None
+        least = min(self.contradict_clock(guess) for guess, _ in exact)
+        return self.build_exact_fits(
+            [found for found in exact if self.contradict_clock(found[0]) == least]
+        )
+
+    def _keep_agreeing(self, queues: Sequence[Guess]) -> list[Guess]:
+        return [g for g in queues if g["loop.start_backlog"] in self._hints.backlogs]
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
         """Return the settings that reproduce every sample, of them those nearest to the clock."""
@@ -142,11 +187,13 @@ class _Search:
 
     def build_exact_fits(self, exact: Sequence[_Exact]) -> Fits:
         """Return the settings found, as scenarios that end where the log does."""
-        guess = exact[0][0]
         hidden = {
             key
             for key in _DEPTHS
-            if self._count({**guess, key: guess[key] + 1}, self._rows) >= len(self._rows)
+            if any(
+                self._count({**guess, key: guess[key] + 1}, self._rows) >= len(self._rows)
+                for guess, _ in exact
+            )
         }
         return Fits(
             guesses=tuple(guess for guess, _ in exact),
@@ -154,33 +201,107 @@ class _Search:
                 self._end(self.build(guess), goes_on=count > len(self._rows))
                 for guess, count in exact
             ),
-            is_exact=True,
+            is_exact=not self.to_rounding,
+            is_close=self.to_rounding,
+            reproduced=len(self._rows),
             tried=self._tried,
             hidden=frozenset(hidden),
         )
 
     def find_likeliest(self, queues: Sequence[Guess]) -> Fits:
-        """Return the settings that leave the least; the clock tells the pause."""
-        guesses = [_pause(guess, pause) for guess, pause in product(queues, self._near)]
-        ticks = self._most_s / TICK_S
-        guesses = guesses[: max(min(_MOST_SIMULATED, int(_MOST_TICKS / ticks)), 1)]
-        scenarios = [self.build(guess) for guess in guesses]
-        misfits = [compute_misfit(self._trace, simulate_run(found)) for found in scenarios]
+        """Return the settings with which the log's commands move the plant as logged."""
+        first = self._near[0]
+        before = self._drive(queues, [first], rows=self._trace.rotating)
+        guesses = [guess for guess, _ in before] or [_pause(queues[0], first)]
+        driven = self._drive(guesses, self._near, rows=None)
+        if not driven:
+            guesses = guesses[:1]
+            return self._build_nearest(guesses, None)
+        # Of settings that fit alike, those that the clock does not contradict.
+        least = min(self.contradict_clock(guess) for guess, _ in driven)
+        agreeing = [guess for guess, _ in driven if self.contradict_clock(guess) == least]
+        drives = [drive for guess, drive in driven if guess in agreeing]
+        return self._build_nearest(agreeing, join_starts(drives))
+
+    def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
+        """Return the settings that reproduce every sample from a start that is no 32-bit float.
+
+        So stands a plant that moved before, as in a second run without a reset.
+        """
+        trace = self._trace
+        poses = np.column_stack([trace.xy_m, trace.heading_rad])
+        is_single = bool((poses == poses.astype(np.float32)).all())
+        if fits.bounds is None or not is_single or trace.missing or trace.jumps:
+            return None
+        start = keep_in_world(fits.bounds.middle)
+        kept = self._known
+        precise = {**dict(zip(START_KEYS, start, strict=True)), "start.precision": "float64"}
+        self._known = {**kept, **precise}
+        found = self.find_in_tiers(tiers)
+        if found is None:
+            self._known = kept
+            return None
+        return replace(found, bounds=fits.bounds)
+
+    def _drive(
+        self, guesses: Sequence[Guess], pauses: Sequence[int], *, rows: int | None
+    ) -> list[tuple[Guess, Drive]]:
+        """Return the settings that fit alike best, the best first."""
+        ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks + pauses[0]
+        tried = [
+            _pause(guess, pause) for pause, guess in product(pauses, [_unpause(g) for g in guesses])
+        ][: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
+        self._tried += len(tried)
+        found = [(guess, drive_plant(self._trace, guess, rows=rows)) for guess in tried]
+        driven = [(guess, drive) for guess, drive in found if drive is not None]
+        if not driven:
+            return []
+        # What the best leaves says how independent the rows are.
+        first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
+        misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
         order = np.argsort(misfits, kind="stable").tolist()
-        best = [row for row in order if misfits[row] < misfits[order[0]] + _CERTAIN]
+        return [driven[row] for row in order if misfits[row] < min(misfits) + _CERTAIN]
+
+    def _build_nearest(self, guesses: Sequence[Guess], drive: Drive | None) -> Fits:
+        start: dict[str, float] = {}
+        if drive is not None:
+            start = dict(zip(START_KEYS, keep_in_world(drive.start), strict=True))
+        self.to_rounding = True
+        scenarios = tuple(self._end(self.build(guess, **start), goes_on=False) for guess in guesses)
+        counts = [self._count(guess, self._rows) for guess in guesses[:1]]
+        self.to_rounding = False
         return Fits(
-            guesses=tuple(guesses[row] for row in best),
-            scenarios=tuple(self._end(scenarios[row], goes_on=False) for row in best),
+            guesses=tuple(guesses),
+            scenarios=scenarios,
             is_exact=False,
-            tried=self._tried + len(guesses),
+            drive=drive,
+            bounds=self._bound_start(drive),
+            reproduced=counts[0],
+            tried=self._tried,
         )
+
+    def _bound_start(self, drive: Drive | None) -> StartBounds | None:
+        """Return bounds of the start, where what is left is no more than rounding."""
+        trace = self._trace
+        if drive is None or not (drive.explains and drive.rows == len(trace)):
+            return None
+        poses = np.column_stack([trace.xy_m, trace.heading_rad])
+        half = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
+        grains = 0.5 * np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
+        coarse = grains > 2.0 * half.max(axis=0)
+        half = np.where(coarse, grains * (1.0 + _OFF_GRID), half)
+        if (np.array(drive.noise) > 2.0 * half.max(axis=0) + FLOOR).any():
+            return None
+        return bound_start(drive, half)
 
     def _list_rotation(self) -> list[Row | None]:
         return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
 
     def _count(self, guess: Guess, rows: list[Row | None]) -> int:
         self._tried += 1
-        return count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
+        equal = count_equal(self.build(guess), rows, to_rounding=self.to_rounding)
+        self._simulated += equal
+        return equal
 
     def _end(self, scenario: Scenario, *, goes_on: bool) -> Scenario:
         """Let a scenario end with the log where the log was cut, else leave it the usual time."""
@@ -200,5 +321,15 @@ class _Search:
         return scenario.max_duration_s
 
 
+def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the nearest pose at which a scenario may start."""
+    x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
+    return x_m, y_m, wrap_angle(pose[2])
+
+
 def _pause(guess: Guess, ticks: int) -> Guess:
     return {**guess, "law.pause_ticks": ticks}
+
+
+def _unpause(guess: Guess) -> Guess:
+    return {key: value for key, value in guess.items() if key != "law.pause_ticks"}

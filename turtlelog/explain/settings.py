@@ -1,35 +1,32 @@
 """The settings that a search found, as findings."""
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.identification import LOOP_KEYS
-from turtlelog.explain.resimulation import count_lost_commands
+from turtlelog.explain.resimulation import count_lost_commands, read_pause
 from turtlelog.explain.search import Fits
 from turtlelog.explain.trace import Trace
+
+_HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
 
 _PERIOD: Final = "the usual distance of the poses answered"
 
 
-def describe_loop(trace: Trace, fits: Fits, *, is_noisy: bool) -> dict[str, Finding]:
+def describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
     """Return what lies between controller and plant, and the lost commands.
 
-    Where nothing is exact although the log has no noise, what fits best is no finding.
+    Where nothing is exact and no noise explains it, what fits best is no finding.
     """
-    findings = {
-        key: _describe_setting(trace, fits, key)
-        if fits.is_exact or is_noisy
-        else _describe_nearest(fits, key)
-        for key in LOOP_KEYS
-    }
-    findings["lost_commands"] = _describe_lost(fits)
     poses = np.column_stack([trace.xy_m, trace.heading_rad])
     if not np.ptp(poses, axis=0).any():
         reason = "the robot never moves in this log"
         findings = {key: miss(reason, fits.guesses[0][key]) for key in LOOP_KEYS}
         return {**findings, "lost_commands": miss(reason)}
+    findings = {key: _describe_setting(trace, fits, key) for key in LOOP_KEYS}
+    findings["lost_commands"] = _describe_lost(fits)
     if not trace.shows_pause:
         assumed = fits.guesses[0]["law.pause_ticks"]
         seen = f": at least {assumed - 1} ticks" if assumed else ""
@@ -37,14 +34,43 @@ def describe_loop(trace: Trace, fits: Fits, *, is_noisy: bool) -> dict[str, Find
     return findings
 
 
+def describe_pause(trace: Trace, fits: Fits) -> dict[str, Finding]:
+    """Return what the plant did in the pause, and how many poses were answered after it."""
+    if not (fits.is_exact and trace.shows_pause):
+        return {}
+    again = [read_pause(scenario) for scenario in fits.scenarios]
+    held, bursts = ([*dict.fromkeys(values)] for values in zip(*again, strict=True))
+    if 0 in bursts:
+        return dict.fromkeys(_HELD_AND_BURST, miss("the re-simulation has no pause"))
+    found = {"pause.burst": _settle(bursts, "poses that the re-simulation answers at once")}
+    reason = "the queue is not empty before the pause ends: no command is held"
+    found["pause.held_turn_rate_rad_s"] = (
+        miss(reason) if None in held else _settle(held, "what the re-simulated plant holds")
+    )
+    return found
+
+
+def _settle(values: list[Any], evidence: str) -> Finding:
+    if len(values) == 1:
+        return find_exactly(values[0], evidence)
+    return Finding(
+        value=values[0],
+        certainty=Certainty.AMBIGUOUS,
+        evidence="the settings that fit differ in it",
+        candidates=tuple(values),
+    )
+
+
 def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     values, chosen = fits.list_values(key), fits.guesses[0][key]
+    is_reproduced = fits.is_exact or fits.is_close
+    if not (is_reproduced or fits.is_fitted):
+        reason = f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
+        return miss(reason, chosen)
     if key in fits.hidden:
         return miss("a deeper queue gives the same run", chosen)
-    if key == "loop.period_ticks":
-        return find_exactly(chosen, _PERIOD)
     if len(values) > 1:
-        how = "reproduces every sample" if fits.is_exact else "leaves as little as the others"
+        how = "reproduces every sample" if is_reproduced else "leaves as little as the others"
         return Finding(
             value=chosen,
             certainty=Certainty.AMBIGUOUS,
@@ -52,22 +78,19 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
             candidates=values,
         )
     if fits.is_exact:
+        if key == "loop.period_ticks":
+            return find_exactly(chosen, _PERIOD)
         also = "; so does a command queue of 1" if chosen == "newest" else ""
         return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
+    evidence = f"likeliest of {fits.tried} settings; none is exact"
+    if fits.is_close:
+        evidence = f"reproduces all {len(trace)} samples to rounding, none bit for bit"
+    is_number = isinstance(chosen, int)
     return Finding(
         value=chosen,
         certainty=Certainty.FITTED,
-        evidence=f"likeliest of {fits.tried} settings; none is exact",
-    )
-
-
-def _describe_nearest(fits: Fits, key: str) -> Finding:
-    chosen = fits.guesses[0][key]
-    if key == "loop.period_ticks":
-        return find_exactly(chosen, _PERIOD)
-    return miss(
-        f"none of {fits.tried} settings reproduces the samples; {chosen} is the nearest one's",
-        chosen,
+        evidence=evidence,
+        interval=(chosen, chosen) if is_number else None,
     )
 
 

@@ -1,20 +1,25 @@
 """A log as a controller's eyes and hands: pose read, command published, time; sample by sample."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
+from turtlelog.explain.stretches import estimate_noise, find_jumps, number_rows
 from turtlelog.run import Phase, Run
 from turtlelog.turtlesim import TICK_NS
 
 Values = NDArray[np.float64]
 
-_LONG_STEPS: Final = 4.0
-"""A longer silence of a controller, in its usual steps, is a gap."""
+_FEWEST_DIFFERENT: Final = 10
+"""Fewer different values may have a common step by chance."""
+
+_OFF_GRID: Final = 0.02
+"""How far a 32-bit float may be off the multiple of a step that it was rounded from, in steps:
+4e-7 m of 1e-4 m, and a margin."""
 
 _FIRST_DIGITS: Final = 9
 """A goal that is only logged as position plus error is rounded to this many decimals."""
@@ -26,8 +31,9 @@ class Trace:
 
     Attributes:
         run: Where they come from.
-        number: Of each sample in the run, from 0, shape (n,); some are left out where rows of a
-            recording are lost. A log that has no such numbers counts its rows.
+        number: Of each sample in the run, from 0, shape (n,); some are left out where rows are
+            lost. In a log that has no such numbers its clock and the motion tell.
+        jumps: Rows whose pose the robot cannot have reached from the one before.
         time_ns: Of each answer [ns], shape (n,).
         xy_m: Of the pose read [m], shape (n, 2).
         heading_rad: Of the pose read [rad], shape (n,).
@@ -43,6 +49,7 @@ class Trace:
 
     run: Run
     number: NDArray[np.int64]
+    jumps: tuple[int, ...]
     time_ns: NDArray[np.int64]
     xy_m: Values
     heading_rad: Values
@@ -70,11 +77,34 @@ class Trace:
 
     @property
     def bearing_rad(self) -> float:
-        """The goal bearing from the first pose read, or else as logged [rad]."""
-        if self.goal_xy_m is None:
-            return float(self.run.samples.bearing_rad[0])
-        x_m, y_m = self.xy_m[0].tolist()
-        return math.atan2(self.goal_xy_m[1] - y_m, self.goal_xy_m[0] - x_m)
+        """The goal bearing, as logged [rad]: noise may have hidden the pose that gave it."""
+        return float(self.run.samples.bearing_rad[0])
+
+    @property
+    def grain_m(self) -> float:
+        """Step in which positions are logged [m]."""
+        return max(find_grain(self.xy_m[:, 0]), find_grain(self.xy_m[:, 1]))
+
+    @property
+    def grain_rad(self) -> float:
+        """Step in which headings are logged [rad]."""
+        return find_grain(self.heading_rad)
+
+    @property
+    def noise_m(self) -> float:
+        """Standard deviation of the noise of positions [m]."""
+        return estimate_noise(self.xy_m)
+
+    @property
+    def noise_rad(self) -> float:
+        """Standard deviation of the noise of headings [rad]."""
+        return estimate_noise(np.unwrap(self.heading_rad)[:, None])
+
+    @property
+    def missing(self) -> list[tuple[int, int]]:
+        """Rows before which others are missing, and how many."""
+        steps = np.diff(self.number)
+        return [(row + 1, int(steps[row]) - 1) for row in np.flatnonzero(steps > 1).tolist()]
 
 
 def trace_run(run: Run) -> Trace:
@@ -93,9 +123,11 @@ def trace_run(run: Run) -> Trace:
     phase = samples.phase
     rotating = _count_leading(phase == Phase.ROTATE)
     has_ticks = _has_ticks(run)
-    return Trace(
+    number = samples.sequence if has_ticks else np.arange(len(samples))
+    trace = Trace(
         run=run,
-        number=samples.sequence if has_ticks else np.arange(len(samples)),
+        number=number,
+        jumps=(),
         time_ns=samples.time_ns,
         xy_m=run.poses.xy_m[read],
         heading_rad=run.poses.heading_rad[read],
@@ -108,16 +140,28 @@ def trace_run(run: Run) -> Trace:
         has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % TICK_NS).any(),
         has_ticks=has_ticks,
     )
+    jumps = find_jumps(trace)
+    return replace(trace, jumps=jumps, number=number if has_ticks else number_rows(trace, jumps))
 
 
-def find_gaps(trace: Trace) -> list[tuple[int, int]]:
-    """Return where samples are missing, as the times around [ns]; a pause is no gap."""
-    if trace.has_ticks:
-        is_gap = np.diff(trace.number) > 1
-    else:
-        is_gap = np.diff(trace.time_ns) > _LONG_STEPS * trace.period_ticks * TICK_NS
-    rows = [row for row in np.flatnonzero(is_gap).tolist() if row != trace.rotating - 1]
-    return [(int(trace.time_ns[row]), int(trace.time_ns[row + 1])) for row in rows]
+def find_grain(values: Values) -> float:
+    """Return the step that all values are multiples of, or the spacing of their 32-bit floats.
+
+    0 where they have more bits and no common step.
+    """
+    different = np.unique(values)
+    spacing = 0.0
+    if (values == values.astype(np.float32)).all():
+        spacing = float(np.spacing(np.float32(np.abs(values).max(initial=0.0))))
+    if len(different) < _FEWEST_DIFFERENT:
+        return spacing
+    steps = np.diff(different)
+    # From neighbours, which are few steps apart, to all: the step gets more exact on the way.
+    multiples = np.cumsum(np.rint(steps / steps.min()))
+    step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
+    left = (different[1:] - different[0]) - step * multiples
+    is_common = bool((np.abs(left) < _OFF_GRID * step).all()) and step > spacing
+    return step if is_common else spacing
 
 
 def _count_leading(holds: NDArray[np.bool_]) -> int:

@@ -1,10 +1,11 @@
 """Control laws, one per file: the thing under test."""
 
-from turtlelog.laws.base import Decision, Goal, Law, Pose
+from turtlelog.laws.base import ABSENT_BY_DEFAULT, Decision, Goal, Law, Pose
 from turtlelog.laws.loading import LAWS, find_law, require_law_name
 from turtlelog.laws.sequential_p import SequentialP, SequentialPParameters
 
 __all__ = [
+    "ABSENT_BY_DEFAULT",
     "LAWS",
     "Decision",
     "Goal",

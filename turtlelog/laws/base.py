@@ -1,10 +1,16 @@
 """What a control law is: it reads a pose, answers with a decision, and knows nothing else."""
 
-from typing import Any, ClassVar, Protocol
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar, Final, Protocol
 
 import msgspec
 
 from turtlelog.run import Phase
+
+ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
+"""Metadata of a parameter that a scenario's text leaves out while it has its default, so that
+adding it to a law changes no file that was written before."""
 
 # msgspec structs instead of dataclasses: the loop makes several per sample, and a frozen
 # dataclass costs ten times as much to build.

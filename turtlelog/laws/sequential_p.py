@@ -1,21 +1,15 @@
 """The paper's law: rotate on the spot, then translate, each with u = Kp e."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Final, Literal
 
 from msgspec import Meta
 from msgspec.structs import replace
 
 from turtlelog.angles import wrap_angle
-from turtlelog.laws.base import Decision, Goal, Pose
+from turtlelog.laws.base import ABSENT_BY_DEFAULT, Decision, Goal, Pose
 from turtlelog.run import Phase
-
-_STANDSTILL_SAMPLES: Final = 100
-_STANDSTILL_COMMAND: Final = 0.001  # [m/s] and [rad/s]
-_SETTLED_ERROR_M: Final = 0.01
-_SETTLED_NS: Final = 5_000_000_000
-_TIMEOUT_NS: Final = 30_000_000_000
 
 # Looking a member up on its enum costs as much as the rest of a step.
 _ROTATE: Final = Phase.ROTATE
@@ -35,6 +29,11 @@ class SequentialPParameters:
             program does, or the current `heading`, as its equation 16 says.
         wrap_error: Whether the heading error is wrapped to [-pi, pi).
         pause_ticks: Ticks that the controller sleeps for after rotating [16 ms each].
+        timeout_s: Translation ends this long after the first sample [s]; inf: never.
+        settled_within_m: Error coordinates below this count as settled [m].
+        settled_for_s: Translation ends when they have been settled for longer [s]; inf: never.
+        standstill_samples: Translation ends after more consecutive samples at a standstill.
+        standstill_below: A sample is at a standstill if its wanted speed is below this [m/s].
     """
 
     kp_angular: Annotated[float, Meta(gt=0)] = 1.0
@@ -44,6 +43,15 @@ class SequentialPParameters:
     projection: Literal["bearing", "heading"] = "heading"
     wrap_error: bool = True
     pause_ticks: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
+    timeout_s: Annotated[float, Meta(gt=0)] = field(default=30.0, metadata=ABSENT_BY_DEFAULT)
+    settled_within_m: Annotated[float, Meta(ge=0)] = field(default=0.01, metadata=ABSENT_BY_DEFAULT)
+    settled_for_s: Annotated[float, Meta(ge=0)] = field(default=5.0, metadata=ABSENT_BY_DEFAULT)
+    standstill_samples: Annotated[int, Meta(ge=0, le=1_000_000)] = field(
+        default=100, metadata=ABSENT_BY_DEFAULT
+    )
+    standstill_below: Annotated[float, Meta(ge=0)] = field(
+        default=0.001, metadata=ABSENT_BY_DEFAULT
+    )
 
 
 class SequentialP:
@@ -136,14 +144,15 @@ class SequentialP:
     def _find_stop_reason(
         self, time_ns: int, speed_m_s: float, error_x_m: float, error_y_m: float
     ) -> str | None:
-        still = abs(speed_m_s) < _STANDSTILL_COMMAND
+        rules = self._parameters
+        still = abs(speed_m_s) < rules.standstill_below
         self._still_samples = self._still_samples + 1 if still else 0
-        if self._still_samples > _STANDSTILL_SAMPLES:
+        if self._still_samples > rules.standstill_samples:
             return "standstill"
-        if abs(error_x_m) >= _SETTLED_ERROR_M or abs(error_y_m) >= _SETTLED_ERROR_M:
+        if abs(error_x_m) >= rules.settled_within_m or abs(error_y_m) >= rules.settled_within_m:
             self._close_since_ns = None
         elif self._close_since_ns is None:
             self._close_since_ns = time_ns
-        elif time_ns - self._close_since_ns > _SETTLED_NS:
+        elif time_ns - self._close_since_ns > rules.settled_for_s * 1e9:
             return "settled"
-        return "timeout" if time_ns - self._first_ns > _TIMEOUT_NS else None
+        return "timeout" if time_ns - self._first_ns > rules.timeout_s * 1e9 else None

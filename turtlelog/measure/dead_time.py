@@ -20,10 +20,14 @@ _BEGUN: Final = 0.1
 """Share of the way after which a phase's first commands, which may be lost, are behind it."""
 
 _CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which the better of two fits counts as found."""
+"""Difference of log-likelihoods from which the better of two fits counts as found: the other is
+20,000 times less likely."""
 
 _EXPLAINED: Final = 0.05
 """Residual above which nothing is explained, as a share of the way."""
+
+_KNOWN: Final = 0.5
+"""Share of the steps whose commands must be known to a dead time that explains them exactly."""
 
 _FEWEST_STEPS: Final = 12
 """The shortest stretch that counts as one of another dead time."""
@@ -95,6 +99,8 @@ def _choose(
     """Judge the errors of each dead time, shape (dead times, steps); `first` is the first move."""
     fits = (np.abs(errors) <= motion.rounding) | ~sure
     fits[:, :first] = True
+    # A dead time whose commands are not known for most steps fits whatever moves.
+    fits &= sure[:, first:].mean(axis=1, keepdims=True) >= _KNOWN
     exact = np.flatnonzero(fits.all(axis=1))
     if len(exact) > 1:
         return Missing(status=Status.UNDETERMINED, reason=_describe_alike(exact))

@@ -21,7 +21,8 @@ _NEAR_TICKS: Final = 0.02
 _MOST_STEP_TICKS: Final = 60
 
 _GAP_STEPS: Final = 4.0
-"""A longer silence than this many usual steps may have lost poses."""
+"""A longer silence than this many usual steps may have lost poses: a wall clock under load makes
+some of three steps."""
 
 _LOST_ROWS: Final = 1000
 """Rows that a gap of unknown length stands for: further than any dead time reaches."""

@@ -24,7 +24,8 @@ Velocity = tuple[float, float, float]
 _STANDING: Final[Velocity] = (0.0, 0.0, 0.0)
 
 _DIRECTION: Final = 2e-4
-"""How exactly a step between two 32-bit poses tells its velocity [m/s]."""
+"""How exactly a step between two 32-bit poses tells its velocity [m/s]: each is off by 4.8e-7 m at
+most, in 16 ms 3e-5 m/s, on either axis; several times that."""
 
 _LATE_NS: Final = 2 * TICK_NS
 """A recorder may stamp a command this much later than the pose that shows it [ns]."""

@@ -15,6 +15,7 @@ from turtlelog.scenario.convert import (
     restore_scenario,
 )
 from turtlelog.scenario.model import (
+    DEFAULT_LAW,
     LawChoice,
     LawTable,
     Limits,
@@ -32,6 +33,7 @@ from turtlelog.scenario.presets import PAPER_RUNS, PRESETS, get_preset, iterate_
 from turtlelog.scenario.toml import format_scenario, parse_scenario, read_scenario
 
 __all__ = [
+    "DEFAULT_LAW",
     "PAPER_RUNS",
     "PRESETS",
     "LawChoice",

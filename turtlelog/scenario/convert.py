@@ -9,12 +9,14 @@ from typing import Any, get_type_hints
 import msgspec
 
 from turtlelog.errors import LawError, ScenarioError, suggest_names
-from turtlelog.laws import LAWS, find_law, require_law_name
+from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS, find_law, require_law_name
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
 
-_INFINITE_KEYS = frozenset({"limits.speed_m_s", "limits.turn_rate_rad_s"})
+_INFINITE_KEYS = frozenset(
+    {"limits.speed_m_s", "limits.turn_rate_rad_s", "law.timeout_s", "law.settled_for_s"}
+)
 _LONGEST_KIND = 300
 """A path and a class are shown whole, so that they can be looked at before they are trusted."""
 
@@ -102,10 +104,23 @@ def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
 def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario as the nested tables of its file."""
     tables = dataclasses.asdict(scenario)
-    parameters = tables["law"]["parameters"]
-    own = parameters["values"] if isinstance(scenario.law.parameters, LawTable) else parameters
+    parameters = scenario.law.parameters
+    own = tables["law"]["parameters"]
+    own = own["values"] if isinstance(parameters, LawTable) else _drop_absent(own, parameters)
     tables["law"] = {"kind": scenario.law.kind, **own}
+    tables["start"] = _drop_absent(tables["start"], scenario.start)
     return {key: _drop_none(value) for key, value in tables.items()}
+
+
+def _drop_absent(table: dict[str, Any], values: Any) -> dict[str, Any]:
+    """Return a table without the keys that stay out of a file while they have their defaults."""
+    absent = {
+        field.name
+        for field in dataclasses.fields(values)
+        if field.metadata.keys() & ABSENT_BY_DEFAULT.keys()
+        and getattr(values, field.name) == field.default
+    }
+    return {key: value for key, value in table.items() if key not in absent}
 
 
 def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
-from turtlelog.laws import SequentialPParameters
+from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.turtlesim import SPAWN_XY_M, WORLD_SIZE_M
 
 Coordinate = Annotated[float, Meta(ge=0.0, le=WORLD_SIZE_M)]
@@ -28,11 +28,14 @@ class Start:
         x_m: World frame [m].
         y_m: World frame [m].
         heading_rad: Counter-clockwise from +x [rad].
+        precision: `float32`: rounded to 32 bits, as spawning does; `float64`: as given, where a
+            turtle stands that moved before.
     """
 
     x_m: Coordinate = SPAWN_XY_M
     y_m: Coordinate = SPAWN_XY_M
     heading_rad: Heading = 0.0
+    precision: Literal["float32", "float64"] = field(default="float32", metadata=ABSENT_BY_DEFAULT)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -51,7 +51,10 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
     """
     loop = scenario.loop
     turtle = Turtle(
-        x_m=scenario.start.x_m, y_m=scenario.start.y_m, heading_rad=scenario.start.heading_rad
+        x_m=scenario.start.x_m,
+        y_m=scenario.start.y_m,
+        heading_rad=scenario.start.heading_rad,
+        is_rounded=scenario.start.precision == "float32",
     )
     controller = Controller(scenario, build_law(scenario.law))
     commands = CommandQueue(

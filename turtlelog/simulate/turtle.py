@@ -35,11 +35,18 @@ class Turtle:
         "turn_rate_rad_s",
     )
 
-    def __init__(self, *, x_m: float, y_m: float, heading_rad: float = 0.0) -> None:
-        """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does."""
-        self._x_m = round_to_float32(x_m)
-        self._down_m = round_to_float32(WORLD_SIZE_M - round_to_float32(y_m))
-        self._heading_rad = round_to_float32(heading_rad)
+    def __init__(
+        self, *, x_m: float, y_m: float, heading_rad: float = 0.0, is_rounded: bool = True
+    ) -> None:
+        """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does.
+
+        Unless `is_rounded`: then it stands there since it moved before.
+        """
+        self._x_m, self._down_m, self._heading_rad = x_m, WORLD_SIZE_M - y_m, heading_rad
+        if is_rounded:
+            self._x_m = round_to_float32(x_m)
+            self._down_m = round_to_float32(WORLD_SIZE_M - round_to_float32(y_m))
+            self._heading_rad = round_to_float32(heading_rad)
         self._idle_ns = 0
         self._teleports: list[tuple[bool, float, float, float]] = []
         self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0

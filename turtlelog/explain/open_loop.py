@@ -1,0 +1,307 @@
+"""The plant driven with the log's own commands: which queues, delays and pauses move it so.
+
+No law is asked, so noise in what the controller read, or in the log, does not matter: the commands
+are known exactly. What is left between the logged poses and the driven ones is noise, or says that
+the settings are not these.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from turtlelog.angles import subtract_headings
+from turtlelog.explain.numbers import find_quantile
+from turtlelog.explain.stretches import list_breaks
+from turtlelog.explain.trace import Trace, Values
+from turtlelog.laws import Decision, Goal, Pose
+from turtlelog.run import Phase
+from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
+from turtlelog.simulate import iterate_ticks
+from turtlelog.turtlesim import TICK_S, WORLD_SIZE_M
+
+_UNKNOWN_TICKS: Final = 20
+"""Ticks after missing rows in which commands that nobody logged may still be acting."""
+
+_WHITE: Final = 0.5
+"""How far from 1 the whiteness of noise may be: a wrong setting leaves a curve, below 0.1."""
+
+FLOOR: Final = 1e-7
+"""Below the rounding of a 32-bit pose of a few metres nothing is told [m, rad]."""
+
+_MOST_STEPS: Final = 4.0
+"""How far from the least squares a start is looked for, in steps of rounding."""
+
+_REFITS: Final = 3
+"""Rounds in which the weights of position and heading settle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaybackParameters:
+    """Commands to send, one per pose.
+
+    Attributes:
+        commands: Speed [m/s] and turn rate [rad/s] of each sample.
+        pauses_at: Number of the sample after which the controller is blocked, -1 for none.
+        pause_ticks: For how long.
+    """
+
+    commands: tuple[tuple[float, float], ...]
+    pauses_at: int
+    pause_ticks: int
+
+
+class Playback:
+    """A law that answers with the commands of a log, whatever the pose."""
+
+    Parameters: ClassVar[type[Any]] = PlaybackParameters
+
+    def __init__(self, parameters: PlaybackParameters) -> None:
+        """Take the commands."""
+        self._parameters = parameters
+        self._next = 0
+
+    def reset(self, start: Pose, goal: Goal) -> None:
+        """Begin with the first command."""
+        del start, goal
+        self._next = 0
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        """Answer with the next command."""
+        del time_ns, pose
+        parameters, number = self._parameters, self._next
+        self._next += 1
+        speed_m_s, turn_rate_rad_s = parameters.commands[number]
+        return Decision(
+            speed_m_s=speed_m_s,
+            turn_rate_rad_s=turn_rate_rad_s,
+            phase=Phase.ROTATE,
+            bearing_rad=0.0,
+            heading_error_rad=0.0,
+            error_x_m=0.0,
+            error_y_m=0.0,
+            blocks_ticks=parameters.pause_ticks if number == parameters.pauses_at else 0,
+            stop_reason="end" if self._next == len(parameters.commands) else None,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drive:
+    """How a driven plant compares with the log.
+
+    Attributes:
+        rows: Rows compared.
+        whiteness: Of what is left of x, y and heading.
+        explains: Whether what is left is noise.
+        is_rounding: Whether what is left of one axis is no more than the step of its poses.
+        noise: What is left: standard deviation of x, y [m] and heading [rad].
+        start: Pose at the start that fits best: x, y [m], heading [rad].
+        reach: Half-width of its 95 % intervals.
+        left: Logged less driven poses with that start, shape (rows, 3).
+        slopes: How these change with the start, shape (rows, 3, 3).
+    """
+
+    rows: int
+    whiteness: Values
+    explains: bool
+    is_rounding: bool
+    noise: tuple[float, float, float]
+    start: tuple[float, float, float]
+    reach: tuple[float, float, float]
+    left: Values
+    slopes: Values
+
+    def compute_misfit(self, whiteness: Values) -> float:
+        """Return the negative log-likelihood, up to a constant, for noise of that whiteness."""
+        weights = 1.0 / _widen_for_runs(whiteness) ** 2
+        return float((self.rows * weights * np.log(np.array(self.noise))).sum())
+
+
+def drive_plant(trace: Trace, guess: Any, *, rows: int | None = None) -> Drive | None:
+    """Drive the plant with the commands of the first `rows` samples; None where it cannot be."""
+    count = len(trace) if rows is None else rows
+    driven = _drive(trace, guess, int(trace.number[count - 1]) + 1)
+    if driven is None:
+        return None
+    read = driven[trace.number[:count]]
+    left = np.column_stack(
+        [
+            trace.xy_m[:count] - read[:, :2],
+            subtract_headings(trace.heading_rad[:count], read[:, 2]),
+        ]
+    )
+    return _compare(trace, left, read, count)
+
+
+def join_starts(drives: list[Drive]) -> Drive:
+    """Return the first of several that fit alike, with intervals that reach over those of all."""
+    best = drives[0]
+    edges = [
+        abs(np.array(drive.start) - np.array(best.start)) + np.array(drive.reach)
+        for drive in drives
+    ]
+    return replace(best, reach=_as_pose(np.max(edges, axis=0).tolist()))
+
+
+def _drive(trace: Trace, guess: Any, samples: int) -> Values | None:
+    """Return the pose that each sample would read, in double precision, shape (samples, 3)."""
+    values = dict(guess)
+    pause = int(values.pop("law.pause_ticks", 0))
+    loop = {key.removeprefix("loop."): value for key, value in values.items()}
+    speed = np.interp(np.arange(samples), trace.number, trace.speed_m_s)
+    turn_rate = np.interp(np.arange(samples), trace.number, trace.turn_rate_rad_s)
+    parameters = PlaybackParameters(
+        commands=tuple(zip(speed.tolist(), turn_rate.tolist(), strict=True)),
+        pauses_at=int(trace.number[trace.rotating - 1]) if trace.ended_rotation else -1,
+        pause_ticks=pause,
+    )
+    x_m, y_m = np.clip(trace.xy_m[0], 0.0, WORLD_SIZE_M).tolist()
+    scenario = Scenario(
+        name=trace.run.name,
+        max_duration_s=(samples * trace.period_ticks + pause + 1000) * TICK_S,
+        start=Start(x_m=x_m, y_m=y_m, heading_rad=float(trace.heading_rad[0])),
+        goal=Target(),
+        law=LawChoice(kind=f"{__name__}:{Playback.__name__}", parameters=parameters),
+        limits=Limits(speed_m_s=float("inf"), turn_rate_rad_s=float("inf")),
+        loop=LoopSettings(**{**loop, "pose_precision": "float64"}),
+    )
+    poses: list[tuple[float, float, float]] = []
+    read: list[int] = []
+    for tick in iterate_ticks(scenario):
+        poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
+        read += [sample.pose_sequence for sample in tick.computed]
+    return np.array(poses)[read] if len(read) == samples else None
+
+
+def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
+    stretches = _list_stretches(trace, count)
+    kept = np.zeros(count, dtype=bool)
+    for stretch in stretches:
+        kept[stretch] = True
+    slopes = np.zeros((count, 3, 3))
+    slopes[:, 0, 0] = slopes[:, 1, 1] = slopes[:, 2, 2] = 1.0
+    offsets, spread = np.zeros(3), np.zeros((3, 3))
+    noise = np.ones(3)
+    for stretch in stretches:
+        # After a jump the way is the same, turned by as much as the jump turned.
+        turned = float(np.median(left[stretch, 2])) if stretch.start else 0.0
+        away = read[stretch, :2] - read[stretch][0, :2]
+        way = away @ np.array([[np.cos(turned), np.sin(turned)], [-np.sin(turned), np.cos(turned)]])
+        left[stretch] += np.column_stack([away - way, np.full(len(way), -turned)])
+        slopes[stretch, 0, 2], slopes[stretch, 1, 2] = -way[:, 1], way[:, 0]
+    after = left.copy()
+    for _ in range(_REFITS):
+        for number, stretch in enumerate(stretches):
+            found, covariance = _fit_offsets(left[stretch], slopes[stretch], noise)
+            after[stretch] = left[stretch] - slopes[stretch] @ found
+            if number == 0:
+                offsets, spread = found, covariance
+        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
+    whiteness = _measure_whiteness(after, stretches)
+    grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
+    quantile = find_quantile(int(kept.sum()) - 2)
+    reach = quantile * np.sqrt(np.diag(spread)) * _widen_for_runs(whiteness)
+    start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
+    is_noise = np.abs(whiteness - 1.0) < _WHITE
+    is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
+    return Drive(
+        rows=int(kept.sum()),
+        whiteness=whiteness,
+        explains=bool((is_noise | is_rounding).all()),
+        is_rounding=bool(is_rounding.any()),
+        noise=(float(noise[0]), float(noise[1]), float(noise[2])),
+        start=tuple(start.tolist()),
+        reach=tuple(reach.tolist()),
+        left=after,
+        slopes=slopes,
+    )
+
+
+def _list_stretches(trace: Trace, count: int) -> list[slice]:
+    """Return the rows between jumps and gaps; after a gap, from where all commands are known."""
+    bounds = [0, *(row for row in list_breaks(trace) if row < count), count]
+    missing = {row for row, _ in trace.missing}
+    skip = _UNKNOWN_TICKS // trace.period_ticks
+    starts = [row + skip if row in missing else row for row in bounds[:-1]]
+    found = zip(starts, bounds[1:], strict=True)
+    return [slice(first, last) for first, last in found if last - first > 2]
+
+
+def _fit_offsets(left: Values, slopes: Values, noise: Values) -> tuple[Values, Values]:
+    """Return the shift of the first pose that fits best, and its covariance."""
+    weighted = slopes / noise[None, :, None]
+    normal = np.einsum("nij,nik->jk", weighted, weighted)
+    inverse = np.linalg.pinv(normal)
+    return inverse @ np.einsum("nij,ni->j", weighted, left / noise), inverse
+
+
+def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
+    """Return the mean square of changes by twice the mean square: 1 for noise, 0 for curves."""
+    changes, squares = np.zeros(3), np.zeros(3)
+    for stretch in stretches:
+        part = left[stretch]
+        changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
+        squares += (part**2).sum(axis=0) / len(part)
+    return np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
+
+
+def _widen_for_runs(whiteness: Values) -> Values:
+    """Return by how much errors that hang on the one before spread more than independent ones."""
+    alike = np.clip(1.0 - whiteness, 0.0, 0.99)
+    return np.asarray(np.sqrt((1.0 + alike) / (1.0 - alike)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartBounds:
+    """A start from which every pose rounds to the logged one.
+
+    Attributes:
+        middle: The one furthest from any edge: x, y [m], heading [rad].
+        low: The least of each.
+        high: The largest of each.
+    """
+
+    middle: tuple[float, float, float]
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+def bound_start(drive: Drive, half_steps: Values) -> StartBounds | None:
+    """Return where a plant may start so that every pose of the first stretch rounds as logged.
+
+    None where no start does. `half_steps`: half the step that each value is rounded to, shape
+    (rows, 3).
+    """
+    rows = drive.left.reshape(-1)
+    slopes = drive.slopes.reshape(-1, 3)
+    half = half_steps.reshape(-1)
+    # In units of the steps themselves: a solver's tolerance is 1e-9.
+    unit = float(half.max())
+    within = np.block([[slopes, half[:, None] / unit], [-slopes, half[:, None] / unit]])
+    sides = np.concatenate([half + rows, half - rows]) / unit
+    middle = _solve([0.0, 0.0, 0.0, -1.0], within, sides)
+    if middle is None:
+        return None
+    ends = []
+    for axis, sign in product(range(3), (1.0, -1.0)):
+        cost = [sign * (axis == column) for column in range(3)] + [0.0]
+        ends.append(_solve(cost, within, sides))
+    start = np.array(drive.start)
+    low = [start[axis] + (ends[2 * axis] or middle)[axis] * unit for axis in range(3)]
+    high = [start[axis] + (ends[2 * axis + 1] or middle)[axis] * unit for axis in range(3)]
+    best = [start[axis] + middle[axis] * unit for axis in range(3)]
+    return StartBounds(middle=_as_pose(best), low=_as_pose(low), high=_as_pose(high))
+
+
+def _solve(cost: list[float], within: Values, sides: Values) -> list[float] | None:
+    from scipy.optimize import linprog
+
+    bounds = [(-_MOST_STEPS, _MOST_STEPS)] * 3 + [(0.0, 1.0)]
+    found = linprog(c=cost, A_ub=within, b_ub=sides, bounds=bounds, method="highs")
+    return [float(value) for value in found.x] if found.success else None
+
+
+def _as_pose(values: list[float]) -> tuple[float, float, float]:
+    x_m, y_m, heading_rad = map(float, values)
+    return x_m, y_m, heading_rad
