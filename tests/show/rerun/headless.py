@@ -21,7 +21,7 @@ from turtlelog.show.rerun.viewer import ViewerProcess, start_viewer
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 @dataclass(frozen=True)

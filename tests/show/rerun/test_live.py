@@ -90,7 +90,7 @@ def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> N
 def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_live, "_FLUSH_S", 0.5)
     # Long enough to fill what a connection takes without an answer, however few batches it makes.
-    scenario = tl.override_scenario(SHORT, {"max_duration_s": 3.0})
+    scenario = tl.override_scenario(SHORT, {"max_duration_s": 8.0})
     lags_s: list[float] = []
     taken_s: list[float] = []
 
