@@ -110,8 +110,7 @@ def _choose_wrapping(
     if plain.is_certain != wrapped.is_certain and (np.abs(error) >= math.pi).any():
         chosen = wrapped.is_certain
         return chosen, find_exactly(chosen, "the heading error exceeds half a turn")
-    noise = plain.gain.noise if plain.gain and not plain.is_certain else 0.0
-    if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * noise).any():
+    if not (np.abs(error) >= math.pi + _HALF_TURN_SURE * plain.noise.size).any():
         return False, miss("the heading error stays within half a turn", assumed=False)
     left = compute_misfit(wrapped, command, wrap_angle(error))
     chosen = left < compute_misfit(plain, command, error)

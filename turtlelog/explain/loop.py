@@ -135,7 +135,7 @@ def list_queues(
     pose_queues = _list_unique(pose_queue, *(d for d in (hints.burst, hints.burst - 1) if d > 0))
     pose_queues += [backlog for backlog in hints.backlogs if backlog > max(pose_queues)]
     usual, *rarer = product(depths, pose_queues)
-    others = product((d for d in range(2, depth) if d not in depths), pose_queues)
+    others = product((d for d in range(2, max(depths)) if d not in depths), pose_queues)
     tiers = [
         _list_guesses(trace, hints, (before, after), pairs) for pairs in ([usual], rarer, [*others])
     ]

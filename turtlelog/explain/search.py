@@ -231,7 +231,7 @@ class _Search:
         trace = self._trace
         poses = np.column_stack([trace.xy_m, trace.heading_rad])
         is_single = bool((poses == poses.astype(np.float32)).all())
-        if fits.bounds is None or not is_single or trace.missing or trace.jumps:
+        if fits.bounds is None or not is_single:
             return None
         start = keep_in_world(fits.bounds.middle)
         kept = self._known
@@ -283,7 +283,7 @@ class _Search:
     def _bound_start(self, drive: Drive | None) -> StartBounds | None:
         """Return bounds of the start, where what is left is no more than rounding."""
         trace = self._trace
-        if drive is None or not (drive.explains and drive.rows == len(trace)):
+        if drive is None or not drive.explains or trace.missing or trace.jumps:
             return None
         poses = np.column_stack([trace.xy_m, trace.heading_rad])
         half = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)

@@ -1,0 +1,176 @@
+"""The thresholds on which `exact`, `fitted` and `unknown` turn, each from both sides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.explain.truth import Log, Truth, make_log
+from turtlelog.explain import Certainty, identify_run
+from turtlelog.explain.command_fit import PoseNoise, fit_command
+from turtlelog.explain.loop import read_hints
+from turtlelog.explain.numbers import Values, fit_gain
+from turtlelog.explain.trace import find_grain, trace_run
+
+
+def shift_clock(log: Log, row: int, ticks: float) -> Log:
+    """Return a log whose clock is later by some ticks from a row on."""
+    rows = [(found[0] + (ticks * 0.016 if at >= row else 0.0), *found[1:])
+            for at, found in enumerate(log.rows)]  # fmt: skip
+    return replace(log, rows=rows)
+
+
+def make_commands(left: Values, gain: float = 2.0) -> tuple[Values, Values]:
+    """Return commands and the errors that they answer, which are off by what is left."""
+    command = np.linspace(1.0, 0.01, len(left))
+    return command, command / gain + left
+
+
+def alternate(rows: int, share: float) -> Values:
+    """Return noise whose whiteness is near 2 (share 1: it alternates) or near 0 (0: it is slow)."""
+    slow = np.sin(np.linspace(0.0, 3.0 * np.pi, rows))
+    return 0.01 * np.where(np.arange(rows) % 2, 1.0, -1.0) * share + 0.01 * slow * (1.0 - share)
+
+
+@pytest.mark.parametrize(("ticks", "tried"), [(2.4, True), (2.6, False)])
+def test_a_pause_is_tried_up_to_two_and_a_half_ticks_from_the_clock(
+    ticks: float,
+    tried: bool,  # noqa: FBT001
+) -> None:
+    log = make_log(Truth(jitter_s=0.0))
+    ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)
+    trace = trace_run(shift_clock(log, ended + 1, ticks).to_run())
+    assert (34 in read_hints(trace).pauses) == tried
+
+
+@pytest.mark.parametrize(("ticks", "near"), [(0.7, True), (0.8, False)])
+def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
+    ticks: float,
+    near: bool,  # noqa: FBT001
+) -> None:
+    from turtlelog.explain.loop import agrees_with_clock
+
+    log = make_log(Truth(jitter_s=0.0))
+    ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)
+    trace = trace_run(shift_clock(log, ended + 1, ticks).to_run())
+    assert agrees_with_clock(34, read_hints(trace), trace) == near
+
+
+@pytest.mark.parametrize(("rows", "obstacle"), [(8, False), (7, True)])
+def test_fewer_than_eight_commands_tell_no_noise_from_a_curve(rows: int, obstacle: bool) -> None:  # noqa: FBT001
+    noise = np.random.default_rng(5).normal(0.0, 1e-3, rows)
+    command, error = make_commands(noise)
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    assert (fit.obstacle is not None) == obstacle
+
+
+@pytest.mark.parametrize(
+    ("share", "obstacle"), [(0.36, False), (0.28, True), (0.5, False), (0.55, True)]
+)
+def test_what_is_left_of_a_gain_is_noise_or_a_pattern(share: float, obstacle: bool) -> None:  # noqa: FBT001
+    command, error = make_commands(alternate(200, share))
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1.0, grain=0.0))
+    assert (fit.obstacle is not None) == obstacle
+
+
+@pytest.mark.parametrize(("size", "obstacle"), [(0.55e-3, False), (0.45e-3, True)])
+def test_a_gain_leaves_no_more_than_twice_the_noise_of_the_poses(
+    size: float,
+    obstacle: bool,  # noqa: FBT001
+) -> None:
+    noise = np.random.default_rng(2).normal(0.0, 1.0, 400)
+    command, error = make_commands(noise / noise.std() * 1e-3)
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=size, grain=0.0))
+    assert (fit.obstacle is not None) == obstacle
+
+
+@pytest.mark.parametrize(("way", "limited"), [(5.5, True), (4.5, False)])
+def test_equal_commands_are_clipped_where_the_error_changed_by_five_deviations(
+    way: float,
+    limited: bool,  # noqa: FBT001
+) -> None:
+    rng, noise = np.random.default_rng(1), 1e-3
+    command = np.r_[np.ones(30), np.linspace(0.9, 0.01, 300)]
+    left = rng.normal(0.0, 1.0, len(command))
+    left[:30] = 0.0
+    left[30:] *= noise / float(np.sqrt(np.mean(left[30:] ** 2)))
+    error = command / 2.0 + left
+    # The first and the last third of the equal commands: 10 rows each.
+    error[:10] += way * noise * float(np.sqrt(2.0 / 10.0))
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=noise, grain=0.0))
+    assert (fit.limit == 1.0) == limited
+
+
+def test_a_gain_that_its_neighbour_reproduces_as_well_is_not_exact() -> None:
+    # Three small whole numbers times 3 are the same doubles for the next gain above 3 / 2**53 only.
+    error = np.array([1.0, 0.5, 0.25])
+    sure = fit_gain(error * 3.7, lambda gain: gain * error)
+    assert (sure.value, sure.is_exact) == (3.7, True)
+    tiny = np.array([5e-324, 1e-323, 1.5e-323])
+    unsure = fit_gain(tiny * 3.0, lambda gain: gain * tiny)
+    assert not unsure.is_exact
+
+
+@pytest.mark.parametrize(("off", "is_common"), [(0.018, True), (0.023, False)])
+def test_poses_have_a_common_step_up_to_a_fiftieth_of_it(off: float, is_common: bool) -> None:  # noqa: FBT001
+    values = np.arange(40) * 1e-3 + np.pi * 1e-9
+    values[20] += off * 1e-3
+    assert (find_grain(values) == pytest.approx(1e-3, rel=1e-3)) == is_common
+
+
+@pytest.mark.parametrize(("amount", "has_step"), [(10, True), (9, False)])
+def test_ten_different_values_may_tell_a_step(amount: int, has_step: bool) -> None:  # noqa: FBT001
+    assert (find_grain(np.arange(amount) / 3.0) > 0.3) == has_step
+
+
+@pytest.mark.parametrize(("ticks", "missing"), [(0.4, 0), (0.6, 1)])
+def test_a_row_that_comes_two_ticks_late_while_nothing_moves_hides_one(
+    ticks: float, missing: int
+) -> None:
+    log = make_log(Truth(jitter_s=0.0))
+    standing = len(log.rows) - 50
+    trace = trace_run(shift_clock(log, standing, ticks).to_run())
+    assert sum(amount for _, amount in trace.missing) == missing
+
+
+@pytest.mark.parametrize(("catches_up", "missing"), [(0.45, 0), (0.55, 1)])
+def test_a_late_callback_is_told_by_the_short_step_after_it(
+    catches_up: float, missing: int
+) -> None:
+    log = make_log(Truth(jitter_s=0.0))
+    standing = len(log.rows) - 50
+    late = shift_clock(shift_clock(log, standing, 1.0), standing + 1, catches_up - 1.0)
+    assert sum(amount for _, amount in trace_run(late.to_run()).missing) == missing
+
+
+@pytest.mark.parametrize(("jump_m", "jumps"), [(0.025, 0), (0.04, 1)])
+def test_a_pose_jumps_where_two_ticks_at_full_speed_do_not_lead(jump_m: float, jumps: int) -> None:
+    log = make_log(Truth(jitter_s=0.0))
+    rows = [
+        (found[0], found[1] + (jump_m if at >= 600 else 0.0), *found[2:])
+        for at, found in enumerate(log.rows)
+    ]
+    trace = trace_run(replace(log, rows=rows).to_run())
+    assert len(trace.jumps) == jumps
+
+
+@pytest.mark.parametrize(("slack_ticks", "reason"), [(1.4, "timeout"), (1.7, "cut")])
+def test_a_clock_may_be_off_by_a_tick_and_a_half(slack_ticks: float, reason: str) -> None:
+    log = make_log(Truth(kp_linear=0.12, cut_s=35.0, jitter_s=0.0))
+    assert log.reason == "timeout"
+    squeezed = [(row[0] - slack_ticks * 0.016 * (at > 0), *row[1:]) for at, row in
+                enumerate(log.rows)]  # fmt: skip
+    ordered = [row for row in squeezed if row[0] > squeezed[0][0] or row is squeezed[0]]
+    text = replace(log, rows=ordered)
+    unfinished = replace(text, rows=[(*row[:-1], row[-1].replace("FINALIZADO", "TRANSLADAR"))
+                                     for row in ordered])  # fmt: skip
+    assert identify_run(unfinished.to_run()).findings["stop_reason"].value == reason
+
+
+def test_a_wrapped_error_is_exact_where_commands_show_it() -> None:
+    truth = Truth(start=(5.5, 5.5, 3.0), goal=(2.0, 5.0), wrap=True)
+    wrap = identify_run(make_log(truth).to_run()).findings["law.wrap_error"]
+    assert (wrap.value, wrap.certainty) == (True, Certainty.EXACT)
+    noisy = identify_run(make_log(replace(truth, log_noise=1e-3)).to_run()).findings
+    assert (noisy["law.wrap_error"].value, noisy["law.wrap_error"].certainty) == (
+        True, Certainty.FITTED)  # fmt: skip
