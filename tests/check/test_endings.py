@@ -193,7 +193,21 @@ def test_what_is_decided_on_a_trace_that_was_cut(text: str, holds: Truth) -> Non
     assert found.holds is holds
     if holds is None:
         reason = "the recording ends before the formula's window does, and the run had not ended"
-        assert (found.reason, found.margin, found.first_violation_s) == (reason, None, None)
+        assert found.reason.removesuffix(ADVICE) == reason
+        is_open = any(word in text for word in ("always(", "eventually(", "until "))
+        assert found.reason.endswith(ADVICE) is is_open
+        assert (found.margin, found.first_violation_s) == (None, None)
+
+
+ADVICE = "; a window with an end, such as [0, 4], asks of what it holds"
+
+
+def test_the_advice_is_a_window_that_can_be_judged() -> None:
+    run = tl.cut_run(simulate(), end_ns=4_999_999_999)
+    undecided = tl.check_run(run, parse_expression("always(distance < 9)"))
+    window = undecided.reason.partition("such as ")[2].partition(", asks")[0]
+    assert window == f"[0, {(run.end_ns - run.start_ns) / 1e9:g}]"
+    assert tl.check_run(run, parse_expression(f"always{window}(distance < 9)")).holds is True
 
 
 STRONG, WEAK = "always(abs(cross_track) <= 0.05)", "always[0, 100](abs(cross_track) <= 0.05)"
@@ -229,7 +243,7 @@ def test_a_recording_that_lost_something_decides_nothing_about_it(note: str) -> 
     assert find_ending(lossy) is Ending.LOST
     found = tl.check_run(lossy, parse_expression(STRONG))
     assert (found.holds, found.is_covered) == (None, False)
-    assert found.reason.endswith("does, and part of it is lost")
+    assert "does, and part of it is lost; a window with an end" in found.reason
 
 
 def test_a_recording_of_which_the_summary_alone_is_lost_is_whole(tmp_path: Path) -> None:

@@ -116,7 +116,10 @@ def test_a_finding_names_the_comparison_that_decides(
         ("always[50, 100](x > 3) and always[2, 100](x > 3)", 2.0),
         ("x < 3.5 until x > 5", 3.0),
         ("x < 5 until[0, 2] x > 3.5", 2.0),
-        ("not eventually(x > 3)", 0.0),
+        ("not eventually(x > 3)", 3.0),
+        ("not eventually[2, 3.5](x > 2)", 3.0),
+        ("not always[1, 3](x < 9)", 3.0),
+        ("x > 9 or always(x < 3)", 1.0),
         ("always(x > 2 implies eventually[0, 1](x < 1.5))", 3.0),
     ],
 )
@@ -131,6 +134,8 @@ def test_the_first_violation_is_found(text: str, first_violation_s: float | None
     [
         *("always[50, 100](x > 3)", "always[1e300, inf](x > 3)", "eventually[4.5, 100](x > 5)"),
         *("x < 5 until[9, 1e300] x > 5", "x == 0 implies always[4.5, 5](x > 3)"),
+        *("not always[50, 100](x < 9)", "not eventually[50, 100](x < 9)"),
+        "x > 9 or always[50, 100](x > 9)",
     ],
 )
 def test_a_window_beyond_the_end_is_violated_at_no_recorded_time_and_says_so(text: str) -> None:

@@ -117,9 +117,46 @@ def test_a_run_that_was_cut_does_not_pass_what_it_does_not_reach() -> None:
     assert judge(holds="always[0, 99](speed <= 1)").verdict == "PASS"
 
 
-def test_a_parameter_that_the_law_does_not_have_is_an_error() -> None:
-    with pytest.raises(tl.ExpressionError, match=r"unknown name 'law.kp_linar'.*law.kp_linear"):
-        judge(expect="law.kp_linar > 1")
+def test_a_parameter_that_the_law_does_not_have_is_undecided() -> None:
+    result = judge(expect="law.kp_linar > 1")
+    assert (result.verdict, result.is_decided) == ("FAIL", False)
+    assert "unknown name 'law.kp_linar'; the nearest are law.kp_linear" in result.reason
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ("four", "expected two of a kind"),
+        ([4.0], "expected one value, found a list"),
+        (None, "the recording does not hold it"),
+    ],
+)
+@pytest.mark.parametrize(
+    "check",
+    [
+        {"expect": "law.kp_linear < 5"},
+        {"holds": "always(speed < law.kp_linear)"},
+        {"expect": "run.duration > 0", "when": "law.kp_linear < 5"},
+    ],
+)
+def test_a_law_of_other_keys_leaves_the_other_recordings_judged(
+    value: str | list[float] | None, reason: str, check: dict[str, str]
+) -> None:
+    run = simulate()
+    parameters = {**run.parameters}
+    del parameters["law.kp_linear"]
+    if value is not None:
+        parameters["law.kp_linear"] = value
+    odd = dataclasses.replace(run, parameters=parameters)
+    spec = tl.parse_spec({"checks": {"it": check}})
+    first, second = tl.check_runs(spec, [("odd", odd), ("sound", run)])
+    assert (first.verdict, first.is_decided, second.verdict) == ("FAIL", False, "PASS")
+    assert reason in first.reason
+
+
+def test_kinds_that_never_go_together_are_an_error() -> None:
+    with pytest.raises(tl.ExpressionError, match="expected a number, found a text"):
+        judge(expect="run.duration + 'x' > 1")
 
 
 @pytest.mark.parametrize("note", ["partial", "recovered"])

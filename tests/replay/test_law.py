@@ -22,6 +22,7 @@ from turtlelog.scenario import (
     restore_scenario,
 )
 from turtlelog.simulate import simulate_run
+from turtlelog.turtlesim import TICK_NS
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 PAPER_LOGS = ["kp1_210.json", "kp1_210_main.csv", "kp4_210.json", "kp4_210_main.csv"]
@@ -283,3 +284,12 @@ def test_commands_of_a_recording_that_lost_rows_are_compared_only_where_they_bel
 def _list_columns(samples: SampleColumns) -> dict[str, Any]:
     values = {field.name: getattr(samples, field.name) for field in fields(samples)}
     return {name: column for name, column in values.items() if column is not None}
+
+
+@pytest.mark.parametrize("late_ns", [5_000_000_000, -1, -16_000_000])
+def test_commands_that_all_went_out_at_another_time_differ(kp4: Run, late_ns: int) -> None:
+    times = kp4.commands.time_ns + late_ns
+    run = replace(kp4, commands=replace(kp4.commands, time_ns=times))
+    first = replay_law(run).first_difference
+    assert first is not None
+    assert (first.signal, first.recorded, first.replayed) == ("pause", late_ns / TICK_NS, 0)

@@ -12,7 +12,14 @@ from turtlelog.check.robustness import Margins
 from turtlelog.check.sides import read_sides
 from turtlelog.check.signals import Signals, Trace, check_names, read_signals
 from turtlelog.check.violation import find_first_violation
-from turtlelog.expressions import Expression, Node, Temporal, Until, format_expression
+from turtlelog.expressions import (
+    Expression,
+    Node,
+    Temporal,
+    Until,
+    format_expression,
+    iterate_nodes,
+)
 from turtlelog.measure import METRICS, SIGNALS
 from turtlelog.run import Run
 
@@ -172,9 +179,19 @@ def _explain_unknown(expression: Expression, trace: Trace) -> str:
     if trace.ending is not Ending.SETTLED:
         settled = replace(trace, ending=Ending.SETTLED)
         if _decide(expression, settled)[0] is not None:
-            return f"{_TOO_SHORT}, and {trace.ending.value}"
+            return f"{_TOO_SHORT}, and {trace.ending.value}{_advise(expression, trace)}"
     missing = [name for name, value in trace.constants.items() if value is None]
     return f"no value: {', '.join(missing)}" if missing else "a number has no value"
+
+
+def _advise(expression: Expression, trace: Trace) -> str:
+    """Return what to ask of a trace that was cut in place of a window without an end."""
+    recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
+    nodes = iterate_nodes(expression.root)
+    is_open = any(isinstance(node, Temporal | Until) and math.isinf(node.end_s) for node in nodes)
+    if not is_open or not recorded_ms:
+        return ""
+    return f"; a window with an end, such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
 
 
 def _is_covered(expression: Expression, trace: Trace) -> bool:

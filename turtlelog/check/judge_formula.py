@@ -120,7 +120,11 @@ class _Judge:
         """Return the names without a value and why; empty where all have one."""
         lacking = []
         for name in formula.names:
-            if name in SIGNALS or name in self._run.parameters:
+            if name in SIGNALS:
+                continue
+            if name in self._run.parameters:
+                if isinstance(self._run.parameters[name], list):
+                    lacking.append(f"{name}: expected one value, found a list")
                 continue
             metric = self._metrics.get(name)
             if metric is None:

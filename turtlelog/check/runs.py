@@ -7,13 +7,14 @@ from pathlib import Path
 from turtlelog.check.cut import find_loss
 from turtlelog.check.judge_formula import judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict, format_number
-from turtlelog.check.spec import Spec
+from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import require_reference
 from turtlelog.check.surroundings import choose_signals
 from turtlelog.compare import Finding, compare_runs
-from turtlelog.errors import CheckError, CompareError, LogError
+from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import TopicChoice, read_info
 from turtlelog.log.ros2 import list_bag_files
+from turtlelog.measure import METRICS, SIGNALS
 from turtlelog.run import Run
 
 
@@ -30,7 +31,7 @@ def check_runs(
     Raises:
         CheckError: Where there are no runs, or tolerances have no reference.
         LogError: Where the reference cannot be read.
-        ExpressionError: Where a formula names a parameter that a run's law does not have.
+        ExpressionError: Where the kinds in a formula do not go together on any run.
     """
     reference = read_reference(spec)
     count = 0
@@ -82,9 +83,22 @@ def judge_run(
         return
     metrics = measure_named(spec.checks, run)
     for check in spec.checks:
-        yield judge_check(check, run, file=file, metrics=metrics)
+        try:
+            yield judge_check(check, run, file=file, metrics=metrics)
+        except ExpressionError as err:
+            if not _names_parameters(check):
+                raise
+            # Which keys a law has, and of what kind, is the recording's: others are still judged.
+            yield replace(fail_recording(file, str(err)), check=check.name)
     if reference is not None:
         yield from _judge_tolerances(spec, reference, run, file)
+
+
+def _names_parameters(check: Check) -> bool:
+    """Whether a check names anything but signals and metrics: each run has its own of these."""
+    formulas = filter(None, (check.formula, check.when))
+    names = (name for formula in formulas for name in formula.names)
+    return any(name not in SIGNALS and name not in METRICS for name in names)
 
 
 def fail_recording(file: str, reason: str) -> CheckResult:

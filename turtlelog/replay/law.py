@@ -18,6 +18,7 @@ from turtlelog.replay.difference import (
     find_earliest,
     require_tolerance,
 )
+from turtlelog.replay.run_pairs import has_ticks
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
     PUBLISHED,
@@ -166,18 +167,17 @@ def _count_published(run: Run) -> Difference | None:
 
 
 def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
-    """Return the ticks between samples and their commands, where the recording tells them."""
+    """Return the ticks between samples and their commands, where the clock counts in ticks."""
     rows = min(len(run.commands), len(blocks_ticks))
     held_ns = run.commands.time_ns[:rows] - run.samples.time_ns[:rows]
-    is_told = run.poses.speed_m_s is not None and not (held_ns % TICK_NS).any()
-    if not is_told or not has_all_commands(run) or (held_ns < 0).any():
+    if not has_ticks(run) or not has_all_commands(run):
         return []
     return [
         Pairing(
             signal="pause",
             unit="tick",
             time_ns=run.samples.time_ns[:rows],
-            recorded=held_ns // TICK_NS,
+            recorded=held_ns / TICK_NS,
             replayed=blocks_ticks[:rows],
         )
     ]
