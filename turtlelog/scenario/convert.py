@@ -49,7 +49,9 @@ def build_scenario(
     rest = {key: value for key, value in tables.items() if key != "law"}
     own = {key: value for key, value in law_table.items() if key != "kind"}
     _require_sound(rest, Scenario, "", source)
-    law = LawChoice(kind=kind, parameters=LawTable(values=own, source=source, is_trusted=trust_law))
+    law = LawChoice(
+        kind=kind, parameters=LawTable(values=own, sources=(source,), is_trusted=trust_law)
+    )
     if kind in LAWS:
         law = resolve_law(law)
     else:
@@ -83,16 +85,17 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
         return choice
     if choice.kind not in LAWS and not (table.is_trusted or trust_law):
         raise ScenarioError(
-            f"{table.source}: law.kind: expected a built-in law, or --trust-law (in Python and"
+            f"{table.sources[0]}: law.kind: expected a built-in law, or --trust-law (in Python and"
             " pytest trust_law=True) to run the code that the recording names,"
             f" found {describe_value(choice.kind, longest=_LONGEST_KIND)}"
         )
     try:
         law = find_law(choice.kind)
     except LawError as err:
-        raise ScenarioError(f"{table.source}: law.kind: {err}") from err
-    _require_sound(table.values, law.Parameters, "law.", table.source)
-    parameters = _convert(table.values, law.Parameters, "law.", table.source)
+        raise ScenarioError(f"{table.sources[0]}: law.kind: {err}") from err
+    source = ", ".join(table.sources)
+    _require_sound(table.values, law.Parameters, "law.", source)
+    parameters = _convert(table.values, law.Parameters, "law.", source)
     return LawChoice(kind=choice.kind, parameters=parameters)
 
 

@@ -59,12 +59,12 @@ class LawTable:
 
     Attributes:
         values: As written, beside `kind`.
-        source: Where they were read, for error lines.
+        sources: Where they were read, for error lines; the first named the law.
         is_trusted: Whether the user named the law; one that a recording names is not loaded.
     """
 
     values: Mapping[str, Any]
-    source: str = field(default="scenario", compare=False)
+    sources: tuple[str, ...] = field(default=("scenario",), compare=False)
     is_trusted: bool = field(default=True, compare=False)
 
 

@@ -49,8 +49,8 @@ def _override(
         return changed
     # The keys of the law are judged later, in one table: error lines name all who wrote into it.
     is_written = any(key.startswith("law.") and key != "law.kind" for key in values)
-    sources = dict.fromkeys([was.source, source] if is_written else [was.source])
-    table = replace(table, source=", ".join(sources))
+    sources = (*was.sources, source) if is_written else was.sources
+    table = replace(table, sources=tuple(dict.fromkeys(sources)))
     return replace(changed, law=replace(changed.law, parameters=table))
 
 
