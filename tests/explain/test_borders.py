@@ -120,7 +120,7 @@ def test_poses_have_a_common_step_up_to_a_fiftieth_of_it(off: float, is_common: 
 
 @pytest.mark.parametrize(("amount", "has_step"), [(10, True), (9, False)])
 def test_ten_different_values_may_tell_a_step(amount: int, has_step: bool) -> None:  # noqa: FBT001
-    assert (find_grain(np.arange(amount) / 3.0) > 0.3) == has_step
+    assert (find_grain(np.linspace(0.0, (amount - 1) / 3.0, amount)) > 0.3) == has_step
 
 
 @pytest.mark.parametrize(("ticks", "missing"), [(0.4, 0), (0.6, 1)])
