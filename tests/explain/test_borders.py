@@ -113,14 +113,14 @@ def test_a_gain_that_its_neighbour_reproduces_as_well_is_not_exact() -> None:
 
 @pytest.mark.parametrize(("off", "is_common"), [(0.018, True), (0.023, False)])
 def test_poses_have_a_common_step_up_to_a_fiftieth_of_it(off: float, is_common: bool) -> None:  # noqa: FBT001
-    values = np.arange(40) * 1e-3 + np.pi * 1e-9
+    values = np.linspace(0.0, 0.039, 40) + np.pi * 1e-9
     values[20] += off * 1e-3
     assert (find_grain(values) == pytest.approx(1e-3, rel=1e-3)) == is_common
 
 
 @pytest.mark.parametrize(("amount", "has_step"), [(10, True), (9, False)])
 def test_ten_different_values_may_tell_a_step(amount: int, has_step: bool) -> None:  # noqa: FBT001
-    assert (find_grain(np.arange(amount) / 3.0) > 0.3) == has_step
+    assert (find_grain(np.linspace(0.0, (amount - 1) / 3.0, amount)) > 0.3) == has_step
 
 
 @pytest.mark.parametrize(("ticks", "missing"), [(0.4, 0), (0.6, 1)])

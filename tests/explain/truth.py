@@ -218,7 +218,7 @@ class _Plant:
         if self.truth.noise:
             x, y, heading = (float(v + rng.normal(0.0, self.truth.noise)) for v in (x, y, heading))
         x, y, heading = (_round(value, self.truth.quantum) for value in (x, y, heading))
-        heading = min(max(heading, -PI), PI)
+        heading = _wrap(heading)
         return float(np.float32(x)), float(np.float32(y)), float(np.float32(heading))
 
     def take(self, tick: int) -> None:
@@ -240,7 +240,12 @@ def _blur(pose: Vector, truth: Truth, rng: np.random.Generator) -> Vector:
     if truth.log_noise:
         pose = tuple(value + rng.normal(0.0, truth.log_noise) for value in pose)  # type: ignore[assignment]
     x, y, heading = (_round(value, truth.log_quantum) for value in pose)
-    return x, y, min(max(heading, -PI), PI)
+    return x, y, _wrap(heading)
+
+
+def _wrap(heading: float) -> float:
+    """Return a heading that noise has moved, between -PI and PI again."""
+    return heading - 2.0 * PI * round(heading / (2.0 * PI)) if abs(heading) > PI else heading
 
 
 def _round(value: float, quantum: float) -> float:

@@ -42,10 +42,12 @@ def describe_pause(trace: Trace, fits: Fits) -> dict[str, Finding]:
     held, bursts = ([*dict.fromkeys(values)] for values in zip(*again, strict=True))
     if 0 in bursts:
         return dict.fromkeys(_HELD_AND_BURST, miss("the re-simulation has no pause"))
-    found = {"pause.burst": _settle(bursts, "poses that the re-simulation answers at once")}
+    found = {"pause.burst": _settle(bursts, "poses answered at once after it")}
     reason = "the queue is not empty before the pause ends: no command is held"
     found["pause.held_turn_rate_rad_s"] = (
-        miss(reason) if None in held else _settle(held, "what the re-simulated plant holds")
+        miss(reason)
+        if None in held
+        else _settle(held, "the last command before the rotation's end")
     )
     return found
 
@@ -81,6 +83,8 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
         if key == "loop.period_ticks":
             return find_exactly(chosen, _PERIOD)
         also = "; so does a command queue of 1" if chosen == "newest" else ""
+        if key == "loop.transport_delay_ticks":
+            also = f", alone of {fits.tried} settings tried"
         return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
     evidence = f"likeliest of {fits.tried} settings; none is exact"
     if fits.is_close:
