@@ -277,6 +277,22 @@ def test_the_marker_lets_the_recorded_law_run(folder: Path, tmp_path: Path) -> N
     assert code == 0, text
 
 
+def test_trust_that_one_test_gives_is_not_anothers(folder: Path, tmp_path: Path) -> None:
+    """One session reads a recording once for both, and each must ask by itself."""
+    bare = f"""{DRIVEN}
+
+
+@pytest.mark.recordings("{folder.as_posix()}/run.mcap")
+def test_untrusting(recording):
+    (recording.path.parent / "mark").unlink()
+    {DRIVEN}
+"""
+    code, text = run_suite(folder, tmp_path, bare, trust=", trust_law=True")
+    assert code == 1
+    assert "1 failed, 1 passed" in text
+    assert "trust_law=True) to run the code" in text
+
+
 @pytest.mark.parametrize(
     "body",
     [
