@@ -20,7 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.finer import FINER, simulate_finer
 from turtlelog.explain.grain import find_grain
-from turtlelog.explain.starts import vary_start
+from turtlelog.explain.sensitivity import vary_start
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run
 from turtlelog.run import Phase, Run

@@ -13,6 +13,7 @@ from turtlelog.explain.grain import find_grain
 from turtlelog.explain.identification import LOOP_KEYS, Identification
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS, find_mechanism, is_present
+from turtlelog.explain.sensitivity import vary_start
 from turtlelog.explain.shapley import (
     Coalition,
     Worth,
@@ -21,7 +22,6 @@ from turtlelog.explain.shapley import (
     find_smallest,
     list_coalitions,
 )
-from turtlelog.explain.starts import vary_start
 from turtlelog.measure import METRICS, measure_run, suggest_metrics
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
