@@ -10,6 +10,7 @@ from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.command_fit import PoseNoise, fit_command
 from turtlelog.explain.loop import read_hints
 from turtlelog.explain.numbers import Values, fit_gain
+from turtlelog.explain.stretches import mark_breaks
 from turtlelog.explain.trace import find_grain, trace_run
 
 
@@ -39,7 +40,7 @@ def test_a_pause_is_tried_up_to_two_and_a_half_ticks_from_the_clock(
 ) -> None:
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)
-    trace = trace_run(shift_clock(log, ended + 1, ticks).to_run())
+    trace = mark_breaks(trace_run(shift_clock(log, ended + 1, ticks).to_run()))
     assert (34 in read_hints(trace).pauses) == tried
 
 
@@ -52,7 +53,7 @@ def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
 
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)
-    trace = trace_run(shift_clock(log, ended + 1, ticks).to_run())
+    trace = mark_breaks(trace_run(shift_clock(log, ended + 1, ticks).to_run()))
     assert agrees_with_clock(34, read_hints(trace), trace) == near
 
 
@@ -129,7 +130,7 @@ def test_a_row_that_comes_two_ticks_late_while_nothing_moves_hides_one(
 ) -> None:
     log = make_log(Truth(jitter_s=0.0))
     standing = len(log.rows) - 50
-    trace = trace_run(shift_clock(log, standing, ticks).to_run())
+    trace = mark_breaks(trace_run(shift_clock(log, standing, ticks).to_run()))
     assert sum(amount for _, amount in trace.missing) == missing
 
 
@@ -140,7 +141,7 @@ def test_a_late_callback_is_told_by_the_short_step_after_it(
     log = make_log(Truth(jitter_s=0.0))
     standing = len(log.rows) - 50
     late = shift_clock(shift_clock(log, standing, 1.0), standing + 1, catches_up - 1.0)
-    assert sum(amount for _, amount in trace_run(late.to_run()).missing) == missing
+    assert sum(amount for _, amount in mark_breaks(trace_run(late.to_run())).missing) == missing
 
 
 @pytest.mark.parametrize(("jump_m", "jumps"), [(0.025, 0), (0.04, 1)])
@@ -150,7 +151,7 @@ def test_a_pose_jumps_where_two_ticks_at_full_speed_do_not_lead(jump_m: float, j
         (found[0], found[1] + (jump_m if at >= 600 else 0.0), *found[2:])
         for at, found in enumerate(log.rows)
     ]
-    trace = trace_run(replace(log, rows=rows).to_run())
+    trace = mark_breaks(trace_run(replace(log, rows=rows).to_run()))
     assert len(trace.jumps) == jumps
 
 

@@ -19,7 +19,7 @@ from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_wh
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.settings import describe_loop, describe_pause
 from turtlelog.explain.start import describe_goal, describe_start, read_start
-from turtlelog.explain.stretches import describe_breaks, space_out
+from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.trace import Trace, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import Phase, Run
@@ -50,7 +50,7 @@ def identify_run(run: Run) -> Identification:
 
 
 def _identify_samples(run: Run) -> Identification:
-    trace = trace_run(run)
+    trace = mark_breaks(trace_run(run))
     motion = space_out(trace)
     dead_times = {phase: find_dead_time(motion, phase) for phase in (Phase.ROTATE, Phase.TRANSLATE)}
     findings = {

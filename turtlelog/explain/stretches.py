@@ -1,19 +1,15 @@
 """Where a log is interrupted: jumps of the pose, rows that are missing, and clean stretches."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
+from turtlelog.explain.trace import Trace, Values, estimate_noise
 from turtlelog.run import Run
 from turtlelog.turtlesim import TICK_NS, TICK_S
-
-if TYPE_CHECKING:
-    from turtlelog.explain.trace import Trace
-
-Values = NDArray[np.float64]
 
 _NOISE_STEPS: Final = 8.0
 """Standard deviations of noise beyond which a step is a jump: once in 1e15 steps without one."""
@@ -34,7 +30,58 @@ _FAR_TICKS: Final = 1000
 """Ticks put where nobody knows how many passed: further than any dead time reaches."""
 
 
-def find_jumps(trace: "Trace") -> tuple[int, ...]:
+def mark_breaks(trace: Trace) -> Trace:
+    """Return the trace with its jumps, and with numbers that leave out what is missing."""
+    jumps = _find_jumps(trace)
+    number = trace.number if trace.has_ticks else _number_rows(trace, jumps)
+    return replace(trace, jumps=jumps, number=number)
+
+
+def list_breaks(trace: Trace) -> list[int]:
+    """Return the rows at which a new stretch begins: after a jump, or after missing rows."""
+    return sorted({*trace.jumps, *(row for row, _ in trace.missing)})
+
+
+def describe_breaks(trace: Trace) -> list[str]:
+    """Return jumps and missing rows in sentences, the first of each, and how many more."""
+    found = []
+    if trace.jumps:
+        row = trace.jumps[0]
+        moved, turned = _measure_steps(trace)
+        way = f"{moved[row - 1]:.3g} m and {np.degrees(turned[row - 1]):.3g} deg"
+        more = _count_more(len(trace.jumps))
+        found.append(f"the pose jumps by {way} at {_find_time_s(trace, row):.3f} s{more}")
+    if trace.missing:
+        row, amount = trace.missing[0]
+        noun = "sample is" if amount == 1 else "samples are"
+        at_s = _find_time_s(trace, row - 1)
+        length_s = _find_time_s(trace, row) - at_s
+        more = _count_more(len(trace.missing))
+        found.append(f"{amount} {noun} missing after {at_s:.3f} s, for {length_s:.3f} s{more}")
+    return found
+
+
+def space_out(trace: Trace) -> Run:
+    """Return the run with poses at the ticks that their numbers say, and jumps far apart.
+
+    What reads motion then knows across which steps it may look. The run itself where no row is
+    missing and no pose jumps.
+    """
+    run = trace.run
+    if not list_breaks(trace):
+        return run
+    if trace.has_ticks:
+        time_ns = run.poses.time_ns.copy()
+        for row in trace.jumps:
+            time_ns[run.samples.pose_sequence[row] :] += _FAR_TICKS * TICK_NS
+        return replace(run, poses=replace(run.poses, time_ns=time_ns))
+    ticks = trace.number * trace.period_ticks
+    for row in (trace.rotating, *trace.jumps):
+        ticks[row:] += _FAR_TICKS
+    return replace(run, poses=replace(run.poses, time_ns=ticks * TICK_NS))
+
+
+def _find_jumps(trace: Trace) -> tuple[int, ...]:
     """Return the rows whose pose no command can have reached from the one before."""
     if len(trace) < 2:
         return ()
@@ -48,7 +95,7 @@ def find_jumps(trace: "Trace") -> tuple[int, ...]:
     return tuple((np.flatnonzero(is_jump) + 1).tolist())
 
 
-def number_rows(trace: "Trace", jumps: tuple[int, ...]) -> NDArray[np.int64]:
+def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
     """Return the number of each row among those that the controller must have had.
 
     A long step of the clock hides rows if the robot moved as far as in several steps, or stood.
@@ -82,74 +129,19 @@ def number_rows(trace: "Trace", jumps: tuple[int, ...]) -> NDArray[np.int64]:
     return np.cumsum(number)
 
 
-def list_breaks(trace: "Trace") -> list[int]:
-    """Return the rows at which a new stretch begins: after a jump, or after missing rows."""
-    return sorted({*trace.jumps, *(row for row, _ in trace.missing)})
-
-
-def describe_breaks(trace: "Trace") -> list[str]:
-    """Return jumps and missing rows in sentences, the first of each, and how many more."""
-    found = []
-    if trace.jumps:
-        row = trace.jumps[0]
-        moved, turned = _measure_steps(trace)
-        way = f"{moved[row - 1]:.3g} m and {np.degrees(turned[row - 1]):.3g} deg"
-        more = _count_more(len(trace.jumps))
-        found.append(f"the pose jumps by {way} at {_find_time_s(trace, row):.3f} s{more}")
-    if trace.missing:
-        row, amount = trace.missing[0]
-        noun = "sample is" if amount == 1 else "samples are"
-        at_s = _find_time_s(trace, row - 1)
-        length_s = _find_time_s(trace, row) - at_s
-        more = _count_more(len(trace.missing))
-        found.append(f"{amount} {noun} missing after {at_s:.3f} s, for {length_s:.3f} s{more}")
-    return found
-
-
-def space_out(trace: "Trace") -> Run:
-    """Return the run with poses at the ticks that their numbers say, and jumps far apart.
-
-    What reads motion then knows across which steps it may look. The run itself where no row is
-    missing and no pose jumps.
-    """
-    run = trace.run
-    if not list_breaks(trace):
-        return run
-    if trace.has_ticks:
-        time_ns = run.poses.time_ns.copy()
-        for row in trace.jumps:
-            time_ns[run.samples.pose_sequence[row] :] += _FAR_TICKS * TICK_NS
-        return replace(run, poses=replace(run.poses, time_ns=time_ns))
-    ticks = trace.number * trace.period_ticks
-    for row in (trace.rotating, *trace.jumps):
-        ticks[row:] += _FAR_TICKS
-    return replace(run, poses=replace(run.poses, time_ns=ticks * TICK_NS))
-
-
-def estimate_noise(values: Values) -> float:
-    """Return the standard deviation of noise, from what neighbours do not have in common.
-
-    The median of second differences of normal noise is 0.6745 times the root of 6 of it.
-    """
-    if len(values) < 3:
-        return 0.0
-    bends = np.abs(np.diff(values, n=2, axis=0))
-    return float(np.median(bends)) / (0.6745 * float(np.sqrt(6.0)))
-
-
 def _count_more(amount: int) -> str:
     return f", and {amount - 1} more" if amount > 1 else ""
 
 
-def _find_time_s(trace: "Trace", row: int) -> float:
+def _find_time_s(trace: Trace, row: int) -> float:
     return float(trace.time_ns[row] - trace.run.start_ns) / 1e9
 
 
-def _get_pose_times(trace: "Trace") -> NDArray[np.int64]:
+def _get_pose_times(trace: Trace) -> NDArray[np.int64]:
     return trace.run.poses.time_ns[trace.run.samples.pose_sequence]
 
 
-def _measure_steps(trace: "Trace") -> tuple[Values, Values]:
+def _measure_steps(trace: Trace) -> tuple[Values, Values]:
     moved = np.hypot(*np.diff(trace.xy_m, axis=0).T)
     turned = np.abs(subtract_headings(trace.heading_rad[1:], trace.heading_rad[:-1]))
     return moved, turned

@@ -1,14 +1,13 @@
 """A log as a controller's eyes and hands: pose read, command published, time; sample by sample."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
-from turtlelog.explain.stretches import estimate_noise, find_jumps, number_rows
 from turtlelog.run import Phase, Run
 from turtlelog.turtlesim import TICK_NS
 
@@ -32,8 +31,9 @@ class Trace:
     Attributes:
         run: Where they come from.
         number: Of each sample in the run, from 0, shape (n,); some are left out where rows are
-            lost. In a log that has no such numbers its clock and the motion tell.
-        jumps: Rows whose pose the robot cannot have reached from the one before.
+            lost. A log that has no such numbers counts its rows until `mark_breaks`.
+        jumps: Rows whose pose the robot cannot have reached from the one before; none until
+            `mark_breaks`.
         time_ns: Of each answer [ns], shape (n,).
         xy_m: Of the pose read [m], shape (n, 2).
         heading_rad: Of the pose read [rad], shape (n,).
@@ -108,7 +108,7 @@ class Trace:
 
 
 def trace_run(run: Run) -> Trace:
-    """Return the samples of a run.
+    """Return the samples of a run, one after the other.
 
     Raises:
         ExplainError: Where it holds none.
@@ -123,10 +123,9 @@ def trace_run(run: Run) -> Trace:
     phase = samples.phase
     rotating = _count_leading(phase == Phase.ROTATE)
     has_ticks = _has_ticks(run)
-    number = samples.sequence if has_ticks else np.arange(len(samples))
-    trace = Trace(
+    return Trace(
         run=run,
-        number=number,
+        number=samples.sequence if has_ticks else np.arange(len(samples)),
         jumps=(),
         time_ns=samples.time_ns,
         xy_m=run.poses.xy_m[read],
@@ -140,8 +139,6 @@ def trace_run(run: Run) -> Trace:
         has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % TICK_NS).any(),
         has_ticks=has_ticks,
     )
-    jumps = find_jumps(trace)
-    return replace(trace, jumps=jumps, number=number if has_ticks else number_rows(trace, jumps))
 
 
 def find_grain(values: Values) -> float:
@@ -162,6 +159,17 @@ def find_grain(values: Values) -> float:
     left = (different[1:] - different[0]) - step * multiples
     is_common = bool((np.abs(left) < _OFF_GRID * step).all()) and step > spacing
     return step if is_common else spacing
+
+
+def estimate_noise(values: Values) -> float:
+    """Return the standard deviation of noise, from what neighbours do not have in common.
+
+    The median of second differences of normal noise is 0.6745 times the root of 6 of it.
+    """
+    if len(values) < 3:
+        return 0.0
+    bends = np.abs(np.diff(values, n=2, axis=0))
+    return float(np.median(bends)) / (0.6745 * float(np.sqrt(6.0)))
 
 
 def _count_leading(holds: NDArray[np.bool_]) -> int:
