@@ -113,7 +113,7 @@ def test_a_gain_that_its_neighbour_reproduces_as_well_is_not_exact() -> None:
 
 @pytest.mark.parametrize(("off", "is_common"), [(0.018, True), (0.023, False)])
 def test_poses_have_a_common_step_up_to_a_fiftieth_of_it(off: float, is_common: bool) -> None:  # noqa: FBT001
-    values = np.arange(40) * 1e-3 + np.pi * 1e-9
+    values = np.asarray(np.arange(40) * 1e-3 + np.pi * 1e-9, dtype=np.float64)
     values[20] += off * 1e-3
     assert (find_grain(values) == pytest.approx(1e-3, rel=1e-3)) == is_common
 
