@@ -37,6 +37,12 @@ _REFITS: Final = 3
 """Rounds in which the weights of position and heading settle."""
 
 
+_SMALLER: Final = 16.0
+"""After a jump the driven plant is not where the robot is, and must not meet a wall that the robot
+did not meet. Its way is driven this much smaller around the middle of the world, then enlarged:
+room for 88 m to every side. A power of two, so that no command is rounded otherwise."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaybackParameters:
     """Commands to send, one per pose.
@@ -149,14 +155,17 @@ def _drive(trace: Trace, guess: Any, samples: int) -> Values | None:
     values = dict(guess)
     pause = int(values.pop("law.pause_ticks", 0))
     loop = {key.removeprefix("loop."): value for key, value in values.items()}
-    speed = np.interp(np.arange(samples), trace.number, trace.speed_m_s)
+    smaller = _SMALLER if trace.jumps else 1.0
+    speed = np.interp(np.arange(samples), trace.number, trace.speed_m_s) / smaller
     turn_rate = np.interp(np.arange(samples), trace.number, trace.turn_rate_rad_s)
     parameters = PlaybackParameters(
         commands=tuple(zip(speed.tolist(), turn_rate.tolist(), strict=True)),
         pauses_at=int(trace.number[trace.rotating - 1]) if trace.ended_rotation else -1,
         pause_ticks=pause,
     )
-    x_m, y_m = np.clip(trace.xy_m[0], 0.0, WORLD_SIZE_M).tolist()
+    first_xy_m = np.clip(trace.xy_m[0], 0.0, WORLD_SIZE_M)
+    start_xy_m = np.full(2, 0.5 * WORLD_SIZE_M) if trace.jumps else first_xy_m
+    x_m, y_m = start_xy_m.tolist()
     scenario = Scenario(
         name=trace.run.name,
         max_duration_s=(samples * trace.period_ticks + pause + 1000) * TICK_S,
@@ -171,11 +180,17 @@ def _drive(trace: Trace, guess: Any, samples: int) -> Values | None:
     for tick in iterate_ticks(scenario):
         poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
         read += [sample.pose_sequence for sample in tick.computed]
-    return np.array(poses)[read] if len(read) == samples else None
+    if len(read) != samples:
+        return None
+    driven = np.array(poses)[read]
+    driven[:, :2] = first_xy_m + smaller * (driven[:, :2] - start_xy_m)
+    return driven
 
 
-def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive:
+def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | None:
     stretches = _list_stretches(trace, count)
+    if not stretches:
+        return None
     kept = np.zeros(count, dtype=bool)
     for stretch in stretches:
         kept[stretch] = True
