@@ -114,7 +114,9 @@ def _find_pose_queue(trace: Trace, burst: int) -> int | None:
     read = trace.run.samples.pose_sequence
     if trace.shows_pause and trace.has_exact_clock:
         first = trace.rotating
-        if read[first] - read[first - 1] > trace.period_ticks:
+        # A burst that the log's end cuts off does not show how many poses waited.
+        is_whole = first + burst < len(trace)
+        if is_whole and read[first] - read[first - 1] > trace.period_ticks:
             return burst
     return None
 
