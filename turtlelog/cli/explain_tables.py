@@ -18,7 +18,7 @@ _ROWS: Final = (
     ("pause", "law.pause_ticks", "ticks"),
     ("  by the clock", "pause.seconds", "s"),
     ("  command held in it", "pause.held_turn_rate_rad_s", "rad/s"),
-    ("  turned by its end", "pause.turned_rad", "rad"),
+    ("  turned by the end", "pause.turned_rad", "rad"),
     ("  answered at once", "pause.burst", "poses"),
     ("dead time rotating", "dead_time.rotate", "ticks"),
     ("dead time translating", "dead_time.translate", "ticks"),

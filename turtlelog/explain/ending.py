@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.angles import subtract_headings
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.loop import Hints
 from turtlelog.explain.numbers import find_round_number
@@ -75,22 +74,18 @@ class _Rule:
         return max(self.longest, self.before - self.slack) > self.usual
 
 
-def find_pause(trace: Trace, hints: Hints) -> dict[str, Finding]:
-    """Return how long the controller was silent after rotating, and what the robot did meanwhile.
+def find_pause(hints: Hints) -> dict[str, Finding]:
+    """Return how long the controller was silent after rotating.
 
-    What it held, and how many poses it answered then, a simulation tells; see `describe_pause`.
+    What the robot did meanwhile, and how many poses were answered then, a simulation tells; see
+    `describe_pause`.
     """
     if hints.pause_s is None:
         return dict.fromkeys(_PAUSE_KEYS, miss("the log does not show the end of a rotation"))
-    ended = trace.rotating - 1
-    turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
     reason = "no setting reproduces every sample"
     return {
         "pause.seconds": find_exactly(hints.pause_s, "from the last answer to the next one"),
         "pause.held_turn_rate_rad_s": miss(reason),
-        "pause.turned_rad": find_exactly(
-            float(turned), "heading at the end, less at the rotation's"
-        ),
         "pause.burst": miss(f"{reason}; by the clock {hints.burst - 1} or {hints.burst}"),
     }
 

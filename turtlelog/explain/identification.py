@@ -1,6 +1,6 @@
 """What a log says of the scenario that made it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -73,10 +73,13 @@ def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Find
     return {**findings, **{key: miss(reason, value) for key, value in used.items()}}
 
 
-def give_up(name: str, findings: Mapping[str, Finding], reason: str) -> Identification:
+def give_up(
+    name: str, findings: Mapping[str, Finding], reason: str, breaks: Sequence[str] = ()
+) -> Identification:
     """Return what is known of a run that cannot be simulated again, and why it cannot.
 
     What `findings` do not hold, of the law and of the loop, is not known for the same reason.
+    `breaks` are the log's jumps and missing rows, in sentences: they may be the cause.
     """
     keys = (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")
     unknown = {key: miss(reason) for key in keys}
@@ -85,5 +88,5 @@ def give_up(name: str, findings: Mapping[str, Finding], reason: str) -> Identifi
         findings=MappingProxyType({**unknown, **findings}),
         resimulation=None,
         scenario=None,
-        notes=(reason,),
+        notes=(*breaks, reason),
     )

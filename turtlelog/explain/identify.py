@@ -28,6 +28,11 @@ from turtlelog.simulate import simulate_run
 
 _LONGEST_S: Final = 3600.0
 
+_MOST_PHASES: Final = 6
+"""Phases that are listed: three runs in one file."""
+
+_UNEXPLAINED: Final = "an effect that is not simulated, or commands that the log does not hold"
+
 _CUT: Final = (None, "interrupted", "max_duration")
 """Stop reasons of runs whose controller did not come to its end."""
 
@@ -64,14 +69,15 @@ def _identify_samples(run: Run) -> Identification:
     rotation, turning = identify_rotation(trace)
     translation, driving = identify_translation(trace)
     obstacle = _contradict_law(trace, turning, driving)
+    breaks = describe_breaks(trace)
     if obstacle:
-        return give_up(run.name, findings, obstacle)
+        return give_up(run.name, findings, obstacle, breaks)
     obstacle = _find_obstacle(trace)
     if obstacle:
         # Commands that follow their errors bit for bit tell their gain by themselves.
         pairs = ((rotation, turning), (translation, driving))
         sure = [found for found, fit in pairs if fit is not None and fit.is_certain]
-        return give_up(run.name, {**findings, **dict(ChainMap(*sure))}, obstacle)
+        return give_up(run.name, {**findings, **dict(ChainMap(*sure))}, obstacle, breaks)
     findings |= {**rotation, **translation}
     is_certain = all(
         fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
@@ -85,7 +91,7 @@ def _identify_samples(run: Run) -> Identification:
         scenario = _cut_scenario(trace, fits, ending)
         again = simulate_run(scenario)
     except (ScenarioError, SimulationError) as err:
-        return give_up(run.name, findings, f"it cannot be simulated again: {err}")
+        return give_up(run.name, findings, f"it cannot be simulated again: {err}", breaks)
     findings |= describe_start(trace, fits)
     findings |= describe_loop(trace, fits)
     if fits.is_fitted and not fits.is_exact:
@@ -94,7 +100,7 @@ def _identify_samples(run: Run) -> Identification:
         findings |= _withhold_law(findings, turning, driving)
     if not (fits.is_exact or fits.is_close or fits.is_fitted):
         findings = disclaim_law(findings, "no setting of the loop explains the motion")
-    findings |= {**find_pause(trace, hints), **describe_pause(trace, fits)}
+    findings |= {**find_pause(hints), **describe_pause(trace, fits)}
     findings["stop_reason"] = ending.reason
     resimulation = compare_samples(trace, again)
     return Identification(
@@ -103,7 +109,7 @@ def _identify_samples(run: Run) -> Identification:
         resimulation=resimulation,
         scenario=scenario,
         notes=(
-            *describe_breaks(trace),
+            *breaks,
             *_describe_difference(trace, fits, resimulation),
             *_list_candidates(findings),
         ),
@@ -189,16 +195,16 @@ def _contradict_law(
     for name, fit in (("rotating", turning), ("translating", driving)):
         if fit is not None and fit.obstacle:
             return f"{name}: {fit.obstacle}"
-    if trace.speed_m_s[: trace.rotating].any() or trace.turn_rate_rad_s[trace.rotating :].any():
+    turned = trace.turn_rate_rad_s[trace.rotating :][: trace.translating]
+    if trace.speed_m_s[: trace.rotating].any() or turned.any():
         return "it drives while rotating, or turns while translating"
     return None
 
 
 def _find_obstacle(trace: Trace) -> str | None:
     """Return why this is no whole run of the sequential law, or cannot be simulated."""
-    phases = {Phase(phase) for phase in np.unique(trace.run.samples.phase).tolist()}
     if trace.rotating + trace.translating < len(trace) or not trace.rotating:
-        listed = ", ".join(sorted(phase.label for phase in phases))
+        listed = ", ".join(_list_phases(trace))
         return f"its phases are not one rotation and one translation: {listed}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
@@ -206,6 +212,14 @@ def _find_obstacle(trace: Trace) -> str | None:
     if length_s > _LONGEST_S:
         return f"it lasts {length_s:.0f} s; up to {_LONGEST_S:.0f} s are simulated again"
     return None
+
+
+def _list_phases(trace: Trace) -> list[str]:
+    """Return the phases in the order in which they come, up to `_MOST_PHASES`."""
+    phases = trace.run.samples.phase
+    begins = np.flatnonzero(np.diff(phases, prepend=-1) != 0)
+    labels = [Phase(phase).label for phase in phases[begins[:_MOST_PHASES]].tolist()]
+    return [*labels, "..."] if len(begins) > _MOST_PHASES else labels
 
 
 def _collect(findings: Mapping[str, Finding]) -> dict[str, Any]:
@@ -223,7 +237,7 @@ def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -
         return ["poses and commands come again, but not the times at which they were answered"]
     reach = _describe_reach(trace, fits)
     if not fits.is_fitted:
-        return [f"{reach}: no setting explains the motion, so there is an effect not simulated"]
+        return [f"{reach}: no setting explains the motion: {_UNEXPLAINED}"]
     noise = fits.drive.noise if fits.drive else (0.0, 0.0, 0.0)
     left = f"{max(noise[:2]):.2g} m and {np.degrees(noise[2]):.2g} deg"
     return [f"{reach}; driven with the log's own commands the plant leaves {left} of noise"]

@@ -146,6 +146,7 @@ def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
     first_ns = run.poses.time_ns[0] if trace.has_ticks else trace.time_ns[0]
     waited = 0 if trace.has_ticks else (loop.start_backlog - 1) * loop.period_ticks
     ticks = waited + round(float(run.end_ns - first_ns) / TICK_NS)
+    ticks = max(ticks, 1)
     return replace(scenario, max_duration_s=min(scenario.max_duration_s, ticks * TICK_S))
 
 

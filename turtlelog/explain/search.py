@@ -24,7 +24,7 @@ from turtlelog.measure import DeadTime, Missing
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 from turtlelog.simulate import iterate_ticks
-from turtlelog.turtlesim import WORLD_SIZE_M
+from turtlelog.turtlesim import TICK_S, WORLD_SIZE_M
 
 _CERTAIN: Final = 10.0
 """Difference of log-likelihoods from which a setting is worse than another: 20,000 times less
@@ -312,12 +312,12 @@ class _Search:
     def _find_end_s(self, scenario: Scenario) -> float:
         run = self._trace.run
         if self._trace.has_exact_clock and self._trace.has_ticks:
-            return float(run.end_ns - run.poses.time_ns[0]) / 1e9
+            return max(float(run.end_ns - run.poses.time_ns[0]) / 1e9, TICK_S)
         samples = 0
         for tick in iterate_ticks(scenario):
             samples += len(tick.computed)
             if samples >= len(self._rows):
-                return tick.time_ns / 1e9
+                return max(tick.time_ns / 1e9, TICK_S)
         return scenario.max_duration_s
 
 

@@ -4,8 +4,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.angles import subtract_headings
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.identification import LOOP_KEYS
+from turtlelog.explain.numbers import find_quantile
 from turtlelog.explain.resimulation import count_lost_commands, read_pause
 from turtlelog.explain.search import Fits
 from turtlelog.explain.trace import Trace
@@ -35,8 +37,36 @@ def describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
 
 
 def describe_pause(trace: Trace, fits: Fits) -> dict[str, Finding]:
-    """Return what the plant did in the pause, and how many poses were answered after it."""
-    if not (fits.is_exact and trace.shows_pause):
+    """Return what the plant did from the pause on, and how many poses were answered after it."""
+    if not trace.shows_pause:
+        return {}
+    return {"pause.turned_rad": _describe_turn(trace, fits), **_describe_queues(fits)}
+
+
+def _describe_turn(trace: Trace, fits: Fits) -> Finding:
+    """Return how far the robot turned from the rotation's last sample to the log's."""
+    ended = trace.rotating - 1
+    jumped = [row for row in trace.jumps if row > ended]
+    if jumped:
+        return miss("the pose jumps after the rotation: nobody knows how far the robot turned")
+    turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
+    evidence = "heading at the end, less at the rotation's"
+    if fits.is_exact or fits.is_close:
+        return find_exactly(turned, evidence)
+    if not (fits.is_fitted and fits.drive):
+        return miss("no setting explains the motion")
+    # Each of the two headings has its own noise.
+    reach = find_quantile(fits.drive.rows) * float(np.sqrt(2.0)) * fits.drive.noise[2]
+    return Finding(
+        value=turned,
+        certainty=Certainty.FITTED,
+        evidence=evidence,
+        interval=(turned - reach, turned + reach),
+    )
+
+
+def _describe_queues(fits: Fits) -> dict[str, Finding]:
+    if not fits.is_exact:
         return {}
     again = [read_pause(scenario) for scenario in fits.scenarios]
     held, bursts = ([*dict.fromkeys(values)] for values in zip(*again, strict=True))

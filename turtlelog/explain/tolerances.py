@@ -29,8 +29,11 @@ def bracket_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | Non
         if fit.obstacle:
             return miss(fit.obstacle, DEFAULT_TOLERANCE)
         # A command tells its error better than the noisy pose.
-        least = float(np.abs(trace.turn_rate_rad_s[moving]).min()) / fit.gain.interval[0]
+        commands = np.abs(trace.turn_rate_rad_s[moving])
+        least = float(commands[commands > 0.0].min()) / fit.gain.interval[0]
         return _bound(ended, least, fit.gain.noise, "rad", high_noise=0.0)
+    if not np.any(trace.turn_rate_rad_s[moving]):
+        return miss("the run has no command that turns", DEFAULT_TOLERANCE)
     high = float(np.abs(error[moving]).min(initial=math.inf))
     if not trace.ended_rotation:
         return _bracket(0.0, high, "the rotation has no end", "rad")
