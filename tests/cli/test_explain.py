@@ -26,6 +26,15 @@ def test_explain_finds_what_was_built_in(call: Call, kp10: Path) -> None:
     }
 
 
+def test_explain_names_the_settings_that_it_tried(call: Call, kp10: Path) -> None:
+    tried = call("explain", kp10, "--json").json["tried"]
+    assert tried["loop.transport_delay_ticks"] == [0, 1, 2, 3, 4]
+    assert tried["loop.queue_policy"] == ["newest", "one-per-tick"]
+    text = " ".join(call("explain", kp10).out.split())
+    assert "Settings tried: queue policy newest, one-per-tick; command queue 2 to 7;" in text
+    assert "; transport delay 0 to 4 ticks." in text
+
+
 def test_a_log_with_a_row_missing_is_explained_as_json(call: Call, tmp_path: Path) -> None:
     rows = find_shared("paper", "kp4_210_main.csv").read_text().splitlines(keepends=True)
     path = tmp_path / "kp4_without_line_300.csv"

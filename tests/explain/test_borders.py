@@ -8,10 +8,23 @@ import pytest
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.command_fit import PoseNoise, fit_command
+from turtlelog.explain.law import identify_rotation
 from turtlelog.explain.loop import read_hints
 from turtlelog.explain.numbers import Values, fit_gain
+from turtlelog.explain.open_loop import drive_plant
 from turtlelog.explain.stretches import mark_breaks
 from turtlelog.explain.trace import find_grain, trace_run
+
+BUILT = {
+    "law.pause_ticks": 34,
+    "loop.start_backlog": 6,
+    "loop.pose_queue": 10,
+    "loop.command_queue": 7,
+    "loop.queue_policy": "one-per-tick",
+    "loop.transport_delay_ticks": 0,
+    "loop.period_ticks": 1,
+}
+"""The loop of the default truth."""
 
 
 def shift_clock(log: Log, row: int, ticks: float) -> Log:
@@ -175,3 +188,36 @@ def test_a_wrapped_error_is_exact_where_commands_show_it() -> None:
     noisy = identify_run(make_log(replace(truth, log_noise=1e-3)).to_run()).findings
     assert (noisy["law.wrap_error"].value, noisy["law.wrap_error"].certainty) == (
         True, Certainty.FITTED)  # fmt: skip
+
+
+@pytest.mark.parametrize(("deviations", "certainty"), [(5.4, "unknown"), (6.6, "fitted")])
+def test_a_noisy_error_has_wrapped_from_six_deviations_beyond_half_a_turn(
+    deviations: float, certainty: str
+) -> None:
+    bearing_rad = float(np.arctan2(10.0 - 5.5444446, 2.0 - 5.5444446))
+    start = (5.5444446, 5.5444446, bearing_rad - np.pi + 0.004)
+    run = make_log(Truth(start=start, log_noise=1e-3)).to_run()
+    heading_rad = run.poses.heading_rad.copy()
+    size = trace_run(run).noise_rad
+    heading_rad[1] = bearing_rad - np.pi - deviations * size
+    poses = replace(run.poses, heading_rad=heading_rad)
+    found = identify_rotation(trace_run(replace(run, poses=poses)))[0]["law.wrap_error"]
+    assert found.certainty == certainty
+
+
+@pytest.mark.parametrize(("alike", "explains"), [(0.42, True), (0.58, False)])
+def test_what_a_drive_leaves_is_noise_up_to_a_whiteness_of_a_half(
+    alike: float, *, explains: bool
+) -> None:
+    run = make_log(Truth()).to_run()
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, (len(run.poses), 3))
+    for row in range(1, len(noise)):
+        noise[row] += alike * noise[row - 1]
+    poses = replace(
+        run.poses,
+        xy_m=run.poses.xy_m + noise[:, :2],
+        heading_rad=run.poses.heading_rad + noise[:, 2],
+    )
+    drive = drive_plant(trace_run(replace(run, poses=poses)), BUILT)
+    assert drive is not None
+    assert drive.explains == explains

@@ -76,6 +76,7 @@ def describe_explanation(
             "max_command_error": again.max_command_error,
             "is_exact": again.is_exact,
         },
+        "tried": {key: [*values] for key, values in found.tried.items()},
         "attribution": None if attribution is None else _describe_attribution(attribution),
         "notes": [*found.notes],
     }

@@ -43,6 +43,9 @@ _ROWS: Final = (
 
 _EVIDENCE_WIDTH: Final = 46
 
+_WIDTH: Final = 96
+"""Of lines, as wide as the notes of a table [characters]."""
+
 
 def format_identification(found: "Identification") -> str:
     """Return what was identified, with its evidence, and how the re-simulation compares."""
@@ -116,8 +119,27 @@ def _format_resimulation(found: "Identification") -> str:
     return (
         f"Simulated again: {again.samples} samples, largest differences x {error.x_m:.3g} m,"
         f" y {error.y_m:.3g} m,\nheading {degrees(error.heading_rad):.3g} deg,"
-        f" commands {again.max_command_error:.3g}.\n"
+        f" commands {again.max_command_error:.3g}.\n{_format_tried(found)}\n"
     )
+
+
+def _format_tried(found: "Identification") -> str:
+    """Return among which settings of the loop the log's were looked for."""
+    parts = [
+        f"{name} {_format_range(found.tried[key], unit)}"
+        for name, key, unit in _ROWS
+        if len(found.tried.get(key, ())) > 1
+    ]
+    text = (
+        f"Settings tried: {'; '.join(parts) or 'one, the clock and the dead times leave no other'}."
+    )
+    return textwrap.fill(text, _WIDTH, break_on_hyphens=False)
+
+
+def _format_range(values: tuple[Any, ...], unit: str) -> str:
+    if len(values) > 2 and [*values] == [*range(values[0], values[0] + len(values))]:
+        return f"{values[0]} to {values[-1]} {unit}".rstrip()
+    return f"{', '.join(map(str, values))} {unit}".rstrip()
 
 
 def _capitalise(note: str) -> str:

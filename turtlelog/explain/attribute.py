@@ -66,6 +66,8 @@ def attribute_run(
     found = attribute_scenario(scenario, metric=metric, mechanisms=mechanisms)
     logged = measure_run(run, only=[metric])[metric]
     found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason)
+    others = tuple(_withhold_alone(share, identified.findings) for share in found.others)
+    found = replace(found, others=others)
     obstacle = found.withheld or _compare_with_log(found)
     if obstacle:
         return replace(found, withheld=obstacle, shares=())
@@ -222,9 +224,23 @@ def _compare_with_log(found: Attribution) -> str:
     return "they differ by more than a tenth of what the effects add together"
 
 
+def _withhold_alone(share: Share, findings: Mapping[str, Finding]) -> Share:
+    """Return a property without its value where it hangs on a gain that the log does not tell."""
+    unknown = [key for key in _list_gains(share.mechanism) if findings[key].value is None]
+    if not unknown:
+        return share
+    return replace(share, alone=None, ending=f"the log does not tell {' and '.join(unknown)}")
+
+
+def _list_gains(mechanism: str) -> tuple[str, ...]:
+    """Return the gains that decide what a mechanism's absence makes: of clipped commands, any."""
+    return ("law.kp_angular", "law.kp_linear") if mechanism == "saturation" else ()
+
+
 def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[str]) -> Iterator[str]:
     """Yield what is not proven of the settings that the acting mechanisms take out."""
-    keys = [key for name in acting for key in MECHANISMS[name].without if key in findings]
+    concerned = [(*MECHANISMS[name].without, *_list_gains(name)) for name in acting]
+    keys = [key for names in concerned for key in names if key in findings]
     found = {findings[key].certainty for key in keys}
     if Certainty.AMBIGUOUS in found:
         alike = [

@@ -1,9 +1,9 @@
 """What a log says of the scenario that made it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from turtlelog.errors import ExplainError
 from turtlelog.explain.finding import Finding, miss
@@ -47,6 +47,8 @@ class Identification:
             none.
         scenario: The identified scenario; None where too little is known for one.
         notes: What else is worth a sentence.
+        tried: By key of the loop's settings, the values that were tried; what is exact or fitted is
+            so among these.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Identification:
     resimulation: Resimulation | None
     scenario: Scenario | None
     notes: tuple[str, ...] = ()
+    tried: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     def build_scenario(self) -> Scenario:
         """Return the identified scenario; what does not show has the value that was assumed.

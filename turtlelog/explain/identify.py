@@ -108,6 +108,7 @@ def _identify_samples(run: Run) -> Identification:
         findings=MappingProxyType(findings),
         resimulation=resimulation,
         scenario=scenario,
+        tried=fits.ranges,
         notes=(
             *breaks,
             *_describe_difference(trace, fits, resimulation),

@@ -67,6 +67,7 @@ class Fits:
             was not needed, or cannot be.
         reproduced: Samples that the likeliest reproduces, from the first one on.
         tried: How many were simulated.
+        ranges: The values of each key among the settings tried, in ascending order.
         hidden: Keys whose value makes no difference in this run.
         bounds: Of the start, where what is left is the rounding of poses alone.
     """
@@ -78,6 +79,7 @@ class Fits:
     drive: Drive | None = None
     reproduced: int
     tried: int
+    ranges: Mapping[str, tuple[Any, ...]]
     hidden: frozenset[str] = frozenset()
     bounds: StartBounds | None = None
 
@@ -134,6 +136,7 @@ class _Search:
         self._near = [p for p in pauses if agrees_with_clock(p, hints, trace)] or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = self._simulated = 0
+        self._values: dict[str, set[Any]] = {}
         self.to_rounding = False
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
@@ -163,6 +166,7 @@ class _Search:
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
         """Return the settings that reproduce every sample, of them those nearest to the clock."""
+        self._note_values(queues, self._hints.pauses)
         first, rotation = self._hints.pauses[0], self._list_rotation()
         alike = [
             guess
@@ -205,6 +209,7 @@ class _Search:
             is_close=self.to_rounding,
             reproduced=len(self._rows),
             tried=self._tried,
+            ranges=self._list_ranges(),
             hidden=frozenset(hidden),
         )
 
@@ -278,7 +283,16 @@ class _Search:
             bounds=self._bound_start(drive),
             reproduced=counts[0],
             tried=self._tried,
+            ranges=self._list_ranges(),
         )
+
+    def _note_values(self, guesses: Sequence[Guess], pauses: Sequence[int]) -> None:
+        for key, value in (pair for guess in guesses for pair in guess.items()):
+            self._values.setdefault(key, set()).add(value)
+        self._values.setdefault("law.pause_ticks", set()).update(pauses)
+
+    def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
+        return {key: tuple(sorted(values)) for key, values in self._values.items()}
 
     def _bound_start(self, drive: Drive | None) -> StartBounds | None:
         """Return bounds of the start, where what is left is no more than rounding."""
