@@ -23,10 +23,7 @@ from turtlelog.explain.tolerances import (
     bracket_position_tolerance,
 )
 from turtlelog.explain.trace import Trace, Values
-
-_CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which the better of two models counts as found: the other is
-20,000 times less likely."""
+from turtlelog.measure.dead_time import CERTAIN
 
 _HALF_TURN_SURE: Final = 6.0
 """Standard deviations beyond half a turn from which on a noisy error has wrapped."""
@@ -132,7 +129,7 @@ def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
     better, other = ("bearing", heading) if bearing.noise <= heading.noise else ("heading", bearing)
     found = fits[better].gain or other
     ratio = other.noise / found.noise if found.noise > 0.0 else math.inf
-    if found.rows * math.log(max(ratio, 1.0)) < _CERTAIN:
+    if found.rows * math.log(max(ratio, 1.0)) < CERTAIN:
         return _leave_open(tuple(fits), "noise hides the difference", better)
     return Finding(
         value=better, certainty=Certainty.FITTED, evidence=f"the other leaves {ratio:.3g} times"

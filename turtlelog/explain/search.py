@@ -21,14 +21,11 @@ from turtlelog.explain.open_loop import (
 from turtlelog.explain.resimulation import Row, count_equal, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
+from turtlelog.measure.dead_time import CERTAIN
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 from turtlelog.simulate import iterate_ticks
 from turtlelog.turtlesim import TICK_S, WORLD_SIZE_M
-
-_CERTAIN: Final = 10.0
-"""Difference of log-likelihoods from which a setting is worse than another: 20,000 times less
-likely. Log-likelihoods of the settings tried are estimates, and 5 would still be 150 times."""
 
 _MOST_TICKS: Final = 150_000
 """Ticks that are simulated where none is exact, some four seconds' worth."""
@@ -265,7 +262,7 @@ class _Search:
         first = min(driven, key=lambda pair: sum(np.log(pair[1].noise)))[1]
         misfits = [drive.compute_misfit(first.whiteness) for _, drive in driven]
         order = np.argsort(misfits, kind="stable").tolist()
-        return [driven[row] for row in order if misfits[row] < min(misfits) + _CERTAIN]
+        return [driven[row] for row in order if misfits[row] < min(misfits) + CERTAIN]
 
     def _build_nearest(self, guesses: Sequence[Guess], drive: Drive | None) -> Fits:
         start: dict[str, float] = {}

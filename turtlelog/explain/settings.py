@@ -113,8 +113,6 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
         if key == "loop.period_ticks":
             return find_exactly(chosen, _PERIOD)
         also = "; so does a command queue of 1" if chosen == "newest" else ""
-        if key == "loop.transport_delay_ticks":
-            also = f", alone of {fits.tried} settings tried"
         return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
     evidence = f"likeliest of {fits.tried} settings; none is exact"
     if fits.is_close:
