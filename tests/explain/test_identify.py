@@ -145,7 +145,9 @@ def test_a_pause_of_one_tick_looks_like_none() -> None:
     found = identify_run(as_log(simulate("paper-kp4", law__pause_ticks=1)))
     pause = found.findings["law.pause_ticks"]
     assert (pause.certainty, sorted(pause.candidates)) == (Certainty.AMBIGUOUS, [0, 1])
-    assert "law.pause_ticks: 0, 1 fit alike: each reproduces every sample" in found.notes
+    assert (
+        "of law.pause_ticks the values 0, 1 fit alike: each reproduces every sample" in found.notes
+    )
 
 
 def test_a_run_cut_while_rotating_tells_what_it_can() -> None:
