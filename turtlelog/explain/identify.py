@@ -255,7 +255,8 @@ def _describe_reach(trace: Trace, fits: Fits) -> str:
 
 def _list_candidates(findings: Mapping[str, Finding]) -> list[str]:
     return [
-        f"of {key} the values {', '.join(map(str, finding.candidates))} fit alike: {finding.evidence}"
+        f"of {key} the values {', '.join(map(str, finding.candidates))} fit alike:"
+        f" {finding.evidence}"
         for key, finding in findings.items()
         if finding.certainty is Certainty.AMBIGUOUS
     ]
