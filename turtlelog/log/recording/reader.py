@@ -47,9 +47,10 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
         try:
             return _build_whole_run(read_contents(stream))
         except DamageError as err:
-            if not allow_partial:
-                raise LogError(f"{err}: {_advise(stream)}") from err
+            # Its frames hold what was unpacked: they go before the file is read once more.
             damage = str(err)
+        if not allow_partial:
+            raise LogError(f"{damage}: {_advise(stream)}")
         try:
             contents, dropped = reconcile_contents(salvage_contents(stream))
             run, lost = build_run(contents), describe_damages(contents.damages) + dropped
