@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose
-from turtlelog.run import Phase
+from turtlelog.loops import ControlLoop, Declaration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,29 +20,44 @@ class TurnAndDriveParameters:
 
 class TurnAndDrive:
     Parameters = TurnAndDriveParameters
+    counts_samples = ()  # none of its parameters counts samples
+
+    @classmethod
+    def declare(
+        cls, parameters: TurnAndDriveParameters, goal: Goal | None, path: None
+    ) -> Declaration:
+        align = ControlLoop(
+            name="align",
+            signal="heading",
+            command="turn_rate",
+            reference="bearing_now",
+            gain="law.kp_angular",
+        )
+        approach = ControlLoop(
+            name="approach",
+            signal="distance",
+            command="speed",
+            reference="zero",
+            gain="law.kp_linear",
+        )
+        return Declaration(loops=(align, approach), phases={"drive": ("align", "approach")})
 
     def __init__(self, parameters: TurnAndDriveParameters) -> None:
         self.parameters = parameters
         self.goal = Goal(0.0, 0.0)
 
-    def reset(self, start: Pose, goal: Goal) -> None:
-        self.goal = goal
+    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+        if goal is not None:
+            self.goal = goal
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
         error_x_m, error_y_m = self.goal.x_m - pose.x_m, self.goal.y_m - pose.y_m
         distance_m = math.hypot(error_x_m, error_y_m)
-        bearing_rad = math.atan2(error_y_m, error_x_m)
-        heading_error_rad = subtract_headings(bearing_rad, pose.heading_rad)
-        done = distance_m < self.parameters.tolerance_m
+        heading_error_rad = subtract_headings(math.atan2(error_y_m, error_x_m), pose.heading_rad)
+        if distance_m < self.parameters.tolerance_m:
+            return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, stop_reason="within_tolerance")
+        forward = max(0.0, math.cos(heading_error_rad))
         return Decision(
-            speed_m_s=0.0
-            if done
-            else self.parameters.kp_linear * distance_m * max(0.0, math.cos(heading_error_rad)),
-            turn_rate_rad_s=0.0 if done else self.parameters.kp_angular * heading_error_rad,
-            phase=Phase.TRANSLATE,
-            bearing_rad=bearing_rad,
-            heading_error_rad=heading_error_rad,
-            error_x_m=error_x_m,
-            error_y_m=error_y_m,
-            stop_reason="within_tolerance" if done else None,
+            speed_m_s=self.parameters.kp_linear * distance_m * forward,
+            turn_rate_rad_s=self.parameters.kp_angular * heading_error_rad,
         )

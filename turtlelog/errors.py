@@ -4,7 +4,7 @@ A message is one line: the place, what was expected, what was found.
 """
 
 from collections.abc import Iterable
-from typing import Final
+from typing import Any, Final
 
 from turtlelog.escapes import escape_controls
 
@@ -68,7 +68,13 @@ class ScenarioError(TurtlelogError):
 
 
 class SimulationError(TurtlelogError):
-    """A simulation that cannot go on."""
+    """A simulation that cannot go on.
+
+    Attributes:
+        run: The `Run` up to there, None where it had no sample.
+    """
+
+    run: Any = None
 
 
 class TheoryError(TurtlelogError):

@@ -1,6 +1,6 @@
 """Run: the columns that every stage hands on."""
 
-import enum
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from types import MappingProxyType
@@ -10,32 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import RunError
+from turtlelog.loops import PAUSE, Declaration
 
 Parameter = bool | int | float | str | list[Any]
 
-_PAIRS = frozenset({"xy_m", "error_xy_m", "world_velocity_m_s"})
+_PAIRS = frozenset({"xy_m", "error_xy_m", "world_velocity_m_s", "reference_xy_m"})
+_MAY_BE_NAN = frozenset({"world_velocity_m_s", "reference_xy_m", "reference_heading_rad"})
+"""Columns whose rows are NaN where a sample does not have them."""
+
 _LARGEST_HEADING_RAD = np.pi + 1e-6
 
 
+CUT_SHORT = frozenset({"max_duration", "interrupted", "law_failed"})
+"""Stop reasons of runs whose controller did not come to its own end."""
+
 _Rebuilding = tuple[Any, tuple[type, dict[str, Any]]]
 """How a value is pickled: built again from its fields, so that it is checked and frozen again."""
-
-
-class Phase(enum.IntEnum):
-    """What the controller was doing when it computed a command; the value stands in recordings.
-
-    No sample is computed in PAUSE: it names the time during which a blocked controller is silent.
-    """
-
-    ROTATE = 0
-    PAUSE = 1
-    TRANSLATE = 2
-    DONE = 3
-
-    @property
-    def label(self) -> str:
-        """Its name in metrics, files and pictures."""
-        return self.name.lower()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,8 +105,9 @@ class SampleColumns:
             of a burst share one time.
         sequence: Number of the sample, shape (n,), strictly increasing.
         pose_sequence: Row of `Run.poses` that the sample read, shape (n,).
-        phase: `Phase` in which the command was computed, shape (n,).
-        bearing_rad: Goal bearing [rad], shape (n,).
+        phase: Index into `Run.phase_names` of the phase in which the command was computed,
+            shape (n,).
+        bearing_rad: Goal bearing [rad], shape (n,); None where not recorded, as the next three.
         heading_error_rad: Bearing minus heading [rad], shape (n,).
         error_xy_m: Goal minus position, world frame [m], shape (n, 2).
         distance_m: Length of that error [m], shape (n,).
@@ -124,32 +115,37 @@ class SampleColumns:
         wanted_turn_rate_rad_s: Before clipping [rad/s], shape (n,); None where not recorded.
         speed_m_s: Forward speed as commanded [m/s], shape (n,).
         turn_rate_rad_s: As commanded [rad/s], shape (n,).
-        world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2).
+        world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2);
+            NaN where a sample has none, None where no sample has.
+        states: Numbers of the law's own, in the order of the declaration, shape (n, k); None where
+            it declares none.
+        reference_xy_m: Position of the reference pose, world frame [m], shape (n, 2); NaN where a
+            sample has none, None where none is declared.
+        reference_heading_rad: Its heading [rad], shape (n,), likewise.
     """
 
     time_ns: NDArray[np.int64]
     sequence: NDArray[np.int64]
     pose_sequence: NDArray[np.int64]
     phase: NDArray[np.int64]
-    bearing_rad: NDArray[np.float64]
-    heading_error_rad: NDArray[np.float64]
-    error_xy_m: NDArray[np.float64]
-    distance_m: NDArray[np.float64]
     speed_m_s: NDArray[np.float64]
     turn_rate_rad_s: NDArray[np.float64]
-    world_velocity_m_s: NDArray[np.float64]
+    bearing_rad: NDArray[np.float64] | None = None
+    heading_error_rad: NDArray[np.float64] | None = None
+    error_xy_m: NDArray[np.float64] | None = None
+    distance_m: NDArray[np.float64] | None = None
+    world_velocity_m_s: NDArray[np.float64] | None = None
     wanted_speed_m_s: NDArray[np.float64] | None = None
     wanted_turn_rate_rad_s: NDArray[np.float64] | None = None
+    states: NDArray[np.float64] | None = None
+    reference_xy_m: NDArray[np.float64] | None = None
+    reference_heading_rad: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "sample")
         _require_finite(self, "sample")
         _require_rising(self.time_ns, "sample.time_ns", strictly=False)
         _require_rising(self.sequence, "sample.sequence", strictly=True)
-        unknown = ~np.isin(self.phase, [phase.value for phase in Phase])
-        if unknown.any():
-            row = int(unknown.argmax())
-            raise RunError(f"sample.phase[{row}]: expected 0 to 3, found {self.phase[row]}")
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -175,11 +171,32 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseSpan:
-    """A stretch of time in one phase, [start_ns, end_ns]."""
+    """A stretch of time in one phase, [start_ns, end_ns].
 
-    phase: Phase
+    Attributes:
+        phase: Its name.
+        start_ns: Time of its first sample; of a pause, of the last sample before [ns].
+        end_ns: Time of the next span's start, or the end of the run [ns].
+    """
+
+    phase: str
     start_ns: int
     end_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GoalLine:
+    """The line from start to goal, which along-track and cross-track coordinates belong to.
+
+    Attributes:
+        start_xy_m: The first pose that was read, world frame [m].
+        bearing_rad: Of the goal from there, counter-clockwise from +x [rad].
+        length_m: Distance from there to the goal [m], None where it is not known.
+    """
+
+    start_xy_m: tuple[float, float]
+    bearing_rad: float
+    length_m: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -195,10 +212,12 @@ class Run:
         samples: What the controller computed; no rows where the source does not hold it.
         goal_xy_m: Goal position, world frame [m], None where not recorded.
         goal_heading_rad: Goal heading [rad], None where none was asked for.
+        declaration: The loops, phases and states of its law; without a loop where they are not
+            known.
         parameters: What is known of the scenario, by dotted key (`law.kp_linear`).
         scenario_is_complete: Whether the parameters determine the run.
-        stop_reason: Why it ended, in the law's word, or `max_duration` or `interrupted`; None where
-            not recorded.
+        stop_reason: Why it ended, in the law's word, or one of `CUT_SHORT`; None where not
+            recorded.
         events: In order of time.
         absent: Names of the fields that the source does not hold.
         notes: What an importer did or found, by name (`original_timestamp`, `sorted_rows`, ...).
@@ -211,6 +230,7 @@ class Run:
     samples: SampleColumns
     goal_xy_m: tuple[float, float] | None = None
     goal_heading_rad: float | None = None
+    declaration: Declaration = field(default_factory=Declaration)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     scenario_is_complete: bool = False
     stop_reason: str | None = None
@@ -231,11 +251,57 @@ class Run:
                 f"sample.pose_sequence[{row}]: expected a row of the {len(self.poses)} poses,"
                 f" found {read[row]}"
             )
+        self._require_declared()
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
         object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
 
     def __reduce__(self) -> _Rebuilding:
         return _rebuild, (type(self), _list_fields(self))
+
+    def _require_declared(self) -> None:
+        """Refuse samples that are not of the law that is declared."""
+        samples, declaration = self.samples, self.declaration
+        phases = len(declaration.phase_names)
+        unknown = (samples.phase < 0) | (samples.phase >= phases)
+        if unknown.any():
+            row = int(unknown.argmax())
+            raise RunError(
+                f"sample.phase[{row}]: expected 0 to {phases - 1}, found {samples.phase[row]}"
+            )
+        found = 0 if samples.states is None else samples.states.shape[1]
+        if found != len(declaration.states):
+            raise RunError(
+                f"sample.states: expected {len(declaration.states)} columns, found {found}"
+            )
+
+    @property
+    def phase_names(self) -> tuple[str, ...]:
+        """Names of the phases by the index that samples hold."""
+        return self.declaration.phase_names
+
+    @property
+    def goal_line(self) -> GoalLine | None:
+        """The line from the first pose that was read to the goal; None where it is not known.
+
+        Where the first sample is lost, or the goal is not known, the first bearing that was
+        recorded gives the direction.
+        """
+        samples = self.samples
+        if not len(samples):
+            return None
+        x_m, y_m = map(float, self.poses.xy_m[samples.pose_sequence[0]])
+        length_m = bearing_rad = None
+        if self.goal_xy_m is not None:
+            ahead_m, left_m = self.goal_xy_m[0] - x_m, self.goal_xy_m[1] - y_m
+            length_m = float(np.hypot(ahead_m, left_m))
+            bearing_rad = math.atan2(left_m, ahead_m)
+        if samples.bearing_rad is not None and (samples.sequence[0] != 0 or bearing_rad is None):
+            bearing_rad = float(samples.bearing_rad[0])
+        if bearing_rad is None:
+            return None
+        if length_m is None and samples.error_xy_m is not None:
+            length_m = float(np.hypot(*samples.error_xy_m[0]))
+        return GoalLine(start_xy_m=(x_m, y_m), bearing_rad=bearing_rad, length_m=length_m)
 
     @property
     def start_ns(self) -> int:
@@ -251,14 +317,14 @@ class Run:
     @property
     def is_complete(self) -> bool:
         """Whether the controller came to its own end."""
-        return self.stop_reason not in {None, "max_duration", "interrupted"}
+        return self.stop_reason is not None and self.stop_reason not in CUT_SHORT
 
     def find_phase_spans(self) -> tuple[PhaseSpan, ...]:
-        """Return the phases in order; the silence after a rotation's last sample is PAUSE.
+        """Return the phases in order; the silence after a phase's last sample is its pause.
 
         A run that ends while its controller is blocked ends in that silence.
         """
-        phase, time_ns = self.samples.phase, self.samples.time_ns
+        phase, time_ns, names = self.samples.phase, self.samples.time_ns, self.phase_names
         if not len(phase):
             return ()
         firsts = [0, *(np.flatnonzero(np.diff(phase)) + 1).tolist()]
@@ -266,18 +332,21 @@ class Run:
         ends_ns = [*time_ns[firsts[1:]].tolist(), self.end_ns]
         spans = []
         for first, after, end_ns in zip(firsts, afters, ends_ns, strict=True):
-            kind, start_ns = Phase(int(phase[first])), int(time_ns[first])
-            if kind is Phase.ROTATE and (after < len(phase) or self._ends_blocked()):
+            name, start_ns = names[phase[first]], int(time_ns[first])
+            if after < len(phase) or self._ends_blocked():
                 last_ns = int(time_ns[after - 1])
-                spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=last_ns))
-                kind, start_ns = Phase.PAUSE, last_ns
-            spans.append(PhaseSpan(phase=kind, start_ns=start_ns, end_ns=end_ns))
+                spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=last_ns))
+                name, start_ns = PAUSE, last_ns
+            spans.append(PhaseSpan(phase=name, start_ns=start_ns, end_ns=end_ns))
         return tuple(spans)
 
     def _ends_blocked(self) -> bool:
         """Whether the last sample's command went out later than its pose was answered, or never."""
         published, answered = self.commands.time_ns, self.samples.time_ns
-        return len(published) < len(answered) or bool(published[-1] > answered[-1])
+        is_sent = len(published) >= len(answered)
+        if is_sent:
+            return bool(published[-1] > answered[-1])
+        return self.end_ns > int(answered[-1])
 
 
 def _list_fields(value: Any) -> dict[str, Any]:
@@ -299,6 +368,8 @@ def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -
         if values is None:
             continue
         shape = (rows, 2) if column.name in _PAIRS else (rows,)
+        if column.name == "states":
+            shape = (rows, values.shape[-1])
         if values.shape != shape:
             raise RunError(f"{table}.{column.name}: expected shape {shape}, found {values.shape}")
         values.flags.writeable = False
@@ -309,7 +380,7 @@ def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table
         values = getattr(columns, column.name)
         if values is None or values.dtype.kind != "f":
             continue
-        bad = ~np.isfinite(values)
+        bad = np.isinf(values) if column.name in _MAY_BE_NAN else ~np.isfinite(values)
         if values.ndim > 1:
             bad = bad.any(axis=1)
         if bad.any():

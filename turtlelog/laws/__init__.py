@@ -1,7 +1,16 @@
 """Control laws, one per file: the thing under test."""
 
 from turtlelog.laws.base import ABSENT_BY_DEFAULT, Decision, Goal, Law, Pose
-from turtlelog.laws.loading import LAWS, find_law, require_law_name
+from turtlelog.laws.loading import (
+    LAWS,
+    declare_law,
+    describe_law_error,
+    find_law,
+    list_mechanisms,
+    list_sample_counters,
+    print_to_stderr,
+    require_law_name,
+)
 from turtlelog.laws.sequential_p import SequentialP, SequentialPParameters
 
 __all__ = [
@@ -13,6 +22,11 @@ __all__ = [
     "Pose",
     "SequentialP",
     "SequentialPParameters",
+    "declare_law",
+    "describe_law_error",
     "find_law",
+    "list_mechanisms",
+    "list_sample_counters",
+    "print_to_stderr",
     "require_law_name",
 ]

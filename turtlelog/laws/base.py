@@ -1,12 +1,11 @@
 """What a control law is: it reads a pose, answers with a decision, and knows nothing else."""
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, Protocol
 
 import msgspec
-
-from turtlelog.run import Phase
 
 ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
 """Metadata of a parameter that a scenario's text leaves out while it has its default, so that
@@ -47,16 +46,21 @@ class Goal(msgspec.Struct, frozen=True, gc=False):
 class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
     """The answer to one pose, with what it was computed from.
 
+    A speed and a turn rate are enough; the loop fills in what is None.
+
     Attributes:
         speed_m_s: Wanted speed along the heading, before clipping [m/s].
         turn_rate_rad_s: Wanted turn rate, before clipping, counter-clockwise [rad/s].
-        phase: Phase in which the command was computed.
-        bearing_rad: Goal bearing [rad].
-        heading_error_rad: Bearing minus heading [rad].
-        error_x_m: Goal minus position, world frame [m].
-        error_y_m: Goal minus position, world frame [m].
-        world_v_x_m_s: Gain times error before projection [m/s].
-        world_v_y_m_s: Gain times error before projection [m/s].
+        phase: Phase in which the command was computed; None for the first that is declared.
+        bearing_rad: Goal bearing [rad]; None for that from the present position.
+        heading_error_rad: What the heading should be minus the heading [rad]; None for the bearing
+            from the present position minus the heading, wrapped.
+        error_x_m: Goal minus position, world frame [m]; None for just that.
+        error_y_m: Goal minus position, world frame [m]; None for just that.
+        world_v_x_m_s: Gain times error before projection [m/s]; NaN where there is no such thing.
+        world_v_y_m_s: Gain times error before projection [m/s]; likewise.
+        states: The law's own numbers, in the order in which it declares them.
+        reference: The pose that the robot should have now, of a law whose reference is `recorded`.
         blocks_ticks: Ticks that the law blocks for before its command goes out.
         ends_phase: Whether the next sample is of another phase. A law that blocks says so here, so
             that a live recording tells of the pause while it lasts.
@@ -65,13 +69,15 @@ class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 
     speed_m_s: float
     turn_rate_rad_s: float
-    phase: Phase
-    bearing_rad: float
-    heading_error_rad: float
-    error_x_m: float
-    error_y_m: float
-    world_v_x_m_s: float = 0.0
-    world_v_y_m_s: float = 0.0
+    phase: str | None = None
+    bearing_rad: float | None = None
+    heading_error_rad: float | None = None
+    error_x_m: float | None = None
+    error_y_m: float | None = None
+    world_v_x_m_s: float = math.nan
+    world_v_y_m_s: float = math.nan
+    states: tuple[float, ...] = ()
+    reference: Pose | None = None
     blocks_ticks: int = 0
     ends_phase: bool = False
     stop_reason: str | None = None
@@ -80,8 +86,17 @@ class Decision(msgspec.Struct, frozen=True, gc=False, kw_only=True):
 class Law(Protocol):
     """A control law. Clipping, queues and delays are the loop's.
 
-    A law names its parameters: a frozen dataclass whose fields are the keys of a scenario's
-    `[law]` table beside `kind`.
+    `Parameters`, `__init__`, `reset` and `step` are enough. What else a law may have:
+
+    - `declare(cls, parameters, goal, path) -> Declaration`, a class method: its loops, phases and
+      states. Otherwise it has the one phase `control` and no loops.
+    - `mechanisms: tuple[Mechanism, ...]`: what it adds to the ideal loop; `explain` takes each out.
+    - `counts_samples: tuple[str, ...]`: its parameters that count samples, which grow with a finer
+      clock; otherwise `explain` leaves the clock as it is.
+
+    Attributes:
+        Parameters: A frozen dataclass whose fields are the keys of a scenario's `[law]` table
+            beside `kind`. A field without a default must be set.
     """
 
     Parameters: ClassVar[type[Any]]
@@ -90,8 +105,14 @@ class Law(Protocol):
         """Take the parameters."""
         ...
 
-    def reset(self, start: Pose, goal: Goal) -> None:
-        """Begin a run; `start` is the first pose that the controller reads."""
+    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+        """Begin a run.
+
+        Args:
+            start: The first pose that the controller reads.
+            goal: None where the law declares that it uses none.
+            path: None: a scenario holds no path.
+        """
         ...
 
     def step(self, time_ns: int, pose: Pose) -> Decision:

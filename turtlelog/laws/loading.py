@@ -3,14 +3,20 @@
 import dataclasses
 import hashlib
 import importlib
+import inspect
 import sys
+import traceback
+from contextlib import AbstractContextManager, redirect_stdout
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Final
 
-from turtlelog.errors import LawError, describe_error
-from turtlelog.laws.base import Law
+from turtlelog.errors import LawError, TurtlelogError, describe_error
+from turtlelog.laws.base import Goal, Law
 from turtlelog.laws.sequential_p import SequentialP
+from turtlelog.loops import Declaration, Mechanism
+
+_PROTOCOL: Final = "docs/own-law.md describes what a law is"
 
 LAWS: Final = MappingProxyType({"sequential-p": SequentialP})
 """The built-in laws by kind."""
@@ -35,6 +41,69 @@ def find_law(kind: str) -> type[Law]:
     return law  # type: ignore[no-any-return]
 
 
+def declare_law(law: type[Law], parameters: object, goal: Goal | None) -> Declaration:
+    """Return what a law declares of itself; a law that declares nothing has one phase and no loop.
+
+    Raises:
+        LawError: Where it fails, or returns something else.
+    """
+    declare = getattr(law, "declare", None)
+    if declare is None:
+        return Declaration()
+    try:
+        with print_to_stderr():
+            declared = declare(parameters, goal, None)
+    except (Exception, SystemExit) as err:
+        raise LawError(f"{law.__name__}.declare: {describe_law_error(err, law)}") from err
+    if not isinstance(declared, Declaration):
+        found = type(declared).__name__
+        raise LawError(f"{law.__name__}.declare: expected a Declaration, found {found}")
+    return declared
+
+
+def list_mechanisms(law: type[Law]) -> tuple[Mechanism, ...]:
+    """Return what a law adds to the ideal loop.
+
+    Raises:
+        LawError: Where it names something else.
+    """
+    mechanisms = getattr(law, "mechanisms", ())
+    if isinstance(mechanisms, tuple) and all(isinstance(one, Mechanism) for one in mechanisms):
+        return mechanisms
+    expected = "a tuple of Mechanism"
+    raise LawError(f"{law.__name__}.mechanisms: expected {expected}, found {mechanisms!r:.60}")
+
+
+def list_sample_counters(law: type[Law]) -> tuple[str, ...] | None:
+    """Return the parameters of a law that count samples; None where it does not tell.
+
+    Raises:
+        LawError: Where it names something that is no parameter.
+    """
+    counters = getattr(law, "counts_samples", None)
+    if counters is None:
+        return None
+    known = [field.name for field in dataclasses.fields(law.Parameters)]
+    if isinstance(counters, tuple) and set(counters) <= set(known):
+        return counters
+    expected = f"a tuple of {', '.join(known)}" if known else "()"
+    raise LawError(f"{law.__name__}.counts_samples: expected {expected}, found {counters!r:.60}")
+
+
+def print_to_stderr() -> AbstractContextManager[object]:
+    """Let what a law prints in the block go to stderr: stdout is for results."""
+    return redirect_stdout(sys.stderr)
+
+
+def describe_law_error(err: BaseException, law: type[Law]) -> str:
+    """Return an error that a law raised in one line, with its place in the law's own file."""
+    file = getattr(sys.modules.get(law.__module__), "__file__", None)
+    frames = [] if file is None else traceback.extract_tb(err.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == file]
+    reason = str(err) if isinstance(err, TurtlelogError) else describe_error(err)
+    return f"{file}, line {lines[-1]}: {reason}" if lines else reason
+
+
 def require_law_name(kind: str) -> None:
     """Refuse what can name no law. Loads nothing.
 
@@ -51,9 +120,15 @@ def _load_module(place: str) -> ModuleType:
     if place.endswith(".py") and not Path(place).is_file():
         raise LawError(f"expected a Python file at {place}, found none")
     try:
-        return _run_file(Path(place)) if place.endswith(".py") else importlib.import_module(place)
+        with print_to_stderr():
+            if place.endswith(".py"):
+                return _run_file(Path(place))
+            return importlib.import_module(place)
     except (Exception, SystemExit) as err:
-        raise LawError(f"{place} cannot be loaded: {describe_error(err)}") from err
+        reason = describe_error(err)
+        if isinstance(err, ImportError) and "'Phase'" in reason:
+            reason = f"{reason}: a law names its phases itself now, as text: {_PROTOCOL}"
+        raise LawError(f"{place} cannot be loaded: {reason}") from err
 
 
 def _run_file(path: Path) -> ModuleType:
@@ -86,3 +161,20 @@ def _require_law(law: object, kind: str) -> None:
     if not is_dataclass or not parameters.__dataclass_params__.frozen:
         found = "one that is not frozen" if is_dataclass else repr(parameters)[:60]
         raise LawError(f"{kind}: expected Parameters to be a frozen dataclass, found {found}")
+    _require_call(law.reset, ("self", "start", "goal", "path"), f"{kind}: reset")  # type: ignore[attr-defined]
+    _require_call(law.step, ("self", "time_ns", "pose"), f"{kind}: step")  # type: ignore[attr-defined]
+
+
+def _require_call(method: object, names: tuple[str, ...], place: str) -> None:
+    """Refuse a method that cannot take the arguments that it is called with."""
+    if not callable(method):
+        raise LawError(f"{place}: expected a method, found {method!r:.60}")
+    try:
+        signature = inspect.signature(method)
+    except (TypeError, ValueError):
+        return  # Of a builtin: only calling it tells.
+    try:
+        signature.bind(*names)
+    except TypeError as err:
+        expected = f"({', '.join(names)})"
+        raise LawError(f"{place}: expected {expected}, found {signature}: {_PROTOCOL}") from err

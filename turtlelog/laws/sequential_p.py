@@ -8,12 +8,66 @@ from msgspec import Meta
 from msgspec.structs import replace
 
 from turtlelog.angles import wrap_angle
+from turtlelog.errors import LawError
 from turtlelog.laws.base import ABSENT_BY_DEFAULT, Decision, Goal, Pose
-from turtlelog.run import Phase
+from turtlelog.loops import PAUSE, ControlLoop, Declaration, Mechanism
 
-# Looking a member up on its enum costs as much as the rest of a step.
-_ROTATE: Final = Phase.ROTATE
-_TRANSLATE: Final = Phase.TRANSLATE
+_ROTATE: Final = "rotate"
+_TRANSLATE: Final = "translate"
+_NO_TOLERANCE: Final = 1e-6
+"""The heading of a 32-bit pose comes no nearer to the bearing than about 1e-7 rad."""
+
+DECLARATION: Final = Declaration(
+    loops=(
+        ControlLoop(
+            name=_ROTATE,
+            signal="heading",
+            command="turn_rate",
+            reference="goal_bearing",
+            gain="law.kp_angular",
+        ),
+        ControlLoop(
+            name=_TRANSLATE,
+            signal="along_track",
+            command="speed",
+            reference="goal_distance",
+            gain="law.kp_linear",
+        ),
+    ),
+    # The pause stands second, as in recordings of format 1.
+    phases={_ROTATE: (_ROTATE,), PAUSE: (), _TRANSLATE: (_TRANSLATE,)},
+)
+"""What the sequential law declares, whatever its parameters."""
+
+_MECHANISMS: Final = (
+    Mechanism(
+        name="pause",
+        kind="effect",
+        neutral={"law.pause_ticks": 0},
+        meaning="no pause after the rotation",
+    ),
+    Mechanism(
+        name="projection",
+        kind="property",
+        neutral={"law.projection": "heading"},
+        meaning="projection on the current heading",
+    ),
+    Mechanism(
+        name="wrap",
+        kind="effect",
+        neutral={"law.wrap_error": True},
+        meaning="the error wrapped",
+    ),
+    Mechanism(
+        name="tolerance",
+        kind="property",
+        neutral={
+            "law.heading_tolerance_rad": _NO_TOLERANCE,
+            "law.position_tolerance_m": _NO_TOLERANCE,
+        },
+        meaning=f"tolerances of {_NO_TOLERANCE:g}",
+    ),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,20 +112,33 @@ class SequentialP:
     """Rotate to the goal bearing, then drive; the first callback only computes the bearing."""
 
     Parameters: ClassVar = SequentialPParameters
+    mechanisms: ClassVar = _MECHANISMS
+    counts_samples: ClassVar = ("standstill_samples",)
+
+    @classmethod
+    def declare(
+        cls, parameters: SequentialPParameters, goal: Goal | None, path: None
+    ) -> Declaration:
+        """Return its two loops, one after the other."""
+        del parameters, goal, path
+        return DECLARATION
 
     def __init__(self, parameters: SequentialPParameters) -> None:
         """Take the parameters."""
         self._parameters = parameters
         self._goal = Goal(0.0, 0.0)
-        self._phase: Phase | None = None
+        self._phase: str | None = None
         self._bearing_rad = self._heading_error_rad = 0.0
         self._world_v_m_s = (0.0, 0.0)
         self._first_ns = 0
         self._still_samples = 0
         self._close_since_ns: int | None = None
 
-    def reset(self, start: Pose, goal: Goal) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
         """Compute the goal bearing, once."""
+        del path
+        if goal is None:
+            raise LawError("sequential-p: expected a goal, found none")
         self._goal = goal
         self._phase = None
         self._bearing_rad = math.atan2(goal.y_m - start.y_m, goal.x_m - start.x_m)
@@ -111,6 +178,8 @@ class SequentialP:
             heading_error_rad=self._heading_error_rad,
             error_x_m=self._goal.x_m - pose.x_m,
             error_y_m=self._goal.y_m - pose.y_m,
+            world_v_x_m_s=0.0,
+            world_v_y_m_s=0.0,
         )
 
     def _translate(self, time_ns: int, pose: Pose) -> Decision:

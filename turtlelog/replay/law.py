@@ -32,7 +32,7 @@ from turtlelog.replay.sample_pairs import (
 from turtlelog.replay.stops import compare_last_decision
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
-from turtlelog.simulate import LawDriver, Sample, build_law, build_samples, pack_sample
+from turtlelog.simulate import LawDriver, Sample, SampleRows, build_law
 from turtlelog.turtlesim import TICK_NS
 
 _PLANT: Final = "--plant drives recorded commands through the plant"
@@ -147,14 +147,14 @@ def _answer_poses(
     driver, read = LawDriver(scenario, law), run.samples.pose_sequence
     x_m, y_m = run.poses.xy_m[read].T
     columns = (run.samples.time_ns, read, x_m, y_m, run.poses.heading_rad[read])
-    packed, blocks_ticks = bytearray(), []
+    rows, blocks_ticks = SampleRows(driver.declaration), []
     for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
         sample = driver.answer(time_ns, row, Pose(x, y, heading))
-        packed += pack_sample(sample)
+        rows.add(sample)
         blocks_ticks.append(sample.decision.blocks_ticks)
         if sample.decision.stop_reason is not None:
             break
-    return build_samples(packed), np.array(blocks_ticks, dtype=np.int64), sample
+    return rows.build_columns(), np.array(blocks_ticks, dtype=np.int64), sample
 
 
 def _count_published(run: Run) -> Difference | None:

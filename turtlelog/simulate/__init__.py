@@ -2,10 +2,10 @@
 
 from turtlelog.simulate.collect import RunCollector, collect_run, simulate_run
 from turtlelog.simulate.controller import Controller
-from turtlelog.simulate.law_driver import LawDriver, Sample, build_law
+from turtlelog.simulate.law_driver import LawDriver, Sample, build_law, declare_scenario
 from turtlelog.simulate.loop import Tick, iterate_ticks
 from turtlelog.simulate.queues import CommandQueue
-from turtlelog.simulate.sample_rows import build_samples, pack_sample
+from turtlelog.simulate.sample_rows import SampleRows, list_extra_values
 from turtlelog.simulate.turtle import Turtle, round_to_float32
 
 __all__ = [
@@ -14,13 +14,14 @@ __all__ = [
     "LawDriver",
     "RunCollector",
     "Sample",
+    "SampleRows",
     "Tick",
     "Turtle",
     "build_law",
-    "build_samples",
     "collect_run",
+    "declare_scenario",
     "iterate_ticks",
-    "pack_sample",
+    "list_extra_values",
     "round_to_float32",
     "simulate_run",
 ]

@@ -9,8 +9,9 @@ import numpy as np
 from turtlelog.errors import SimulationError
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
+from turtlelog.simulate.law_driver import declare_scenario
 from turtlelog.simulate.loop import Tick, iterate_ticks
-from turtlelog.simulate.sample_rows import build_samples, pack_sample, split_rows
+from turtlelog.simulate.sample_rows import SampleRows, split_rows
 
 # Rows are packed as they come: 8 bytes a value, whole numbers first.
 _POSE_ROW: Final = Struct("<q5d")
@@ -22,7 +23,8 @@ def simulate_run(scenario: Scenario) -> Run:
 
     Raises:
         ScenarioError: Where the law cannot be loaded or may not run.
-        SimulationError: Where the law fails, or no pose is answered within `max_duration_s`.
+        SimulationError: Where the law fails, with the run so far as `run`, or no pose is answered
+            within `max_duration_s`.
     """
     scenario = resolve_scenario(scenario)
     return collect_run(scenario, iterate_ticks(scenario))
@@ -32,10 +34,14 @@ def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:
     """Return the run that a scenario's ticks make.
 
     Raises:
-        SimulationError: Where no pose was answered.
+        SimulationError: Where no pose was answered, or the law fails: with the run so far as `run`.
     """
     collector = RunCollector(scenario)
-    collector.take(ticks)
+    try:
+        collector.take(ticks)
+    except SimulationError as err:
+        err.run = collector.build_run() if collector.has_samples else None
+        raise
     return collector.build_run()
 
 
@@ -44,14 +50,16 @@ class RunCollector:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = resolve_scenario(scenario)
-        self._poses, self._samples, self._commands = bytearray(), bytearray(), bytearray()
+        self._declaration = declare_scenario(self._scenario)
+        self._poses, self._commands = bytearray(), bytearray()
+        self._samples = SampleRows(self._declaration)
         self._events: list[Event] = []
         self._stop_reason: str | None = None
 
     @property
     def has_samples(self) -> bool:
         """Whether there is a run yet: without a sample there is none."""
-        return bool(self._samples)
+        return len(self._samples) > 0
 
     def take(self, ticks: Iterable[Tick]) -> None:
         """Add the next ticks."""
@@ -62,7 +70,7 @@ class RunCollector:
                 time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
             )
             for sample in tick.computed:
-                samples += pack_sample(sample)
+                samples.add(sample)
             for sample in tick.published:
                 commands += _COMMAND_ROW.pack(time_ns, sample.speed_m_s, sample.turn_rate_rad_s)
             self._events += tick.events
@@ -81,14 +89,16 @@ class RunCollector:
                 f" {scenario.max_duration_s}, found none: start_backlog ="
                 f" {scenario.loop.start_backlog} poses come first"
             )
+        has_goal = self._declaration.uses_goal
         return Run(
             name=scenario.name,
             source="simulation",
             poses=_build_poses(self._poses),
             commands=_build_commands(self._commands),
-            samples=build_samples(self._samples),
-            goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m),
-            goal_heading_rad=scenario.goal.heading_rad,
+            samples=self._samples.build_columns(),
+            goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m) if has_goal else None,
+            goal_heading_rad=scenario.goal.heading_rad if has_goal else None,
+            declaration=self._declaration,
             parameters=flatten_scenario(scenario),
             scenario_is_complete=True,
             stop_reason=self._stop_reason,

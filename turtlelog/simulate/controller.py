@@ -2,6 +2,7 @@
 
 from collections import deque
 
+from turtlelog.errors import SimulationError
 from turtlelog.laws import Law, Pose
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.law_driver import LawDriver, Sample, Samples
@@ -12,6 +13,7 @@ class Controller:
 
     Attributes:
         dropped: Poses that the full queue has pushed out so far.
+        failure: Why the law gave no answer to a pose, None while it does.
     """
 
     __slots__ = (
@@ -21,6 +23,7 @@ class Controller:
         "_poses",
         "_waits_for",
         "dropped",
+        "failure",
     )
 
     def __init__(self, scenario: Scenario, law: Law) -> None:
@@ -31,6 +34,7 @@ class Controller:
         self._poses: deque[tuple[int, Pose]] = deque(maxlen=scenario.loop.pose_queue)
         self._blocked: tuple[int, Sample] | None = None
         self.dropped = 0
+        self.failure: SimulationError | None = None
 
     def receive(self, tick: int, pose: Pose) -> None:
         """Queue the pose of a tick, every n-th of them."""
@@ -57,7 +61,9 @@ class Controller:
         computed: Samples = ()
         while self._poses:
             pose_sequence, pose = self._poses.popleft()
-            sample = self._driver.answer(time_ns, pose_sequence, pose)
+            sample = self._ask(time_ns, pose_sequence, pose)
+            if sample is None:
+                break
             computed += (sample,)
             if sample.decision.blocks_ticks > 0:
                 self._blocked = tick + sample.decision.blocks_ticks, sample
@@ -66,3 +72,11 @@ class Controller:
             if sample.decision.stop_reason is not None:
                 break
         return computed, published
+
+    def _ask(self, time_ns: int, pose_sequence: int, pose: Pose) -> Sample | None:
+        """Return the law's answer to a pose; None where it fails, with the reason kept."""
+        try:
+            return self._driver.answer(time_ns, pose_sequence, pose)
+        except SimulationError as err:
+            self.failure = err
+            return None

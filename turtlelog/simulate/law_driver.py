@@ -1,20 +1,31 @@
 """A law at work: it reads poses one by one, and its decisions become samples."""
 
-from math import copysign, hypot, isfinite
+from math import atan2, copysign, hypot, isfinite, isinf
 from operator import index
 from typing import Final
 
 import msgspec
 
-from turtlelog.errors import SimulationError, TurtlelogError, describe_error
-from turtlelog.laws import Decision, Goal, Law, Pose, find_law
-from turtlelog.run import Phase
+from turtlelog.angles import subtract_headings
+from turtlelog.errors import SimulationError, TurtlelogError
+from turtlelog.laws import (
+    LAWS,
+    Decision,
+    Goal,
+    Law,
+    Pose,
+    declare_law,
+    describe_law_error,
+    find_law,
+    print_to_stderr,
+)
+from turtlelog.loops import Declaration
 from turtlelog.scenario import LawChoice, Scenario, resolve_law
-
-_ROTATE, _TRANSLATE, _DONE = Phase.ROTATE, Phase.TRANSLATE, Phase.DONE
 
 _LARGEST: Final = 3.4e38
 """Applied velocities are published as 32-bit floats."""
+
+_NO_GOAL: Final = float("nan")
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
@@ -24,7 +35,8 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
         time_ns: Time of the tick at which the pose was answered [ns].
         sequence: Number of the sample, from 0.
         pose_sequence: Number of the pose that it read, from 0.
-        decision: What the law decided.
+        decision: What the law decided, complete; without a goal its errors are NaN.
+        phase: Index of the decision's phase in the declaration's `phase_names`.
         speed_m_s: Command after clipping [m/s].
         turn_rate_rad_s: Command after clipping [rad/s].
         distance_m: From the pose to the goal [m].
@@ -34,6 +46,7 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
     sequence: int
     pose_sequence: int
     decision: Decision
+    phase: int
     speed_m_s: float
     turn_rate_rad_s: float
     distance_m: float
@@ -42,10 +55,10 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
     def row(self) -> tuple[float, ...]:
         """What is recorded of it, in the order of a ControlSample's fields."""
         decision = self.decision
-        return (
+        return (  # type: ignore[return-value]
             self.sequence,
             self.pose_sequence,
-            decision.phase,
+            self.phase,
             decision.bearing_rad,
             decision.heading_error_rad,
             decision.error_x_m,
@@ -64,17 +77,44 @@ Samples = tuple[Sample, ...]
 
 
 class LawDriver:
-    """Asks a law for its decision on each pose, checks it and clips it; knows no queue or delay."""
+    """Asks a law for its decision on each pose, checks it and clips it; knows no queue or delay.
 
-    __slots__ = ("_ended", "_goal", "_kind", "_law", "_limits", "_sequence")
+    Attributes:
+        declaration: What the law declares.
+    """
+
+    __slots__ = (
+        "_ended",
+        "_goal",
+        "_kind",
+        "_law",
+        "_limits",
+        "_phases",
+        "_sequence",
+        "_step",
+        "_with_reference",
+        "declaration",
+    )
 
     def __init__(self, scenario: Scenario, law: Law) -> None:
         """Take goal and limits from a scenario; the law begins at the first pose."""
         self._law, self._kind = law, scenario.law.kind
-        self._goal = Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)
+        self._step = law.step if self._kind in LAWS else self._step_of_others
+        self.declaration = declaration = declare_scenario(scenario)
+        self._goal = _build_goal(scenario) if declaration.uses_goal else None
         self._limits = scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s
+        self._phases: dict[str | None, int] = {
+            name: number for number, name in enumerate(declaration.phase_names)
+        }
+        self._phases[None] = 0
+        self._with_reference = frozenset(
+            phase
+            for loop in declaration.loops
+            if loop.reference == "recorded"
+            for phase in declaration.list_phases(loop.name)
+        )
         self._sequence = 0
-        self._ended: Phase | None = None
+        self._ended: str | None = None
 
     def answer(self, time_ns: int, pose_sequence: int, pose: Pose) -> Sample:
         """Return the sample that a pose makes, with its command clipped.
@@ -86,36 +126,124 @@ class LawDriver:
         self._sequence += 1
         try:
             if sequence == 0:
-                self._law.reset(pose, self._goal)
-            decision = self._law.step(time_ns, pose)
+                self._reset(pose)
+            decision = self._step(time_ns, pose)
             speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
-            _require_sound(decision)
-            self._follow_phase(decision)
+            decision, distance = self._complete(decision, pose)
+            phase = self._require_sound(decision)
         except (Exception, SystemExit) as err:
-            reason = str(err) if isinstance(err, SimulationError) else describe_error(err)
+            reason = describe_law_error(err, type(self._law))
             raise SimulationError(f"law {self._kind}, sample {sequence}: {reason}") from err
         speed_limit, turn_limit = self._limits
         if not -speed_limit <= speed <= speed_limit:
             speed = copysign(speed_limit, speed)
         if not -turn_limit <= turn_rate <= turn_limit:
             turn_rate = copysign(turn_limit, turn_rate)
-        return Sample(
-            time_ns,
-            sequence,
-            pose_sequence,
-            decision,
-            speed,
-            turn_rate,
-            hypot(decision.error_x_m, decision.error_y_m),
-        )
+        return Sample(time_ns, sequence, pose_sequence, decision, phase, speed, turn_rate, distance)
 
-    def _follow_phase(self, decision: Decision) -> None:
-        if decision.phase is self._ended:
-            name = decision.phase.name
+    def _reset(self, pose: Pose) -> None:
+        with print_to_stderr():
+            self._law.reset(pose, self._goal, None)
+
+    def _step_of_others(self, time_ns: int, pose: Pose) -> Decision:
+        with print_to_stderr():
+            decision = self._law.step(time_ns, pose)
+        if not isinstance(decision, Decision):
+            raise SimulationError(f"expected a Decision, found {decision!r:.60}")
+        return decision
+
+    def _complete(self, decision: Decision, pose: Pose) -> tuple[Decision, float]:
+        """Return the decision with what it leaves out, and the distance to the goal [m]."""
+        error_x_m, error_y_m = decision.error_x_m, decision.error_y_m
+        bearing_rad, heading_error_rad = decision.bearing_rad, decision.heading_error_rad
+        if (
+            error_x_m is not None
+            and error_y_m is not None
+            and bearing_rad is not None
+            and heading_error_rad is not None
+            and decision.phase is not None
+        ):
+            return decision, hypot(error_x_m, error_y_m)
+        goal = self._goal
+        ahead_m = _NO_GOAL if goal is None else goal.x_m - pose.x_m
+        left_m = _NO_GOAL if goal is None else goal.y_m - pose.y_m
+        bearing_now_rad = atan2(left_m, ahead_m)
+        turn_rad = subtract_headings(bearing_now_rad, pose.heading_rad) if goal else _NO_GOAL
+        complete = msgspec.structs.replace(
+            decision,
+            phase=next(iter(self._phases)) if decision.phase is None else decision.phase,
+            error_x_m=ahead_m if error_x_m is None else error_x_m,
+            error_y_m=left_m if error_y_m is None else error_y_m,
+            bearing_rad=bearing_now_rad if bearing_rad is None else bearing_rad,
+            heading_error_rad=turn_rad if heading_error_rad is None else heading_error_rad,
+        )
+        return complete, hypot(complete.error_x_m, complete.error_y_m)  # type: ignore[arg-type]
+
+    def _require_sound(self, decision: Decision) -> int:
+        """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
+        _require_finite(decision, has_goal=self._goal is not None)
+        number = self._follow_phase(decision)
+        if decision.states or self.declaration.states:
+            self._require_states(decision.states)
+        if decision.reference is not None or decision.phase in self._with_reference:
+            self._require_reference(decision)
+        if index(decision.blocks_ticks) < 0:
+            raise SimulationError(f"expected blocks_ticks >= 0, found {decision.blocks_ticks}")
+        if decision.stop_reason is not None and not isinstance(decision.stop_reason, str):
             raise SimulationError(
-                f"expected another phase than {name}, which had ended, found it again"
+                f"expected a stop_reason in words, found {decision.stop_reason!r}"
             )
-        self._ended = decision.phase if decision.ends_phase else None
+        return number
+
+    def _follow_phase(self, decision: Decision) -> int:
+        phase = decision.phase
+        number = self._phases.get(phase)
+        if number is None:
+            known = ", ".join(self.declaration.phases)
+            raise SimulationError(f"expected a phase of {known}, found {phase!r}")
+        if phase == self._ended:
+            raise SimulationError(
+                f"expected another phase than {phase}, which had ended, found it again"
+            )
+        self._ended = phase if decision.ends_phase else None
+        return number
+
+    def _require_states(self, states: tuple[float, ...]) -> None:
+        names = self.declaration.states
+        if len(states) != len(names):
+            listed = f"states {', '.join(names)}" if names else "no states, as declared"
+            raise SimulationError(f"expected {listed}, found {len(states)} numbers")
+        for name, value in zip(names, states, strict=True):
+            if not isfinite(value):
+                raise SimulationError(f"expected a finite number as state {name}, found {value}")
+
+    def _require_reference(self, decision: Decision) -> None:
+        reference = decision.reference
+        if not self.declaration.has_reference:
+            raise SimulationError(
+                "expected no reference pose, for no loop is declared with the reference"
+                f" recorded, found {reference}"
+            )
+        if reference is None:
+            raise SimulationError(
+                f"expected a reference pose in phase {decision.phase}, found none"
+            )
+        if not isfinite(reference.x_m + reference.y_m + reference.heading_rad):
+            raise SimulationError(f"expected a finite reference pose, found {reference}")
+
+
+def _require_finite(decision: Decision, *, has_goal: bool) -> None:
+    speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
+    if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
+        raise SimulationError(
+            f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
+        )
+    # A sum of numbers is finite where all of them are.
+    errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
+    errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
+    world = decision.world_v_x_m_s, decision.world_v_y_m_s
+    if (has_goal and not isfinite(errors)) or isinf(world[0]) or isinf(world[1]):
+        raise SimulationError(f"expected finite numbers, found {decision}")
 
 
 def build_law(choice: LawChoice) -> Law:
@@ -127,29 +255,26 @@ def build_law(choice: LawChoice) -> Law:
         LawError: Where there is no such law.
     """
     choice = resolve_law(choice)
+    law = find_law(choice.kind)
     try:
-        return find_law(choice.kind)(choice.parameters)
+        with print_to_stderr():
+            return law(choice.parameters)
     except TurtlelogError:
         raise
     except (Exception, SystemExit) as err:
-        raise SimulationError(f"law {choice.kind}: {describe_error(err)}") from err
+        raise SimulationError(f"law {choice.kind}: {describe_law_error(err, law)}") from err
 
 
-def _require_sound(decision: Decision) -> None:
-    """Refuse a decision that cannot be carried out or recorded."""
-    speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
-    numbers = decision.bearing_rad + decision.heading_error_rad
-    numbers += decision.error_x_m + decision.error_y_m
-    numbers += decision.world_v_x_m_s + decision.world_v_y_m_s
-    if not isfinite(numbers):
-        raise SimulationError(f"expected finite numbers, found {decision}")
-    if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
-        raise SimulationError(
-            f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
-        )
-    if not (phase is _TRANSLATE or phase is _ROTATE or phase is _DONE):
-        raise SimulationError(f"expected ROTATE, TRANSLATE or DONE, found phase {phase!r}")
-    if index(decision.blocks_ticks) < 0:
-        raise SimulationError(f"expected blocks_ticks >= 0, found {decision.blocks_ticks}")
-    if decision.stop_reason is not None and not isinstance(decision.stop_reason, str):
-        raise SimulationError(f"expected a stop_reason in words, found {decision.stop_reason!r}")
+def declare_scenario(scenario: Scenario) -> Declaration:
+    """Return what the law of a scenario declares; its code is loaded if need be.
+
+    Raises:
+        ScenarioError: As `resolve_law`.
+        LawError: Where there is no such law, or its declaration is wrong.
+    """
+    choice = resolve_law(scenario.law)
+    return declare_law(find_law(choice.kind), choice.parameters, _build_goal(scenario))
+
+
+def _build_goal(scenario: Scenario) -> Goal:
+    return Goal(scenario.goal.x_m, scenario.goal.y_m, scenario.goal.heading_rad)

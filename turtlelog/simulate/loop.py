@@ -19,6 +19,10 @@ _POSE: Final = Struct("<5f")
 """How turtlesim publishes x, y, heading, speed and turn rate: as 32-bit floats."""
 
 
+LAW_FAILED: Final = "law_failed"
+"""Stop reason of a run whose law gave no answer."""
+
+
 class Tick(msgspec.Struct, frozen=True, gc=False):
     """What one plant step brought.
 
@@ -47,7 +51,8 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
     """Yield the ticks of a closed loop until the law is done or `max_duration_s` has passed.
 
     Raises:
-        SimulationError: Where the law fails or answers with something that is no number.
+        SimulationError: Where the law fails or answers with something that is no number; after the
+            tick in which it does, whose stop reason is `law_failed`.
     """
     loop = scenario.loop
     turtle = Turtle(
@@ -81,6 +86,9 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
         for sample in published:
             commands.put(tick, sample)
             stop_reason = sample.decision.stop_reason
+        failure = controller.failure
+        if failure is not None:
+            stop_reason = LAW_FAILED
         if stop_reason is None and tick == last_tick:
             stop_reason = "max_duration"
         yield Tick(
@@ -93,6 +101,8 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
             watch.find_events(time_ns, stop_reason, answered=bool(computed)),
             stop_reason,
         )
+        if failure is not None:
+            raise failure
         if stop_reason is not None:
             return
 
@@ -125,8 +135,13 @@ class _EventWatch:
             "poses_dropped": lost_poses and f"The controller's queue dropped {lost_poses} poses.",
             "commands_dropped": lost_commands
             and f"The plant's queue dropped {lost_commands} commands.",
-            "stop": stop_reason and f"The run ended: {stop_reason.replace('_', ' ')}.",
+            "stop": stop_reason and self._describe_stop(stop_reason),
         }
         return tuple(
             Event(time_ns=time_ns, kind=kind, text=text) for kind, text in found.items() if text
         )
+
+    def _describe_stop(self, stop_reason: str) -> str:
+        failure = self._controller.failure
+        because = "" if failure is None else f": {failure}"
+        return f"The run ended: {stop_reason.replace('_', ' ')}{because}."

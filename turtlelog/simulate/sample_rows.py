@@ -6,43 +6,92 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.loops import Declaration
 from turtlelog.run import SampleColumns
 from turtlelog.simulate.law_driver import Sample
 
-_SAMPLE_ROW: Final = Struct("<4q11d")
+_WHOLE: Final = 4
+_NAN: Final = float("nan")
 
 
-def pack_sample(sample: Sample) -> bytes:
-    """Return a sample as one row, 8 bytes a value, whole numbers first."""
-    return _SAMPLE_ROW.pack(sample.time_ns, *sample.row)
+class SampleRows:
+    """Packs the samples of a law, 8 bytes a value, whole numbers first."""
+
+    def __init__(self, declaration: Declaration) -> None:
+        """Make room for the states and the reference that a law declares."""
+        self._declaration = declaration
+        self._struct = Struct("<4q11d")
+        extra = len(declaration.states) + 3 * declaration.has_reference
+        self._extra = Struct(f"<{extra}d") if extra else None
+        self._packed = bytearray()
+
+    def __len__(self) -> int:
+        return len(self._packed) // self._row_size
+
+    @property
+    def _row_size(self) -> int:
+        return self._struct.size + (self._extra.size if self._extra else 0)
+
+    def add(self, sample: Sample) -> None:
+        """Take the next sample."""
+        self._packed += self._struct.pack(sample.time_ns, *sample.row)
+        if self._extra is not None:
+            self._packed += self._extra.pack(*list_extra_values(sample, self._declaration))
+
+    def build_columns(self) -> SampleColumns:
+        """Return the columns of all samples so far."""
+        declaration = self._declaration
+        integers, values = _split_rows(self._packed, self._row_size, integers=_WHOLE)
+        time_ns, sequence, pose_sequence, phase = integers
+        bearing, heading_error, error_x, error_y, distance, *commands = values[:9]
+        world, extra = values[9:11], values[11:]
+        wanted_speed, wanted_turn_rate, speed, turn_rate = commands
+        states = extra[: len(declaration.states)]
+        reference = extra[len(declaration.states) :]
+        return SampleColumns(
+            time_ns=time_ns,
+            sequence=sequence,
+            pose_sequence=pose_sequence,
+            phase=phase,
+            bearing_rad=_if_whole(bearing),
+            heading_error_rad=_if_whole(heading_error),
+            error_xy_m=_if_whole(np.column_stack([error_x, error_y])),
+            distance_m=_if_whole(distance),
+            wanted_speed_m_s=wanted_speed,
+            wanted_turn_rate_rad_s=wanted_turn_rate,
+            speed_m_s=speed,
+            turn_rate_rad_s=turn_rate,
+            world_velocity_m_s=None if np.isnan(world).all() else np.column_stack([*world]),
+            states=np.column_stack(list(states)) if declaration.states else None,
+            reference_xy_m=np.column_stack(list(reference[:2])) if len(reference) else None,
+            reference_heading_rad=reference[2] if len(reference) else None,
+        )
 
 
-def build_samples(packed: bytearray) -> SampleColumns:
-    """Return the columns of packed samples."""
-    integers, values = split_rows(packed, _SAMPLE_ROW, integers=4)
-    time_ns, sequence, pose_sequence, phase = integers
-    bearing, heading_error, error_x, error_y, distance, *commands, world_x, world_y = values
-    wanted_speed, wanted_turn_rate, speed, turn_rate = commands
-    return SampleColumns(
-        time_ns=time_ns,
-        sequence=sequence,
-        pose_sequence=pose_sequence,
-        phase=phase,
-        bearing_rad=bearing,
-        heading_error_rad=heading_error,
-        error_xy_m=np.column_stack([error_x, error_y]),
-        distance_m=distance,
-        wanted_speed_m_s=wanted_speed,
-        wanted_turn_rate_rad_s=wanted_turn_rate,
-        speed_m_s=speed,
-        turn_rate_rad_s=turn_rate,
-        world_velocity_m_s=np.column_stack([world_x, world_y]),
-    )
+def list_extra_values(sample: Sample, declaration: Declaration) -> tuple[float, ...]:
+    """Return the states of a sample, and its reference pose where the law declares one."""
+    states, reference = sample.decision.states, sample.decision.reference
+    if not declaration.has_reference:
+        return states
+    if reference is None:
+        return (*states, _NAN, _NAN, _NAN)
+    return (*states, reference.x_m, reference.y_m, reference.heading_rad)
 
 
 def split_rows(
     packed: bytearray, row: Struct, *, integers: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the first columns as integers, the others as floats, each shape (columns, rows)."""
-    words = np.frombuffer(packed, dtype="<i8").reshape(-1, row.size // 8).T
+    return _split_rows(packed, row.size, integers=integers)
+
+
+def _split_rows(
+    packed: bytearray, size: int, *, integers: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    words = np.frombuffer(packed, dtype="<i8").reshape(-1, size // 8).T
     return words[:integers].copy(), words[integers:].copy().view("<f8")
+
+
+def _if_whole(values: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return a column, None where a row holds no number: without a goal there are no errors."""
+    return None if np.isnan(values).any() else values

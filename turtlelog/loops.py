@@ -1,0 +1,229 @@
+"""What a control law controls, as data: its loops, its phases, its states, its mechanisms."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Final, Literal
+
+from turtlelog.errors import RunError
+
+PAUSE: Final = "pause"
+"""Phase of every law: from the last sample of a phase to the next sample that is answered."""
+
+DONE: Final = "done"
+"""Phase of every law: after its end."""
+
+REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "heading": ("goal_bearing", "bearing_now", "goal_heading", "zero", "recorded"),
+        "along_track": ("goal_distance", "zero", "recorded"),
+        "cross_track": ("zero", "recorded"),
+        "distance": ("zero", "recorded"),
+    }
+)
+"""Which references a controlled signal can have.
+
+- `goal_bearing`: the bearing of the goal from the start; `bearing_now`: from the present position.
+- `goal_heading`: the heading that the goal asks for.
+- `goal_distance`: the distance from start to goal.
+- `recorded`: the reference pose that each sample records: its heading, or its projection on the
+  line from start to goal; of `distance` the distance to that pose, which should be 0.
+"""
+
+MOVING: Final = frozenset({"recorded"})
+"""References that the law moves: their loops have tracking metrics instead of step metrics."""
+
+RESERVED: Final = frozenset({"run", "final", PAUSE})
+"""What no loop is called, for metrics are `<loop, run or final>.<metric>`."""
+
+SIGNAL_NAMES: Final = frozenset(
+    {
+        *("x", "y", "heading", "speed", "turn_rate", "wanted_speed", "wanted_turn_rate"),
+        *("shaped_speed", "shaped_turn_rate", "applied_speed", "applied_turn_rate"),
+        *("measured_speed", "measured_turn_rate", "error_x", "error_y", "distance"),
+        *("heading_error", "along_track", "cross_track", "phase"),
+    }
+)
+"""Names of signals, which no state of a law takes."""
+
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,59}")
+_STATE: Final = re.compile(r"[a-z](?:_?[a-z0-9]){0,59}")
+"""A field name as ROS 2 allows it."""
+
+_KEY: Final = re.compile(r"[A-Za-z0-9_-]+(?:\.[A-Za-z0-9_-]+)+")
+_MOST_PHASES: Final = 250
+"""A sample records its phase in 8 bits."""
+
+_MOST_NAMES: Final = 250
+"""Loops and states of one law: each makes dozens of metrics, or a column."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlLoop:
+    """One loop of a law.
+
+    Attributes:
+        name: In ids of metrics: `rotate`, `translate`, `align`.
+        signal: What is controlled, a key of `REFERENCES`.
+        command: What acts: `turn_rate` or `speed`.
+        reference: What the signal should be, as `REFERENCES` lists.
+        gain: Scenario key of the proportional gain (`law.kp_angular`), None where there is none.
+        limit: Scenario key of the limit of its command; None for that of the command's kind.
+
+    Raises:
+        RunError: One line with the field, what was expected and what was found.
+    """
+
+    name: str
+    signal: str
+    command: str
+    reference: str
+    gain: str | None = None
+    limit: str | None = None
+
+    def __post_init__(self) -> None:
+        _require_name("loop", self.name)
+        if self.name in RESERVED:
+            taken = ", ".join(sorted(RESERVED))
+            raise RunError(f"loop: expected another name than {taken}, found {self.name!r}")
+        place = f"loop {self.name}"
+        _require_one_of(f"{place}: signal", self.signal, tuple(REFERENCES))
+        _require_one_of(f"{place}: command", self.command, ("turn_rate", "speed"))
+        _require_one_of(f"{place}: reference", self.reference, REFERENCES[self.signal])
+        for field_name, key in (("gain", self.gain), ("limit", self.limit)):
+            if key is not None and not (isinstance(key, str) and _KEY.fullmatch(key)):
+                expected = "a key such as law.kp_angular, or None"
+                raise RunError(f"{place}: {field_name}: expected {expected}, found {key!r}")
+
+    @property
+    def moves(self) -> bool:
+        """Whether the law moves the reference."""
+        return self.reference in MOVING
+
+    @property
+    def limit_key(self) -> str:
+        """Scenario key of the limit of its command."""
+        return self.limit or _LIMITS[self.command]
+
+
+_LIMITS: Final = MappingProxyType(
+    {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declaration:
+    """What a law declares of itself; it stands in the run and in the recording.
+
+    Attributes:
+        loops: Empty: there are no metrics of loops.
+        phases: The loops that act in each phase, by its name, in order; at least one phase.
+        states: Names of the law's own numbers, recorded with every sample.
+        uses_goal: False: the run has no goal.
+
+    Raises:
+        RunError: One line with the place, what was expected and what was found.
+    """
+
+    loops: tuple[ControlLoop, ...] = ()
+    phases: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"control": ()})
+    states: tuple[str, ...] = ()
+    uses_goal: bool = True
+
+    def __post_init__(self) -> None:
+        phases = {name: tuple(loops) for name, loops in self.phases.items()}
+        object.__setattr__(self, "phases", MappingProxyType(phases))
+        object.__setattr__(self, "loops", tuple(self.loops))
+        object.__setattr__(self, "states", tuple(self.states))
+        names = [loop.name for loop in self.loops]
+        _require_distinct("loops", names)
+        _require_distinct("states", self.states)
+        if not 0 < len(phases) <= _MOST_PHASES:
+            raise RunError(f"phases: expected 1 to {_MOST_PHASES}, found {len(phases)}")
+        for phase, loops in phases.items():
+            _require_name("phase", phase)
+            for loop in loops:
+                _require_one_of(f"phase {phase}: loop", loop, tuple(names))
+        for state in self.states:
+            if not (isinstance(state, str) and _STATE.fullmatch(state)):
+                expected = "a field name of ROS 2 such as integral"
+                raise RunError(f"state: expected {expected}, found {state!r}")
+            if state in SIGNAL_NAMES:
+                raise RunError(f"state: expected a name that no signal has, found {state!r}")
+
+    def __hash__(self) -> int:
+        return hash((self.loops, tuple(self.phases.items()), self.states, self.uses_goal))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (self.loops, dict(self.phases), self.states, self.uses_goal)
+
+    @property
+    def phase_names(self) -> tuple[str, ...]:
+        """Names by the index that samples hold: as declared, then those of every law."""
+        return (*self.phases, *(name for name in (PAUSE, DONE) if name not in self.phases))
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether samples record a reference pose."""
+        return any(loop.reference == "recorded" for loop in self.loops)
+
+    def find_loop(self, name: str) -> ControlLoop | None:
+        """Return a loop by name, None where the law has none of that name."""
+        return next((loop for loop in self.loops if loop.name == name), None)
+
+    def list_phases(self, loop: str) -> tuple[str, ...]:
+        """Return the phases in which a loop acts, in order."""
+        return tuple(phase for phase, loops in self.phases.items() if loop in loops)
+
+    def list_gains(self) -> tuple[str, ...]:
+        """Return the scenario keys of the gains: of speed loops first, then of turn rate loops."""
+        loops = sorted(self.loops, key=lambda loop: loop.command != "speed")
+        return tuple(dict.fromkeys(loop.gain for loop in loops if loop.gain is not None))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mechanism:
+    """What a law or its loop adds to the ideal loop, and how a scenario is without it.
+
+    Attributes:
+        name: In explanations: `pause`, `delay`, `saturation`.
+        kind: `effect`: it takes part where shares are divided; `property`: it belongs to any loop
+            of this kind, and stands beside them, taken out alone.
+        neutral: Values by scenario key without it: `{"law.pause_ticks": 0}`.
+        meaning: What taking it out means, in one clause.
+    """
+
+    name: str
+    kind: Literal["effect", "property"]
+    neutral: Mapping[str, object]
+    meaning: str
+
+
+def _rebuild(
+    loops: tuple[ControlLoop, ...],
+    phases: dict[str, tuple[str, ...]],
+    states: tuple[str, ...],
+    uses_goal: bool,  # noqa: FBT001
+) -> Declaration:
+    return Declaration(loops=loops, phases=phases, states=states, uses_goal=uses_goal)
+
+
+def _require_name(what: str, name: object) -> None:
+    if not (isinstance(name, str) and _NAME.fullmatch(name)):
+        expected = "a name of letters, digits, - and _, up to 60"
+        raise RunError(f"{what}: expected {expected}, found {name!r}")
+
+
+def _require_one_of(place: str, value: object, known: tuple[str, ...]) -> None:
+    if value not in known:
+        expected = f"one of {', '.join(known)}" if known else "none"
+        raise RunError(f"{place}: expected {expected}, found {value!r}")
+
+
+def _require_distinct(place: str, names: Any) -> None:
+    if len(names) > _MOST_NAMES:
+        raise RunError(f"{place}: expected up to {_MOST_NAMES}, found {len(names)}")
+    for name in names:
+        if list(names).count(name) > 1:
+            raise RunError(f"{place}: expected each name once, found {name!r} twice")
