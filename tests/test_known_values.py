@@ -110,7 +110,7 @@ def digest_signals(run: tl.Run) -> Iterator[tuple[str, str]]:
 
 
 def list_phases(run: tl.Run) -> list[Any]:
-    return [[span.phase.label, span.start_ns, span.end_ns] for span in run.find_phase_spans()]
+    return [[span.phase, span.start_ns, span.end_ns] for span in run.find_phase_spans()]
 
 
 @pytest.mark.parametrize(("name", "make"), list_runs().items(), ids=list_runs())

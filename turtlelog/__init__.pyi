@@ -110,7 +110,6 @@ from .log import (
     write_recording as write_recording,
 )
 from .measure import (
-    ESSENTIAL_METRICS as ESSENTIAL_METRICS,
     METRICS as METRICS,
     SIGNALS as SIGNALS,
     MeasureSettings as MeasureSettings,
@@ -118,9 +117,16 @@ from .measure import (
     Signal as Signal,
     Status as Status,
     choose_metrics as choose_metrics,
+    list_essential_metrics as list_essential_metrics,
+    list_metrics as list_metrics,
+    list_signals as list_signals,
     measure_run as measure_run,
     read_reference_path as read_reference_path,
     read_signal as read_signal,
+)
+from .loops import (
+    ControlLoop as ControlLoop,
+    Declaration as Declaration,
 )
 from .replay import (
     LawReplay as LawReplay,
@@ -130,10 +136,7 @@ from .replay import (
     replay_loop as replay_loop,
     replay_plant as replay_plant,
 )
-from .run import (
-    Phase as Phase,
-    Run as Run,
-)
+from .run import Run as Run
 from .runner import run_live as run_live
 from .scenario import (
     PAPER_RUNS as PAPER_RUNS,

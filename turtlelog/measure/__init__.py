@@ -3,21 +3,26 @@
 from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
 from turtlelog.measure.metric import Metric, Missing, Status
 from turtlelog.measure.metrics import (
-    ESSENTIAL_METRICS,
+    ANY_LOOP,
     METRICS,
     choose_metrics,
+    find_metric_kind,
+    list_essential_metrics,
+    list_metrics,
     measure_run,
     suggest_metrics,
 )
 from turtlelog.measure.path_file import read_reference_path
+from turtlelog.measure.references import read_heading_reference, read_reference
+from turtlelog.measure.registry import MetricKind
+from turtlelog.measure.response import find_first_stretch
 from turtlelog.measure.settings import MeasureSettings
-from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, read_signal
+from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, list_signals, read_signal
 from turtlelog.measure.step import find_overshoot, find_settling_time
 from turtlelog.measure.table.end import PAPER_WINDOW_S
-from turtlelog.measure.table.kinds import MetricKind
 
 __all__ = [
-    "ESSENTIAL_METRICS",
+    "ANY_LOOP",
     "METRICS",
     "PAPER_WINDOW_S",
     "SIGNALS",
@@ -32,9 +37,16 @@ __all__ = [
     "Status",
     "choose_metrics",
     "find_dead_time",
+    "find_first_stretch",
+    "find_metric_kind",
     "find_overshoot",
     "find_settling_time",
+    "list_essential_metrics",
+    "list_metrics",
+    "list_signals",
     "measure_run",
+    "read_heading_reference",
+    "read_reference",
     "read_reference_path",
     "read_signal",
     "suggest_metrics",

@@ -1,27 +1,30 @@
-"""The beginning of a phase as a run of its own, for what costs too much on a long one."""
+"""The beginning of a loop's stretch as a run of its own, for what costs too much on a long one."""
 
 from dataclasses import fields, replace
 from typing import Final, TypeVar
 
 import numpy as np
 
-from turtlelog.run import Phase, PoseColumns, Run, SampleColumns
+from turtlelog.loops import ControlLoop
+from turtlelog.measure.response import find_loop_samples
+from turtlelog.run import PoseColumns, Run, SampleColumns
 
 _EARLIER_SAMPLES: Final = 1000
-"""Samples before the phase that are kept: more than can still wait in any queue."""
+"""Samples before the stretch that are kept: more than can still wait in any queue."""
 
 _Columns = TypeVar("_Columns", PoseColumns, SampleColumns)
 
 
-def take_beginning(run: Run, phase: Phase, most_samples: int) -> Run:
-    """Return a run with no more than that many samples of a phase, and few before it.
+def take_beginning(run: Run, loop: ControlLoop, most_samples: int) -> Run:
+    """Return a run with no more than that many samples of a loop, and few before it.
 
     A run that is no longer than that comes back as it is.
     """
     samples = run.samples
     if len(samples) <= most_samples:
         return run
-    first = int((samples.phase == phase).argmax())
+    stretch = find_loop_samples(run, loop)
+    first = 0 if stretch is None else stretch.start
     rows = slice(max(first - _EARLIER_SAMPLES, 0), first + most_samples)
     read = samples.pose_sequence[rows]
     poses = slice(int(read.min()), int(read.max()) + 1)

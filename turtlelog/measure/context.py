@@ -7,20 +7,22 @@ from typing import Final, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.loops import ControlLoop
 from turtlelog.measure.beginning import take_beginning
 from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.path import compute_path_distances, compute_path_length
-from turtlelog.measure.phases import Response, find_response
+from turtlelog.measure.references import read_heading_reference
+from turtlelog.measure.response import Response, find_response
 from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import Signal, read_signal
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
 
 _MOST_SAMPLES: Final = 20_000
-"""As much of a phase as its dead time is looked for in: five minutes of ticks."""
+"""As much of a loop's stretch as its dead time is looked for in: five minutes of ticks."""
 
 
 class RunContext:
@@ -46,12 +48,16 @@ class RunContext:
         """Return a signal of the run, None where the run does not hold it."""
         return self.recall(name, lambda: read_signal(self.run, name))
 
-    def get_response(self, phase: Phase) -> Response | Missing:
-        """Return how a phase answers its reference, or why there is no such thing."""
-        signal = "heading" if phase is Phase.ROTATE else "along_track"
+    def get_response(self, loop: ControlLoop) -> Response | Missing:
+        """Return how a loop answers its reference, or why there is no such thing."""
         return self.recall(
-            phase, lambda: find_response(self.run, phase, self.get_signal(signal), self.settings)
+            loop, lambda: find_response(self.run, loop, self.get_signal(loop.signal), self.settings)
         )
+
+    @cached_property
+    def heading_reference_rad(self) -> float | Values | None:
+        """What the heading should be, as `read_heading_reference`."""
+        return read_heading_reference(self.run)
 
     @cached_property
     def pose_time_s(self) -> Values:
@@ -111,10 +117,10 @@ class RunContext:
         signal = self.get_signal("cross_track")
         return None if signal is None else signal.values
 
-    def find_dead_time_ticks(self, phase: Phase) -> int | Missing:
-        """Return the dead time of a phase's commands [ticks], or why it cannot be found."""
-        found = self.recall(("dead_time", phase), lambda: self._find_dead_time(phase))
+    def find_dead_time_ticks(self, loop: ControlLoop) -> int | Missing:
+        """Return the dead time of a loop's commands [ticks], or why it cannot be found."""
+        found = self.recall(("dead_time", loop), lambda: self._find_dead_time(loop))
         return found if isinstance(found, Missing) else found.ticks
 
-    def _find_dead_time(self, phase: Phase) -> DeadTime | Missing:
-        return find_dead_time(take_beginning(self.run, phase, _MOST_SAMPLES), phase)
+    def _find_dead_time(self, loop: ControlLoop) -> DeadTime | Missing:
+        return find_dead_time(take_beginning(self.run, loop, _MOST_SAMPLES), loop)

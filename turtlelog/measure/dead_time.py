@@ -7,9 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.errors import MeasureError, suggest_names
+from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.motion import PhaseMotion, Values, read_phase_motion
-from turtlelog.run import Phase, Run
+from turtlelog.measure.motion import LoopMotion, Values, read_loop_motion
+from turtlelog.measure.response import describe_no_phase
+from turtlelog.run import Run
 
 LARGEST_TICKS: Final = 40
 """The largest dead time that is looked for."""
@@ -17,7 +20,7 @@ LARGEST_TICKS: Final = 40
 _CANDIDATES: Final = range(LARGEST_TICKS + 1)
 
 _BEGUN: Final = 0.1
-"""Share of the way after which a phase's first commands, which may be lost, are behind it."""
+"""Share of the way after which a loop's first commands, which may be lost, are behind it."""
 
 CERTAIN: Final = 10.0
 """Difference of log-likelihoods from which the better of two fits counts as found: the other is
@@ -35,7 +38,7 @@ _FEWEST_STEPS: Final = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeadTimeChange:
-    """Where the dead time changes within a phase.
+    """Where the dead time changes within a loop's stretch.
 
     Attributes:
         time_ns: Time of the pose from which on the later one holds [ns].
@@ -50,17 +53,17 @@ class DeadTimeChange:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeadTime:
-    """How late the commands of a phase move the plant.
+    """How late the commands of a loop move the plant.
 
     Attributes:
         ticks: d, where the command that answers pose i first moves the plant in the step from
-            pose i + d to pose i + d + 1; 0 is the least possible. At the end of the phase.
-        residual: What the commands leave unexplained: root mean square [rad while rotating, m
-            while translating], of single steps where exact, of the way where there is noise.
+            pose i + d to pose i + d + 1; 0 is the least possible. At the end of the stretch.
+        residual: What the commands leave unexplained: root mean square [rad of a turn rate, m
+            of a speed], of single steps where exact, of the way where there is noise.
         margin: Residual of the second-best dead time, divided by the best one's.
         rows: Steps compared.
         is_exact: Whether every one of them is explained to the rounding of the poses.
-        changes: Where it changed within the phase, in order.
+        changes: Where it changed within the stretch, in order.
     """
 
     ticks: int
@@ -71,30 +74,52 @@ class DeadTime:
     changes: tuple[DeadTimeChange, ...] = ()
 
 
-def find_dead_time(run: Run, phase: Phase) -> DeadTime | Missing:
-    """Return the dead time of ROTATE or TRANSLATE, or why the log cannot tell it.
+def find_dead_time(run: Run, loop: ControlLoop | str) -> DeadTime | Missing:
+    """Return the dead time of a loop's command, or why the log cannot tell it.
 
     Every dead time up to `LARGEST_TICKS` predicts what each step between two poses turns or moves.
     A log without noise agrees with one of them to the rounding of its poses; with noise, the one
     that leaves the smallest squares of the way is taken, if it is clearly better than the others.
-    The standstill before a phase's first command acts is no evidence: commands may have been lost.
+    The standstill before a loop's first command acts is no evidence: commands may have been lost.
+
+    Args:
+        run: With samples.
+        loop: One of its law, or the name of one.
+
+    Raises:
+        MeasureError: Where the law declares no loop of that name.
     """
     if not len(run.samples):
         return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
-    motion = read_phase_motion(run, phase)
+    if isinstance(loop, str):
+        loop = require_loop(run.declaration, loop)
+    motion = read_loop_motion(run, loop)
     if motion is None:
-        return Missing(status=Status.NO_PHASE, reason=f"the run has no phase {phase.label}")
+        return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:
-        return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {phase.label}")
+        return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {loop.name}")
     predicted, sure = map(np.array, zip(*map(motion.predict, _CANDIDATES), strict=True))
     # Of a step of several ticks the first to move may have moved in some of them only.
     first = int(moves.argmax()) + (motion.step_ticks > 1)
     return _choose(motion, motion.moved - predicted, sure, first)
 
 
+def require_loop(declaration: Declaration, name: str) -> ControlLoop:
+    """Return a loop by name.
+
+    Raises:
+        MeasureError: Where the law declares none of that name.
+    """
+    loop = declaration.find_loop(name)
+    if loop is None:
+        known = suggest_names(name, [known.name for known in declaration.loops])
+        raise MeasureError(f"loop {name!r}: expected {known}")
+    return loop
+
+
 def _choose(
-    motion: PhaseMotion, errors: Values, sure: NDArray[np.bool_], first: int
+    motion: LoopMotion, errors: Values, sure: NDArray[np.bool_], first: int
 ) -> DeadTime | Missing:
     """Judge the errors of each dead time, shape (dead times, steps); `first` is the first move."""
     fits = (np.abs(errors) <= motion.rounding) | ~sure
@@ -118,7 +143,7 @@ def _describe_alike(ticks: NDArray[np.int64]) -> str:
 
 
 def _describe_exact(
-    motion: PhaseMotion, errors: Values, stretches: list[tuple[int, int]], first: int
+    motion: LoopMotion, errors: Values, stretches: list[tuple[int, int]], first: int
 ) -> DeadTime:
     began, ticks = stretches[-1]
     size = _compute_rms(errors[:, max(began, first) :])
@@ -155,7 +180,7 @@ def _split_exactly(fits: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return stretches
 
 
-def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missing:
+def _fit_least_squares(motion: LoopMotion, errors: Values) -> DeadTime | Missing:
     """Fit the way, not its steps: the noise of poses does not add up along it."""
     way = np.cumsum(motion.moved)
     span = float(np.ptp(way))
@@ -178,7 +203,7 @@ def _fit_least_squares(motion: PhaseMotion, errors: Values) -> DeadTime | Missin
     )
 
 
-def _find_after_gaps(motion: PhaseMotion) -> NDArray[np.bool_]:
+def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
     """Return which steps come so soon after a gap that lost commands may still be acting."""
     tick = motion.tick
     gaps = np.flatnonzero(np.diff(tick) > motion.step_ticks) + 1

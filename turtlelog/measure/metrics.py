@@ -2,7 +2,7 @@
 
 import difflib
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from types import MappingProxyType
@@ -10,62 +10,123 @@ from typing import Final
 
 import numpy as np
 
+import turtlelog.measure.table  # noqa: F401  (enters every metric in the registry)
 from turtlelog.errors import MeasureError
+from turtlelog.loops import RESERVED, ControlLoop, Declaration
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Metric, Missing, Result, Status
+from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
 from turtlelog.measure.settings import MeasureSettings
-from turtlelog.measure.table.clock import TIMING_METRICS
-from turtlelog.measure.table.end import FINAL_METRICS
-from turtlelog.measure.table.kinds import MetricKind
-from turtlelog.measure.table.phase import PHASE_METRICS
-from turtlelog.measure.table.whole import RUN_METRICS
 from turtlelog.run import Run
 
-METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
-    {**PHASE_METRICS, **FINAL_METRICS, **RUN_METRICS, **TIMING_METRICS}
-)
-"""Every metric by id."""
+ANY_LOOP: Final = "<loop>"
+"""Stands for the name of a loop in the ids of `METRICS`."""
 
-ESSENTIAL_METRICS: Final = (
-    *(
-        f"{phase}.{name}"
-        for phase in ("rotate", "translate")
-        for name in (
-            *("duration", "rise_time", "overshoot", "settling_time", "final_error", "iae"),
-            *("saturated_share", "dead_time"),
-        )
-    ),
+METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
+    {
+        **{f"{ANY_LOOP}.{name}": kind.describe() for name, kind in LOOP_METRICS.items()},
+        **RUN_METRICS,
+    }
+)
+"""Every metric there is, those of a loop as `<loop>.overshoot`; `list_metrics` has a law's ids."""
+
+_ESSENTIAL_OF_LOOP: Final = (
+    *("duration", "rise_time", "overshoot", "settling_time", "final_error", "rms_error", "iae"),
+    *("saturated_share", "dead_time"),
+)
+_OF_MOVING: Final = frozenset({"rms_error", "largest_error"})
+"""Essential only where there is no step, whose figures say more."""
+
+_ESSENTIAL_OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
-"""The metrics to look at first."""
 
 
-def choose_metrics(patterns: Collection[str]) -> tuple[str, ...]:
-    """Return the ids that are named, in the order of `METRICS`; `*`, `?`, `[...]` match.
+def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
+    """Return every metric that runs of these laws have, by id: of each loop, the end, the run."""
+    return _list_metrics(tuple(dict.fromkeys(declarations)))
+
+
+@lru_cache(maxsize=64)
+def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricKind]:
+    of_loops: dict[str, MetricKind] = {}
+    for loop in _list_loops(declarations):
+        for name, kind in LOOP_METRICS.items():
+            if kind.applies(loop):
+                of_loops.setdefault(f"{loop.name}.{name}", kind.bind(loop))
+    return MappingProxyType({**of_loops, **RUN_METRICS})
+
+
+def list_essential_metrics(*declarations: Declaration) -> tuple[str, ...]:
+    """Return the ids of the metrics to look at first."""
+    of_loops = (
+        f"{loop.name}.{name}"
+        for loop in _list_loops(declarations)
+        for name in _ESSENTIAL_OF_LOOP
+        if LOOP_METRICS[name].applies(loop) and (loop.moves or name not in _OF_MOVING)
+    )
+    return (*dict.fromkeys(of_loops), *_ESSENTIAL_OF_RUN)
+
+
+def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:
+    return [loop for declaration in declarations for loop in declaration.loops]
+
+
+def find_metric_kind(name: str) -> MetricKind | None:
+    """Return what a metric is, whatever the law: of a loop as `METRICS` describes that of any.
+
+    None where the name can be no id of a metric.
+    """
+    if name in RUN_METRICS:
+        return RUN_METRICS[name]
+    loop, _, plain = name.rpartition(".")
+    is_name = loop.replace("-", "_").isidentifier() and loop not in RESERVED
+    return METRICS.get(f"{ANY_LOOP}.{plain}") if is_name else None
+
+
+def choose_metrics(patterns: Collection[str], declaration: Declaration) -> tuple[str, ...]:
+    """Return the ids that are named, in the order of `list_metrics`; `*`, `?`, `[...]` match.
+
+    A metric of a loop that the law does not declare is chosen where it is named in full: it has no
+    value and says so. A pattern that only other laws' loops match chooses nothing.
 
     Raises:
         MeasureError: Where one names no metric; with those nearest to it.
     """
-    return _choose((patterns,) if isinstance(patterns, str) else tuple(patterns))
+    return _choose((patterns,) if isinstance(patterns, str) else tuple(patterns), declaration)
 
 
 @lru_cache(maxsize=64)
-def _choose(patterns: tuple[str, ...]) -> tuple[str, ...]:
-    chosen: set[str] = set()
+def _choose(patterns: tuple[str, ...], declaration: Declaration) -> tuple[str, ...]:
+    known = list_metrics(declaration)
+    chosen: dict[str, None] = {}
     for pattern in patterns:
-        found = {name for name in METRICS if name == pattern or fnmatchcase(name, pattern)}
-        if not found:
-            raise MeasureError(f"metric {pattern!r}: expected {suggest_metrics(pattern)}")
-        chosen |= found
-    return tuple(name for name in METRICS if name in chosen)
+        found = [name for name in known if name == pattern or fnmatchcase(name, pattern)]
+        if not found and find_metric_kind(pattern) is not None:
+            found = [pattern]
+        if not found and not _matches_any_loop(pattern):
+            raise MeasureError(f"metric {pattern!r}: expected {suggest_metrics(pattern, known)}")
+        chosen |= dict.fromkeys(found)
+    others = (name for name in chosen if name not in known)
+    return (*(name for name in known if name in chosen), *others)
 
 
-def suggest_metrics(pattern: str) -> str:
+def _matches_any_loop(pattern: str) -> bool:
+    """Return whether a pattern matches metrics of a loop with a name that it allows."""
+    loop, dot, plain = pattern.rpartition(".")
+    if not dot or not any(sign in pattern for sign in "*?["):
+        return False
+    is_loop = loop.replace("-", "_").isidentifier() or any(sign in loop for sign in "*?[")
+    return is_loop and any(fnmatchcase(name, plain) for name in LOOP_METRICS)
+
+
+def suggest_metrics(pattern: str, known: Iterable[str]) -> str:
     """Return the ids nearest to a name that is none, or where they are listed."""
-    near = difflib.get_close_matches(pattern, METRICS, n=3, cutoff=0.5)
+    ids = list(known)
+    near = difflib.get_close_matches(pattern, ids, n=3, cutoff=0.5)
     if not near:
-        names = {name.partition(".")[2]: name for name in METRICS}
+        names = {name.partition(".")[2]: name for name in ids}
         near = [names[found] for found in difflib.get_close_matches(pattern, names, cutoff=0.5)]
     return f"one like {' or '.join(near)}" if near else "an id such as final.position_error"
 
@@ -76,7 +137,7 @@ def measure_run(
     *,
     only: Collection[str] | None = None,
 ) -> Mapping[str, Metric]:
-    """Return the metrics of a run by id, in the order of `METRICS`.
+    """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
 
     Args:
         run: At least one pose; what it does not hold leaves a status in the metrics that need it.
@@ -84,13 +145,33 @@ def measure_run(
         only: Ids or patterns of them (`translate.*`); nothing else is computed.
 
     Raises:
-        MeasureError: Where `only` names no metric.
+        MeasureError: Where `only` names no metric, or the settings a loop that is not declared.
     """
-    names = METRICS if only is None else choose_metrics(only)
-    context = RunContext(run, settings or MeasureSettings())
-    # Figures at the border of what a float holds become statuses, not warnings.
+    kinds = list_metrics(run.declaration)
+    names = kinds if only is None else choose_metrics(only, run.declaration)
+    settings = settings or MeasureSettings()
+    settings.require_loops(run.declaration)
+    context = RunContext(run, settings)
+    # Values at the border of what a float holds become statuses, not warnings.
     with np.errstate(all="ignore"):
-        return {name: _measure(context, name, METRICS[name]) for name in names}
+        return {
+            name: _measure(context, name, kinds[name]) if name in kinds else _miss_loop(run, name)
+            for name in names
+        }
+
+
+def _miss_loop(run: Run, name: str) -> Metric:
+    """Return the metric of a loop that the law does not declare, or that its kind does not have."""
+    loop, _, plain = name.rpartition(".")
+    declared = run.declaration.find_loop(loop)
+    known = ", ".join(found.name for found in run.declaration.loops) or "none"
+    reason = f"the run declares no loop {loop} (it declares {known})"
+    if declared is not None:
+        reason = (
+            f"a loop of {declared.signal} with the reference {declared.reference} has no {plain}"
+        )
+    unit = LOOP_METRICS[plain].describe_unit(declared)
+    return Metric(id=name, value=None, unit=unit, status=Status.NO_PHASE, reason=reason)
 
 
 def _measure(context: RunContext, name: str, kind: MetricKind) -> Metric:

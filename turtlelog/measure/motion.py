@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.run import Phase, Run
+from turtlelog.loops import ControlLoop
+from turtlelog.measure.response import find_loop_samples
+from turtlelog.run import Run
 from turtlelog.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
 
 Values = NDArray[np.float64]
@@ -32,8 +34,8 @@ _EXACT: Final = 2e-8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PhaseMotion:
-    """The steps of one stretch of a phase, along the coordinate that its command drives.
+class LoopMotion:
+    """The steps of the first stretch of a loop, along the coordinate that its command drives.
 
     Attributes:
         time_ns: Time of the pose that each step begins at [ns], shape (n,).
@@ -70,31 +72,29 @@ class PhaseMotion:
         return command.sum(axis=1) * self.tick_s, np.asarray(is_sure.all(axis=1))
 
 
-def read_phase_motion(run: Run, phase: Phase) -> PhaseMotion | None:
-    """Return the steps between the poses that a phase's first stretch of samples read.
+def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
+    """Return the steps between the poses that the samples of a loop's first stretch read.
 
-    None where the run has no such phase. Steps across a gap, or against a wall, are left out.
+    None where it never acts. Steps across a gap, or against a wall, are left out.
     """
     samples, poses = run.samples, run.poses
-    of_phase = np.flatnonzero(samples.phase == phase)
-    if not len(of_phase):
+    stretch = find_loop_samples(run, loop)
+    if stretch is None:
         return None
-    others = np.flatnonzero(samples.phase != phase)
-    after = np.append(others[others > of_phase[0]], len(samples))[0]
-    first, last = samples.pose_sequence[of_phase[0]], samples.pose_sequence[after - 1]
+    first, last = samples.pose_sequence[[stretch.start, stretch.stop - 1]]
     tick, step_ticks, tick_s = _count_ticks(poses.time_ns)
     # One pose may be answered once only, and in order.
     sample_tick = np.maximum.accumulate(tick[samples.pose_sequence])
     rows = np.arange(first, last)
     rows = rows[np.diff(tick)[first:last] == step_ticks]
-    if phase is Phase.ROTATE:
+    if loop.command == "turn_rate":
         moved, rounding = _measure_turns(poses.heading_rad, rows)
         command = samples.turn_rate_rad_s
     else:
         rows = rows[_find_free(poses.xy_m, rows)]
         moved, rounding = _measure_moves(poses.xy_m, poses.heading_rad, rows)
         command = samples.speed_m_s
-    return PhaseMotion(
+    return LoopMotion(
         time_ns=poses.time_ns[rows],
         tick=tick[rows],
         moved=moved,

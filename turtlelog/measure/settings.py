@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
-from turtlelog.run import Phase
+from turtlelog.loops import Declaration
 
 SETTLING_BAND: Final = 0.02
 """Half-width of the settling band, as a share of the step."""
@@ -17,22 +17,20 @@ SETTLING_BAND: Final = 0.02
 MOST_TICKS: Final = 1000
 """The largest dead time that the delayed ideal loop is computed for."""
 
-_PHASES: Final = (Phase.ROTATE.label, Phase.TRANSLATE.label)
-
 Target = float | Literal["reference", "last"]
-"""What the step of a phase leads to."""
+"""What the step of a loop leads to."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasureSettings:
-    """What can be chosen about measuring. Values of a phase are in rad (rotate) or m (translate).
+    """What can be chosen about measuring. Values of a loop are in rad (heading) or m.
 
     Attributes:
         band: Half-width of the settling band, as a share of the step, > 0.
-        initial: What the step of a phase starts from: None for the first value of the phase, a
-            number, or a number by phase (`{"translate": 0.0}`).
-        final: What it leads to: `reference` (the goal bearing, the distance to the goal), `last`
-            (where the phase ended), a number, or one of these by phase.
+        initial: What the step of a loop starts from: None for the first value of its stretch, a
+            number, or a number by loop (`{"translate": 0.0}`).
+        final: What it leads to: `reference` (as the law declares), `last` (where the stretch
+            ended), a number, or one of these by loop.
         reference_path_xy_m: The path that cross-track errors are taken from, as a line through
             points in the world frame [m], shape (n, 2), n >= 2; None for the line from start to
             goal.
@@ -52,10 +50,10 @@ class MeasureSettings:
     def __post_init__(self) -> None:
         if not (_is_number(self.band) and self.band > 0.0):
             raise MeasureError(f"band: expected a share of the step > 0, found {self.band!r}")
-        for value in _list_values("initial", self.initial):
+        for value in _list_values(self.initial):
             if value is not None and not _is_number(value):
                 raise MeasureError(f"initial: expected a number, found {value!r}")
-        for value in _list_values("final", self.final):
+        for value in _list_values(self.final):
             if value not in ("reference", "last") and not _is_number(value):
                 raise MeasureError(
                     f"final: expected 'reference', 'last' or a number, found {value!r}"
@@ -69,15 +67,28 @@ class MeasureSettings:
             path_xy_m = _require_path(self.reference_path_xy_m)
             object.__setattr__(self, "reference_path_xy_m", path_xy_m)
 
-    def get_initial(self, phase: Phase) -> float | None:
-        """Return what the step of a phase starts from, None for its first value."""
-        return self.initial.get(phase.label) if isinstance(self.initial, Mapping) else self.initial
+    def get_initial(self, loop: str) -> float | None:
+        """Return what the step of a loop starts from, None for its first value."""
+        return self.initial.get(loop) if isinstance(self.initial, Mapping) else self.initial
 
-    def get_final(self, phase: Phase) -> Target:
-        """Return what the step of a phase leads to."""
+    def get_final(self, loop: str) -> Target:
+        """Return what the step of a loop leads to."""
         if isinstance(self.final, Mapping):
-            return self.final.get(phase.label, "reference")
+            return self.final.get(loop, "reference")
         return self.final
+
+    def require_loops(self, declaration: Declaration) -> None:
+        """Refuse values by loop of a loop that the law does not declare.
+
+        Raises:
+            MeasureError: With the loops that it declares.
+        """
+        known = [loop.name for loop in declaration.loops]
+        for name, value in (("initial", self.initial), ("final", self.final)):
+            for loop in value if isinstance(value, Mapping) else ():
+                if loop not in known:
+                    listed = " or ".join(known) or "no loop, for the run declares none"
+                    raise MeasureError(f"{name}: expected a loop {listed}, found {loop!r}")
 
 
 def _is_number(value: object) -> bool:
@@ -85,13 +96,8 @@ def _is_number(value: object) -> bool:
     return is_number and math.isfinite(cast("float", value))
 
 
-def _list_values(name: str, value: object) -> list[object]:
-    if not isinstance(value, Mapping):
-        return [value]
-    for phase in value:
-        if phase not in _PHASES:
-            raise MeasureError(f"{name}: expected a phase {' or '.join(_PHASES)}, found {phase!r}")
-    return list(value.values())
+def _list_values(value: object) -> list[object]:
+    return list(value.values()) if isinstance(value, Mapping) else [value]
 
 
 def _require_path(path_xy_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Final, Literal
 
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import MeasureError, suggest_names
+from turtlelog.loops import Declaration
+from turtlelog.measure.references import hold_samples, project_on_line, read_heading_reference
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -59,9 +62,10 @@ def read_signal(run: Run, name: str) -> Signal | None:
     Raises:
         MeasureError: Where no signal has that name.
     """
-    if name not in SIGNALS:
-        raise MeasureError(f"signal {name!r}: expected {suggest_names(name, SIGNALS)}")
-    kind = SIGNALS[name]
+    kinds = list_signals(run.declaration)
+    if name not in kinds:
+        raise MeasureError(f"signal {name!r}: expected {suggest_names(name, kinds)}")
+    kind = kinds[name]
     values = kind.read(run)
     if values is None or (kind.source == "sample" and not len(run.samples)):
         return None
@@ -69,15 +73,24 @@ def read_signal(run: Run, name: str) -> Signal | None:
     return Signal(name=name, kind=kind, time_ns=time_ns, values=values)
 
 
+@lru_cache(maxsize=64)
+def list_signals(declaration: Declaration) -> Mapping[str, SignalKind]:
+    """Return every signal that runs of a law can hold, by name: `SIGNALS`, then its states."""
+    states = {
+        name: _sample("1", f"State {name} of the law.", partial(_read_state, column=column))
+        for column, name in enumerate(declaration.states)
+    }
+    return MappingProxyType({**SIGNALS, **states})
+
+
+def _read_state(run: Run, column: int) -> Values | None:
+    return None if run.samples.states is None else run.samples.states[:, column]
+
+
 def _read_track(run: Run, *, along: bool) -> Values | None:
     """Return a coordinate along, or left of, the line from the first pose read to the goal."""
-    if not len(run.samples):
-        return None
-    start_m = run.poses.xy_m[run.samples.pose_sequence[0]]
-    # As frames.rotate_to_turtle, for the one of the two that is asked for.
-    x_m, y_m = (column - start for column, start in zip(run.poses.xy_m.T, start_m, strict=True))
-    cos, sin = np.cos(run.samples.bearing_rad[0]), np.sin(run.samples.bearing_rad[0])
-    return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)
+    line = run.goal_line
+    return None if line is None else project_on_line(run.poses.xy_m, line, along=along)
 
 
 def _read_heading(run: Run) -> Values:
@@ -99,9 +112,11 @@ def _read_distance(run: Run) -> Values | None:
 
 
 def _read_heading_error(run: Run) -> Values | None:
-    if not len(run.samples):
-        return None
-    return subtract_headings(float(run.samples.bearing_rad[0]), run.poses.heading_rad)
+    reference = read_heading_reference(run)
+    if reference is not None:
+        return subtract_headings(reference, run.poses.heading_rad)
+    recorded = run.samples.heading_error_rad
+    return None if recorded is None or not len(recorded) else hold_samples(run, recorded)
 
 
 def _pose(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
@@ -152,7 +167,10 @@ SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
         ),
         "distance": _pose("m", "Distance to the goal.", _read_distance),
         "heading_error": _pose(
-            "rad", "Goal bearing minus heading, in [-pi, pi).", _read_heading_error
+            "rad",
+            "Reference of the heading loop that acts minus heading, in [-pi, pi); without such a"
+            " loop, what the law recorded.",
+            _read_heading_error,
         ),
         "along_track": _pose(
             "m",
@@ -169,7 +187,7 @@ SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
             source="sample",
             resampling="hold",
             compared_as="label",
-            meaning="Phase of the sample: 0 rotate, 2 translate.",
+            meaning="Index of the sample's phase among those that its law declares.",
             read=lambda run: run.samples.phase.astype(np.float64),
         ),
     }

@@ -1,1 +1,11 @@
-"""The table of metrics: what binds each id to its algorithm."""
+"""The metrics of the registry: importing this room enters them, in the order they are shown in."""
+
+from turtlelog.measure.table import steps  # isort: skip
+from turtlelog.measure.table import errors  # isort: skip
+from turtlelog.measure.table import commands  # isort: skip
+from turtlelog.measure.table import theories  # isort: skip
+from turtlelog.measure.table import end  # isort: skip
+from turtlelog.measure.table import whole  # isort: skip
+from turtlelog.measure.table import clock  # isort: skip
+
+__all__ = ["clock", "commands", "end", "errors", "steps", "theories", "whole"]

@@ -1,7 +1,6 @@
 """The metrics of a run's timing."""
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 from typing import Final, Literal
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.measure import timing
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.table.kinds import MetricKind
+from turtlelog.measure.registry import run_metric
 
 Values = NDArray[np.float64]
 Rows = Literal["sample", "pose"]
@@ -93,82 +92,67 @@ def _read_note(name: str) -> Callable[[RunContext], Result]:
 
 _PERCENTS: Final = (50, 95, 99)
 
-TIMING_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
-    {
-        "run.sample_rate": MetricKind(
-            unit="Hz",
-            compute=_on_periods("sample", timing.compute_rate),
-            meaning="Samples per second, from the first to the last.",
-            better=None,
-        ),
-        "run.sample_period_mean": MetricKind(
-            unit="s",
-            compute=_on_periods("sample", lambda periods_s: float(periods_s.mean())),
-            meaning="Mean time from one sample to the next.",
-            better=None,
-        ),
-        "run.sample_period_std": MetricKind(
-            unit="s",
-            compute=_on_periods("sample", timing.compute_spread),
-            meaning="Standard deviation of that time.",
-        ),
-        **{
-            f"run.sample_period_p{percent}": MetricKind(
-                unit="s",
-                compute=_pick(percent),
-                meaning=f"{percent} % of these times are no longer.",
-                better=None if percent == 50 else "lower",
-            )
-            for percent in _PERCENTS
-        },
-        "run.sample_jitter": MetricKind(
-            unit="s",
-            compute=_on_periods("sample", timing.compute_jitter, fewest=2),
-            meaning="Root mean square of the change from one such time to the next.",
-        ),
-        "run.largest_gap": MetricKind(
-            unit="s",
-            compute=_find_largest_gap("sample"),
-            meaning="Longest time without a sample.",
-        ),
-        "run.burst_samples": MetricKind(
-            unit="1",
-            compute=_on_periods(
-                "sample", lambda periods_s: float(timing.count_burst_rows(periods_s)), fewest=0
-            ),
-            meaning="Samples that share their time with the one before.",
-        ),
-        "run.dropped_samples": MetricKind(
-            unit="1",
-            compute=_count_missing,
-            meaning="Sequence numbers that are missing between the first and the last sample.",
-        ),
-        "run.pose_rate": MetricKind(
-            unit="Hz",
-            compute=_on_periods("pose", timing.compute_rate),
-            meaning="Poses per second, from the first to the last.",
-            better=None,
-        ),
-        "run.pose_period_std": MetricKind(
-            unit="s",
-            compute=_on_periods("pose", timing.compute_spread),
-            meaning="Standard deviation of the time from one pose to the next.",
-        ),
-        "run.largest_pose_gap": MetricKind(
-            unit="s",
-            compute=_find_largest_gap("pose"),
-            meaning="Longest time without a pose.",
-        ),
-        "run.duplicates": MetricKind(
-            unit="1",
-            compute=_read_note("dropped_duplicates"),
-            meaning="Rows that stood twice in the imported file and were dropped.",
-        ),
-        "run.disorder": MetricKind(
-            unit="1",
-            compute=_read_note("sorted_rows"),
-            meaning="Rows that stood late in the imported file and were put in order.",
-        ),
-    }
+run_metric("run.sample_rate", "Hz", "Samples per second, from the first to the last.", better=None)(
+    _on_periods("sample", timing.compute_rate)
 )
-"""The metrics of a run's timing by id."""
+
+run_metric("run.sample_period_mean", "s", "Mean time from one sample to the next.", better=None)(
+    _on_periods("sample", lambda periods_s: float(periods_s.mean()))
+)
+
+run_metric("run.sample_period_std", "s", "Standard deviation of that time.")(
+    _on_periods("sample", timing.compute_spread)
+)
+
+for _percent in _PERCENTS:
+    run_metric(
+        f"run.sample_period_p{_percent}",
+        "s",
+        f"{_percent} % of these times are no longer.",
+        better=None if _percent == 50 else "lower",
+    )(_pick(_percent))
+
+run_metric(
+    "run.sample_jitter", "s", "Root mean square of the change from one such time to the next."
+)(_on_periods("sample", timing.compute_jitter, fewest=2))
+
+run_metric("run.largest_gap", "s", "Longest time without a sample.", grows=True)(
+    _find_largest_gap("sample")
+)
+
+run_metric(
+    "run.burst_samples", "1", "Samples that share their time with the one before.", grows=True
+)(_on_periods("sample", lambda periods_s: float(timing.count_burst_rows(periods_s)), fewest=0))
+
+run_metric(
+    "run.dropped_samples",
+    "1",
+    "Sequence numbers that are missing between the first and the last sample.",
+    grows=True,
+)(_count_missing)
+
+run_metric("run.pose_rate", "Hz", "Poses per second, from the first to the last.", better=None)(
+    _on_periods("pose", timing.compute_rate)
+)
+
+run_metric("run.pose_period_std", "s", "Standard deviation of the time from one pose to the next.")(
+    _on_periods("pose", timing.compute_spread)
+)
+
+run_metric("run.largest_pose_gap", "s", "Longest time without a pose.", grows=True)(
+    _find_largest_gap("pose")
+)
+
+run_metric(
+    "run.duplicates",
+    "1",
+    "Rows that stood twice in the imported file and were dropped.",
+    grows=True,
+)(_read_note("dropped_duplicates"))
+
+run_metric(
+    "run.disorder",
+    "1",
+    "Rows that stood late in the imported file and were put in order.",
+    grows=True,
+)(_read_note("sorted_rows"))

@@ -1,17 +1,15 @@
 """The metrics of the end of a run."""
 
-from collections.abc import Mapping
 from math import degrees
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
+from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.table.kinds import MetricKind
+from turtlelog.measure.registry import run_metric
 
 PAPER_WINDOW_S: Final = 15.0
 """The paper's Table 1 reads its errors at this time after the first sample [s]."""
@@ -19,16 +17,23 @@ PAPER_WINDOW_S: Final = 15.0
 Values = NDArray[np.float64]
 
 
+_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
+_NO_BEARING: Final = Missing(status=Status.ABSENT, reason="the goal bearing is not known")
+
+
+@run_metric(
+    "final.heading_error",
+    "deg",
+    "Magnitude at the end of what the heading should be minus heading.",
+)
 def _compute_heading_error(context: RunContext, at_s: float | None = None) -> Result:
-    run = context.run
-    signal = context.get_signal("heading")
-    if signal is None or not len(run.samples):
-        return Missing(status=Status.ABSENT, reason="the goal bearing is not known")
-    heading_rad = _read_at(context.pose_time_s, signal.values, at_s)
-    error_rad = abs(wrap_angle(float(run.samples.bearing_rad[0]) - heading_rad))
-    return _find_cut(context, at_s) or Found(degrees(error_rad), _tell_time(context, at_s))
+    error_rad = _find_heading_error(context, at_s)
+    if error_rad is None:
+        return _NO_BEARING
+    return _find_cut(context, at_s) or Found(degrees(abs(error_rad)), _tell_time(context, at_s))
 
 
+@run_metric("final.position_error", "m", "Distance to the goal at the end.")
 def _compute_position_error(context: RunContext, at_s: float | None = None) -> Result:
     goal_xy_m = context.run.goal_xy_m
     if goal_xy_m is None:
@@ -38,6 +43,26 @@ def _compute_position_error(context: RunContext, at_s: float | None = None) -> R
     return _find_cut(context, at_s) or Found(error_m, _tell_time(context, at_s))
 
 
+@run_metric(
+    "final.cross_track",
+    "m",
+    "Where the turtle ends, to the left of the line from start to goal.",
+    better=None,
+)
+def _compute_cross_track(context: RunContext) -> Result:
+    signal = context.get_signal("cross_track")
+    return (
+        _NO_BEARING
+        if signal is None
+        else Found(float(signal.values[-1]), _tell_time(context, None))
+    )
+
+
+@run_metric(
+    "final.goal_heading_error",
+    "deg",
+    "Magnitude of the heading that the goal asks for minus heading at the end.",
+)
 def _compute_goal_heading_error(context: RunContext) -> Result:
     goal_rad = context.run.goal_heading_rad
     if goal_rad is None:
@@ -46,11 +71,57 @@ def _compute_goal_heading_error(context: RunContext) -> Result:
     return Found(degrees(error_rad), _tell_time(context, None))
 
 
-def _compute_cross_track(context: RunContext) -> Result:
-    signal = context.get_signal("cross_track")
-    if signal is None:
-        return Missing(status=Status.ABSENT, reason="the goal bearing is not known")
-    return Found(float(signal.values[-1]), _tell_time(context, None))
+@run_metric(
+    "final.heading_error_at_15s",
+    "deg",
+    "Heading error 15 s after the first sample, or at the end: the paper's definition.",
+)
+def _compute_heading_error_at_15s(context: RunContext) -> Result:
+    return _compute_heading_error(context, PAPER_WINDOW_S)
+
+
+@run_metric(
+    "final.position_error_at_15s",
+    "m",
+    "Distance to the goal 15 s after the first sample, or at the end: the paper's.",
+)
+def _compute_position_error_at_15s(context: RunContext) -> Result:
+    return _compute_position_error(context, PAPER_WINDOW_S)
+
+
+def _find_heading_error(context: RunContext, at_s: float | None) -> float | None:
+    """Return what the heading should be minus the heading [rad], in [-pi, pi)."""
+    run, time_s = context.run, context.pose_time_s
+    reference = context.heading_reference_rad
+    if reference is None:
+        recorded = context.get_signal("heading_error")
+        if recorded is None:
+            return None
+        return float(recorded.values[_find_row(time_s, at_s)])
+    signal = context.get_signal("heading")
+    if signal is None or not len(run.samples):
+        return None
+    heading_rad = _read_at(time_s, signal.values, at_s)
+    return wrap_angle(_read_reference_at(time_s, reference, at_s) - heading_rad)
+
+
+def _read_reference_at(time_s: Values, reference: float | Values, at_s: float | None) -> float:
+    """Return a reference by line between rows, the short way round."""
+    if not isinstance(reference, np.ndarray):
+        return reference
+    row = _find_row(time_s, at_s)
+    if at_s is None or row == len(time_s) - 1:
+        return float(reference[row])
+    share = max((at_s - time_s[row]) / (time_s[row + 1] - time_s[row]), 0.0)
+    turn_rad = subtract_headings(float(reference[row + 1]), float(reference[row]))
+    return float(reference[row] + share * turn_rad)
+
+
+def _find_row(time_s: Values, at_s: float | None) -> int:
+    """Return the last row at a time or before, the last of all where it is None."""
+    if at_s is None:
+        return len(time_s) - 1
+    return max(int(np.searchsorted(time_s, at_s, side="right")) - 1, 0)
 
 
 def _read_at(time_s: Values, values: Values, at_s: float | None) -> float:
@@ -70,43 +141,3 @@ def _find_cut(context: RunContext, at_s: float | None) -> Missing | None:
     if at_s is None or run.is_complete or length_s >= at_s:
         return None
     return Missing(status=Status.TOO_SHORT, reason=f"the run was cut at {length_s:.2f} s")
-
-
-_NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
-
-FINAL_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
-    {
-        "final.heading_error": MetricKind(
-            unit="deg",
-            compute=_compute_heading_error,
-            meaning="Magnitude of goal bearing minus heading at the end.",
-        ),
-        "final.position_error": MetricKind(
-            unit="m", compute=_compute_position_error, meaning="Distance to the goal at the end."
-        ),
-        "final.cross_track": MetricKind(
-            unit="m",
-            compute=_compute_cross_track,
-            meaning="Where the turtle ends, to the left of the line from start to goal.",
-            better=None,
-        ),
-        "final.goal_heading_error": MetricKind(
-            unit="deg",
-            compute=_compute_goal_heading_error,
-            meaning="Magnitude of the heading that the goal asks for minus heading at the end.",
-        ),
-        "final.heading_error_at_15s": MetricKind(
-            unit="deg",
-            compute=lambda context: _compute_heading_error(context, PAPER_WINDOW_S),
-            meaning=(
-                "Heading error 15 s after the first sample, or at the end: the paper's definition."
-            ),
-        ),
-        "final.position_error_at_15s": MetricKind(
-            unit="m",
-            compute=lambda context: _compute_position_error(context, PAPER_WINDOW_S),
-            meaning="Distance to the goal 15 s after the first sample, or at the end: the paper's.",
-        ),
-    }
-)
-"""The metrics of the end of a run by id."""

@@ -1,44 +1,65 @@
-"""Error metrics of a phase: from its response to a value or the reason for none."""
+"""Error metrics of a loop: from its response to a value or the reason for none."""
 
 from turtlelog.measure import integrals
+from turtlelog.measure.context import RunContext
 from turtlelog.measure.deviation import find_largest
 from turtlelog.measure.metric import Found, Result
-from turtlelog.measure.phases import Response
+from turtlelog.measure.registry import has_step, loop_metric
+from turtlelog.measure.response import Response
 
 
-def compute_final_error(response: Response) -> Result:
+@loop_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
+def compute_final_error(_: RunContext, response: Response) -> Result:
     """Magnitude of the error in the last row."""
     return Found(abs(float(response.error[-1])), _tell_end(response))
 
 
-def compute_steady_state_error(response: Response) -> Result:
+@loop_metric(
+    "steady_state_error",
+    "{value}",
+    "What the {signal} lacks of the {goal} at the end, in the direction of the step; negative"
+    " beyond.",
+    better=None,
+    applies=has_step,
+)
+def compute_steady_state_error(_: RunContext, response: Response) -> Result:
     """The last row's error, positive where the response has stayed short of its reference."""
     direction = 1.0 if response.reference >= response.initial else -1.0
     return Found(float(response.error[-1]) * direction, _tell_end(response))
 
 
-def compute_largest_error(response: Response) -> Result:
+@loop_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
+def compute_largest_error(_: RunContext, response: Response) -> Result:
     """The largest magnitude; at the start where nothing overshoots by more than the step."""
     largest, row = find_largest(response.error)
     return Found(largest, response.start_s + float(response.time_s[row]))
 
 
-def compute_rms_error(response: Response) -> Result:
+@loop_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
+def compute_rms_error(_: RunContext, response: Response) -> Result:
     """See `integrals.compute_rms`."""
     return Found(integrals.compute_rms(response.step_s, response.error))
 
 
-def compute_iae(response: Response) -> Result:
+@loop_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
+def compute_iae(_: RunContext, response: Response) -> Result:
     """See `integrals.integrate`."""
     return Found(integrals.integrate(*response.folded_error[1:]))
 
 
-def compute_ise(response: Response) -> Result:
+@loop_metric("ise", "{signal}^2 s", "Integral of the square of the error.", grows=True)
+def compute_ise(_: RunContext, response: Response) -> Result:
     """See `integrals.integrate_square`."""
     return Found(integrals.integrate_square(response.step_s, response.error))
 
 
-def compute_itae(response: Response) -> Result:
+@loop_metric(
+    "itae",
+    "{signal} s^2",
+    "Integral of time in the stretch times the magnitude of the error.",
+    grows=True,
+)
+def compute_itae(_: RunContext, response: Response) -> Result:
     """See `integrals.integrate_time_weighted`."""
     return Found(integrals.integrate_time_weighted(*response.folded_error))
 

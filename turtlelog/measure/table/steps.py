@@ -1,10 +1,12 @@
-"""Step-response metrics of a phase: from its response to a value or the reason for none."""
+"""Step-response metrics of a loop: from its response to a value or the reason for none."""
 
 from typing import Final
 
 from turtlelog.measure import step
+from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.phases import Response, Values
+from turtlelog.measure.registry import has_sides, has_step, loop_metric
+from turtlelog.measure.response import Response, Values
 
 SMALLEST_STEP: Final = 1e-6
 """What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
@@ -12,12 +14,21 @@ SMALLEST_STEP: Final = 1e-6
 _NO_STEP: Final = Missing(status=Status.NO_STEP, reason="the phase begins at its reference")
 
 
-def compute_duration(response: Response) -> Result:
+@loop_metric("duration", "s", "Length of the stretch in which the loop acts.", is_awaited=True)
+def compute_duration(_: RunContext, response: Response) -> Result:
     """From the start of the phase to its last pose."""
     return Found(float(response.time_s[-1]))
 
 
-def compute_delay_time(response: Response) -> Result:
+@loop_metric(
+    "delay_time",
+    "s",
+    "Time until the {signal} has come half of the step.",
+    is_awaited=True,
+    needs_whole=False,
+    applies=has_step,
+)
+def compute_delay_time(_: RunContext, response: Response) -> Result:
     """See `step.find_level_time`, at 50 %."""
     if _has_no_step(response):
         return _NO_STEP
@@ -31,7 +42,15 @@ def compute_delay_time(response: Response) -> Result:
     return _miss("half") if half_s is None else Found(half_s, response.start_s + half_s)
 
 
-def compute_rise_time(response: Response) -> Result:
+@loop_metric(
+    "rise_time",
+    "s",
+    "Time from 10 % to 90 % of the step, each first reached.",
+    is_awaited=True,
+    needs_whole=False,
+    applies=has_step,
+)
+def compute_rise_time(_: RunContext, response: Response) -> Result:
     """See `step.find_rise`; taken at its end."""
     if _has_no_step(response):
         return _NO_STEP
@@ -47,7 +66,14 @@ def compute_rise_time(response: Response) -> Result:
     return Found(rise[1] - rise[0], response.start_s + rise[1])
 
 
-def compute_peak(response: Response) -> Result:
+@loop_metric(
+    "peak",
+    "{value}",
+    "The {signal} where it is furthest in the direction of the step.",
+    better=None,
+    applies=has_step,
+)
+def compute_peak(_: RunContext, response: Response) -> Result:
     """See `step.find_peak_row`."""
     if _has_no_step(response):
         return _NO_STEP
@@ -55,7 +81,15 @@ def compute_peak(response: Response) -> Result:
     return Found(float(response.values[row]), _tell_time(response, row))
 
 
-def compute_peak_time(response: Response) -> Result:
+@loop_metric(
+    "peak_time",
+    "s",
+    "Time until the {signal} is at its peak.",
+    better=None,
+    is_awaited=True,
+    applies=has_step,
+)
+def compute_peak_time(_: RunContext, response: Response) -> Result:
     """See `step.find_peak_row`."""
     if _has_no_step(response):
         return _NO_STEP
@@ -63,7 +97,15 @@ def compute_peak_time(response: Response) -> Result:
     return Found(float(response.time_s[row]), _tell_time(response, row))
 
 
-def compute_overshoot(response: Response) -> Result:
+@loop_metric(
+    "overshoot",
+    "%",
+    "Furthest {signal} beyond the {goal}, of the step; negative where it stays short.",
+    floor=0.0,
+    grows=True,
+    applies=has_sides,
+)
+def compute_overshoot(_: RunContext, response: Response) -> Result:
     """See `step.find_overshoot`."""
     if _has_no_step(response):
         return _NO_STEP
@@ -73,7 +115,15 @@ def compute_overshoot(response: Response) -> Result:
     return Found(100.0 * share, _tell_time(response, _find_peak_row(response)))
 
 
-def compute_undershoot(response: Response) -> Result:
+@loop_metric(
+    "undershoot",
+    "%",
+    "Furthest {signal} back behind the initial value, of the step; negative where it is never.",
+    floor=0.0,
+    grows=True,
+    applies=has_step,
+)
+def compute_undershoot(_: RunContext, response: Response) -> Result:
     """See `step.find_undershoot`."""
     if _has_no_step(response):
         return _NO_STEP
@@ -83,7 +133,15 @@ def compute_undershoot(response: Response) -> Result:
     return Found(100.0 * share, _tell_time(response, row))
 
 
-def compute_settling_time(response: Response) -> Result:
+@loop_metric(
+    "settling_time",
+    "s",
+    "Last time the {signal} enters the band around the {goal}: 2 % of the step, or as asked.",
+    is_awaited=True,
+    needs_whole=False,
+    applies=has_step,
+)
+def compute_settling_time(_: RunContext, response: Response) -> Result:
     """See `step.find_settling_time`; where the law did not end the phase, `require_hold`."""
     if _has_no_step(response):
         return _NO_STEP
@@ -130,13 +188,23 @@ def require_hold(
     return Missing(status=Status.NOT_REACHED, reason=reason)
 
 
-def compute_crossings(response: Response) -> Result:
+@loop_metric(
+    "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
+)
+def compute_crossings(_: RunContext, response: Response) -> Result:
     """See `step.find_crossing_rows`; taken at the first."""
     rows = step.find_crossing_rows(response.values, response.reference)
     return Found(float(len(rows)), _tell_time(response, int(rows[0])) if len(rows) else None)
 
 
-def compute_decay_ratio(response: Response) -> Result:
+@loop_metric(
+    "decay_ratio",
+    "1",
+    "Second overshoot of the {goal} as a share of the first.",
+    needs_whole=False,
+    applies=has_sides,
+)
+def compute_decay_ratio(_: RunContext, response: Response) -> Result:
     """See `step.find_decay_ratio`; taken at the second peak."""
     if _has_no_step(response):
         return _NO_STEP

@@ -1,4 +1,4 @@
-"""Metrics of a phase against theory: from its response to a value or the reason for none."""
+"""Metrics of a loop against theory: from its response to a value or the reason for none."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -6,13 +6,14 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog.loops import ControlLoop
 from turtlelog.measure import deviation
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.integrals import compute_rms
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.phases import Response
+from turtlelog.measure.registry import loop_metric
+from turtlelog.measure.response import Response
 from turtlelog.measure.settings import MOST_TICKS
-from turtlelog.run import Phase
 from turtlelog.theory.responses import LARGEST_DEVIATION
 
 THEORIES: Final[Mapping[str, str]] = MappingProxyType(
@@ -34,21 +35,34 @@ _UNSTABLE: Final = Missing(
 _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share one time")
 
 
+def has_theory(loop: ControlLoop) -> bool:
+    """Whether theory's loop, an integrator under u = Kp e, is one of this kind.
+
+    A turn rate integrates to the heading, a speed to the way along the line or to the goal.
+    """
+    ways = {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
+    return not loop.moves and (loop.signal, loop.command) in ways
+
+
+@loop_metric(
+    "dead_time",
+    "s",
+    "Time from reading a pose until its {command} moves the turtle, least of the plant aside.",
+    needs_whole=False,
+)
 def compute_dead_time(context: RunContext, response: Response) -> Result:
     """See `dead_time.find_dead_time`; ticks times the time from pose to pose."""
-    ticks = context.find_dead_time_ticks(response.phase)
+    ticks = context.find_dead_time_ticks(response.loop)
     if isinstance(ticks, Missing):
         return ticks
     return _ONE_TIME if context.tick_s is None else Found(ticks * context.tick_s)
 
 
-def deviate(theory: str, figure: str) -> Callable[[RunContext, Response], Result]:
+def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Result]:
     """Return the metric `max` or `rms` of the deviation from a theory."""
 
     def compute(context: RunContext, response: Response) -> Result:
-        found = context.recall(
-            (theory, response.phase), lambda: _deviate(theory, context, response)
-        )
+        found = context.recall((theory, response.loop), lambda: _deviate(theory, context, response))
         if isinstance(found, Missing):
             return found
         if figure == "rms":
@@ -65,7 +79,7 @@ def _deviate(theory: str, context: RunContext, response: Response) -> deviation.
 
 
 def _predict(theory: str, context: RunContext, response: Response) -> deviation.Values | Missing:
-    kp = _find_gain(context, response.phase)
+    kp = _find_gain(context, response.loop)
     if kp is None:
         return _NO_GAIN
     if theory == "ideal":
@@ -91,9 +105,8 @@ def _predict(theory: str, context: RunContext, response: Response) -> deviation.
     return _UNSTABLE if predicted is None else predicted
 
 
-def _find_gain(context: RunContext, phase: Phase) -> float | None:
-    key = "law.kp_angular" if phase is Phase.ROTATE else "law.kp_linear"
-    kp = context.run.parameters.get(key)
+def _find_gain(context: RunContext, loop: ControlLoop) -> float | None:
+    kp = None if loop.gain is None else context.run.parameters.get(loop.gain)
     if not isinstance(kp, int | float) or isinstance(kp, bool):
         return None
     return float(kp) if 0.0 < kp < np.inf else None
@@ -108,7 +121,20 @@ def _find_dead_time_samples(
     asked = context.settings.dead_time_ticks
     if asked is not None:
         return asked
-    ticks = context.find_dead_time_ticks(response.phase)
+    ticks = context.find_dead_time_ticks(response.loop)
     if isinstance(ticks, Missing) or context.tick_s is None:
         return ticks if isinstance(ticks, Missing) else _ONE_TIME
     return min(round(ticks * context.tick_s / period_s), MOST_TICKS)
+
+
+for _theory, _described in THEORIES.items():
+    for _figure, _start in (("max", "Largest deviation"), ("rms", "RMS deviation")):
+        loop_metric(
+            f"{_theory}_deviation_{_figure}",
+            "{value}",
+            f"{_start} of the {{signal}} from {_described} of the same gain.",
+            # The dead time of the third theory is estimated from all rows.
+            grows=_figure == "max" and _theory != "delayed",
+            needs_whole=False,
+            applies=has_theory,
+        )(_deviate_by(_theory, _figure))

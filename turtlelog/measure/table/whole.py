@@ -1,17 +1,18 @@
 """The metrics of a whole run: its length, its way, its distance to the goal, its commands."""
 
-from collections.abc import Callable, Mapping
-from types import MappingProxyType
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.loops import ControlLoop
 from turtlelog.measure import integrals, path, step
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.deviation import find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.phases import CommandStretch, came_to_rest
+from turtlelog.measure.registry import loop_metric, run_metric
+from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.table.commands import (
     compute_effort,
     compute_largest_jump,
@@ -19,7 +20,6 @@ from turtlelog.measure.table.commands import (
     compute_reversals,
     compute_total_variation,
 )
-from turtlelog.measure.table.kinds import MetricKind
 from turtlelog.measure.table.steps import require_hold
 
 Values = NDArray[np.float64]
@@ -29,14 +29,61 @@ _NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
 _NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
 
 
+@run_metric("run.duration", "s", "From the first sample to the end.", is_awaited=True)
 def _compute_duration(context: RunContext) -> Result:
     return Found((context.run.end_ns - context.run.start_ns) / 1e9)
 
 
+def _on_distance(
+    compute: Callable[[RunContext, Values, Values], Result],
+) -> Callable[[RunContext], Result]:
+    """Compute on the distance to the goal from the first sample on."""
+
+    def compute_on_distance(context: RunContext) -> Result:
+        signal = context.get_signal("distance")
+        if signal is None:
+            return _NO_GOAL
+        first = int(np.searchsorted(signal.time_ns, context.run.start_ns))
+        first = min(first, len(signal.values) - 1)
+        return compute(context, context.pose_time_s[first:], signal.values[first:])
+
+    return compute_on_distance
+
+
+@run_metric(
+    "run.time_to_goal",
+    "s",
+    "Last time the distance to the goal falls to 2 % of the first, or as asked.",
+    is_awaited=True,
+)
+@_on_distance
+def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Values) -> Result:
+    first_m, band = float(distance_m[0]), context.settings.band
+    arrived_s = step.find_settling_time(
+        time_s, distance_m, initial=first_m, reference=0.0, band=band
+    )
+    if arrived_s is None:
+        reason = f"the run ends further from the goal than {100.0 * band:g} % of its first distance"
+        return Missing(status=Status.NOT_REACHED, reason=reason)
+    if not came_to_rest(context.run):
+        half_width = band * first_m
+        missing = require_hold(time_s, distance_m, arrived_s, reference=0.0, half_width=half_width)
+        if missing is not None:
+            return missing
+    return Found(arrived_s, arrived_s)
+
+
+@run_metric("run.path_length", "m", "Length of the line through all poses.", grows=True)
 def _compute_length(context: RunContext) -> Result:
     return Found(context.path_length_m)
 
 
+@run_metric(
+    "run.straightness",
+    "1",
+    "Path length over the distance from first to last pose: 1 is a straight line.",
+    floor=1.0,
+)
 def _compute_straightness(context: RunContext) -> Result:
     straightness = path.compute_straightness(context.run.poses.xy_m, context.path_length_m)
     if straightness is None:
@@ -61,36 +108,47 @@ def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
     return Found(integrals.compute_rms(np.diff(context.pose_time_s[rows]), cross_track_m[rows]))
 
 
-def _on_distance(
-    compute: Callable[[RunContext, Values, Values], Result],
+def _from_first_sample(
+    compute: Callable[[RunContext, slice], Result],
 ) -> Callable[[RunContext], Result]:
-    """Compute on the distance to the goal from the first sample on."""
+    """Compute on the poses from the first sample on: time zero of the run."""
 
-    def compute_on_distance(context: RunContext) -> Result:
-        signal = context.get_signal("distance")
-        if signal is None:
-            return _NO_GOAL
-        first = int(np.searchsorted(signal.time_ns, context.run.start_ns))
-        first = min(first, len(signal.values) - 1)
-        return compute(context, context.pose_time_s[first:], signal.values[first:])
+    def compute_from_first_sample(context: RunContext) -> Result:
+        run = context.run
+        first = int(np.searchsorted(run.poses.time_ns, run.start_ns))
+        return compute(context, slice(min(first, len(run.poses) - 1), None))
 
-    return compute_on_distance
+    return compute_from_first_sample
 
 
-def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Values) -> Result:
-    first_m, band = float(distance_m[0]), context.settings.band
-    arrived_s = step.find_settling_time(
-        time_s, distance_m, initial=first_m, reference=0.0, band=band
-    )
-    if arrived_s is None:
-        reason = f"the run ends further from the goal than {100.0 * band:g} % of its first distance"
-        return Missing(status=Status.NOT_REACHED, reason=reason)
-    if not came_to_rest(context.run):
-        half_width = band * first_m
-        missing = require_hold(time_s, distance_m, arrived_s, reference=0.0, half_width=half_width)
-        if missing is not None:
-            return missing
-    return Found(arrived_s, arrived_s)
+run_metric(
+    "run.cross_track_max",
+    "m",
+    "Largest distance from the line from start to goal, or from the path given.",
+    grows=True,
+)(_from_first_sample(find_largest_cross_track))
+
+run_metric("run.cross_track_rms", "m", "Root of the mean square of that distance over time.")(
+    _from_first_sample(compute_rms_cross_track)
+)
+
+
+@run_metric("run.iae", "m s", "Integral of the distance to the goal.", grows=True)
+@_on_distance
+def _compute_iae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
+    return Found(integrals.integrate(np.diff(time_s), distance_m))
+
+
+@run_metric("run.ise", "m^2 s", "Integral of the square of the distance to the goal.", grows=True)
+@_on_distance
+def _compute_ise(_: RunContext, time_s: Values, distance_m: Values) -> Result:
+    return Found(integrals.integrate_square(np.diff(time_s), distance_m))
+
+
+@run_metric("run.itae", "m s^2", "Integral of time times the distance to the goal.", grows=True)
+@_on_distance
+def _compute_itae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
+    return Found(integrals.integrate_time_weighted(time_s, np.diff(time_s), distance_m))
 
 
 def _on_commands(
@@ -116,108 +174,65 @@ def _take_commands(context: RunContext, column: str) -> CommandStretch:
     )
 
 
-def _list_command_metrics(name: str, column: str, unit: str, square: str) -> dict[str, MetricKind]:
+def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> None:
     words = name.replace("_", " ")
-    return {
-        f"run.{name}_effort": MetricKind(
-            unit=square,
-            compute=_on_commands(column, compute_effort),
-            meaning=f"Integral of the square of the published {words} as it holds.",
+    for figure, of_what, compute, meaning in (
+        (
+            "effort",
+            square,
+            compute_effort,
+            "Integral of the square of the published {} as it holds.",
         ),
-        f"run.{name}_total_variation": MetricKind(
-            unit=unit,
-            compute=_on_commands(column, compute_total_variation),
-            meaning=f"Sum of the magnitudes of all changes of the published {words}.",
+        (
+            "total_variation",
+            unit,
+            compute_total_variation,
+            "Sum of the magnitudes of all changes of the published {}.",
         ),
-        f"run.{name}_largest_jump": MetricKind(
-            unit=unit,
-            compute=_on_commands(column, compute_largest_jump),
-            meaning=f"Largest change from one published {words} to the next.",
+        (
+            "largest_jump",
+            unit,
+            compute_largest_jump,
+            "Largest change from one published {} to the next.",
         ),
-        f"run.{name}_largest_slew_rate": MetricKind(
-            unit=f"{unit}^2",
-            compute=_on_commands(column, compute_largest_slew_rate),
-            meaning=f"Largest change of the published {words} over the time that it took.",
+        (
+            "largest_slew_rate",
+            f"{unit}^2",
+            compute_largest_slew_rate,
+            "Largest change of the published {} over the time that it took.",
         ),
-        f"run.{name}_reversals": MetricKind(
-            unit="1",
-            compute=_on_commands(column, compute_reversals),
-            meaning=f"How often the published {words} changes its sign.",
-        ),
-    }
+        ("reversals", "1", compute_reversals, "How often the published {} changes its sign."),
+    ):
+        run_metric(f"run.{name}_{figure}", of_what, meaning.format(words), grows=True)(
+            _on_commands(column, compute)
+        )
 
 
-def _from_first_sample(
-    compute: Callable[[RunContext, slice], Result],
-) -> Callable[[RunContext], Result]:
-    """Compute on the poses from the first sample on: time zero of the run."""
-
-    def compute_from_first_sample(context: RunContext) -> Result:
-        run = context.run
-        first = int(np.searchsorted(run.poses.time_ns, run.start_ns))
-        return compute(context, slice(min(first, len(run.poses) - 1), None))
-
-    return compute_from_first_sample
+_enter_command_metrics("speed", "speed_m_s", "m/s", "m^2/s")
+_enter_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s")
 
 
-RUN_METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
-    {
-        "run.duration": MetricKind(
-            unit="s", compute=_compute_duration, meaning="From the first sample to the end."
-        ),
-        "run.time_to_goal": MetricKind(
-            unit="s",
-            compute=_on_distance(_compute_time_to_goal),
-            meaning="Last time the distance to the goal falls to 2 % of the first, or as asked.",
-        ),
-        "run.path_length": MetricKind(
-            unit="m", compute=_compute_length, meaning="Length of the line through all poses."
-        ),
-        "run.straightness": MetricKind(
-            unit="1",
-            compute=_compute_straightness,
-            meaning="Path length over the distance from first to last pose: 1 is a straight line.",
-            floor=1.0,
-        ),
-        "run.cross_track_max": MetricKind(
-            unit="m",
-            compute=_from_first_sample(find_largest_cross_track),
-            meaning="Largest distance from the line from start to goal, or from the path given.",
-        ),
-        "run.cross_track_rms": MetricKind(
-            unit="m",
-            compute=_from_first_sample(compute_rms_cross_track),
-            meaning="Root of the mean square of that distance over time.",
-        ),
-        "run.iae": MetricKind(
-            unit="m s",
-            compute=_on_distance(
-                lambda _, time_s, distance_m: Found(
-                    integrals.integrate(np.diff(time_s), distance_m)
-                )
-            ),
-            meaning="Integral of the distance to the goal.",
-        ),
-        "run.ise": MetricKind(
-            unit="m^2 s",
-            compute=_on_distance(
-                lambda _, time_s, distance_m: Found(
-                    integrals.integrate_square(np.diff(time_s), distance_m)
-                )
-            ),
-            meaning="Integral of the square of the distance to the goal.",
-        ),
-        "run.itae": MetricKind(
-            unit="m s^2",
-            compute=_on_distance(
-                lambda _, time_s, distance_m: Found(
-                    integrals.integrate_time_weighted(time_s, np.diff(time_s), distance_m)
-                )
-            ),
-            meaning="Integral of time times the distance to the goal.",
-        ),
-        **_list_command_metrics("speed", "speed_m_s", "m/s", "m^2/s"),
-        **_list_command_metrics("turn_rate", "turn_rate_rad_s", "rad/s", "rad^2/s"),
-    }
+def _moves_along(loop: ControlLoop) -> bool:
+    """A loop that turns the turtle leaves it where it is; one that drives it may leave the line."""
+    return loop.command == "speed"
+
+
+@loop_metric(
+    "cross_track_max",
+    "m",
+    "Largest distance from the line from start to goal, or from the path given.",
+    grows=True,
+    applies=_moves_along,
 )
-"""The metrics of a whole run by id, without its timing."""
+def _compute_cross_track_max(context: RunContext, response: Response) -> Result:
+    return find_largest_cross_track(context, response.rows)
+
+
+@loop_metric(
+    "cross_track_rms",
+    "m",
+    "Root of the mean square of that distance over time.",
+    applies=_moves_along,
+)
+def _compute_cross_track_rms(context: RunContext, response: Response) -> Result:
+    return compute_rms_cross_track(context, response.rows)

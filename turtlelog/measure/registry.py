@@ -1,0 +1,217 @@
+"""What a metric is, and the registry that its function enters itself in.
+
+One function per metric, with its meaning, unit and direction beside it in the decorator. A metric
+of a loop is written once and bound to each loop that a law declares.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import degrees
+from types import MappingProxyType
+from typing import Final, Literal, TypedDict, TypeVar, Unpack
+
+from turtlelog.loops import ControlLoop
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.response import Response
+
+Better = Literal["lower", "higher"] | None
+OfRun = Callable[[RunContext], Result]
+OfLoop = Callable[[RunContext, Response], Result]
+_OfRun = TypeVar("_OfRun", bound=OfRun)
+
+_CUT: Final = Missing(status=Status.TOO_SHORT, reason="the run was cut in this phase")
+
+_SIGNAL_WORDS: Final = MappingProxyType(
+    {
+        "heading": "heading",
+        "along_track": "along-track",
+        "cross_track": "cross-track",
+        "distance": "distance to the goal",
+    }
+)
+_REFERENCE_WORDS: Final = MappingProxyType(
+    {
+        "goal_bearing": "goal bearing",
+        "bearing_now": "bearing of the goal",
+        "goal_heading": "goal heading",
+        "goal_distance": "goal",
+        "zero": "zero",
+        "recorded": "reference",
+    }
+)
+_COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn rate", "speed": "speed"})
+_ANY_WORDS: Final = MappingProxyType(
+    {"signal": "controlled signal", "goal": "reference", "command": "command"}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricKind:
+    """What a metric is.
+
+    Attributes:
+        unit: Of its value.
+        compute: From a run, read once, to the value or the reason why there is none.
+        meaning: One sentence.
+        better: `lower`, `higher`, or None where neither is better.
+        floor: Where lower is better, the value below which nothing is gained: an overshoot of
+            -2 % is no better than one of -1 %, for both are none. None: there is no such value.
+        grows: Whether it only grows while a run goes on, as counts, sums of magnitudes and the
+            largest so far do: what comes later takes nothing away. Shares, means, percentiles, what
+            is taken at the end, and what rests on a dead time that is estimated from all rows may
+            fall again.
+        is_awaited: Whether it is a time since the beginning of its loop, or of the run.
+    """
+
+    unit: str
+    compute: OfRun
+    meaning: str
+    better: Better = "lower"
+    floor: float | None = None
+    grows: bool = False
+    is_awaited: bool = False
+
+    def compute_loss(self, value: float, reference: float) -> float:
+        """Return by how much a value is worse than a reference, in the metric's unit.
+
+        Negative where it is better, 0 where both are equal or under the floor. Of a metric that has
+        no better direction every change is a loss.
+        """
+        if self.better is None:
+            return abs(value - reference)
+        if self.floor is not None:
+            value, reference = max(value, self.floor), max(reference, self.floor)
+        return value - reference if self.better == "lower" else reference - value
+
+
+class Traits(TypedDict, total=False):
+    """What a decorator says of a metric, as in `MetricKind`."""
+
+    better: Better
+    floor: float | None
+    grows: bool
+    is_awaited: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopMetricKind:
+    """What a metric of a loop is, before it is known of which loop.
+
+    Attributes:
+        unit: With `{value}` (deg or m), `{signal}` (rad or m) and `{command}` (rad or m) in it.
+        compute: From a run and the loop's response.
+        meaning: One sentence, with `{signal}`, `{goal}` and `{command}` in it.
+        traits: What it has in common with the metrics of a run.
+        needs_whole: Whether a loop that the end of the recording cuts has no value: a sum over half
+            of it, or the largest so far, is not its own.
+        applies: Of which loops there is such a metric.
+    """
+
+    unit: str
+    compute: OfLoop
+    meaning: str
+    traits: Traits
+    needs_whole: bool
+    applies: Callable[[ControlLoop], bool]
+
+    def bind(self, loop: ControlLoop) -> MetricKind:
+        """Return the metric of one loop."""
+        unit = self.describe_unit(loop)
+
+        def compute(context: RunContext) -> Result:
+            response = context.get_response(loop)
+            if isinstance(response, Missing):
+                return response
+            if self.needs_whole and response.was_cut:
+                return _CUT
+            result = self.compute(context, response)
+            if unit == "deg" and isinstance(result, Found):
+                return Found(degrees(result.value), result.at_s)
+            return result
+
+        words = {
+            "signal": _SIGNAL_WORDS[loop.signal],
+            "goal": _REFERENCE_WORDS[loop.reference],
+            "command": _COMMAND_WORDS[loop.command],
+        }
+        return self._build(unit, compute, words)
+
+    def describe(self) -> MetricKind:
+        """Return what the metric of any loop is; its unit says `rad or m` where it depends."""
+
+        def compute(_: RunContext) -> Result:
+            return Missing(status=Status.NO_PHASE, reason="the law declares no such loop")
+
+        return self._build(self.describe_unit(None), compute, _ANY_WORDS)
+
+    def _build(self, unit: str, compute: OfRun, words: Mapping[str, str]) -> MetricKind:
+        meaning = self.meaning.format_map(words)
+        return MetricKind(unit=unit, compute=compute, meaning=meaning, **self.traits)
+
+    def describe_unit(self, loop: ControlLoop | None) -> str:
+        """Return the unit for a loop; of none, of a heading or else of a way."""
+        if loop is None:
+            turn, way = ("deg", "rad", "rad"), ("m", "m", "m")
+            units = [self._fill(turn), self._fill(way)]
+            return units[0] if units[0] == units[1] else " or ".join(units)
+        is_angle, is_turn = loop.signal == "heading", loop.command == "turn_rate"
+        words = ("deg" if is_angle else "m", "rad" if is_angle else "m", "rad" if is_turn else "m")
+        return self._fill(words)
+
+    def _fill(self, words: tuple[str, str, str]) -> str:
+        return self.unit.format_map(dict(zip(("value", "signal", "command"), words, strict=True)))
+
+
+LOOP_METRICS: Final[dict[str, LoopMetricKind]] = {}
+"""The metrics of a loop by name, in the order in which they are shown."""
+
+RUN_METRICS: Final[dict[str, MetricKind]] = {}
+"""The metrics of a whole run and of its end by id, in the order in which they are shown."""
+
+
+def has_step(loop: ControlLoop) -> bool:
+    """Whether a loop answers a step: one whose reference the law moves follows instead."""
+    return not loop.moves
+
+
+def has_sides(loop: ControlLoop) -> bool:
+    """Whether a loop that answers a step can pass its reference: a distance cannot."""
+    return has_step(loop) and loop.signal != "distance"
+
+
+def loop_metric(
+    name: str,
+    unit: str,
+    meaning: str,
+    *,
+    needs_whole: bool = True,
+    applies: Callable[[ControlLoop], bool] = lambda _: True,
+    **traits: Unpack[Traits],
+) -> Callable[[OfLoop], OfLoop]:
+    """Enter a function in the registry as a metric of every loop, or those it applies to."""
+
+    def enter(compute: OfLoop) -> OfLoop:
+        LOOP_METRICS[name] = LoopMetricKind(
+            unit=unit,
+            compute=compute,
+            meaning=meaning,
+            traits=traits,
+            needs_whole=needs_whole,
+            applies=applies,
+        )
+        return compute
+
+    return enter
+
+
+def run_metric(
+    name: str, unit: str, meaning: str, **traits: Unpack[Traits]
+) -> Callable[[_OfRun], _OfRun]:
+    """Enter a function in the registry as a metric of the whole run, or of its end, by its id."""
+
+    def enter(compute: _OfRun) -> _OfRun:
+        RUN_METRICS[name] = MetricKind(unit=unit, compute=compute, meaning=meaning, **traits)
+        return compute
+
+    return enter

@@ -1,0 +1,237 @@
+"""How a loop of a law answers its reference, on the stretch of the run in which it acts."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import dropwhile, takewhile
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import wrap_angle
+from turtlelog.loops import PAUSE, ControlLoop
+from turtlelog.measure.command import compute_hold_times
+from turtlelog.measure.integrals import fold_at_zero
+from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.references import read_controlled_distance, read_reference
+from turtlelog.measure.settings import MeasureSettings
+from turtlelog.measure.signals import Signal
+from turtlelog.run import PhaseSpan, Run
+
+Values = NDArray[np.float64]
+
+_TIMEOUT: Final = "timeout"
+"""Stop reason of a law whose time was up."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CommandStretch:
+    """The commands of a loop, as they hold; no rows where its samples are not of this run.
+
+    Attributes:
+        time_s: When each was published, from the first sample of the run [s], shape (m,); when its
+            pose was answered, where the publication is not recorded.
+        values: In rad/s or m/s, shape (m,).
+        wanted: Before clipping, shape (m,); None where not recorded.
+        limit: Magnitude at which they are clipped, None where not recorded.
+        end_s: When the last one ceases to hold, from the first sample of the run [s].
+    """
+
+    time_s: Values
+    values: Values
+    wanted: Values | None
+    limit: float | None
+    end_s: float
+
+    @cached_property
+    def is_saturated(self) -> NDArray[np.bool_] | None:
+        """Whether each command stands at its limit, None where that is not recorded."""
+        return None if self.limit is None else np.abs(self.values) >= self.limit
+
+    @cached_property
+    def held_s(self) -> Values:
+        """How long each holds [s], shape (m,)."""
+        return compute_hold_times(self.time_s, self.end_s)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """How the controlled signal of a loop answers its reference.
+
+    Where the reference stands still, `values` are the signal itself. Where it moves they are the
+    reference at the beginning minus the error, which is what the signal would be if the reference
+    had stood still: they come to `reference` where the error comes to 0.
+
+    Attributes:
+        loop: Whose it is.
+        start_s: Start of its stretch, from the first sample of the run [s].
+        rows: Its poses among those of the run.
+        time_s: From the start of the stretch [s], shape (n,), n >= 2.
+        values: Heading without jumps [rad], or a way [m], shape (n,).
+        initial: What the step starts from: the first value, or as asked.
+        reference: What the step leads to: what the loop should reach, or as asked.
+        band: Half-width of the settling band, as a share of the step.
+        commands: Those of its samples.
+        was_cut: Whether the run was cut before the loop had come to its end.
+        ended_itself: Whether the law ended the stretch because it was done: neither a cut nor the
+            law's timeout did.
+    """
+
+    loop: ControlLoop
+    start_s: float
+    rows: slice
+    time_s: Values
+    values: Values
+    initial: float
+    reference: float
+    band: float
+    commands: CommandStretch
+    was_cut: bool
+    ended_itself: bool
+
+    @cached_property
+    def error(self) -> Values:
+        """Reference minus value [rad or m], shape (n,)."""
+        return np.asarray(self.reference - self.values)
+
+    @cached_property
+    def step_s(self) -> Values:
+        """Time from each row to the next [s], shape (n - 1,)."""
+        return np.diff(self.time_s)
+
+    @cached_property
+    def folded_error(self) -> tuple[Values, Values, Values]:
+        """Times [s], steps of time [s], magnitudes of the error: a row added wherever it is 0."""
+        time_s, magnitude = fold_at_zero(self.time_s, self.error)
+        return time_s, self.step_s if time_s is self.time_s else np.diff(time_s), magnitude
+
+
+def find_response(
+    run: Run, loop: ControlLoop, signal: Signal | None, settings: MeasureSettings
+) -> Response | Missing:
+    """Return the response of a loop on its first stretch, or why there is none.
+
+    `signal` is what the loop controls, None where the run does not hold it.
+    """
+    if not len(run.samples):
+        return Missing(status=Status.ABSENT, reason="no samples of a controller were read")
+    stretch = find_first_stretch(run, loop)
+    if not stretch:
+        return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
+    controlled = _read_controlled(run, loop, signal)
+    wanted = read_reference(run, loop)
+    if controlled is None or wanted is None:
+        reason = f"the reference {loop.reference} of {loop.signal} is not known"
+        return Missing(status=Status.ABSENT, reason=reason)
+    start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
+    first = int(np.searchsorted(run.poses.time_ns, start_ns, side="left"))
+    inside = slice(first, int(np.searchsorted(run.poses.time_ns, end_ns, side="right")))
+    if len(controlled[inside]) < 2:
+        found = f"{len(controlled[inside])} pose" + ("" if len(controlled[inside]) == 1 else "s")
+        return Missing(status=Status.TOO_SHORT, reason=f"{found} in {loop.name}")
+    values, target = _refer_to_start(loop, controlled[inside], wanted, inside)
+    initial, reference = _find_step(loop, values, target, settings)
+    return Response(
+        loop=loop,
+        start_s=(start_ns - run.start_ns) / 1e9,
+        rows=inside,
+        time_s=(run.poses.time_ns[inside] - start_ns) / 1e9,
+        values=values,
+        initial=initial,
+        reference=reference,
+        band=settings.band,
+        commands=_find_commands(run, loop, end_ns),
+        was_cut=not run.is_complete and end_ns == run.end_ns,
+        ended_itself=stretch[-1].phase == PAUSE or end_ns < run.end_ns or came_to_rest(run),
+    )
+
+
+def came_to_rest(run: Run) -> bool:
+    """Return whether the law ended the run because it was done; a timeout ends it as a cut does."""
+    return run.is_complete and run.stop_reason != _TIMEOUT
+
+
+def find_first_stretch(run: Run, loop: ControlLoop) -> list[PhaseSpan]:
+    """Return the first spans in a row whose phases contain a loop, pauses after them included."""
+    own = frozenset(run.declaration.list_phases(loop.name))
+    before = dropwhile(lambda span: span.phase not in own, run.find_phase_spans())
+    return list(takewhile(lambda span: span.phase in own or span.phase == PAUSE, before))
+
+
+def find_loop_samples(run: Run, loop: ControlLoop) -> slice | None:
+    """Return the rows of the samples of a loop's first stretch, None where there is none."""
+    own = [run.phase_names.index(phase) for phase in run.declaration.list_phases(loop.name)]
+    is_own = np.isin(run.samples.phase, own)
+    first = int(is_own.argmax()) if len(is_own) else 0
+    if not len(is_own) or not is_own[first]:
+        return None
+    others = ~is_own[first:]
+    return slice(first, first + int(others.argmax()) if others.any() else len(is_own))
+
+
+def describe_no_phase(run: Run, loop: ControlLoop) -> str:
+    """Return why a loop does not act in a run."""
+    phases = run.declaration.list_phases(loop.name)
+    return f"the run has no phase {' or '.join(phases) or loop.name}"
+
+
+def _read_controlled(run: Run, loop: ControlLoop, signal: Signal | None) -> Values | None:
+    """Return the controlled signal at every pose."""
+    if loop.signal == "distance" and loop.reference == "recorded":
+        return read_controlled_distance(run)
+    return None if signal is None else signal.values
+
+
+def _refer_to_start(
+    loop: ControlLoop, controlled: Values, wanted: float | Values, rows: slice
+) -> tuple[Values, float]:
+    """Return the values of a response, and the reference that they should come to."""
+    if not isinstance(wanted, np.ndarray):
+        return controlled, _turn_towards(loop, wanted, float(controlled[-1]))
+    inside = wanted[rows]
+    error = inside - controlled
+    if loop.signal == "heading":
+        error = np.unwrap(wrap_angle(error))
+        # With the full turns of the last one, as a reference that stands still.
+        error = error - 2.0 * np.pi * np.round(error[-1] / (2.0 * np.pi))
+    target = float(inside[0])
+    return np.asarray(target - error), target
+
+
+def _find_commands(run: Run, loop: ControlLoop, end_ns: int) -> CommandStretch:
+    samples, rows = run.samples, find_loop_samples(run, loop)
+    has_publications = len(run.commands) == len(samples)
+    time_ns = (run.commands if has_publications else samples).time_ns[rows]
+    if loop.command == "turn_rate":
+        values, wanted = samples.turn_rate_rad_s, samples.wanted_turn_rate_rad_s
+    else:
+        values, wanted = samples.speed_m_s, samples.wanted_speed_m_s
+    limit = run.parameters.get(loop.limit_key)
+    return CommandStretch(
+        time_s=(np.minimum(time_ns, end_ns) - run.start_ns) / 1e9,
+        values=values[rows],
+        wanted=None if wanted is None else wanted[rows],
+        limit=float(limit) if isinstance(limit, int | float) else None,
+        end_s=(end_ns - run.start_ns) / 1e9,
+    )
+
+
+def _find_step(
+    loop: ControlLoop, values: Values, target: float, settings: MeasureSettings
+) -> tuple[float, float]:
+    """Return what the step of a loop leads from and to."""
+    initial, final = settings.get_initial(loop.name), settings.get_final(loop.name)
+    first, last = float(values[0]), float(values[-1])
+    initial = first if initial is None else _turn_towards(loop, initial, first)
+    if final == "last":
+        return initial, last
+    if final != "reference":
+        return initial, _turn_towards(loop, float(final), last)
+    return initial, target
+
+
+def _turn_towards(loop: ControlLoop, value: float, measured: float) -> float:
+    """Return a heading with the full turns of a measured one: it is counted without jumps."""
+    if loop.signal != "heading":
+        return value
+    return value + float(np.round((measured - value) / (2.0 * np.pi))) * 2.0 * np.pi
