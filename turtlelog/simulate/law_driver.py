@@ -99,9 +99,10 @@ class LawDriver:
     def __init__(self, scenario: Scenario, law: Law) -> None:
         """Take goal and limits from a scenario; the law begins at the first pose."""
         self._law, self._kind = law, scenario.law.kind
-        self._step = law.step if self._kind in LAWS else self._step_of_others
-        self.declaration = declaration = declare_scenario(scenario)
-        self._goal = _build_goal(scenario) if declaration.uses_goal else None
+        self._step = law.step if type(law) in LAWS.values() else self._step_of_others
+        goal, parameters = _build_goal(scenario), scenario.law.parameters
+        self.declaration = declaration = declare_law(type(law), parameters, goal)
+        self._goal = goal if declaration.uses_goal else None
         self._limits = scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s
         self._phases: dict[str | None, int] = {
             name: number for number, name in enumerate(declaration.phase_names)
