@@ -343,10 +343,9 @@ class Run:
     def _ends_blocked(self) -> bool:
         """Whether the last sample's command went out later than its pose was answered, or never."""
         published, answered = self.commands.time_ns, self.samples.time_ns
-        is_sent = len(published) >= len(answered)
-        if is_sent:
-            return bool(published[-1] > answered[-1])
-        return self.end_ns > int(answered[-1])
+        if len(published) < len(answered):
+            return self.end_ns > int(answered[-1])
+        return len(published) == len(answered) and bool(published[-1] > answered[-1])
 
 
 def _list_fields(value: Any) -> dict[str, Any]:

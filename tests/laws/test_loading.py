@@ -22,7 +22,7 @@ class Steady:
     def __init__(self, parameters):
         self.parameters = parameters
 
-    def reset(self, start, goal):
+    def reset(self, start, goal, path):
         pass
 
     def step(self, time_ns, pose):

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.run import CommandColumns, Phase, PoseColumns, Run, SampleColumns
+from tests.sequential import DECLARATION, TRANSLATE
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 Values = NDArray[np.float64]
 PERIOD_NS = 16_000_000
@@ -38,7 +39,7 @@ def make_straight_run(along_m: Values, speed_m_s: Values | None = None, **change
             time_ns=time_ns,
             sequence=np.arange(rows),
             pose_sequence=np.arange(rows),
-            phase=np.full(rows, Phase.TRANSLATE.value),
+            phase=np.full(rows, TRANSLATE),
             bearing_rad=zeros.copy(),
             heading_error_rad=zeros.copy(),
             error_xy_m=np.column_stack([error_m, zeros]),
@@ -48,6 +49,7 @@ def make_straight_run(along_m: Values, speed_m_s: Values | None = None, **change
             world_velocity_m_s=np.zeros((rows, 2)),
         ),
         goal_xy_m=(1.0 + GOAL_M, 5.0),
+        declaration=DECLARATION,
         parameters={"law.kp_linear": 1.0, "limits.speed_m_s": 1.0},
         stop_reason="standstill",
     )

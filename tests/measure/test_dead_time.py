@@ -8,12 +8,12 @@ from tests.log.runs import find_shared
 from turtlelog.angles import wrap_angle
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, DeadTimeChange, Missing, Status, find_dead_time
-from turtlelog.run import CommandColumns, Phase, PoseColumns, Run, SampleColumns
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import Turtle, simulate_run
 from turtlelog.turtlesim import TICK_NS
 
-ROTATE, TRANSLATE = Phase.ROTATE, Phase.TRANSLATE
+ROTATE, TRANSLATE = "rotate", "translate"
 
 
 def simulate(name: str, **changes: Any) -> Run:
@@ -21,12 +21,12 @@ def simulate(name: str, **changes: Any) -> Run:
     return simulate_run(override_scenario(get_preset(name), values))
 
 
-def read_ticks(run: Run, phase: Phase) -> int | Status:
+def read_ticks(run: Run, phase: str) -> int | Status:
     found = find_dead_time(run, phase)
     return found.status if isinstance(found, Missing) else found.ticks
 
 
-def require_found(run: Run, phase: Phase) -> DeadTime:
+def require_found(run: Run, phase: str) -> DeadTime:
     found = find_dead_time(run, phase)
     assert isinstance(found, DeadTime), found
     return found

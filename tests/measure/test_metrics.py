@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.sequential import ROTATE
 from turtlelog.measure import PAPER_WINDOW_S
 
 PAPER = Path(__file__).parents[2].parent / "shared" / "paper"
@@ -144,7 +145,7 @@ def test_a_phase_cut_inside_the_band_has_settled_as_far_as_is_recorded() -> None
 def test_a_return_to_a_phase_does_not_lengthen_it() -> None:
     run = tl.simulate_run(tl.load_scenario("paper-kp4"))
     phase = run.samples.phase.copy()
-    phase[-50:] = tl.Phase.ROTATE
+    phase[-50:] = ROTATE
     again = dataclasses.replace(run, samples=dataclasses.replace(run.samples, phase=phase))
     before, after = (tl.measure_run(found)["rotate.duration"].value for found in (run, again))
     assert before == after

@@ -19,6 +19,7 @@ from tests.measure.runs import (
     shift_time,
     take_rows,
 )
+from tests.sequential import ROTATE
 from turtlelog.run import Run
 
 TIME_S = np.arange(1000) * PERIOD_NS / 1e9
@@ -80,7 +81,7 @@ def test_the_largest_wanted_speeds_are_those_of_the_papers_figure_14() -> None:
 
 
 def test_effort_counts_the_command_that_the_pause_held() -> None:
-    rotate = KP10.samples.phase == tl.Phase.ROTATE
+    rotate = KP10.samples.phase == ROTATE
     sent_s = KP10.commands.time_ns[rotate] / 1e9
     held_s = np.diff(sent_s, append=sent_s[-1])
     expected = float(np.sum(held_s * KP10.samples.turn_rate_rad_s[rotate] ** 2))

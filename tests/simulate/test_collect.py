@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from tests.sequential import TRANSLATE
 from turtlelog.errors import SimulationError
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
 from turtlelog.scenario import (
     PRESETS,
     Scenario,
@@ -25,7 +26,6 @@ LAW_TEXT = """
 from dataclasses import dataclass
 
 from turtlelog.laws import Decision
-from turtlelog.run import Phase
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ class Failing:
         self.parameters = parameters
         self.samples = 0
 
-    def reset(self, start, goal):
+    def reset(self, start, goal, path):
         pass
 
     def step(self, time_ns, pose):
         self.samples += 1
-        values = dict(speed_m_s=0.5, turn_rate_rad_s=0.0, phase=Phase.TRANSLATE, bearing_rad=0.0,
+        values = dict(speed_m_s=0.5, turn_rate_rad_s=0.0, bearing_rad=0.0,
                       heading_error_rad=0.0, error_x_m=0.0, error_y_m=0.0)
         if self.samples > self.parameters.fails_at:
             FAILURE
@@ -66,6 +66,7 @@ def list_arrays(run: Run) -> dict[str, Any]:
         f"{table}.{column.name}": getattr(columns, column.name)
         for table, columns in tables.items()
         for column in dataclasses.fields(columns)
+        if getattr(columns, column.name) is not None
     }
 
 
@@ -130,14 +131,39 @@ def test_law_of_a_file_drives_the_turtle(tmp_path: Path) -> None:
     [
         ("raise ValueError('no gain')", "ValueError: no gain"),
         ("1 / 0", "ZeroDivisionError: division by zero"),
-        ("return None", "AttributeError: 'NoneType' object has no attribute 'speed_m_s'"),
     ],
 )
-def test_law_that_fails_is_named_with_its_sample(tmp_path: Path, failure: str, found: str) -> None:
+def test_law_that_fails_is_named_with_its_sample_and_its_line(
+    tmp_path: Path, failure: str, found: str
+) -> None:
     scenario = make_scenario(tmp_path, failure)
-    line = re.escape(f"law {scenario.law.kind}, sample 2: {found}")
+    place = f"{tmp_path / 'failing.py'}, line 27"
+    line = re.escape(f"law {scenario.law.kind}, sample 2: {place}: {found}")
     with pytest.raises(SimulationError, match=rf"\A{line}\Z"):
         simulate_run(scenario)
+
+
+def test_law_that_answers_no_decision_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match="sample 2: expected a Decision, found None"):
+        simulate_run(make_scenario(tmp_path, "return None"))
+
+
+@pytest.mark.parametrize("failure", ["1 / 0", "values['speed_m_s'] = float('nan')"])
+def test_what_came_before_a_failure_is_kept_with_the_reason(tmp_path: Path, failure: str) -> None:
+    with pytest.raises(SimulationError) as caught:
+        simulate_run(make_scenario(tmp_path, failure))
+    run = caught.value.run
+    assert isinstance(run, Run)
+    assert (len(run.samples), len(run.poses)) == (2, 3)
+    assert (run.stop_reason, run.is_complete) == ("law_failed", False)
+    assert run.events[-1].text == f"The run ended: law failed: {caught.value}."
+
+
+def test_what_a_law_prints_goes_to_stderr(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulate_run(make_scenario(tmp_path, "print('hello')"))
+    assert capsys.readouterr() == ("", "hello\n" * 5)
 
 
 @pytest.mark.parametrize(
@@ -147,10 +173,12 @@ def test_law_that_fails_is_named_with_its_sample(tmp_path: Path, failure: str, f
         "values['turn_rate_rad_s'] = float('inf')",
         "values['speed_m_s'] = None",
         "values['heading_error_rad'] = float('nan')",
-        "values['error_x_m'] = None",
+        "values['error_x_m'] = 'far'",
+        "values['states'] = (1.0,)",
+        "values['reference'] = 3",
         "values['world_v_x_m_s'] = 'fast'",
         "values['phase'] = 7",
-        "values['phase'] = None",
+        "values['phase'] = []",
         "values['blocks_ticks'] = 'long'",
         "raise ValueError('two\\nlines')",
         "raise ValueError",
@@ -239,7 +267,7 @@ def test_every_pose_lies_in_the_world(simulation: tuple[Scenario, Run]) -> None:
 @given(simulations)
 def test_position_stays_put_while_rotating(simulation: tuple[Scenario, Run]) -> None:
     _, run = simulation
-    translating = np.flatnonzero(run.samples.phase == Phase.TRANSLATE)
+    translating = np.flatnonzero(run.samples.phase == TRANSLATE)
     until_ns = run.samples.time_ns[translating[0]] if len(translating) else run.end_ns
     xy_m = run.poses.xy_m[run.poses.time_ns <= until_ns]
     assert (xy_m == xy_m[0]).all()

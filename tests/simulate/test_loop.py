@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from turtlelog.run import Phase, Run
+from tests.sequential import ROTATE, TRANSLATE
+from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import iterate_ticks, simulate_run
 from turtlelog.turtlesim import TICK_NS
@@ -28,9 +29,9 @@ def simulate_change(name: str, **values: Any) -> Run:
     return simulate_run(change_preset(name, **values))
 
 
-def find_dead_times(run: Run, phase: Phase) -> list[int]:
+def find_dead_times(run: Run, phase: int) -> list[int]:
     """Return the delays [ticks] with which the applied column follows the commands exactly."""
-    samples, rotating = run.samples, phase is Phase.ROTATE
+    samples, rotating = run.samples, phase == ROTATE
     command = samples.turn_rate_rad_s if rotating else samples.speed_m_s
     applied = run.poses.turn_rate_rad_s if rotating else run.poses.speed_m_s
     assert applied is not None
@@ -54,22 +55,22 @@ def find_dead_times(run: Run, phase: Phase) -> list[int]:
 def test_dead_time_while_rotating_comes_from_the_start_backlog(
     name: str, start_backlog: int
 ) -> None:
-    assert find_dead_times(simulate_preset(name), Phase.ROTATE) == [start_backlog - 1]
+    assert find_dead_times(simulate_preset(name), ROTATE) == [start_backlog - 1]
 
 
 @pytest.mark.parametrize("name", BACKLOGS)
 def test_dead_time_while_translating_is_six_ticks(name: str) -> None:
-    assert find_dead_times(simulate_preset(name), Phase.TRANSLATE) == [6]
+    assert find_dead_times(simulate_preset(name), TRANSLATE) == [6]
 
 
-@pytest.mark.parametrize("phase", [Phase.ROTATE, Phase.TRANSLATE])
-def test_textbook_has_no_dead_time(phase: Phase) -> None:
+@pytest.mark.parametrize("phase", [ROTATE, TRANSLATE])
+def test_textbook_has_no_dead_time(phase: int) -> None:
     assert find_dead_times(simulate_preset("textbook"), phase) == [0]
 
 
-@pytest.mark.parametrize("phase", [Phase.ROTATE, Phase.TRANSLATE])
+@pytest.mark.parametrize("phase", [ROTATE, TRANSLATE])
 @pytest.mark.parametrize("ticks", [1, 3, 8])
-def test_dead_time_of_the_textbook_is_the_transport_delay(ticks: int, phase: Phase) -> None:
+def test_dead_time_of_the_textbook_is_the_transport_delay(ticks: int, phase: int) -> None:
     run = simulate_change("textbook", loop__transport_delay_ticks=ticks)
     assert find_dead_times(run, phase) == [ticks]
 
@@ -77,23 +78,23 @@ def test_dead_time_of_the_textbook_is_the_transport_delay(ticks: int, phase: Pha
 @pytest.mark.parametrize("start_backlog", [1, 2, 7, 9])
 def test_dead_time_is_at_most_what_the_command_queue_holds(start_backlog: int) -> None:
     run = simulate_change("paper", loop__start_backlog=start_backlog)
-    assert find_dead_times(run, Phase.ROTATE) == [min(start_backlog, 7) - 1]
+    assert find_dead_times(run, ROTATE) == [min(start_backlog, 7) - 1]
 
 
 @pytest.mark.parametrize("depth", [1, 3, 9])
 def test_burst_fills_the_command_queue(depth: int) -> None:
     run = simulate_change("paper", loop__command_queue=depth)
-    assert find_dead_times(run, Phase.TRANSLATE) == [depth - 1]
+    assert find_dead_times(run, TRANSLATE) == [depth - 1]
 
 
 def test_newest_command_wins_over_every_backlog() -> None:
     run = simulate_change("paper", loop__queue_policy="newest")
-    assert find_dead_times(run, Phase.ROTATE) == find_dead_times(run, Phase.TRANSLATE) == [0]
+    assert find_dead_times(run, ROTATE) == find_dead_times(run, TRANSLATE) == [0]
 
 
 def test_transport_adds_to_the_backlog() -> None:
     run = simulate_change("paper-kp10", loop__transport_delay_ticks=3)
-    assert find_dead_times(run, Phase.ROTATE) == [4 + 3]
+    assert find_dead_times(run, ROTATE) == [4 + 3]
 
 
 @pytest.mark.parametrize(("name", "start_backlog"), BACKLOGS.items())
@@ -107,7 +108,7 @@ def test_controller_starts_with_its_backlog(name: str, start_backlog: int) -> No
 @pytest.mark.parametrize(("name", "pause_ticks"), PAUSES.items())
 def test_pause_holds_its_command_and_ends_in_a_burst(name: str, pause_ticks: int) -> None:
     run = simulate_preset(name)
-    last = int(np.flatnonzero(run.samples.phase == Phase.ROTATE)[-1])
+    last = int(np.flatnonzero(run.samples.phase == ROTATE)[-1])
     back_ns = run.samples.time_ns[last] + pause_ticks * TICK_NS
     assert (run.samples.time_ns[last + 1 : last + 11] == back_ns).all()
     assert (run.commands.time_ns == back_ns).sum() == 11
@@ -117,7 +118,7 @@ def test_pause_holds_its_command_and_ends_in_a_burst(name: str, pause_ticks: int
 @pytest.mark.parametrize(("name", "pause_ticks"), PAUSES.items())
 def test_burst_answers_the_last_ten_poses(name: str, pause_ticks: int) -> None:
     samples = simulate_preset(name).samples
-    last = int(np.flatnonzero(samples.phase == Phase.ROTATE)[-1])
+    last = int(np.flatnonzero(samples.phase == ROTATE)[-1])
     newest = samples.pose_sequence[last] + pause_ticks
     assert samples.pose_sequence[last + 1 : last + 11].tolist() == list(
         range(newest - 9, newest + 1)
@@ -128,7 +129,7 @@ def test_turtle_keeps_turning_with_the_last_queued_command_during_the_pause() ->
     run = simulate_preset("paper-kp10")
     turn_rate = run.poses.turn_rate_rad_s
     assert turn_rate is not None
-    last = int(np.flatnonzero(run.samples.phase == Phase.ROTATE)[-1])
+    last = int(np.flatnonzero(run.samples.phase == ROTATE)[-1])
     row = int(run.samples.pose_sequence[last])
     held = np.float32(run.samples.turn_rate_rad_s[last - 1])
     assert held != 0.0
@@ -138,7 +139,7 @@ def test_turtle_keeps_turning_with_the_last_queued_command_during_the_pause() ->
 
 def test_watchdog_stops_the_turtle_in_a_long_pause() -> None:
     run = simulate_change("textbook", law__pause_ticks=100)
-    last = int(np.flatnonzero(run.samples.phase == Phase.ROTATE)[-1])
+    last = int(np.flatnonzero(run.samples.phase == ROTATE)[-1])
     row = int(run.samples.pose_sequence[last])
     turn_rate = run.poses.turn_rate_rad_s
     assert turn_rate is not None

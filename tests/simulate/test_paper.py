@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from turtlelog.run import Phase, Run
+from tests.sequential import ROTATE, TRANSLATE
+from turtlelog.run import Run
 from turtlelog.scenario import get_preset
 from turtlelog.simulate import simulate_run
 
 PUBLISHED = Path(__file__).parents[2].parent / "shared" / "paper"
 GAINS = [1, 2, 4, 10]
-STATES = {"ROTACIONAR": Phase.ROTATE, "TRANSLADAR": Phase.TRANSLATE}
+STATES = {"ROTACIONAR": ROTATE, "TRANSLADAR": TRANSLATE}
 
 Values = NDArray[np.float64]
 

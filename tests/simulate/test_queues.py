@@ -1,7 +1,6 @@
 import pytest
 
 from turtlelog.laws import Decision
-from turtlelog.run import Phase
 from turtlelog.simulate import CommandQueue, Sample
 
 
@@ -9,13 +8,13 @@ def make_command(number: int) -> Sample:
     decision = Decision(
         speed_m_s=0.0,
         turn_rate_rad_s=0.0,
-        phase=Phase.ROTATE,
+        phase="rotate",
         bearing_rad=0.0,
         heading_error_rad=0.0,
         error_x_m=0.0,
         error_y_m=0.0,
     )
-    return Sample(0, number, number, decision, 0.0, 0.0, 0.0)
+    return Sample(0, number, number, decision, 0, 0.0, 0.0, 0.0)
 
 
 def make_queue(*, depth: int = 7, newest_only: bool = False, delay_ticks: int = 0) -> CommandQueue:
