@@ -25,7 +25,7 @@ from turtlelog.log.recording.topics import (
     VELOCITY64,
     Topic,
 )
-from turtlelog.loops import DONE
+from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import DEFAULT_LAW
 
@@ -223,6 +223,10 @@ def _build_commands(run: Run) -> TopicColumns:
 def _build_phases(run: Run) -> TopicColumns:
     spans = run.find_phase_spans()
     changes: list[tuple[int, Values]] = [(span.start_ns, {"data": span.phase}) for span in spans]
+    is_held = len(run.commands) < len(run.samples)
+    if spans and is_held and spans[-1].phase != PAUSE:
+        # It begins with the last tick: no stretch of time, but a live recording tells it then.
+        changes.append((spans[-1].end_ns, {"data": PAUSE}))
     if spans and run.is_complete:
         changes.append((spans[-1].end_ns, {"data": DONE}))
     return _collect_rows(PHASE, changes)
