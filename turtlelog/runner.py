@@ -8,6 +8,7 @@ from typing import Final, Protocol
 
 import msgspec
 
+from turtlelog.errors import SimulationError
 from turtlelog.log.recording.recorder import INTERRUPTED
 from turtlelog.log.signals import StopRequest, catch_stop
 from turtlelog.run import Event, Run
@@ -105,7 +106,8 @@ def run_live(
 
     Raises:
         ScenarioError: Where the law cannot be loaded or may not run.
-        SimulationError: Where the law fails.
+        SimulationError: Where the law fails, with the run so far as `run`. The sinks have seen the
+            tick in which it did, whose stop reason is `law_failed`, and are closed.
         KeyboardInterrupt: Where it was interrupted before the first sample.
         LogError: Where a recorder can take no more.
     """
@@ -115,7 +117,12 @@ def run_live(
     with catch_stop() as request, ExitStack() as closing:
         for sink in reversed(sinks):
             closing.callback(sink.close, notes)
-        run = collect_run(scenario, _drive(iterate_ticks(scenario), sinks, pace, request))
+        try:
+            run = collect_run(scenario, _drive(iterate_ticks(scenario), sinks, pace, request))
+        except SimulationError as err:
+            notes.update(pace.describe() if pace else {})
+            err.run = err.run and replace(err.run, notes=notes)
+            raise
         notes.update(pace.describe() if pace else {})
     return replace(run, notes=notes)
 

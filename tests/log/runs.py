@@ -10,11 +10,30 @@ import pytest
 from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
+from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
 
 SHARED = Path(__file__).parents[2].parent / "shared"
+
+
+STRANGE = Declaration(
+    loops=(
+        ControlLoop(name="b", signal="heading", command="turn_rate", reference="recorded"),
+        ControlLoop(
+            name="a",
+            signal="distance",
+            command="speed",
+            reference="zero",
+            gain="law.kp",
+            limit="law.v",
+        ),
+    ),
+    phases={"two": ("b", "a"), "one": ("a",)},
+    states=("time_ns", "integral_2"),
+)
+"""Of a law with two loops, one of which has a moving reference, two phases and two states."""
 
 
 def simulate_preset(name: str, **values: Any) -> Run:
@@ -65,7 +84,11 @@ def make_run(values: NDArray[np.float64], **changes: Any) -> Run:
             speed_m_s=values,
             turn_rate_rad_s=values,
             world_velocity_m_s=pairs,
+            states=pairs[:, ::-1].copy(),
+            reference_xy_m=np.where(np.arange(rows)[:, None] % 3, pairs, np.nan),
+            reference_heading_rad=np.where(np.arange(rows) % 3, values, np.nan),
         ),
+        "declaration": STRANGE,
     }
     return Run(**(columns | changes))
 

@@ -9,8 +9,8 @@ import pytest
 
 from tests.log.runs import assert_same, find_shared, simulate_preset
 from turtlelog.errors import LogError
+from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log, read_recording, write_recording
-from turtlelog.run import Phase
 
 ROWS = 4
 Log = dict[str, Any]
@@ -62,7 +62,9 @@ def test_json_becomes_a_run(tmp_path: Path) -> None:
     run = import_log(write_json(make_log(), tmp_path))
     assert (run.name, run.source, run.stop_reason) == ("made", "paper-json: log.json", "finished")
     assert run.poses.time_ns.tolist() == [0, 250_000_000, 500_000_000, 750_000_000]
-    assert run.samples.phase.tolist() == [Phase.ROTATE, Phase.ROTATE, *[Phase.TRANSLATE] * 2]
+    phases = [run.phase_names[number] for number in run.samples.phase]
+    assert phases == ["rotate", "rotate", "translate", "translate"]
+    assert run.declaration == DECLARATION
     assert run.samples.pose_sequence.tolist() == [0, 1, 2, 3]
     assert run.goal_xy_m == (2.0, 10.0)
     assert run.parameters["law.kp_linear"] == 4.0

@@ -14,7 +14,7 @@ def test_info_says_what_a_recording_holds(tmp_path: Path) -> None:
     run = simulate_preset("paper-kp4")
     write_recording(run, tmp_path / "run.mcap")
     info = read_info(tmp_path / "run.mcap")
-    assert (info.file, info.format_version) == (str(tmp_path / "run.mcap"), 1)
+    assert (info.file, info.format_version) == (str(tmp_path / "run.mcap"), 2)
     assert (info.source, info.name, info.complete) == ("simulation", "paper-kp4", True)
     assert info.duration_s == (run.end_ns - run.poses.time_ns[0]) / 1e9
     assert info.scenario is not None

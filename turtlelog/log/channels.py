@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.recording.schemas import SCHEMAS
-from turtlelog.log.recording.type_hashes import TYPE_HASHES
+from turtlelog.log.recording.type_hashes import find_type_hash
 
 
 def describe_topics(
@@ -40,6 +39,6 @@ def _describe_type(kind: str, definition: str) -> dict[str, str]:
     # Without the QoS entry some versions of rosbag2 refuse the channel.
     metadata = {"offered_qos_profiles": ""}
     # A hash holds for one text: nobody knows that of a type that somebody else has defined.
-    if definition == SCHEMAS.get(kind):
-        metadata["topic_type_hash"] = TYPE_HASHES[kind]
+    if (type_hash := find_type_hash(kind, definition)) is not None:
+        metadata["topic_type_hash"] = type_hash
     return metadata

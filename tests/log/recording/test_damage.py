@@ -166,7 +166,7 @@ def test_a_folder_is_one_line(tmp_path: Path) -> None:
 def test_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "new.mcap", {"format_version": "7"}, b"unknown")
     for read in (read_recording, read_info):
-        with pytest.raises(LogError, match="format version 7: this turtlelog reads up to 1"):
+        with pytest.raises(LogError, match="format version 7: this turtlelog reads up to 2"):
             read(path)
 
 

@@ -152,7 +152,7 @@ def test_the_file_says_what_it_is(path: Path, run: Run) -> None:
         "turtlelog",
         "scenario.toml",
     )
-    assert metadata.metadata["format_version"] == "1"
+    assert metadata.metadata["format_version"] == "2"
     assert summary is not None
     assert {chunk.compression for chunk in summary.chunk_indexes} == {"zstd"}
     assert {schema.encoding for schema in summary.schemas.values()} == {"ros2msg"}

@@ -6,8 +6,9 @@ import pytest
 from tests.log.live import read_messages
 from tests.log.recording.ticks import assert_same_columns, make_scenario, record
 from turtlelog.log import write_recording
+from turtlelog.log.recording.declaration import list_topics
 from turtlelog.log.recording.recorder import Recorder
-from turtlelog.log.recording.topics import PHASE, TOPICS
+from turtlelog.log.recording.topics import PHASE
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import Tick, iterate_ticks, simulate_run
 
@@ -38,7 +39,7 @@ def make_law(folder: Path, changes: str, max_duration_s: float) -> Scenario:
 
 def list_phases(path: Path) -> list[tuple[str, int]]:
     """Return the phases that a file tells of so far, and when they began [ns]."""
-    number = TOPICS.index(PHASE) + 1
+    number = list_topics(None).index(PHASE) + 1
     found = [message for message in read_messages(path) if message.channel_id == number]
     return [(message.data[8:-1].decode(), message.log_time) for message in found]
 

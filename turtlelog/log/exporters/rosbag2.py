@@ -8,7 +8,6 @@ from mcap.summary import Summary
 
 from turtlelog.errors import LogError
 from turtlelog.log.exporters.folder import create_folder
-from turtlelog.log.recording.type_hashes import TYPE_HASHES
 from turtlelog.log.recording.writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
 from turtlelog.run import Run
@@ -63,10 +62,9 @@ def _list_topics(summary: Summary) -> list[BagTopic]:
     return [
         BagTopic(
             name=channel.topic,
-            type=kind,
-            type_hash=TYPE_HASHES[kind],
+            type=summary.schemas[channel.schema_id].name,
+            type_hash=channel.metadata["topic_type_hash"],
             count=counts.get(number, 0),
         )
         for number, channel in sorted(summary.channels.items())
-        for kind in (summary.schemas[channel.schema_id].name,)
     ]

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.run import CommandColumns, Event, Phase, PoseColumns, Run, SampleColumns
+from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 
 Table = Mapping[str, NDArray[Any]]
 """Columns by name, all of one length: float64, int64, or text as objects."""
@@ -18,6 +18,7 @@ _PAIRS: Final = MappingProxyType(
         "xy_m": ("x_m", "y_m"),
         "error_xy_m": ("error_x_m", "error_y_m"),
         "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
+        "reference_xy_m": ("reference_x_m", "reference_y_m"),
     }
 )
 """What the two columns of a pair are called."""
@@ -26,7 +27,7 @@ TABLES: Final[Mapping[str, Callable[[Run], Table]]] = MappingProxyType(
     {
         "poses": lambda run: _flatten(run.poses),
         "commands": lambda run: _flatten(run.commands),
-        "samples": lambda run: _flatten(run.samples),
+        "samples": lambda run: _tabulate_samples(run),
         "events": lambda run: _tabulate_events(run.events),
     }
 )
@@ -46,11 +47,18 @@ def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
             continue
         if column.name in _PAIRS:
             table |= zip(_PAIRS[column.name], values.T, strict=True)
-        elif column.name == "phase":
-            labels = np.array([phase.label for phase in Phase], dtype=object)
-            table["phase"] = labels[values]
-        else:
+        elif column.name != "states":
             table[column.name] = values
+    return table
+
+
+def _tabulate_samples(run: Run) -> Table:
+    """Return the samples with the names of their phases, and the states as columns of their own."""
+    labels = np.array(run.phase_names, dtype=object)
+    table = dict(_flatten(run.samples)) | {"phase": labels[run.samples.phase]}
+    states = () if run.samples.states is None else run.samples.states.T
+    for name, values in zip(run.declaration.states, states, strict=True):
+        table[name if name not in table else f"state_{name}"] = values
     return table
 
 

@@ -10,12 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.run import CommandColumns, Phase, PoseColumns, Run, SampleColumns
+from turtlelog.laws.sequential_p import DECLARATION
+from turtlelog.loops import DONE
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+_PHASES: Final = {name: number for number, name in enumerate(DECLARATION.phase_names)}
 
 STATES: Final = MappingProxyType(
-    {"ROTACIONAR": Phase.ROTATE, "TRANSLADAR": Phase.TRANSLATE, "FINALIZADO": Phase.DONE}
+    {
+        "ROTACIONAR": _PHASES["rotate"],
+        "TRANSLADAR": _PHASES["translate"],
+        "FINALIZADO": _PHASES[DONE],
+    }
 )
-"""The phase that a state names: that AFTER the callback."""
+"""The number of the phase that a state names: that AFTER the callback."""
 
 NUMBERS: Final = (
     *("time", "pos_x", "pos_y", "pos_theta", "target_angle_rad", "error_angle", "error_x"),
@@ -74,8 +82,8 @@ def require_number(place: str, value: object) -> float:
     return number
 
 
-def require_state(place: str, value: object) -> Phase:
-    """Return the phase that a state names.
+def require_state(place: str, value: object) -> int:
+    """Return the number of the phase that a state names.
 
     Raises:
         LogError: Where there is no such state.
@@ -121,7 +129,7 @@ def build_run(log: PaperLog, *, sort: bool) -> Run:
     _require_rising(columns["time"], is_sorted=sort)
     time_ns = np.rint((columns["time"] - columns["time"][0]) * 1e9).astype(np.int64)
     goal_xy_m = _find_goal(log.parameters, columns)
-    is_finished = states[-1] == Phase.DONE
+    is_finished = states[-1] == _PHASES[DONE]
     return Run(
         name=log.name,
         source=log.source,
@@ -138,6 +146,7 @@ def build_run(log: PaperLog, *, sort: bool) -> Run:
         ),
         samples=_build_samples(time_ns, columns, states),
         goal_xy_m=goal_xy_m,
+        declaration=DECLARATION,
         parameters=log.parameters,
         stop_reason="finished" if is_finished else None,
         absent=(*_NEVER_LOGGED, *log.absent, *(() if goal_xy_m else ("goal_xy_m",))),
@@ -156,7 +165,7 @@ def _build_samples(
         sequence=rows,
         pose_sequence=rows,
         # A command was computed in the state that the callback before it left.
-        phase=np.array([Phase.ROTATE, *states[:-1]], dtype=np.int64),
+        phase=np.array([_PHASES["rotate"], *states[:-1]], dtype=np.int64),
         bearing_rad=columns["target_angle_rad"],
         heading_error_rad=columns["error_angle"],
         error_xy_m=np.column_stack([columns["error_x"], columns["error_y"]]),

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 from typing import Any, BinaryIO, Final
 
 from mcap.opcode import Opcode
@@ -21,14 +21,13 @@ from turtlelog.log.engine.schema import parse_schema
 from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
 from turtlelog.log.engine.source import Source, walk_blocks
 from turtlelog.log.engine.walk import Damage
+from turtlelog.log.recording.declaration import list_topics
 from turtlelog.log.recording.head import HEAD, Head, parse_head
 from turtlelog.log.recording.recovery_note import describe_recovery
-from turtlelog.log.recording.schemas import SCHEMAS
-from turtlelog.log.recording.topics import TOPICS, Topic
+from turtlelog.log.recording.schemas import SCHEMAS, define_states
+from turtlelog.log.recording.topics import LAW_STATE, TOPIC_NAMES, Topic
 
-_OWN: Final = Selection(
-    topics=frozenset(topic.name for topic in TOPICS), is_lenient=True, is_flat=True
-)
+_OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +37,8 @@ class Contents:
     Attributes:
         head: What it says of itself.
         attachments: Bytes by name.
-        topics: The columns of every topic in `TOPICS` by its name; empty ones without messages.
+        topics: The columns of every topic that its declaration asks for, by name; empty ones
+            without messages.
         damages: What could not be read; empty where the file is whole.
         recovered: A note of what was lost before, where the file is one that was recovered.
     """
@@ -129,10 +129,12 @@ def build_contents(
         LogError: Where they are no recording of ours, or a topic of ours has another type.
     """
     head, topics = _find_head(records), {}
-    for topic in TOPICS:
+    states = () if head.declaration is None else head.declaration.states
+    for topic in list_topics(head.declaration):
+        plan = _plan(topic, states if topic.name == LAW_STATE else ())
         if topic.name in catalogue.topics:
-            _check_type(topic, catalogue.find_plan(topic.name))
-        rows = parts.get(topic.name) or [make_empty_rows(_plan(topic))]
+            _check_type(plan, catalogue.find_plan(topic.name))
+        rows = parts.get(topic.name) or [make_empty_rows(plan)]
         topics[topic.name] = build_columns({topic.name: rows}, {topic.name: topic.schema})
     return Contents(
         head=head,
@@ -153,19 +155,22 @@ def _find_head(records: Collection[Any]) -> Head:
     return parse_head(heads[-1].metadata)
 
 
-def _check_type(topic: Topic, found: TopicPlan) -> None:
-    if found.type != topic.schema:
+def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
+    topic, is_state = expected.topic, expected.topic == LAW_STATE
+    # The type of the states may have any name: what matters is what the law declares.
+    if found.type != expected.type and not is_state:
         kind = found.type or "no type"
-        raise LogError(f"topic {topic.name}: expected {topic.schema}, found {kind}")
+        raise LogError(f"topic {topic}: expected {expected.type}, found {kind}")
     if found.reason:
-        raise LogError(f"topic {topic.name}: not understood: {found.reason}")
-    if found.fields != _plan(topic).fields:
-        raise LogError(
-            f"topic {topic.name}: expected {topic.schema} as ROS 2 defines it, found other fields"
-        )
+        raise LogError(f"topic {topic}: not understood: {found.reason}")
+    if found.fields != expected.fields:
+        wanted = f"{expected.type} as ROS 2 defines it"
+        wanted = "the declared states, each a float64" if is_state else wanted
+        raise LogError(f"topic {topic}: expected {wanted}, found other fields")
 
 
-@cache
-def _plan(topic: Topic) -> TopicPlan:
-    fields = parse_schema(topic.schema, SCHEMAS[topic.schema])
+@lru_cache(maxsize=64)
+def _plan(topic: Topic, states: tuple[str, ...]) -> TopicPlan:
+    definition = define_states(states) if states else SCHEMAS[topic.schema]
+    fields = parse_schema(topic.schema, definition)
     return TopicPlan(topic=topic.name, type=topic.schema, fields=fields, layout=lay_out(fields))

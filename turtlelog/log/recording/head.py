@@ -1,7 +1,7 @@
 """What a recording says of itself: the metadata record and the attached scenario."""
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -9,6 +9,8 @@ import msgspec
 import tomli_w
 
 from turtlelog.errors import LogError, ScenarioError
+from turtlelog.log.recording.declaration import format_declaration, parse_declaration
+from turtlelog.loops import Declaration
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, nest_parameters
 from turtlelog.text_files import parse_toml
@@ -20,7 +22,7 @@ HEAD: Final = "turtlelog"
 CHECKSUM: Final = "checksum"
 """Entry that holds the crc32 of the others, as JSON in order of their names, in hexadecimal."""
 
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 SCENARIO_FILE: Final = "scenario.toml"
 """Attachment that holds a whole scenario."""
 
@@ -31,6 +33,15 @@ PARAMETER_FILE: Final = "parameters.toml"
 _LONGEST: Final = 2**18
 """Bytes of the record, and of an attachment that is read; ours take a few thousand. TOML needs some
 hundred bytes of memory for each."""
+
+
+MAY_BE_ABSENT: Final = (
+    *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "bearing_rad", "heading_error_rad"),
+    *("error_xy_m", "distance_m", "world_velocity_m_s"),
+)
+"""Columns of `SampleColumns` that are None where they are not recorded."""
+
+_REFERENCE: Final = ("reference_xy_m", "reference_heading_rad")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +56,7 @@ class Head:
         goal_heading_rad: As in `Run`; a quaternion would not give it back exactly.
         absent: As in `Run`.
         nan_columns: Columns of the run that are None, and NaN in the messages.
+        declaration: As in `Run`; None in format 1.
         notes: As in `Run`.
     """
 
@@ -55,6 +67,7 @@ class Head:
     goal_heading_rad: float | None
     absent: tuple[str, ...]
     nan_columns: frozenset[str]
+    declaration: Declaration | None
     notes: Mapping[str, str]
 
 
@@ -68,12 +81,18 @@ def describe_run(run: Run) -> Head:
         goal_heading_rad=run.goal_heading_rad,
         absent=run.absent,
         nan_columns=frozenset(_list_nan_columns(run)),
+        declaration=run.declaration,
         notes=run.notes,
     )
 
 
 def describe_scenario(
-    scenario: Scenario, *, stop_reason: str | None, notes: Mapping[str, str]
+    scenario: Scenario,
+    declaration: Declaration,
+    *,
+    stop_reason: str | None = None,
+    nan_columns: Collection[str] = (),
+    notes: Mapping[str, str],
 ) -> Head:
     """Return the head of a recording of a scenario that runs, or has run."""
     return Head(
@@ -81,9 +100,10 @@ def describe_scenario(
         source="simulation",
         name=scenario.name,
         stop_reason=stop_reason,
-        goal_heading_rad=scenario.goal.heading_rad,
+        goal_heading_rad=scenario.goal.heading_rad if declaration.uses_goal else None,
         absent=(),
-        nan_columns=frozenset(),
+        nan_columns=frozenset(nan_columns),
+        declaration=declaration,
         notes=notes,
     )
 
@@ -99,6 +119,8 @@ def format_head(head: Head) -> dict[str, str]:
         "nan_columns": _encode(sorted(head.nan_columns)),
         "notes": _encode(dict(head.notes)),
     }
+    if head.declaration is not None:
+        record["declaration"] = format_declaration(head.declaration)
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
@@ -115,7 +137,6 @@ def parse_head(record: Mapping[str, str]) -> Head:
     """
     if (size := sum(len(key) + len(value) for key, value in record.items())) > _LONGEST:
         raise LogError(f"metadata {HEAD}: expected up to {_LONGEST} bytes, found {size}")
-    # Brings older versions up to date, once there is an older one.
     version = _decode(record, "format_version", int)
     if version > FORMAT_VERSION:
         raise LogError(f"format version {version}: this turtlelog reads up to {FORMAT_VERSION}")
@@ -132,6 +153,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
         goal_heading_rad=heading,
         absent=_decode(record, "absent", tuple[str, ...]),
         nan_columns=_decode(record, "nan_columns", frozenset[str]),
+        declaration=None if version == 1 else _parse_declaration(record),
         notes=_decode(record, "notes", dict[str, str]),
     )
 
@@ -169,9 +191,11 @@ def _list_nan_columns(run: Run) -> list[str]:
     columns = {
         "poses.speed_m_s": run.poses.speed_m_s,
         "poses.turn_rate_rad_s": run.poses.turn_rate_rad_s,
-        "samples.wanted_speed_m_s": run.samples.wanted_speed_m_s,
-        "samples.wanted_turn_rate_rad_s": run.samples.wanted_turn_rate_rad_s,
     }
+    samples = {name: getattr(run.samples, name) for name in MAY_BE_ABSENT}
+    if run.declaration.has_reference:
+        samples |= {name: getattr(run.samples, name) for name in _REFERENCE}
+    columns |= {f"samples.{name}": values for name, values in samples.items()}
     return [name for name, values in columns.items() if values is None]
 
 
@@ -179,6 +203,14 @@ def sum_up(record: Mapping[str, str]) -> str:
     """Return the checksum of the entries, that of `CHECKSUM` left out."""
     rest = {key: value for key, value in sorted(record.items()) if key != CHECKSUM}
     return f"{zlib.crc32(msgspec.json.encode(rest)):08x}"
+
+
+def _parse_declaration(record: Mapping[str, str]) -> Declaration:
+    text = _get(record, "declaration")
+    try:
+        return parse_declaration(text)
+    except LogError as err:
+        raise LogError(f"metadata {HEAD}: declaration: {err}") from err
 
 
 def _encode(value: object) -> str:

@@ -10,18 +10,24 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.layout import Column
+from turtlelog.log.recording.declaration import name_state_type
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
     EVENT,
     GOAL,
+    LAW_STATE,
     PHASE,
     POSE,
     POSE64,
+    REFERENCE,
+    REFERENCE64,
     VELOCITY64,
     Topic,
 )
+from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns
+from turtlelog.scenario import DEFAULT_LAW
 
 Values = dict[str, Any]
 
@@ -30,7 +36,7 @@ _WARN: Final = 30
 
 
 def build_messages(run: Run) -> tuple[TopicColumns, ...]:
-    """Return the messages of a run, in the order of `TOPICS`; a topic without any is left out.
+    """Return the messages of a run, in the order of `list_topics`; a topic without any is left out.
 
     Raises:
         LogError: Where a time or a number does not fit.
@@ -46,6 +52,8 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
         _build_poses64(run.poses),
         _build_velocities64(run.poses),
         _build_samples(run.samples),
+        *_build_states(run),
+        *_build_references(run),
         _build_commands(run),
         _build_phases(run),
         _build_events(run.events),
@@ -53,14 +61,14 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     return tuple(messages for messages in topics if len(messages))
 
 
-def describe_goal(time_ns: int, xy_m: tuple[float, float], heading_rad: float | None) -> Values:
-    """Return the fields of the goal's one message; without a heading it is turned by 0."""
+def describe_pose(time_ns: int, x_m: float, y_m: float, heading_rad: float | None) -> Values:
+    """Return the fields of a goal or reference; without a heading it is turned by 0."""
     half_rad = (heading_rad or 0.0) / 2.0
     return {
         **_stamp(time_ns),
         "header.frame_id": "world",
-        "pose.position.x": xy_m[0],
-        "pose.position.y": xy_m[1],
+        "pose.position.x": x_m,
+        "pose.position.y": y_m,
         "pose.orientation.z": math.sin(half_rad),
         "pose.orientation.w": math.cos(half_rad),
     }
@@ -102,17 +110,20 @@ def _collect(
     )
 
 
-def _collect_rows(topic: Topic, rows: Sequence[tuple[int, Values]]) -> TopicColumns:
+def _collect_rows(
+    topic: Topic, rows: Sequence[tuple[int, Values]], sequence: NDArray[np.uint32] | None = None
+) -> TopicColumns:
     names = rows[0][1] if rows else ()
     fields = {name: np.array([row[name] for _, row in rows], dtype=object) for name in names}
-    return _collect(topic, np.array([time_ns for time_ns, _ in rows], dtype=np.int64), fields)
+    time_ns = np.array([time_ns for time_ns, _ in rows], dtype=np.int64)
+    return _collect(topic, time_ns, fields, sequence)
 
 
 def _build_goal(run: Run) -> TopicColumns:
     if run.goal_xy_m is None:
         return _collect_rows(GOAL, [])
     time_ns = int(run.poses.time_ns[0])
-    goal = describe_goal(time_ns, run.goal_xy_m, run.goal_heading_rad)
+    goal = describe_pose(time_ns, *run.goal_xy_m, run.goal_heading_rad)
     return _collect_rows(GOAL, [(time_ns, goal)])
 
 
@@ -145,23 +156,54 @@ def _build_velocities64(poses: PoseColumns) -> TopicColumns:
 
 
 def _build_samples(samples: SampleColumns) -> TopicColumns:
+    rows = len(samples)
+    error_x, error_y = _split_or_nan(samples.error_xy_m, rows)
+    world_v_x, world_v_y = _split_or_nan(samples.world_velocity_m_s, rows)
     columns = {
         "sequence": samples.sequence,
         "pose_sequence": samples.pose_sequence,
         "phase": samples.phase,
-        "bearing": samples.bearing_rad,
-        "heading_error": samples.heading_error_rad,
-        "error_x": samples.error_xy_m[:, 0],
-        "error_y": samples.error_xy_m[:, 1],
-        "distance": samples.distance_m,
-        "wanted_speed": _or_nan(samples.wanted_speed_m_s, len(samples)),
-        "wanted_turn_rate": _or_nan(samples.wanted_turn_rate_rad_s, len(samples)),
+        "bearing": _or_nan(samples.bearing_rad, rows),
+        "heading_error": _or_nan(samples.heading_error_rad, rows),
+        "error_x": error_x,
+        "error_y": error_y,
+        "distance": _or_nan(samples.distance_m, rows),
+        "wanted_speed": _or_nan(samples.wanted_speed_m_s, rows),
+        "wanted_turn_rate": _or_nan(samples.wanted_turn_rate_rad_s, rows),
         "speed": samples.speed_m_s,
         "turn_rate": samples.turn_rate_rad_s,
-        "world_v_x": samples.world_velocity_m_s[:, 0],
-        "world_v_y": samples.world_velocity_m_s[:, 1],
+        "world_v_x": world_v_x,
+        "world_v_y": world_v_y,
     }
     return _collect(CONTROL, samples.time_ns, columns, samples.sequence.astype(np.uint32))
+
+
+def _build_states(run: Run) -> list[TopicColumns]:
+    samples, names = run.samples, run.declaration.states
+    if samples.states is None or not names:
+        return []
+    topic = Topic(LAW_STATE, name_state_type(run.parameters.get("law.kind", DEFAULT_LAW)))
+    columns = dict(zip(names, samples.states.T, strict=True))
+    return [_collect(topic, samples.time_ns, columns, samples.sequence.astype(np.uint32))]
+
+
+def _build_references(run: Run) -> list[TopicColumns]:
+    """Return the reference poses, for other tools and to the last bit; no row of a sample without.
+
+    Those for other tools hold a quaternion.
+    """
+    samples = run.samples
+    xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
+    if xy_m is None or heading_rad is None or not run.declaration.has_reference:
+        return []
+    poses = np.column_stack([xy_m, heading_rad])
+    has = ~np.isnan(poses).all(axis=1)
+    time_ns, sequence = samples.time_ns[has], samples.sequence[has].astype(np.uint32)
+    x, y, heading = poses[has].T
+    listed = zip(time_ns.tolist(), x.tolist(), y.tolist(), heading.tolist(), strict=True)
+    rows = [(row[0], describe_pose(*row)) for row in listed]
+    exact = _collect(REFERENCE64, time_ns, {"x": x, "y": y, "theta": heading}, sequence)
+    return [_collect_rows(REFERENCE, rows, sequence), exact]
 
 
 def _build_commands(run: Run) -> TopicColumns:
@@ -180,11 +222,13 @@ def _build_commands(run: Run) -> TopicColumns:
 
 def _build_phases(run: Run) -> TopicColumns:
     spans = run.find_phase_spans()
-    changes: list[tuple[int, Values]] = [
-        (span.start_ns, {"data": span.phase.label}) for span in spans
-    ]
+    changes: list[tuple[int, Values]] = [(span.start_ns, {"data": span.phase}) for span in spans]
+    is_held = len(run.commands) < len(run.samples)
+    if spans and is_held and spans[-1].phase != PAUSE:
+        # It begins with the last tick: no stretch of time, but a live recording tells it then.
+        changes.append((spans[-1].end_ns, {"data": PAUSE}))
     if spans and run.is_complete:
-        changes.append((spans[-1].end_ns, {"data": "done"}))
+        changes.append((spans[-1].end_ns, {"data": DONE}))
     return _collect_rows(PHASE, changes)
 
 
@@ -199,6 +243,13 @@ def _stamp(time_ns: int) -> dict[str, int]:
 
 def _or_nan(values: NDArray[np.float64] | None, rows: int) -> NDArray[np.float64]:
     return np.full(rows, math.nan) if values is None else values
+
+
+def _split_or_nan(
+    pairs: NDArray[np.float64] | None, rows: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    x, y = _or_nan(None, 2 * rows).reshape(2, rows) if pairs is None else pairs.T
+    return x, y
 
 
 def _fits_float32(values: NDArray[np.float64] | None) -> bool:

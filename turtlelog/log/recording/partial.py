@@ -11,7 +11,16 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.walk import Damage
 from turtlelog.log.recording.contents import Contents
-from turtlelog.log.recording.topics import CONTROL, POSE, POSE64, VELOCITY64
+from turtlelog.log.recording.topics import (
+    CONTROL,
+    LAW_STATE,
+    POSE,
+    POSE64,
+    REFERENCE,
+    REFERENCE64,
+    VELOCITY64,
+)
+from turtlelog.loops import Declaration
 
 
 class PartialRecordingWarning(UserWarning):
@@ -22,7 +31,8 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     """Return contents whose rows belong together, and a clause on what that took; empty if nothing.
 
     The poses of a recording are numbered from 0, and a sample names the number of its own. Poses
-    of which a column is lost, and samples whose pose is, are dropped; the rest are numbered anew.
+    of which a column is lost, and samples whose pose, states or reference is, are dropped; the rest
+    are numbered anew.
     """
     topics = dict(contents.topics)
     pose_topics = [
@@ -33,13 +43,39 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     numbers = _intersect({name: topics[name] for name in pose_topics})
     for name in pose_topics:
         topics[name] = _take(topics[name], np.isin(topics[name].sequence, numbers))
-    samples = topics[CONTROL.name]
+    samples, declaration = topics[CONTROL.name], contents.head.declaration
     read = samples.fields["pose_sequence"]
     kept = _take(samples, np.isin(read, numbers))
+    if declaration is not None:
+        kept = _take_described(kept, topics, declaration)
     rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
     fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
     topics[CONTROL.name] = replace(kept, fields=fields)
     return replace(contents, topics=topics), _describe_dropped(len(samples) - len(kept))
+
+
+def _take_described(
+    samples: TopicColumns, topics: dict[str, TopicColumns], declaration: Declaration
+) -> TopicColumns:
+    """Return the samples whose states and reference are there, and drop the rows of all others."""
+    if declaration.states:
+        samples = _take(samples, np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
+    if declaration.has_reference:
+        due = np.isin(samples.fields["phase"], _list_reference_phases(declaration))
+        is_there = np.isin(samples.fields["sequence"], topics[REFERENCE64.name].sequence)
+        samples = _take(samples, is_there | ~due)
+    for name in (LAW_STATE, REFERENCE.name, REFERENCE64.name):
+        if name in topics:
+            is_kept = np.isin(topics[name].sequence, samples.fields["sequence"])
+            topics[name] = _take(topics[name], is_kept)
+    return samples
+
+
+def _list_reference_phases(declaration: Declaration) -> list[int]:
+    """Return the numbers of the phases in which every sample has a reference pose."""
+    moved = {loop.name for loop in declaration.loops if loop.reference == "recorded"}
+    phases = declaration.phases.values()
+    return [number for number, loops in enumerate(phases) if not moved.isdisjoint(loops)]
 
 
 def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
@@ -72,4 +108,6 @@ def describe_damages(damages: Sequence[Damage]) -> str:
 
 
 def _describe_dropped(samples: int) -> str:
-    return f"; {samples} samples without their pose are dropped" if samples else ""
+    if not samples:
+        return ""
+    return f"; {samples} samples without their pose, states or reference are dropped"

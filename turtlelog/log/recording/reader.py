@@ -16,18 +16,31 @@ from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.layout import Column
 from turtlelog.log.engine.survey import survey_file
 from turtlelog.log.recording.contents import Contents, read_contents, salvage_contents
-from turtlelog.log.recording.head import Head, parse_scenario_file
+from turtlelog.log.recording.declaration import declare_format1
+from turtlelog.log.recording.head import MAY_BE_ABSENT, Head, parse_scenario_file
 from turtlelog.log.recording.partial import (
     PartialRecordingWarning,
     describe_damages,
     reconcile_contents,
 )
-from turtlelog.log.recording.topics import COMMAND, CONTROL, EVENT, GOAL, POSE, POSE64, VELOCITY64
+from turtlelog.log.recording.topics import (
+    COMMAND,
+    CONTROL,
+    EVENT,
+    GOAL,
+    LAW_STATE,
+    POSE,
+    POSE64,
+    REFERENCE64,
+    VELOCITY64,
+)
+from turtlelog.loops import Declaration
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import flatten_tables
 
 Values = NDArray[np.float64]
 
+_FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_turn_rate_rad_s"}
 _ADVICE: Final = "turtlelog recover FILE -o OUT rewrites what it still holds"
 
 
@@ -87,6 +100,9 @@ def build_run(contents: Contents) -> Run:
     head = contents.head
     tables, is_complete = parse_scenario_file(contents.attachments)
     columns = contents.topics
+    declaration = head.declaration
+    if declaration is None:
+        declaration = declare_format1(tables, has_samples=len(columns[CONTROL.name]) > 0)
     goal, goal_xy_m = columns[GOAL.name].fields, None
     if len(columns[GOAL.name]):
         goal_xy_m = float(goal["pose.position.x"][0]), float(goal["pose.position.y"][0])
@@ -95,9 +111,10 @@ def build_run(contents: Contents) -> Run:
         source=head.source,
         poses=_build_poses(columns, head),
         commands=_build_commands(columns[COMMAND.name]),
-        samples=_build_samples(columns[CONTROL.name], head),
+        samples=_build_samples(columns, head, declaration),
         goal_xy_m=goal_xy_m,
         goal_heading_rad=head.goal_heading_rad,
+        declaration=declaration,
         parameters=flatten_tables(tables),
         scenario_is_complete=is_complete,
         stop_reason=head.stop_reason,
@@ -145,26 +162,74 @@ def _build_commands(columns: TopicColumns) -> CommandColumns:
     )
 
 
-def _build_samples(columns: TopicColumns, head: Head) -> SampleColumns:
-    control = columns.fields
-    wanted_speed, wanted_turn_rate = control["wanted_speed"], control["wanted_turn_rate"]
+def _build_samples(
+    columns: Mapping[str, TopicColumns], head: Head, declaration: Declaration
+) -> SampleColumns:
+    samples = columns[CONTROL.name]
+    control, sequence = samples.fields, samples.fields["sequence"]
+    reference_xy_m, reference_heading_rad = _build_reference(columns, head, sequence)
+    recorded = {
+        "bearing_rad": control["bearing"],
+        "heading_error_rad": control["heading_error"],
+        "error_xy_m": _pair(control["error_x"], control["error_y"]),
+        "distance_m": control["distance"],
+        "world_velocity_m_s": _pair(control["world_v_x"], control["world_v_y"]),
+        "wanted_speed_m_s": control["wanted_speed"],
+        "wanted_turn_rate_rad_s": control["wanted_turn_rate"],
+    }
     return SampleColumns(
-        time_ns=columns.log_time_ns,
-        sequence=control["sequence"].astype(np.int64),
+        time_ns=samples.log_time_ns,
+        sequence=sequence.astype(np.int64),
         pose_sequence=control["pose_sequence"].astype(np.int64),
         phase=control["phase"].astype(np.int64),
-        bearing_rad=control["bearing"],
-        heading_error_rad=control["heading_error"],
-        error_xy_m=_pair(control["error_x"], control["error_y"]),
-        distance_m=control["distance"],
-        wanted_speed_m_s=_unless_nan(head, "samples.wanted_speed_m_s", wanted_speed),
-        wanted_turn_rate_rad_s=_unless_nan(
-            head, "samples.wanted_turn_rate_rad_s", wanted_turn_rate
-        ),
         speed_m_s=control["speed"],
         turn_rate_rad_s=control["turn_rate"],
-        world_velocity_m_s=_pair(control["world_v_x"], control["world_v_y"]),
+        **{name: _if_recorded(head, name, values) for name, values in recorded.items()},
+        states=_build_states(columns, declaration.states, sequence),
+        reference_xy_m=reference_xy_m,
+        reference_heading_rad=reference_heading_rad,
     )
+
+
+def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
+    """Return a column of samples, None where the head says so, or where a live one had to.
+
+    The head that begins a live recording cannot know what its samples will lack.
+    """
+    if head.format_version > 1 and name in _FOUND_LATE:
+        is_nan = np.isnan(values)
+        if is_nan.size and (is_nan.all() if name == "world_velocity_m_s" else is_nan.any()):
+            return None
+    return _unless_nan(head, f"samples.{name}", values)
+
+
+def _build_states(
+    columns: Mapping[str, TopicColumns], names: tuple[str, ...], sequence: Column
+) -> Values | None:
+    if not names:
+        return None
+    found = columns[LAW_STATE]
+    if not np.array_equal(found.sequence, sequence):
+        expected = f"the numbers of the {len(sequence)} samples"
+        raise LogError(f"topic {LAW_STATE}: expected {expected}, found {len(found)} others")
+    return np.column_stack([found.fields[name] for name in names])
+
+
+def _build_reference(
+    columns: Mapping[str, TopicColumns], head: Head, sequence: Column
+) -> tuple[Values | None, Values | None]:
+    """Return position and heading by sample, NaN of one that has none."""
+    found = columns.get(REFERENCE64.name)
+    if found is None or "samples.reference_xy_m" in head.nan_columns:
+        return None, None
+    is_rising = bool((found.sequence[1:] > found.sequence[:-1]).all())
+    if not is_rising or not np.isin(found.sequence, sequence).all():
+        expected = f"numbers of the {len(sequence)} samples, each once"
+        raise LogError(f"topic {REFERENCE64.name}: expected {expected}, found others")
+    rows = np.full((len(sequence), 3), np.nan)
+    at = np.searchsorted(sequence, found.sequence)
+    rows[at] = np.column_stack([found.fields[name] for name in ("x", "y", "theta")])
+    return rows[:, :2].copy(), rows[:, 2].copy()
 
 
 def _build_events(columns: TopicColumns) -> tuple[Event, ...]:

@@ -18,7 +18,7 @@ from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario,
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
 from turtlelog.log.signals import exit_on_terminate, hold_stop
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
-from turtlelog.simulate import Tick
+from turtlelog.simulate import Tick, declare_scenario
 
 CHUNK_BYTES: Final = 2**16
 """What a chunk of a live recording may hold, about."""
@@ -71,10 +71,12 @@ class Recorder:
         Raises:
             LogError: Where the file exists or cannot be written.
             ScenarioError: Where the law cannot be loaded or may not run.
+            LawError: Where its declaration is wrong.
         """
         scenario = resolve_scenario(scenario)
         self._path, self._scenario, self._flush_s = Path(path), scenario, flush_s
-        self._records = TickRecords(scenario)
+        self._declaration = declare_scenario(scenario)
+        self._records = TickRecords(scenario, self._declaration)
         self._ticks: list[Tick] = []
         self._size, self._oldest_s = 0, 0.0
         self._safe_ns: int | None = None
@@ -214,7 +216,13 @@ class Recorder:
             ) from err
 
     def _add_head(self, notes: Mapping[str, str]) -> None:
-        head = describe_scenario(self._scenario, stop_reason=self._stop_reason, notes=notes)
+        head = describe_scenario(
+            self._scenario,
+            self._declaration,
+            stop_reason=self._stop_reason,
+            nan_columns=self._records.nan_columns,
+            notes=notes,
+        )
         self._file.add_metadata(HEAD, format_head(head))
 
     @contextmanager

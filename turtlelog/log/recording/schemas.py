@@ -1,10 +1,8 @@
 """The text of every message type in a recording, as ROS 2 defines it, with its dependencies."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Final
-
-from turtlelog.run import Phase
 
 _SEPARATOR: Final = "=" * 80
 
@@ -36,15 +34,14 @@ string function
 uint32 line
 """
 
-_PHASES: Final = "".join(f"uint8 {phase.name}={phase.value}\n" for phase in Phase)
-
-_CONTROL_SAMPLE: Final = f"""\
+_CONTROL_SAMPLE: Final = """\
 # One callback of the controller. NaN: not recorded.
-{_PHASES}
+
 # Number of the sample, and of the pose that it read, from 0.
 uint32 sequence
 uint32 pose_sequence
-# Phase in which the command was computed.
+# Phase in which the command was computed: its place, from 0, among the phases of the declaration
+# in the metadata record turtlelog, then pause and done where these are not among them.
 uint8 phase
 # Goal bearing, and bearing minus heading [rad].
 float64 bearing
@@ -63,6 +60,17 @@ float64 turn_rate
 float64 world_v_x
 float64 world_v_y
 """
+
+
+_STATES: Final = """\
+# Numbers of the law's own, one message per sample: that of the same sequence number, which both
+# messages carry, on /turtle1/control.
+"""
+
+
+def define_states(names: Iterable[str]) -> str:
+    """Return the `ros2msg` text of the type that holds a law's states."""
+    return _STATES + "".join(f"# The law's state {name}.\nfloat64 {name}\n" for name in names)
 
 
 def _join(text: str, **dependencies: str) -> str:

@@ -2,42 +2,56 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from math import isnan
 from struct import Struct
 from typing import Any, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 
-from turtlelog.laws import Decision
 from turtlelog.log.channels import describe_topics
 from turtlelog.log.container import ChunkRows
 from turtlelog.log.encode import CODES, encode_fields
-from turtlelog.log.recording.messages import describe_event, describe_goal
+from turtlelog.log.recording.declaration import define_types, list_topics
+from turtlelog.log.recording.messages import describe_event, describe_pose
 from turtlelog.log.recording.schemas import SCHEMAS
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
     EVENT,
     GOAL,
+    LAW_STATE,
     PHASE,
     POSE,
     POSE64,
-    TOPICS,
+    REFERENCE,
+    REFERENCE64,
     Topic,
 )
 from turtlelog.log.records import ENCAPSULATION, HEAD, UNCOUNTED, read_type
-from turtlelog.run import Phase
+from turtlelog.loops import DONE, PAUSE, Declaration
+from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import Tick
+from turtlelog.simulate import Sample, Tick
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
-_CUT_SHORT: Final = frozenset({"max_duration", "interrupted"})
-_ROTATE: Final = Phase.ROTATE
+_REFERENCE_BYTES: Final = 160
+"""What the two messages of a reference pose take, about."""
+
+_PLACES: Final = {
+    "bearing_rad": (3,),
+    "heading_error_rad": (4,),
+    "error_xy_m": (5, 6),
+    "distance_m": (7,),
+}
+"""Where a sample's row holds what it lacks without a goal."""
+
+_WORLD: Final = slice(12, 14)
 
 
-def _build_struct(topic: Topic) -> Struct:
+def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
     """Return what packs a whole record of a type of fixed size; CDR's gaps become zeros."""
-    _, layout = read_type(topic.schema, SCHEMAS[topic.schema])
+    _, layout = read_type(topic.schema, definitions[topic.schema])
     if layout is None or layout.little.fields is None:
         raise TypeError(f"{topic.schema}: expected messages of one size")
     end, codes = HEAD.size, []
@@ -48,7 +62,9 @@ def _build_struct(topic: Topic) -> Struct:
     return Struct(HEAD.format + "".join(codes))
 
 
-_STRUCTS: Final = {topic: _build_struct(topic) for topic in (POSE, POSE64, CONTROL, COMMAND)}
+_STRUCTS: Final = {
+    topic: _build_struct(topic) for topic in (POSE, POSE64, CONTROL, COMMAND, REFERENCE64)
+}
 _POSE_SIZE, _CONTROL_SIZE, _COMMAND_SIZE = (
     _STRUCTS[topic].size for topic in (POSE, CONTROL, COMMAND)
 )
@@ -58,10 +74,16 @@ def measure_tick(tick: Tick) -> int:
     """Return about how many bytes the messages of a tick take."""
     return (
         _POSE_SIZE
-        + _CONTROL_SIZE * len(tick.computed)
+        + sum(map(_measure_sample, tick.computed))
         + _COMMAND_SIZE * len(tick.published)
         + HEAD.size * len(tick.events)
     )
+
+
+def _measure_sample(sample: Sample) -> int:
+    states, reference = sample.decision.states, sample.decision.reference
+    size = _CONTROL_SIZE + (HEAD.size + 8 * len(states) if states else 0)
+    return size + (_REFERENCE_BYTES if reference is not None else 0)
 
 
 @dataclass(slots=True, eq=False)
@@ -93,17 +115,34 @@ class TickRecords:
     in double precision are recorded where the scenario asks for them.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._goal_values = (scenario.goal.x_m, scenario.goal.y_m), scenario.goal.heading_rad
+    def __init__(self, scenario: Scenario, declaration: Declaration) -> None:
+        goal, kind = scenario.goal, scenario.law.kind
+        self._goal = (goal.x_m, goal.y_m, goal.heading_rad) if declaration.uses_goal else None
         self._is_exact = scenario.loop.pose_precision == "float64"
-        self._channels = describe_topics([(topic.name, topic.schema) for topic in TOPICS], SCHEMAS)
-        self._messages = {topic: _begin_topic(topic) for topic in TOPICS}
-        self._pose, self._pose64 = self._messages[POSE], self._messages[POSE64]
-        self._control, self._command = self._messages[CONTROL], self._messages[COMMAND]
-        self._phase: Phase | None = None
+        topics, definitions = list_topics(declaration, kind), define_types(declaration, kind)
+        named = [(topic.name, topic.schema) for topic in topics]
+        self._channels = describe_topics(named, definitions)
+        self._messages = {
+            topic.name: _begin_topic(topic, number, definitions)
+            for number, topic in enumerate(topics, start=1)
+        }
+        self._pose, self._pose64 = self._messages[POSE.name], self._messages[POSE64.name]
+        self._control, self._command = self._messages[CONTROL.name], self._messages[COMMAND.name]
+        self._states = self._messages.get(LAW_STATE)
+        self._reference64 = self._messages.get(REFERENCE64.name)
+        self._phases = declaration.phase_names
+        self._phase: int | None = None
+        self._lacking: set[str] = set()
+        self._has_samples = self._has_world = False
         self._is_paused = self._is_blocked = False
         self._sample_ns = 0
         self._records = bytearray()
+
+    @property
+    def nan_columns(self) -> frozenset[str]:
+        """Columns of the run so far that are None, and NaN in the messages."""
+        worldless = {"world_velocity_m_s"} if self._has_samples and not self._has_world else set()
+        return frozenset(f"samples.{name}" for name in self._lacking | worldless)
 
     def encode(self, ticks: Iterable[Tick]) -> ChunkRows:
         """Return the messages of the next ticks, of which there is at least one."""
@@ -111,12 +150,12 @@ class TickRecords:
             time_ns = tick.time_ns
             self._add_pose(time_ns, tick)
             for sample in tick.computed:
-                self._add(self._control, time_ns, sample.sequence, *sample.row)
+                self._add_sample(time_ns, sample)
             for sample in tick.published:
                 values = sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.turn_rate_rad_s
                 self._add(self._command, time_ns, sample.sequence, *values)
             for sample in tick.computed:
-                self._follow_phase(time_ns, sample.decision)
+                self._follow_phase(time_ns, sample)
             if tick.stop_reason is not None and self._phase is not None:
                 self._end_phase(time_ns, tick.stop_reason)
             for event in tick.events:
@@ -126,51 +165,74 @@ class TickRecords:
     def _add_pose(self, time_ns: int, tick: Tick) -> None:
         pose, number = tick.pose, self._pose.count
         self._pose.count = number + 1
-        if not number:
-            self._add_varied(GOAL, time_ns, describe_goal(time_ns, *self._goal_values))
+        if not number and self._goal is not None:
+            self._add_varied(GOAL, time_ns, describe_pose(time_ns, *self._goal))
         values = pose.x_m, pose.y_m, pose.heading_rad
         self._add(self._pose, time_ns, number, *values, tick.speed_m_s, tick.turn_rate_rad_s)
         if self._is_exact:
             self._add(self._pose64, time_ns, number, *values)
 
-    def _follow_phase(self, time_ns: int, decision: Decision) -> None:
-        if decision.phase is not self._phase:
-            if self._phase is _ROTATE:
+    def _add_sample(self, time_ns: int, sample: Sample) -> None:
+        row, sequence = sample.row, sample.sequence
+        self._add(self._control, time_ns, sequence, *row)
+        if self._states is not None:
+            self._add(self._states, time_ns, sequence, *sample.decision.states)
+        pose = sample.decision.reference
+        if pose is not None and self._reference64 is not None:
+            values = pose.x_m, pose.y_m, pose.heading_rad
+            self._add_varied(REFERENCE, time_ns, describe_pose(time_ns, *values), sequence)
+            self._add(self._reference64, time_ns, sequence, *values)
+        self._has_samples = True
+        if not self._has_world:
+            self._has_world = not all(map(isnan, row[_WORLD]))
+        if self._goal is None:
+            self._lacking |= {
+                name for name, places in _PLACES.items() if any(isnan(row[at]) for at in places)
+            }
+
+    def _follow_phase(self, time_ns: int, sample: Sample) -> None:
+        if sample.phase != self._phase:
+            if self._phase is not None:
                 self._add_pause()
-            self._phase, self._is_paused = decision.phase, False
-            self._add_phase(time_ns, decision.phase)
+            self._phase, self._is_paused = sample.phase, False
+            self._add_phase(time_ns, self._phases[sample.phase])
+        decision = sample.decision
         self._sample_ns, self._is_blocked = time_ns, decision.blocks_ticks > 0
-        if self._is_blocked and decision.ends_phase and self._phase is _ROTATE:
+        if self._is_blocked and decision.ends_phase:
             self._add_pause()
 
     def _end_phase(self, time_ns: int, stop_reason: str) -> None:
-        if self._is_blocked and self._phase is _ROTATE:
+        if self._is_blocked:
             self._add_pause()
-        if stop_reason not in _CUT_SHORT:
-            self._add_phase(time_ns, Phase.DONE)
+        if stop_reason not in CUT_SHORT:
+            self._add_phase(time_ns, DONE)
 
     def _add_pause(self) -> None:
         if not self._is_paused:
-            self._add_phase(self._sample_ns, Phase.PAUSE)
+            self._add_phase(self._sample_ns, PAUSE)
         self._is_paused = True
 
-    def _add_phase(self, time_ns: int, phase: Phase) -> None:
-        self._add_varied(PHASE, time_ns, {"data": phase.label})
+    def _add_phase(self, time_ns: int, phase: str) -> None:
+        self._add_varied(PHASE, time_ns, {"data": phase})
 
     def _add(self, messages: _Messages, time_ns: int, sequence: int, *values: float) -> None:
         messages.entries += (time_ns, len(self._records))
         head = messages.length, messages.number, sequence, time_ns, time_ns, ENCAPSULATION
         self._records += messages.pack(_MESSAGE, *head, *values)
 
-    def _add_varied(self, topic: Topic, time_ns: int, values: Mapping[str, Any]) -> None:
-        messages = self._messages[topic]
+    def _add_varied(
+        self, topic: Topic, time_ns: int, values: Mapping[str, Any], number: int | None = None
+    ) -> None:
+        """Add a message; without a number of its own it is numbered from 0."""
+        messages = self._messages[topic.name]
         fields, _ = read_type(topic.schema, SCHEMAS[topic.schema])
         body = encode_fields(fields, values)
         messages.entries += (time_ns, len(self._records))
-        length, sequence = HEAD.size - UNCOUNTED + len(body), messages.count
+        length = HEAD.size - UNCOUNTED + len(body)
+        sequence = messages.count if number is None else number
         head = length, messages.number, sequence, time_ns, time_ns, ENCAPSULATION
         self._records += HEAD.pack(_MESSAGE, *head) + body
-        messages.count = sequence + 1
+        messages.count += 1
 
     def _collect(self) -> ChunkRows:
         index = {
@@ -190,7 +252,9 @@ class TickRecords:
         )
 
 
-def _begin_topic(topic: Topic) -> _Messages:
+def _begin_topic(topic: Topic, number: int, definitions: Mapping[str, str]) -> _Messages:
     packer = _STRUCTS.get(topic, HEAD)
-    number, length = TOPICS.index(topic) + 1, packer.size - UNCOUNTED
+    if topic.name == LAW_STATE:
+        packer = _build_struct(topic, definitions)
+    length = packer.size - UNCOUNTED
     return _Messages(topic=topic, number=number, pack=packer.pack, length=length)

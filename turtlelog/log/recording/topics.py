@@ -32,6 +32,15 @@ VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
 """One message per sample, at the time at which its pose was answered."""
 
+LAW_STATE: Final = "/turtle1/law_state"
+"""The numbers of the law's own, one message per sample; the type is the law's."""
+
+REFERENCE: Final = Topic("/turtle1/reference", "geometry_msgs/msg/PoseStamped")
+"""Where the robot should be by now, one message per sample that says so; for other tools."""
+
+REFERENCE64: Final = Topic("/turtle1/reference64", "geometry_msgs/msg/Pose2D")
+"""The same poses; a reader takes them from here, for a quaternion does not give a heading back."""
+
 COMMAND: Final = Topic("/turtle1/cmd_vel", "geometry_msgs/msg/Twist")
 """One message per command, at the time of its publication."""
 
@@ -41,5 +50,14 @@ PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
 """One message per event."""
 
-TOPICS: Final = (GOAL, POSE, POSE64, VELOCITY64, CONTROL, COMMAND, PHASE, EVENT)
-"""All of them; messages of one time stand in this order."""
+BEFORE_STATES: Final = (GOAL, POSE, POSE64, VELOCITY64, CONTROL)
+AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)
+"""Topics of every recording, before and after those that a law's declaration asks for."""
+
+TOPIC_NAMES: Final = frozenset(
+    {
+        *(topic.name for topic in (*BEFORE_STATES, *AFTER_SAMPLES)),
+        *(LAW_STATE, REFERENCE.name, REFERENCE64.name),
+    }
+)
+"""Names of all that a recording may hold."""

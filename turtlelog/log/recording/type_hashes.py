@@ -4,9 +4,14 @@ RIHS01 is the SHA-256 of a type's description (REP 2011): ROS 2 compares it with
 type it has installed. The texts of `SCHEMAS` and these hashes change together.
 """
 
+import json
+import re
 from collections.abc import Mapping
+from hashlib import sha256
 from types import MappingProxyType
 from typing import Final
+
+from turtlelog.log.recording.schemas import SCHEMAS, define_states
 
 TYPE_HASHES: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -37,3 +42,26 @@ TYPE_HASHES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """Hash by message type, for every key of `SCHEMAS`."""
+
+_FLOAT64: Final = MappingProxyType(
+    {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
+)
+"""How a type's description names the type of a field (REP 2011)."""
+
+
+def find_type_hash(kind: str, definition: str) -> str | None:
+    """Return the hash of a type of ours, None of one that somebody else has defined."""
+    if definition == SCHEMAS.get(kind):
+        return TYPE_HASHES[kind]
+    # What a law's states are called is known to its definition alone.
+    states = re.findall(r"^float64 (\w+)$", definition, flags=re.MULTILINE)
+    return _hash_states(kind, states) if definition == define_states(states) else None
+
+
+def _hash_states(kind: str, names: list[str]) -> str:
+    fields = [{"name": name, "type": dict(_FLOAT64)} for name in names]
+    description = {
+        "type_description": {"type_name": kind, "fields": fields},
+        "referenced_type_descriptions": [],
+    }
+    return f"RIHS01_{sha256(json.dumps(description).encode()).hexdigest()}"

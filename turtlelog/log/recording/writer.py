@@ -11,11 +11,13 @@ from turtlelog.log.channels import describe_topics
 from turtlelog.log.chunks import ChannelRecords, cut_chunks
 from turtlelog.log.container import McapFile, pack_chunk
 from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.recording.declaration import define_types
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
 from turtlelog.log.recording.messages import build_messages
 from turtlelog.log.recording.schemas import SCHEMAS
 from turtlelog.log.records import encode_records
 from turtlelog.run import Run
+from turtlelog.scenario import DEFAULT_LAW
 
 _NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})
 _NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
@@ -32,7 +34,10 @@ def write_recording(run: Run, path: str | Path) -> None:
         head, scenario = format_head(describe_run(run)), format_scenario_file(run)
     except (LogError, UnicodeEncodeError) as err:
         raise _name_error(path, err) from err
-    write_columns(topics, path, metadata={HEAD: head}, attachments=scenario)
+    definitions = define_types(run.declaration, run.parameters.get("law.kind", DEFAULT_LAW))
+    write_columns(
+        topics, path, definitions=definitions, metadata={HEAD: head}, attachments=scenario
+    )
 
 
 def write_columns(

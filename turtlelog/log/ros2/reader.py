@@ -189,13 +189,8 @@ def _build_no_samples() -> SampleColumns:
         sequence=whole,
         pose_sequence=whole,
         phase=whole,
-        bearing_rad=none,
-        heading_error_rad=none,
-        error_xy_m=np.zeros((0, 2)),
-        distance_m=none,
         speed_m_s=none,
         turn_rate_rad_s=none,
-        world_velocity_m_s=np.zeros((0, 2)),
     )
 
 
