@@ -4,6 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests import sequential
 from tests.log.runs import find_shared
 from turtlelog.angles import wrap_angle
 from turtlelog.log import import_log
@@ -182,7 +183,7 @@ def drive(dead_time: Any) -> Run:
             time_ns=time_ns,
             sequence=ticks,
             pose_sequence=ticks,
-            phase=np.full(len(ticks), TRANSLATE, dtype=np.int64),
+            phase=np.full(len(ticks), sequential.TRANSLATE),
             bearing_rad=zeros,
             heading_error_rad=zeros,
             error_xy_m=np.zeros((len(ticks), 2)),
@@ -191,6 +192,7 @@ def drive(dead_time: Any) -> Run:
             turn_rate_rad_s=zeros,
             world_velocity_m_s=np.zeros((len(ticks), 2)),
         ),
+        declaration=sequential.DECLARATION,
     )
 
 
@@ -227,6 +229,6 @@ def test_a_dead_time_counts_as_found_from_10_of_log_likelihood(seed: int, is_fou
 def test_steps_whose_commands_are_not_known_explain_nothing(noise: float, is_exact: bool) -> None:  # noqa: FBT001
     # A rotation of 27 samples: of a dead time of 27 and more no command is known.
     run = simulate("textbook", goal__x_m=8.0, goal__y_m=5.3, law__kp_angular=7.865)
-    assert np.count_nonzero(run.samples.phase == ROTATE) < 40
+    assert 0 < np.count_nonzero(run.samples.phase == sequential.ROTATE) < 40
     found = find_dead_time(add_noise(run, noise, seed=1) if noise else run, ROTATE)
     assert (isinstance(found, DeadTime) and found.is_exact) == is_exact

@@ -25,6 +25,7 @@ from turtlelog.run import Run
 TIME_S = np.arange(1000) * PERIOD_NS / 1e9
 EXPONENTIAL = make_straight_run(-GOAL_M * np.expm1(-TIME_S), GOAL_M * np.exp(-TIME_S))
 KP10 = tl.simulate_run(tl.load_scenario("paper-kp10"))
+OF_LAW = tl.list_metrics(KP10.declaration)
 
 
 def read(run: Run, name: str, settings: tl.MeasureSettings | None = None) -> float:
@@ -260,7 +261,7 @@ def test_another_unit_of_length_scales_lengths_and_nothing_else(exponent: int) -
     )
     power = {"m": 1, "m s": 1, "m s^2": 1, "m/s": 1, "m/s^2": 1, "m^2 s": 2, "m^2/s": 2}
     # Dead time is found by the plant's own walls and rounding, which do not scale.
-    only = [name for name in tl.METRICS if "dead_time" not in name and "delayed" not in name]
+    only = [name for name in OF_LAW if "dead_time" not in name and "delayed" not in name]
     before, after = (tl.measure_run(run, only=only) for run in (EXPONENTIAL, scaled))
     for name, metric in before.items():
         assert after[name].status is metric.status, name
@@ -283,7 +284,7 @@ def test_standing_at_the_goal_for_longer_changes_no_figure_of_the_response(count
 def test_only_what_is_asked_for_is_computed() -> None:
     asked = tl.measure_run(KP10, only=["final.*", "rotate.overshoot"])
     assert list(asked) == [
-        name for name in tl.METRICS if name.startswith("final.") or name == "rotate.overshoot"
+        name for name in OF_LAW if name.startswith("final.") or name == "rotate.overshoot"
     ]
     everything = tl.measure_run(KP10)
     assert asked == {name: everything[name] for name in asked}
@@ -294,7 +295,7 @@ def test_only_what_is_asked_for_is_computed() -> None:
     [
         ("rotate.overshot", "one like rotate.overshoot or"),
         ("position_eror", "one like final.position_error"),
-        ("turn.*", "an id such as final.position_error"),
+        ("turn.*xyz", "an id such as final.position_error"),
         ("", "an id such as final.position_error"),
     ],
 )
@@ -311,7 +312,6 @@ def test_an_unknown_metric_is_refused_with_the_nearest(name: str, near: str) -> 
         ({"band": 0.0}, "band: expected a share of the step > 0, found 0.0"),
         ({"band": math.nan}, "band: expected a share of the step > 0, found nan"),
         ({"initial": math.inf}, "initial: expected a number, found inf"),
-        ({"initial": {"pause": 1.0}}, "initial: expected a phase rotate or translate"),
         ({"final": "end"}, "final: expected 'reference', 'last' or a number, found 'end'"),
         ({"final": {"rotate": "end"}}, "final: expected 'reference', 'last' or a number"),
         ({"dead_time_ticks": -1}, "dead_time_ticks: expected a whole number from 0 to 1000"),
@@ -324,6 +324,12 @@ def test_an_unknown_metric_is_refused_with_the_nearest(name: str, near: str) -> 
 def test_settings_that_make_no_sense_are_refused(choice: dict[str, object], line: str) -> None:
     with pytest.raises(tl.TurtlelogError, match=line):
         tl.MeasureSettings(**choice)  # type: ignore[arg-type]
+
+
+def test_settings_of_a_loop_that_the_law_does_not_have_are_refused() -> None:
+    line = "initial: expected a loop rotate or translate, found 'pause'"
+    with pytest.raises(tl.TurtlelogError, match=line):
+        tl.measure_run(KP10, tl.MeasureSettings(initial={"pause": 1.0}))
 
 
 def make_still_run() -> Run:
@@ -414,18 +420,19 @@ def test_samples_of_one_time_have_no_rate_and_no_slew_rate() -> None:
 
 
 def test_negative_overshoots_are_equally_good() -> None:
-    kind = tl.METRICS["rotate.overshoot"]
+    kind = tl.METRICS["<loop>.overshoot"]
     assert kind.compute_loss(-2.0, -1.0) == kind.compute_loss(-1.0, -2.0) == 0.0
     assert kind.compute_loss(1.0, -2.0) == 1.0
     assert kind.compute_loss(-2.0, 1.5) == -1.5
-    assert tl.METRICS["rotate.peak"].compute_loss(1.0, 3.0) == 2.0
+    assert tl.METRICS["<loop>.peak"].compute_loss(1.0, 3.0) == 2.0
 
 
 def test_every_metric_says_what_it_is() -> None:
-    meanings = [kind.meaning for kind in tl.METRICS.values()]
-    assert all(meaning.endswith(".") and "{" not in meaning for meaning in meanings)
-    assert set(tl.ESSENTIAL_METRICS) <= set(tl.METRICS)
-    assert all(kind.better in {"lower", "higher", None} for kind in tl.METRICS.values())
+    kinds = [*tl.METRICS.values(), *OF_LAW.values()]
+    assert all(kind.meaning.endswith(".") and "{" not in kind.meaning for kind in kinds)
+    assert all(kind.unit and "{" not in kind.unit for kind in kinds)
+    assert set(tl.list_essential_metrics(KP10.declaration)) <= set(OF_LAW)
+    assert all(kind.better in {"lower", "higher", None} for kind in kinds)
 
 
 def test_measuring_loads_neither_scipy_nor_control_nor_matplotlib() -> None:

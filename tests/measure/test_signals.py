@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.sequential import DECLARATION
 from turtlelog.errors import MeasureError
 from turtlelog.measure.signals import SIGNALS, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
@@ -47,6 +48,7 @@ def make_run(samples: int = 3, first_pose: int = 0, **changes: Any) -> Run:
         ),
         samples=SampleColumns(**(rows | changes)),
         goal_xy_m=(4.0, 5.0),
+        declaration=DECLARATION,
     )
 
 
@@ -88,8 +90,14 @@ def test_heading_error_is_wrapped() -> None:
     assert read_values(make_run(), "heading_error") == pytest.approx(expected)
 
 
-def test_track_starts_at_the_first_pose_that_was_read() -> None:
-    run = make_run(first_pose=1)
+def test_track_leads_from_the_first_pose_that_was_read_to_the_goal() -> None:
+    run, root = make_run(first_pose=1), math.sqrt(5.0)
+    assert read_values(run, "along_track") == pytest.approx([-1.0 / root, 0.0, 6.0 / root])
+    assert read_values(run, "cross_track") == pytest.approx([2.0 / root, 0.0, 3.0 / root])
+
+
+def test_without_the_first_sample_the_recorded_bearing_gives_the_direction() -> None:
+    run = make_run(first_pose=1, sequence=np.arange(3) + 1)
     assert read_values(run, "along_track") == pytest.approx([-0.6, 0.0, 2.4])
     assert read_values(run, "cross_track") == pytest.approx([0.8, 0.0, 1.8])
 

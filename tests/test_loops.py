@@ -1,0 +1,87 @@
+"""What a law may declare, and what is refused in one line."""
+
+import pickle
+from typing import Any
+
+import pytest
+
+import turtlelog as tl
+from turtlelog.errors import RunError
+from turtlelog.loops import SIGNAL_NAMES, ControlLoop, Declaration
+
+
+def make_loop(**changes: Any) -> ControlLoop:
+    values = {"name": "a", "signal": "heading", "command": "turn_rate", "reference": "zero"}
+    return ControlLoop(**{**values, **changes})
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"name": "run"}, "loop: expected another name than final, pause, run, found 'run'"),
+        ({"name": "a b"}, "loop: expected a name of letters, digits, - and _, up to 60"),
+        ({"name": "a" * 61}, "loop: expected a name of letters"),
+        ({"name": 3}, "loop: expected a name of letters"),
+        ({"signal": "speed"}, "loop a: signal: expected one of heading, along_track"),
+        ({"command": "torque"}, "loop a: command: expected one of turn_rate, speed"),
+        ({"reference": "goal_distance"}, "loop a: reference: expected one of goal_bearing"),
+        ({"signal": "distance", "reference": "goal_bearing"}, "expected one of zero, recorded"),
+        ({"gain": "gain"}, "loop a: gain: expected a key such as law.kp_angular, or None"),
+        ({"limit": 1.0}, "loop a: limit: expected a key such as law.kp_angular, or None"),
+    ],
+)
+def test_loop_that_cannot_be_is_refused(changes: dict[str, Any], line: str) -> None:
+    with pytest.raises(RunError, match=line):
+        make_loop(**changes)
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"phases": {}}, "phases: expected 1 to 250, found 0"),
+        ({"phases": {f"p{n}": () for n in range(251)}}, "phases: expected 1 to 250, found 251"),
+        ({"phases": {"one\n": ()}}, "phase: expected a name of letters"),
+        ({"phases": {"one": ("b",)}}, "phase one: loop: expected one of a, found 'b'"),
+        ({"loops": (make_loop(), make_loop())}, "loops: expected each name once, found 'a' twice"),
+        ({"states": ("Integral",)}, "state: expected a field name of ROS 2 such as integral"),
+        ({"states": ("a__b",)}, "state: expected a field name"),
+        ({"states": ("a_",)}, "state: expected a field name"),
+        ({"states": ("heading",)}, "state: expected a name that no signal has, found 'heading'"),
+        ({"states": ("m", "m")}, "states: expected each name once, found 'm' twice"),
+        ({"states": tuple(f"s{n}" for n in range(251))}, "states: expected up to 250, found 251"),
+    ],
+)
+def test_declaration_that_cannot_be_is_refused(values: dict[str, Any], line: str) -> None:
+    with pytest.raises(RunError, match=line):
+        Declaration(**{"loops": (make_loop(),), **values})
+
+
+def test_as_many_phases_as_eight_bits_hold_can_be_declared() -> None:
+    names = Declaration(phases={f"p{n}": () for n in range(250)}).phase_names
+    assert len(names) == 252
+
+
+def test_no_state_takes_the_name_of_a_signal() -> None:
+    assert set(tl.SIGNALS) <= SIGNAL_NAMES
+
+
+def test_gains_of_speed_loops_come_first() -> None:
+    turn = make_loop(name="t", gain="law.kt")
+    drive = make_loop(name="d", signal="distance", command="speed", gain="law.kd")
+    again = make_loop(name="e", signal="distance", command="speed", gain="law.kd")
+    declared = Declaration(loops=(turn, drive, again, make_loop(name="free")))
+    assert declared.list_gains() == ("law.kd", "law.kt")
+
+
+def test_limit_is_that_of_the_command_unless_declared() -> None:
+    assert make_loop().limit_key == "limits.turn_rate_rad_s"
+    assert make_loop(command="speed").limit_key == "limits.speed_m_s"
+    assert make_loop(limit="law.most").limit_key == "law.most"
+
+
+def test_declarations_of_one_content_are_equal_and_survive_a_process() -> None:
+    one = Declaration(loops=(make_loop(),), phases={"p": ("a",)}, states=("m",))
+    again = pickle.loads(pickle.dumps(one))
+    assert again == one
+    assert hash(again) == hash(one)
+    assert again != Declaration()
