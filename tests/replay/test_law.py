@@ -10,6 +10,7 @@ from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.replay.changes import change_scenario, change_value, scenarios, write_law
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.log import read_recording, read_run, write_recording
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay import LawReplay, ReplayError, replay_law
 from turtlelog.replay.sample_pairs import count_missing
 from turtlelog.run import Phase, Run, SampleColumns
@@ -22,7 +23,6 @@ from turtlelog.scenario import (
     restore_scenario,
 )
 from turtlelog.simulate import simulate_run
-from turtlelog.turtlesim import TICK_NS
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 PAPER_LOGS = ["kp1_210.json", "kp1_210_main.csv", "kp4_210.json", "kp4_210_main.csv"]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from turtlelog.errors import SimulationError
+from turtlelog.plants.turtlesim import TICK_NS, WORLD_SIZE_M
 from turtlelog.run import Phase, Run
 from turtlelog.scenario import (
     PRESETS,
@@ -19,7 +20,6 @@ from turtlelog.scenario import (
     override_scenario,
 )
 from turtlelog.simulate import collect_run, iterate_ticks, simulate_run
-from turtlelog.turtlesim import TICK_NS, WORLD_SIZE_M
 
 LAW_TEXT = """
 from dataclasses import dataclass

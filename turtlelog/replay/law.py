@@ -10,6 +10,7 @@ from turtlelog.errors import ReplayError
 from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.reader import NOT_READ
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.difference import (
     Difference,
     Pairing,
@@ -33,7 +34,6 @@ from turtlelog.replay.stops import compare_last_decision
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import LawDriver, Sample, SampleRows, build_law
-from turtlelog.turtlesim import TICK_NS
 
 _PLANT: Final = "--plant drives recorded commands through the plant"
 

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.errors import ReplayError
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.difference import (
     Difference,
     SignalDifference,
@@ -27,7 +28,6 @@ from turtlelog.replay.stops import compare_ends
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.turtlesim import TICK_NS
 
 _OF_TICKS: Final = (
     *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),

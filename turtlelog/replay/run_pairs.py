@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.difference import Difference, Pairing
 from turtlelog.replay.sample_pairs import count_missing, has_all_commands, pair_samples
 from turtlelog.replay.stops import is_cut
 from turtlelog.run import PoseColumns, Run
-from turtlelog.turtlesim import TICK_NS
 
 Rows = NDArray[np.int64]
 
