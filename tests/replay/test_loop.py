@@ -32,8 +32,9 @@ def assert_equal(found: LoopReplay, *, signals: int) -> None:
 
 
 def cut_samples(run: Run, keep: np.ndarray) -> Run:
-    columns = {name: getattr(run.samples, name)[keep] for name in run.samples.__dataclass_fields__}
-    return replace(run, samples=replace(run.samples, **columns))
+    columns = {name: getattr(run.samples, name) for name in run.samples.__dataclass_fields__}
+    kept = {name: column[keep] for name, column in columns.items() if column is not None}
+    return replace(run, samples=replace(run.samples, **kept))
 
 
 @pytest.mark.parametrize("path", sorted(RECORDINGS.glob("*.mcap")), ids=lambda path: path.stem)
