@@ -76,6 +76,7 @@ def describe_loop(run: "Run", found: "LoopReplay") -> dict[str, Any]:
             for name, count in found.counts.items()
         },
         "stop_reason": {"recorded": run.stop_reason, "replayed": found.run.stop_reason},
+        "declaration": describe_difference(run, found.declaration),
         "not_compared": list(found.absent),
         **_NO_STRETCHES,
     }
