@@ -5,8 +5,8 @@ import time
 from collections.abc import Callable
 
 import turtlelog as tl
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.simulate import iterate_ticks
-from turtlelog.turtlesim import TICK_S
 
 REPEATS = 5
 SECONDS = 1600.0  # of simulated time: 100,000 samples

@@ -13,8 +13,8 @@ from turtlelog.frames import (
     rotate_to_world,
 )
 from turtlelog.laws import Goal, Pose, SequentialP, SequentialPParameters
-from turtlelog.simulate import Turtle
-from turtlelog.turtlesim import TICK_S
+from turtlelog.plants import Turtle
+from turtlelog.plants.turtlesim import TICK_S
 
 GOAL_BEARING_RAD = math.atan2(10.0 - 5.5, 2.0 - 5.5)  # the paper's start and goal
 

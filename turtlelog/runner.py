@@ -11,10 +11,10 @@ import msgspec
 from turtlelog.errors import SimulationError
 from turtlelog.log.recording.recorder import INTERRUPTED
 from turtlelog.log.signals import StopRequest, catch_stop
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Event, Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import Tick, collect_run, iterate_ticks
-from turtlelog.turtlesim import TICK_S
 
 
 class Sink(Protocol):

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from turtlelog.angles import wrap_angle
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset, override_scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.turtlesim import TICK_NS
 
 
 def simulate(name: str, **changes: Any) -> Run:

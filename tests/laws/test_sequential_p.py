@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from turtlelog.laws import Decision, Goal, Pose, SequentialP, SequentialPParameters
-from turtlelog.turtlesim import TICK_NS
+from turtlelog.plants.turtlesim import TICK_NS
 
 START, GOAL = Pose(5.5, 5.5, 0.0), Goal(2.0, 10.0)
 BEARING_RAD = math.atan2(4.5, -3.5)

@@ -9,10 +9,11 @@ from tests.log.runs import find_shared
 from turtlelog.angles import wrap_angle
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, DeadTimeChange, Missing, Status, find_dead_time
+from turtlelog.plants import Turtle
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset, override_scenario
-from turtlelog.simulate import Turtle, simulate_run
-from turtlelog.turtlesim import TICK_NS
+from turtlelog.simulate import simulate_run
 
 ROTATE, TRANSLATE = "rotate", "translate"
 

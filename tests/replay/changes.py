@@ -12,7 +12,6 @@ from turtlelog.scenario import Scenario, get_preset, override_scenario
 LAW = """
 import dataclasses
 from turtlelog.laws import Decision
-from turtlelog.run import Phase
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,17 +25,14 @@ class Law:
     def __init__(self, parameters):
         self.left = parameters.after
 
-    def reset(self, start, goal):
+    def reset(self, start, goal, path):
         pass
 
     def step(self, time_ns, pose):
         self.left -= 1
         if self.left < 0:
             {fails}
-        return Decision(
-            speed_m_s=0.0, turn_rate_rad_s=0.0, phase=Phase.ROTATE, bearing_rad=0.0,
-            heading_error_rad=0.0, error_x_m=0.0, error_y_m=0.0{also},
-        )
+        return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0{also})
 """
 
 

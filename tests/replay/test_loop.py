@@ -9,11 +9,11 @@ from tests.log.runs import assert_same, find_shared, simulate_preset
 from tests.replay.changes import change_scenario, change_value, scenarios
 from turtlelog.errors import ScenarioError
 from turtlelog.log import export_rosbag2, read_bag, read_recording, read_run, write_recording
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay import LoopReplay, PoseError, ReplayError, RowCount, replay_law, replay_loop
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, complete_scenario, get_preset, override_scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.turtlesim import TICK_NS
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 PAPER_LOGS = ["kp1_210.json", "kp1_210_main.csv", "kp4_210.json", "kp4_210_main.csv"]
@@ -32,8 +32,9 @@ def assert_equal(found: LoopReplay, *, signals: int) -> None:
 
 
 def cut_samples(run: Run, keep: np.ndarray) -> Run:
-    columns = {name: getattr(run.samples, name)[keep] for name in run.samples.__dataclass_fields__}
-    return replace(run, samples=replace(run.samples, **columns))
+    columns = {name: getattr(run.samples, name) for name in run.samples.__dataclass_fields__}
+    kept = {name: column[keep] for name, column in columns.items() if column is not None}
+    return replace(run, samples=replace(run.samples, **kept))
 
 
 @pytest.mark.parametrize("path", sorted(RECORDINGS.glob("*.mcap")), ids=lambda path: path.stem)

@@ -7,11 +7,11 @@ import pytest
 
 from tests.log.runs import find_shared, simulate_preset
 from turtlelog.log.ros2 import read_bag
+from turtlelog.plants import Turtle
+from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
 from turtlelog.replay import PlantReplay, PoseError, ReplayError, replay_plant
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import PAPER_RUNS
-from turtlelog.simulate import Turtle
-from turtlelog.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
 
 EXACT = PoseError()
 

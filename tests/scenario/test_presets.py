@@ -1,6 +1,7 @@
 import pytest
 
 from turtlelog.laws import SequentialPParameters
+from turtlelog.plants.turtlesim import SPAWN_XY_M
 from turtlelog.scenario import (
     PAPER_RUNS,
     PRESETS,
@@ -9,7 +10,6 @@ from turtlelog.scenario import (
     iterate_paper_runs,
     load_scenario,
 )
-from turtlelog.turtlesim import SPAWN_XY_M
 
 
 def test_presets_are_the_paper_as_built_and_the_textbook() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from hypothesis import given, strategies as st
 
+from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.scenario import (
     PRESETS,
     Scenario,
@@ -18,7 +19,6 @@ from turtlelog.scenario import (
     parse_scenario,
     read_scenario,
 )
-from turtlelog.turtlesim import WORLD_SIZE_M
 
 PAPER_KP10 = """
 name = "paper-kp10"

@@ -10,6 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from tests.sequential import TRANSLATE
 from turtlelog.errors import SimulationError
+from turtlelog.plants.turtlesim import TICK_NS, WORLD_SIZE_M
 from turtlelog.run import Run
 from turtlelog.scenario import (
     PRESETS,
@@ -20,7 +21,6 @@ from turtlelog.scenario import (
     override_scenario,
 )
 from turtlelog.simulate import collect_run, iterate_ticks, simulate_run
-from turtlelog.turtlesim import TICK_NS, WORLD_SIZE_M
 
 LAW_TEXT = """
 from dataclasses import dataclass

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.sequential import ROTATE, TRANSLATE
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import iterate_ticks, simulate_run
-from turtlelog.turtlesim import TICK_NS
 
 BACKLOGS = {"paper-kp1": 6, "paper-kp2": 5, "paper-kp4": 6, "paper-kp10": 5}
 PAUSES = {"paper-kp1": 34, "paper-kp2": 34, "paper-kp4": 34, "paper-kp10": 33}

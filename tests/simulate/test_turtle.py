@@ -3,8 +3,8 @@ import math
 import pytest
 from hypothesis import given, strategies as st
 
-from turtlelog.simulate import Turtle, round_to_float32
-from turtlelog.turtlesim import SPAWN_XY_M, TICK_S, WORLD_SIZE_M
+from turtlelog.plants import Turtle, round_to_float32
+from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_S, WORLD_SIZE_M
 
 SOURCE_PI = 3.14159265
 WEST_RAD, NORTH_RAD, SOUTH_RAD = math.pi, math.pi / 2, -math.pi / 2

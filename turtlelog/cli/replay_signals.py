@@ -53,6 +53,7 @@ def describe_law(run: "Run", found: "LawReplay") -> dict[str, Any]:
         "signals": _describe_signals(run, found.signals),
         "commands": describe_difference(run, found.commands),
         "stop": describe_difference(run, found.stop),
+        "declaration": describe_difference(run, found.declaration),
         "missing_samples": found.missing_samples,
         "not_compared": list(found.absent),
         **_NO_STRETCHES,
@@ -75,6 +76,7 @@ def describe_loop(run: "Run", found: "LoopReplay") -> dict[str, Any]:
             for name, count in found.counts.items()
         },
         "stop_reason": {"recorded": run.stop_reason, "replayed": found.run.stop_reason},
+        "declaration": describe_difference(run, found.declaration),
         "not_compared": list(found.absent),
         **_NO_STRETCHES,
     }
@@ -86,7 +88,7 @@ def format_law(run: "Run", found: "LawReplay") -> str:
     notes = _describe_rest(found.signals, found.absent)
     if found.missing_samples:
         notes += (f"{found.missing_samples} samples are lost: the law did not see their poses.",)
-    lines = [format_table(_tabulate(run, found.signals, title, notes))]
+    lines = [format_table(_tabulate(run, found.signals, title, notes)), *_format_declaration(found)]
     if found.first_difference is None:
         sentence = "On the recorded poses the law commands what was recorded"
         return "\n".join([*lines, f"{sentence}{_describe_slack(found.signals)}."])
@@ -100,6 +102,15 @@ def format_law(run: "Run", found: "LawReplay") -> str:
     if found.stop is not None and found.stop != found.first_difference:
         lines.append(f"The end: {_format_difference(run, found.stop, found.signals)}.")
     return "\n".join(lines)
+
+
+def _format_declaration(found: "LawReplay | LoopReplay") -> list[str]:
+    """Return how the law that was replayed declares itself, where it was recorded otherwise."""
+    told = found.declaration
+    if told is None:
+        return []
+    recorded, replayed = (escape_controls(str(text)) for text in (told.recorded, told.replayed))
+    return [f"The law declares itself otherwise. Recorded: {recorded}.\nReplayed: {replayed}."]
 
 
 def _describe_published(found: "LawReplay") -> str:
@@ -125,6 +136,7 @@ def format_loop(run: "Run", found: "LoopReplay") -> str:
         ),
         _format_counts(run, found),
     ]
+    lines += _format_declaration(found)
     if found.first_difference is None:
         goes_on = any(count.recorded != count.replayed for count in found.counts.values())
         end = ", as far as that goes" if goes_on else ""
@@ -190,7 +202,7 @@ def _describe_slack(signals: "Iterable[SignalDifference]") -> str:
 
 
 def _is_printed(found: "SignalDifference") -> bool:
-    return found.largest > 0.0 or found.signal in _ALWAYS
+    return found.largest > 0.0 or found.differing > 0 or found.signal in _ALWAYS
 
 
 def _format_counts(run: "Run", found: "LoopReplay") -> str:

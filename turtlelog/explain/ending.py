@@ -11,7 +11,7 @@ from turtlelog.explain.loop import Hints
 from turtlelog.explain.numbers import find_round_number
 from turtlelog.explain.trace import Trace
 from turtlelog.laws import SequentialPParameters
-from turtlelog.turtlesim import TICK_NS
+from turtlelog.plants.turtlesim import TICK_NS
 
 _USUAL: Final = SequentialPParameters()
 

@@ -6,8 +6,8 @@ from typing import Final
 
 from turtlelog.angles import wrap_angle
 from turtlelog.measure import METRICS
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import Scenario
-from turtlelog.turtlesim import TICK_S
 
 _SHARE: Final = 0.01
 """Of a value that no tolerance and no clock bounds. A phase of the paper's runs has a hundred

@@ -9,8 +9,8 @@ import numpy as np
 
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.scenario import LoopSettings
-from turtlelog.turtlesim import TICK_NS
 
 Guess = Mapping[str, Any]
 """Values by key of the scenario."""

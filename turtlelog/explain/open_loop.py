@@ -16,10 +16,10 @@ from turtlelog.explain.numbers import find_quantile
 from turtlelog.explain.stretches import list_breaks
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.laws import Decision, Goal, Pose
+from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.run import Phase
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
 from turtlelog.simulate import iterate_ticks
-from turtlelog.turtlesim import TICK_S, WORLD_SIZE_M
 
 _UNKNOWN_TICKS: Final = 20
 """Ticks after missing rows in which commands that nobody logged may still be acting."""

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values
+from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.replay import PoseError
 from turtlelog.run import Phase, Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import CommandQueue, Sample, iterate_ticks
-from turtlelog.turtlesim import TICK_NS, TICK_S
 
 Row = tuple[Any, ...]
 """What is compared of a sample."""

@@ -22,10 +22,10 @@ from turtlelog.explain.resimulation import Row, count_equal, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.measure.dead_time import CERTAIN
+from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.run import Phase
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 from turtlelog.simulate import iterate_ticks
-from turtlelog.turtlesim import TICK_S, WORLD_SIZE_M
 
 _MOST_TICKS: Final = 150_000
 """Ticks that are simulated where none is exact, some four seconds' worth."""

@@ -9,9 +9,9 @@ import numpy as np
 from turtlelog.explain.attribution import StartRange
 from turtlelog.explain.game import Game
 from turtlelog.explain.shapley import compute_shares, list_coalitions
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.turtlesim import TICK_S
 
 _COUNT: Final = 17
 """Starts: a sixteenth of one sample's turn apart, so that each of them meets the tolerance at

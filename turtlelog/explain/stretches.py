@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values, estimate_noise
+from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import Run
-from turtlelog.turtlesim import TICK_NS, TICK_S
 
 _NOISE_STEPS: Final = 8.0
 """Standard deviations of noise beyond which a step is a jump: once in 1e15 steps without one."""

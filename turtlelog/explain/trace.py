@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import Phase, Run
-from turtlelog.turtlesim import TICK_NS
 
 Values = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from turtlelog.angles import subtract_headings
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.response import find_loop_samples
+from turtlelog.plants.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
 from turtlelog.run import Run
-from turtlelog.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
 
 Values = NDArray[np.float64]
 

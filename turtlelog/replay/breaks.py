@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
 from turtlelog.replay.recorded import RecordedMotion
-from turtlelog.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
 
 _SLACK: Final = 1e-5
 """What the 32-bit rounding of two poses cannot explain [m, rad]."""

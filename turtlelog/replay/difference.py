@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import ReplayError
-from turtlelog.run import Phase
 
 Value = float | int | str | None
 
@@ -21,7 +20,8 @@ class Difference:
     Attributes:
         signal: Its name.
         time_ns: When, by the recording [ns].
-        recorded: In the signal's unit; a phase or stop reason by its name; None: none.
+        recorded: In the signal's unit; a phase or stop reason by its name, a declaration in words;
+            None: none.
         replayed: The same.
     """
 
@@ -39,7 +39,8 @@ class SignalDifference:
         signal: Its name.
         unit: Of its values.
         rows: How many were compared.
-        differing: How many of them differ by more than the tolerance.
+        differing: How many of them differ by more than the tolerance, or have a value on one side
+            only.
         largest: Largest magnitude of a difference, in `unit`; of a label 1 where it differs.
         at_ns: When that is first reached, by the recording [ns]; None where all are equal.
         first_difference: None where no row differs by more than the tolerance.
@@ -62,24 +63,24 @@ class Pairing:
         signal: Its name.
         unit: Of its values.
         time_ns: By the recording [ns], shape (n,), not decreasing.
-        recorded: Shape (n,).
-        replayed: Shape (n,).
-        kind: `number`; `angle`: differences in [-pi, pi); `phase`: equal or not.
+        recorded: Shape (n,); NaN: none.
+        replayed: Shape (n,); NaN: none.
+        kind: `number`; `angle`: differences in [-pi, pi); `label`: names, equal or not.
     """
 
     signal: str
     unit: str
     time_ns: NDArray[np.int64]
-    recorded: NDArray[np.float64] | NDArray[np.int64]
-    replayed: NDArray[np.float64] | NDArray[np.int64]
-    kind: Literal["number", "angle", "phase"] = "number"
+    recorded: NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_]
+    replayed: NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_]
+    kind: Literal["number", "angle", "label"] = "number"
 
 
 def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
-    """Return how far a signal's rows differ; phases differ whatever the tolerance."""
-    apart = _subtract(pairing)
+    """Return how far a signal's rows differ; labels differ whatever the tolerance."""
+    apart, is_one_sided = _subtract(pairing)
     # What is not within: nan, which a difference beyond the largest number may be, is none.
-    outside = ~(apart <= (0.0 if pairing.kind == "phase" else tolerance))
+    outside = ~(apart <= (0.0 if pairing.kind == "label" else tolerance)) | is_one_sided
     row = int(apart.argmax()) if len(apart) else 0
     largest = float(apart[row]) if len(apart) else 0.0
     return SignalDifference(
@@ -105,19 +106,25 @@ def require_tolerance(tolerance: float) -> None:
         raise ReplayError(f"tolerance: expected a number >= 0, found {tolerance}")
 
 
-def _subtract(pairing: Pairing) -> NDArray[np.float64]:
+def _subtract(pairing: Pairing) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return how far apart the values are, 0 where a side has none, and where only one has."""
     recorded, replayed = pairing.recorded, pairing.replayed
-    if pairing.kind == "phase":
-        return np.not_equal(recorded, replayed).astype(np.float64)
+    if pairing.kind == "label":
+        differs = np.not_equal(recorded, replayed)
+        return differs.astype(np.float64), np.zeros_like(differs)
+    missing = np.isnan(recorded), np.isnan(replayed)  # type: ignore[arg-type]
     with np.errstate(over="ignore", invalid="ignore"):
         apart: NDArray[np.float64] = np.subtract(replayed, recorded, dtype=np.float64)
-        return np.abs(wrap_angle(apart) if pairing.kind == "angle" else apart)
+        apart = np.abs(wrap_angle(apart) if pairing.kind == "angle" else apart)
+    return np.where(missing[0] | missing[1], 0.0, apart), missing[0] != missing[1]
 
 
 def _build_first(pairing: Pairing, row: int) -> Difference:
-    recorded, replayed = pairing.recorded[row].item(), pairing.replayed[row].item()
-    if pairing.kind == "phase":
-        recorded, replayed = Phase(recorded).label, Phase(replayed).label
+    # A NaN, which no other value equals, is no value.
+    recorded, replayed = (
+        value if value == value else None  # noqa: PLR0124
+        for value in (pairing.recorded[row].item(), pairing.replayed[row].item())
+    )
     return Difference(
         signal=pairing.signal,
         time_ns=int(pairing.time_ns[row]),

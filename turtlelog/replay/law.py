@@ -10,6 +10,7 @@ from turtlelog.errors import ReplayError
 from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.reader import NOT_READ
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.difference import (
     Difference,
     Pairing,
@@ -22,6 +23,8 @@ from turtlelog.replay.run_pairs import has_ticks
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
     PUBLISHED,
+    Answers,
+    compare_declarations,
     count_missing,
     has_all_commands,
     has_published,
@@ -33,7 +36,6 @@ from turtlelog.replay.stops import compare_last_decision
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import LawDriver, Sample, SampleRows, build_law
-from turtlelog.turtlesim import TICK_NS
 
 _PLANT: Final = "--plant drives recorded commands through the plant"
 
@@ -51,10 +53,12 @@ class LawReplay:
         commands: Where not one command per sample was published; None where one was, or where
             rows are lost.
         stop: Where the law ends the run elsewhere, or for another reason; None where it does not.
+        declaration: Where the law declares other loops, phases or states than were recorded; None
+            where not. By itself it is no difference of the runs.
         first_difference: The earliest of all; of several in one sample that of the first signal in
             `signals`. None where there is none.
         first_command_difference: The earliest in the commands, as computed and as published.
-        absent: Signals that the recording does not hold, or of which rows are lost.
+        absent: Signals of the replay that the recording does not hold, or of which rows are lost.
         answers: The samples as replayed.
     """
 
@@ -65,6 +69,7 @@ class LawReplay:
     signals: tuple[SignalDifference, ...]
     commands: Difference | None
     stop: Difference | None
+    declaration: Difference | None
     first_difference: Difference | None
     first_command_difference: Difference | None
     absent: tuple[str, ...]
@@ -105,9 +110,10 @@ def replay_law(
     if law is None:
         scenario = resolve_scenario(scenario, trust_law=trust_law)
         law = build_law(scenario.law)
-    answers, blocks_ticks, last = _answer_poses(run, scenario, law)
+    found, blocks_ticks, last = _answer_poses(run, scenario, law)
+    answers, recorded = found.samples, Answers(run.samples, run.declaration)
     rows = slice(len(answers))
-    pairings = [*pair_samples(run.samples, answers, rows=rows, others=rows)]
+    pairings = [*pair_samples(recorded, found, rows=rows, others=rows)]
     pairings += [*pair_published(run, answers), *_pair_pauses(run, blocks_ticks)]
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
     stop = compare_last_decision(run, len(answers) - 1, last.decision)
@@ -120,11 +126,12 @@ def replay_law(
         signals=signals,
         commands=others[0],
         stop=stop,
-        first_difference=find_earliest([*(found.first_difference for found in signals), *others]),
+        declaration=compare_declarations(run, found.declaration),
+        first_difference=find_earliest([*(signal.first_difference for signal in signals), *others]),
         first_command_difference=find_earliest(
-            found.first_difference for found in signals if found.signal in COMMANDS
+            signal.first_difference for signal in signals if signal.signal in COMMANDS
         ),
-        absent=(*list_absent(run.samples), *(() if has_published(run) else PUBLISHED)),
+        absent=(*list_absent(recorded, found), *(() if has_published(run) else PUBLISHED)),
         answers=answers,
     )
 
@@ -142,7 +149,7 @@ def _describe_nothing_read(run: Run) -> str:
 
 def _answer_poses(
     run: Run, scenario: Scenario, law: Law
-) -> tuple[SampleColumns, NDArray[np.int64], Sample]:
+) -> tuple[Answers, NDArray[np.int64], Sample]:
     """Return the samples up to the law's end, the ticks that each blocks for, and the last."""
     driver, read = LawDriver(scenario, law), run.samples.pose_sequence
     x_m, y_m = run.poses.xy_m[read].T
@@ -154,7 +161,8 @@ def _answer_poses(
         blocks_ticks.append(sample.decision.blocks_ticks)
         if sample.decision.stop_reason is not None:
             break
-    return rows.build_columns(), np.array(blocks_ticks, dtype=np.int64), sample
+    answers = Answers(rows.build_columns(), driver.declaration)
+    return answers, np.array(blocks_ticks, dtype=np.int64), sample
 
 
 def _count_published(run: Run) -> Difference | None:

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.errors import ReplayError
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.difference import (
     Difference,
     SignalDifference,
@@ -22,12 +23,11 @@ from turtlelog.replay.run_pairs import (
     pair_by_sample,
     pair_by_tick,
 )
-from turtlelog.replay.sample_pairs import list_absent
+from turtlelog.replay.sample_pairs import Answers, compare_declarations, list_absent
 from turtlelog.replay.stops import compare_ends
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run
-from turtlelog.turtlesim import TICK_NS
 
 _OF_TICKS: Final = (
     *("applied_speed", "applied_turn_rate", "sample_time", "pose_read", "command_time"),
@@ -49,9 +49,11 @@ class LoopReplay:
         signals: By signal: poses, samples, commands.
         counts: Rows of `samples`, `poses` and `commands`, as far as they are recorded.
         stop: Where the run ended for another reason; None where not.
+        declaration: Where the law declares other loops, phases or states than were recorded; None
+            where not. By itself it is no difference of the runs.
         first_difference: The earliest of all, counts and stop included; of several at one time that
             of the first signal in `signals`. None where there is none.
-        absent: Signals that the recording does not hold.
+        absent: Signals of the replay that the recording does not hold.
     """
 
     name: str
@@ -63,6 +65,7 @@ class LoopReplay:
     signals: tuple[SignalDifference, ...]
     counts: Mapping[str, RowCount]
     stop: Difference | None
+    declaration: Difference | None
     first_difference: Difference | None
     absent: tuple[str, ...]
 
@@ -119,9 +122,15 @@ def replay_loop(
         signals=signals,
         counts=MappingProxyType(counts),
         stop=stop,
+        declaration=compare_declarations(run, replayed.declaration) if len(run.samples) else None,
         first_difference=find_earliest([*first, stop]),
-        absent=(*list_absent(run.samples), *_list_missing(_OF_TICKS, signals)),
+        absent=(*_list_absent(run, replayed), *_list_missing(_OF_TICKS, signals)),
     )
+
+
+def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
+    was = Answers(run.samples, run.declaration)
+    return list_absent(was, Answers(replayed.samples, replayed.declaration))
 
 
 def _find_pose_error(signals: Sequence[SignalDifference]) -> PoseError:

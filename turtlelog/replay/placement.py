@@ -14,9 +14,9 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog.plants.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
 from turtlelog.replay.recorded import RecordedMotion
 from turtlelog.run import CommandColumns
-from turtlelog.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
 
 Velocity = tuple[float, float, float]
 """Forward [m/s], left [m/s], counter-clockwise [rad/s]."""

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
+from turtlelog.plants.turtlesim import TICK_S, Turtle
 from turtlelog.replay.breaks import Gap, Jump, find_breaks
 from turtlelog.replay.difference import Difference
 from turtlelog.replay.placement import CommandUse, Velocity, place_commands
 from turtlelog.replay.recorded import RecordedMotion, read_motion
 from turtlelog.run import Run
-from turtlelog.simulate import Turtle
-from turtlelog.turtlesim import TICK_S
 
 _HALF_STEP_M: Final = 2.0**-21
 """Half a 32-bit step of a coordinate between 8 and 16 m, the coarsest in this world [m]."""

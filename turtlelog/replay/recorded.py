@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import ReplayError
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import Run
-from turtlelog.turtlesim import TICK_NS
 
 _NEAR_TICK_NS: Final = 2_000_000
 """How far the usual time between the poses of a real turtlesim may be from a tick [ns]."""

@@ -6,11 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.difference import Difference, Pairing
-from turtlelog.replay.sample_pairs import count_missing, has_all_commands, pair_samples
+from turtlelog.replay.sample_pairs import (
+    Answers,
+    count_missing,
+    has_all_commands,
+    pair_samples,
+)
 from turtlelog.replay.stops import is_cut
 from turtlelog.run import PoseColumns, Run
-from turtlelog.turtlesim import TICK_NS
 
 Rows = NDArray[np.int64]
 
@@ -36,7 +41,7 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
     yield from _pair_applied(run.poses, replayed.poses, rows, ticks[rows])
     if len(run.samples):
         rows, others = _match_samples(run, replayed)
-        yield from pair_samples(run.samples, replayed.samples, rows=rows, others=others)
+        yield from _pair_answers(run, replayed, rows, others)
         yield from _pair_clocks(run, replayed, rows, others)
     if len(run.commands) and has_all_commands(run):
         yield from _pair_commands(run, replayed)
@@ -47,7 +52,13 @@ def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
     rows, others = _match_samples(run, replayed)
     read = run.samples.pose_sequence[rows], replayed.samples.pose_sequence[others]
     yield from _pair_poses(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
-    yield from pair_samples(run.samples, replayed.samples, rows=rows, others=others)
+    yield from _pair_answers(run, replayed, rows, others)
+
+
+def _pair_answers(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[Pairing]:
+    was = Answers(run.samples, run.declaration)
+    now = Answers(replayed.samples, replayed.declaration)
+    return pair_samples(was, now, rows=rows, others=others)
 
 
 def count_rows(run: Run, replayed: Run, *, by_tick: bool) -> dict[str, RowCount]:

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.replay.difference import Pairing
+from turtlelog.loops import Declaration
+from turtlelog.replay.difference import Difference, Pairing
 from turtlelog.run import Run, SampleColumns
 
 Rows = NDArray[np.int64] | slice
@@ -22,14 +23,20 @@ _NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = MappingProxyType(
         "turn_rate": ("rad/s", lambda samples: samples.turn_rate_rad_s),
         "bearing": ("rad", lambda samples: samples.bearing_rad),
         "heading_error": ("rad", lambda samples: samples.heading_error_rad),
-        "error_x": ("m", lambda samples: samples.error_xy_m[:, 0]),
-        "error_y": ("m", lambda samples: samples.error_xy_m[:, 1]),
+        "error_x": ("m", lambda samples: _take(samples.error_xy_m, 0)),
+        "error_y": ("m", lambda samples: _take(samples.error_xy_m, 1)),
         "distance": ("m", lambda samples: samples.distance_m),
-        "world_v_x": ("m/s", lambda samples: samples.world_velocity_m_s[:, 0]),
-        "world_v_y": ("m/s", lambda samples: samples.world_velocity_m_s[:, 1]),
+        "world_v_x": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 0)),
+        "world_v_y": ("m/s", lambda samples: _take(samples.world_velocity_m_s, 1)),
+        "reference_x": ("m", lambda samples: _take(samples.reference_xy_m, 0)),
+        "reference_y": ("m", lambda samples: _take(samples.reference_xy_m, 1)),
+        "reference_heading": ("rad", lambda samples: samples.reference_heading_rad),
     }
 )
 """What a controller computes, as it computed it, by name: commands first, then errors."""
+
+_ANGLES: Final = frozenset({"bearing", "reference_heading"})
+"""Signals whose values differ by less than half a turn."""
 
 PUBLISHED: Final = ("command_speed", "command_lateral_speed", "command_turn_rate")
 """The signals of the commands as they were published."""
@@ -38,29 +45,83 @@ COMMANDS: Final = ("speed", "turn_rate", *PUBLISHED)
 """The signals that leave the controller: as samples tell them, and as published."""
 
 
+class Answers(NamedTuple):
+    """Samples, and the declaration that names their phases and states."""
+
+    samples: SampleColumns
+    declaration: Declaration
+
+
 def pair_samples(
-    recorded: SampleColumns, replayed: SampleColumns, *, rows: Rows, others: Rows
+    recorded: Answers, replayed: Answers, *, rows: Rows, others: Rows
 ) -> Iterator[Pairing]:
     """Yield the signals that both hold; `rows` of the one are beside `others` of the other."""
-    time_ns = recorded.time_ns[rows]
-    for name, (unit, read) in _NUMBERS.items():
-        was, now = read(recorded), read(replayed)
-        if was is not None and now is not None:
+    time_ns = recorded.samples.time_ns[rows]
+    were, are = _read_numbers(recorded), _read_numbers(replayed)
+    for name, (unit, was) in were.items():
+        if name in are:
             yield Pairing(
                 signal=name,
                 unit=unit,
                 time_ns=time_ns,
                 recorded=was[rows],
-                replayed=now[others],
-                kind="angle" if name == "bearing" else "number",
+                replayed=are[name][1][others],
+                kind="angle" if name in _ANGLES else "number",
             )
     yield Pairing(
         signal="phase",
         unit="1",
         time_ns=time_ns,
-        recorded=recorded.phase[rows],
-        replayed=replayed.phase[others],
-        kind="phase",
+        recorded=_name_phases(recorded)[rows],
+        replayed=_name_phases(replayed)[others],
+        kind="label",
+    )
+
+
+def _read_numbers(answers: Answers) -> dict[str, tuple[str, NDArray[np.float64]]]:
+    """Return the unit and the column of each signal that there is, states by their names."""
+    samples, names = answers
+    found = {name: (unit, read(samples)) for name, (unit, read) in _NUMBERS.items()}
+    found |= {name: ("1", _take(samples.states, row)) for row, name in enumerate(names.states)}
+    return {name: (unit, column) for name, (unit, column) in found.items() if column is not None}
+
+
+def _name_phases(answers: Answers) -> NDArray[np.str_]:
+    return np.array(answers.declaration.phase_names)[answers.samples.phase]
+
+
+def _take(columns: NDArray[np.float64] | None, row: int) -> NDArray[np.float64] | None:
+    return None if columns is None else columns[:, row]
+
+
+def compare_declarations(run: Run, replayed: Declaration) -> Difference | None:
+    """Return how the declaration of the law that answers differs from the recorded one."""
+    if run.declaration == replayed:
+        return None
+    was, now = _describe_declaration(run.declaration), _describe_declaration(replayed)
+    parts = [(a, b) for a, b in zip(was, now, strict=True) if a != b]
+    return Difference(
+        signal="declaration",
+        time_ns=run.start_ns,
+        recorded="; ".join(a for a, _ in parts),
+        replayed="; ".join(b for _, b in parts),
+    )
+
+
+def _describe_declaration(declaration: Declaration) -> tuple[str, ...]:
+    loops = [
+        f"{loop.name} ({loop.signal} by {loop.command} to {loop.reference},"
+        f" gain {loop.gain or 'none'}, limit {loop.limit_key})"
+        for loop in declaration.loops
+    ]
+    phases = [
+        f"{name} ({', '.join(acting) or 'no loop'})" for name, acting in declaration.phases.items()
+    ]
+    return (
+        f"loops {', '.join(loops) or 'none'}",
+        f"phases {', '.join(phases)}",
+        f"states {', '.join(declaration.states) or 'none'}",
+        "a goal" if declaration.uses_goal else "no goal",
     )
 
 
@@ -95,9 +156,10 @@ def has_published(run: Run) -> bool:
     return count - 1 <= len(run.commands) <= count
 
 
-def list_absent(recorded: SampleColumns) -> tuple[str, ...]:
-    """Return the names of the signals that a recording does not hold."""
-    return tuple(name for name, (_, read) in _NUMBERS.items() if read(recorded) is None)
+def list_absent(recorded: Answers, replayed: Answers) -> tuple[str, ...]:
+    """Return the names of the signals that a replay has, and its recording does not."""
+    held = _read_numbers(recorded)
+    return tuple(name for name in _read_numbers(replayed) if name not in held)
 
 
 def count_missing(samples: SampleColumns) -> int:

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta
 
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
-from turtlelog.turtlesim import SPAWN_XY_M, WORLD_SIZE_M
+from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
 
-Coordinate = Annotated[float, Meta(ge=0.0, le=WORLD_SIZE_M)]
+Coordinate = Annotated[float, Meta(ge=TURTLESIM.low_m, le=TURTLESIM.high_m)]
 Positive = Annotated[float, Meta(gt=0.0)]
 DEFAULT_LAW: Final = "sequential-p"
 

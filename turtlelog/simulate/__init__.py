@@ -1,4 +1,4 @@
-"""Scenario -> samples -> Run: the plant, the queues, the closed loop."""
+"""Scenario -> samples -> Run: the queues, the closed loop."""
 
 from turtlelog.simulate.collect import RunCollector, collect_run, simulate_run
 from turtlelog.simulate.controller import Controller
@@ -6,7 +6,6 @@ from turtlelog.simulate.law_driver import LawDriver, Sample, build_law, declare_
 from turtlelog.simulate.loop import Tick, iterate_ticks
 from turtlelog.simulate.queues import CommandQueue
 from turtlelog.simulate.sample_rows import SampleRows, list_extra_values
-from turtlelog.simulate.turtle import Turtle, round_to_float32
 
 __all__ = [
     "CommandQueue",
@@ -16,12 +15,10 @@ __all__ = [
     "Sample",
     "SampleRows",
     "Tick",
-    "Turtle",
     "build_law",
     "collect_run",
     "declare_scenario",
     "iterate_ticks",
     "list_extra_values",
-    "round_to_float32",
     "simulate_run",
 ]

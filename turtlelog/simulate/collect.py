@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.errors import SimulationError
+from turtlelog.plants import TURTLESIM, Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.law_driver import declare_scenario
@@ -18,8 +19,8 @@ _POSE_ROW: Final = Struct("<q5d")
 _COMMAND_ROW: Final = Struct("<q2d")
 
 
-def simulate_run(scenario: Scenario) -> Run:
-    """Simulate a scenario and return its run.
+def simulate_run(scenario: Scenario, plant: Plant = TURTLESIM) -> Run:
+    """Simulate a scenario and return its run; with another plant on that plant's clock.
 
     Raises:
         ScenarioError: Where the law cannot be loaded or may not run.
@@ -27,7 +28,7 @@ def simulate_run(scenario: Scenario) -> Run:
             within `max_duration_s`.
     """
     scenario = resolve_scenario(scenario)
-    return collect_run(scenario, iterate_ticks(scenario))
+    return collect_run(scenario, iterate_ticks(scenario, plant))
 
 
 def collect_run(scenario: Scenario, ticks: Iterable[Tick]) -> Run:

@@ -21,15 +21,20 @@ class Controller:
         "_driver",
         "_period_ticks",
         "_poses",
+        "_steps_per_tick",
         "_waits_for",
         "dropped",
         "failure",
     )
 
-    def __init__(self, scenario: Scenario, law: Law) -> None:
-        """Wait for `loop.start_backlog` poses before the first answer."""
+    def __init__(self, scenario: Scenario, law: Law, *, steps_per_tick: int = 1) -> None:
+        """Wait for `loop.start_backlog` poses before the first answer.
+
+        A law blocks for ticks of the plant as it is; a finer clock makes several steps of each.
+        """
         self._driver = LawDriver(scenario, law)
         self._period_ticks = scenario.loop.period_ticks
+        self._steps_per_tick = steps_per_tick
         self._waits_for = scenario.loop.start_backlog
         self._poses: deque[tuple[int, Pose]] = deque(maxlen=scenario.loop.pose_queue)
         self._blocked: tuple[int, Sample] | None = None
@@ -66,7 +71,8 @@ class Controller:
                 break
             computed += (sample,)
             if sample.decision.blocks_ticks > 0:
-                self._blocked = tick + sample.decision.blocks_ticks, sample
+                blocks_steps = sample.decision.blocks_ticks * self._steps_per_tick
+                self._blocked = tick + blocks_steps, sample
                 break
             published += (sample,)
             if sample.decision.stop_reason is not None:

@@ -7,13 +7,12 @@ from typing import Final
 import msgspec
 
 from turtlelog.laws import Pose
+from turtlelog.plants import TURTLESIM, Plant, Turtle
 from turtlelog.run import Event
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import Samples, build_law
 from turtlelog.simulate.queues import CommandQueue
-from turtlelog.simulate.turtle import Turtle
-from turtlelog.turtlesim import TICK_NS
 
 _POSE: Final = Struct("<5f")
 """How turtlesim publishes x, y, heading, speed and turn rate: as 32-bit floats."""
@@ -47,8 +46,10 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
     stop_reason: str | None
 
 
-def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
+def iterate_ticks(scenario: Scenario, plant: Plant = TURTLESIM) -> Iterator[Tick]:
     """Yield the ticks of a closed loop until the law is done or `max_duration_s` has passed.
+
+    Ticks are steps of the plant, one per period; what the scenario counts in ticks as well.
 
     Raises:
         SimulationError: Where the law fails or answers with something that is no number; after the
@@ -60,8 +61,9 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
         y_m=scenario.start.y_m,
         heading_rad=scenario.start.heading_rad,
         is_rounded=scenario.start.precision == "float32",
+        plant=plant,
     )
-    controller = Controller(scenario, build_law(scenario.law))
+    controller = Controller(scenario, build_law(scenario.law), steps_per_tick=plant.steps_per_tick)
     commands = CommandQueue(
         depth=loop.command_queue,
         newest_only=loop.queue_policy == "newest",
@@ -69,11 +71,12 @@ def iterate_ticks(scenario: Scenario) -> Iterator[Tick]:
     )
     watch = _EventWatch(turtle, controller, commands)
     exact = loop.pose_precision == "float64"
-    last_tick = round(scenario.max_duration_s * 1e9) // TICK_NS
+    period_ns = plant.period_ns
+    last_tick = round(scenario.max_duration_s * 1e9) // period_ns
     pack_floats, round_floats = _POSE.pack, _POSE.unpack
     stop_reason: str | None = None
     for tick in range(last_tick + 1):
-        time_ns = tick * TICK_NS
+        time_ns = tick * period_ns
         command = commands.take(tick)
         if command is not None:
             turtle.take_command(command.speed_m_s, command.turn_rate_rad_s)

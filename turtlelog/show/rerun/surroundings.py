@@ -8,12 +8,12 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 from turtlelog.show.close_up import find_tolerance
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.run_colors import Color
-from turtlelog.turtlesim import WORLD_SIZE_M
 
 _WORLD_MARGIN = 0.03
 _MARGIN = 0.12

@@ -1,16 +1,67 @@
-"""The plant: one turtle of turtlesim, as its ROS 2 Humble source moves it.
+"""turtlesim (ROS 2 Humble): what is fixed about it, and one turtle as its source moves it.
 
-Source of every formula: turtlesim's `turtle.cpp`, `Turtle::update`.
+Source of every formula: turtlesim's `turtle_frame.cpp` and `turtle.cpp` (`Turtle::update`), and
+measurements on published logs.
 """
 
 from array import array
+from dataclasses import dataclass, replace
 from math import cos, floor, hypot, sin
 from typing import Final
 
-from turtlelog.turtlesim import TICK_NS, TICK_S, WATCHDOG_NS, WORLD_SIZE_M
+TICK_NS: Final = 16_000_000
+"""One plant step [ns]."""
+
+TICK_S: Final = 0.016
+"""One plant step [s]."""
+
+WORLD_SIZE_M: Final = 11.088889122009277
+"""Side of the square world [m]: 499 / 45 as a 32-bit float. The origin is its lower left corner."""
+
+SPAWN_XY_M: Final = 5.544444561004639
+"""Both coordinates of the spawn pose [m]: the middle of the world as a 32-bit float."""
+
+WATCHDOG_NS: Final = 1_000_000_000
+"""A turtle stops when more than this has passed since it last took a command [ns]."""
 
 _PI: Final = 3.14159265  # eight decimals, as in turtlesim's source
 _TWO_PI: Final = 2.0 * _PI
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plant:
+    """The facts of a plant that the loop around it needs.
+
+    Attributes:
+        name: As people call it.
+        period_ns: One step [ns].
+        low_m: The least coordinate of start and goal [m].
+        high_m: The largest [m].
+        steps_per_tick: Steps that take as long as one tick of the plant as it is; 1 but for a finer
+            clock.
+    """
+
+    name: str
+    period_ns: int
+    low_m: float
+    high_m: float
+    steps_per_tick: int = 1
+
+    @property
+    def period_s(self) -> float:
+        """One step [s]."""
+        return self.period_ns / 1e9
+
+    def refine(self, times: int) -> "Plant":
+        """Return the same plant with a clock that is so many times finer."""
+        period_ns, rest = divmod(self.period_ns, times)
+        if rest:
+            raise ValueError(f"expected a divisor of {self.period_ns} ns, found {times}")
+        return replace(self, period_ns=period_ns, steps_per_tick=self.steps_per_tick * times)
+
+
+TURTLESIM: Final = Plant(name="turtlesim", period_ns=TICK_NS, low_m=0.0, high_m=WORLD_SIZE_M)
+"""turtlesim as it is."""
 
 
 class Turtle:
@@ -27,6 +78,8 @@ class Turtle:
         "_down_m",
         "_heading_rad",
         "_idle_ns",
+        "_period_ns",
+        "_period_s",
         "_teleports",
         "_x_m",
         "hit_wall",
@@ -36,12 +89,19 @@ class Turtle:
     )
 
     def __init__(
-        self, *, x_m: float, y_m: float, heading_rad: float = 0.0, is_rounded: bool = True
+        self,
+        *,
+        x_m: float,
+        y_m: float,
+        heading_rad: float = 0.0,
+        is_rounded: bool = True,
+        plant: Plant = TURTLESIM,
     ) -> None:
         """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does.
 
-        Unless `is_rounded`: then it stands there since it moved before.
+        Unless `is_rounded`: then it stands there since it moved before. `plant` tells its period.
         """
+        self._period_ns, self._period_s = plant.period_ns, plant.period_s
         self._x_m, self._down_m, self._heading_rad = x_m, WORLD_SIZE_M - y_m, heading_rad
         if is_rounded:
             self._x_m = round_to_float32(x_m)
@@ -59,7 +119,7 @@ class Turtle:
         self.speed_m_s = speed_m_s
         self.lateral_speed_m_s = lateral_speed_m_s
         self.turn_rate_rad_s = turn_rate_rad_s
-        self._idle_ns = -TICK_NS
+        self._idle_ns = -self._period_ns
 
     def teleport_to(self, x_m: float, y_m: float, heading_rad: float) -> None:
         """Ask to be set to a pose in the world frame at the next step [m, m, rad]."""
@@ -71,18 +131,19 @@ class Turtle:
         self._teleports.append((True, round_to_float32(forward_m), 0.0, round_to_float32(turn_rad)))
 
     def step(self) -> None:
-        """Move for one tick: teleports, watchdog, turn, move along the new heading, clamp."""
+        """Move for one step: teleports, watchdog, turn, move along the new heading, clamp."""
         if self._teleports:
             self._apply_teleports()
-        self._idle_ns += TICK_NS
+        period_s = self._period_s
+        self._idle_ns += self._period_ns
         if self._idle_ns > WATCHDOG_NS:
             self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
-        heading_rad = self._heading_rad + self.turn_rate_rad_s * TICK_S
+        heading_rad = self._heading_rad + self.turn_rate_rad_s * period_s
         heading_rad -= _TWO_PI * floor((heading_rad + _PI) / _TWO_PI)
         forward, left = self.speed_m_s, self.lateral_speed_m_s
         cosine, sine = cos(heading_rad), sin(heading_rad)
-        x_m = self._x_m + (cosine * forward * TICK_S - sine * left * TICK_S)
-        down_m = self._down_m - (cosine * left * TICK_S + sine * forward * TICK_S)
+        x_m = self._x_m + (cosine * forward * period_s - sine * left * period_s)
+        down_m = self._down_m - (cosine * left * period_s + sine * forward * period_s)
         self.hit_wall = not (0.0 <= x_m <= WORLD_SIZE_M and 0.0 <= down_m <= WORLD_SIZE_M)
         if self.hit_wall:
             x_m = min(max(x_m, 0.0), WORLD_SIZE_M)
