@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
+from mcap.records import Message
 
 from tests.log.live import PROGRAM, read_messages, read_rest, start_recording, wait_for_tick
+from tests.log.recording.strange import make_strange
 from tests.log.runs import assert_same
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError, SimulationError
@@ -128,6 +131,11 @@ def test_a_real_clock_paces_a_run() -> None:
     assert 0.49 < time.monotonic() - start < 5.0
 
 
+def read_phases(path: Path) -> list[Message]:
+    with path.open("rb") as stream:
+        return [found[2] for found in make_reader(stream).iter_messages(["/turtle1/phase"])]
+
+
 def interrupt(number: signal.Signals, sinks: list[Watcher], **values: Any) -> Run:
     return run_live(make_scenario(**values), sinks, realtime=False)
 
@@ -211,7 +219,48 @@ def test_all_sinks_are_closed_where_the_law_fails(tmp_path: Path) -> None:
         run_live(scenario, [recorder], realtime=False)
     check_strictly(tmp_path / "a.mcap")
     run = read_recording(tmp_path / "a.mcap")
-    assert (run.poses.time_ns[-1], run.stop_reason) == (992_000_000, None)
+    assert (run.poses.time_ns[-1], run.stop_reason) == (1_008_000_000, "law_failed")
+
+
+@pytest.mark.parametrize(
+    ("fails", "reason"),
+    [("raises", "ValueError: out of ideas"), ("nan", "expected a finite command, found speed nan")],
+)
+def test_a_law_that_fails_leaves_a_recording_that_says_why(
+    fails: str, reason: str, tmp_path: Path
+) -> None:
+    scenario, watcher, clock = make_strange(tmp_path, fails=fails), Watcher(), Clock()
+    recorder = Recorder(tmp_path / "a.mcap", scenario)
+    sinks: list[Sink] = [recorder, watcher, Watcher(clock, {3: 0.1})]
+    with pytest.raises(SimulationError, match=reason) as caught:
+        run_live(scenario, sinks, realtime=True, clock=clock)
+    assert watcher.ticks[-1].stop_reason == "law_failed"
+    check_strictly(tmp_path / "a.mcap")
+    run = read_recording(tmp_path / "a.mcap")
+    assert_same(run, caught.value.run)
+    assert (len(run.samples), run.stop_reason, run.is_complete) == (4, "law_failed", False)
+    assert run.notes.keys() == {"late_ticks"}
+    assert (run.events[-1].kind, run.events[-1].time_ns) == ("stop", run.poses.time_ns[-1])
+    assert run.events[-1].text.startswith("The run ended: law failed: law ")
+    assert reason in run.events[-1].text
+    spans = [message.data[8:-1].decode() for message in read_phases(tmp_path / "a.mcap")]
+    assert spans == ["two"]
+
+
+def test_a_law_that_fails_at_its_first_pose_leaves_the_poses(tmp_path: Path) -> None:
+    law = tmp_path / "law.py"
+    law.write_text(
+        "from turtlelog.laws import SequentialP\n"
+        "class Fails(SequentialP):\n"
+        "    def reset(self, start, goal, path): raise ValueError('no start')\n",
+        encoding="utf-8",
+    )
+    scenario = make_scenario("paper", law__kind=f"{law}:Fails")
+    with pytest.raises(SimulationError, match="no start") as caught:
+        run_live(scenario, [Recorder(tmp_path / "a.mcap", scenario)], realtime=False)
+    assert caught.value.run is None
+    run = read_recording(tmp_path / "a.mcap")
+    assert (len(run.poses), len(run.samples), run.stop_reason) == (5, 0, "law_failed")
 
 
 def test_an_interrupted_recording_comes_back_as_the_run(tmp_path: Path) -> None:

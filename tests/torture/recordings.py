@@ -49,9 +49,14 @@ def pack_again(data: bytes, compression: str, *, use_chunking: bool = True) -> b
         use_chunking=use_chunking,
         enable_data_crcs=True,
     )
+    schemas = set[int]()
     for record in StreamReader(BytesIO(data)).records:
         if isinstance(record, DataEnd):
             break
+        if isinstance(record, Schema):
+            if record.id in schemas:  # of two topics; the writer would number it anew
+                continue
+            schemas.add(record.id)
         _write_record(writer, record)
     writer.finish()  # type: ignore[no-untyped-call]
     return output.getvalue()

@@ -59,6 +59,12 @@ def make_strange(folder: Path, **values: Any) -> Scenario:
     """Return a scenario of that law; a keyword is one of its parameters, or a key of a scenario."""
     path = folder / "strange.py"
     path.write_text(_LAW, encoding="utf-8")
-    keys = {key.replace("__", ".") if "__" in key else f"law.{key}": values[key] for key in values}
+    keys = {_name_key(key): value for key, value in values.items()}
     kind = {"law.kind": f"{path}:Strange", "law.kp": 0.1}
     return override_scenario(get_preset("textbook"), kind | keys)
+
+
+def _name_key(name: str) -> str:
+    if name == "max_duration_s":
+        return name
+    return name.replace("__", ".") if "__" in name else f"law.{name}"

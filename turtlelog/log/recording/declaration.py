@@ -114,7 +114,7 @@ def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declarat
     kind = law.get("kind") if isinstance(law, Mapping) else None
     if kind is None and not has_samples:
         return Declaration()
-    return SEQUENTIAL_P if kind in {None, DEFAULT_LAW} else _OTHER_LAW
+    return SEQUENTIAL_P if kind is None or kind == DEFAULT_LAW else _OTHER_LAW
 
 
 def list_topics(declaration: Declaration | None, kind: object = DEFAULT_LAW) -> tuple[Topic, ...]:
