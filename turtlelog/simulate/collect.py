@@ -64,14 +64,14 @@ class RunCollector:
 
     def take(self, ticks: Iterable[Tick]) -> None:
         """Add the next ticks."""
-        poses, samples, commands = self._poses, self._samples, self._commands
+        poses, commands, add_sample = self._poses, self._commands, self._samples.add
         for tick in ticks:
             pose, time_ns = tick.pose, tick.time_ns
             poses += _POSE_ROW.pack(
                 time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
             )
             for sample in tick.computed:
-                samples.add(sample)
+                add_sample(sample)
             for sample in tick.published:
                 commands += _COMMAND_ROW.pack(time_ns, sample.speed_m_s, sample.turn_rate_rad_s)
             self._events += tick.events

@@ -63,26 +63,25 @@ class Controller:
             published = (blocked,)
             if blocked.decision.stop_reason is not None:
                 return (), published
+        computed, answered = self._answer_waiting(tick, time_ns)
+        return computed, published + answered
+
+    def _answer_waiting(self, tick: int, time_ns: int) -> tuple[Samples, Samples]:
+        """Answer the poses that wait, until the law blocks, ends or fails."""
         computed: Samples = ()
+        published: Samples = ()
         while self._poses:
             pose_sequence, pose = self._poses.popleft()
-            sample = self._ask(time_ns, pose_sequence, pose)
-            if sample is None:
+            try:
+                sample = self._driver.answer(time_ns, pose_sequence, pose)
+            except SimulationError as err:
+                self.failure = err
                 break
             computed += (sample,)
             if sample.decision.blocks_ticks > 0:
-                blocks_steps = sample.decision.blocks_ticks * self._steps_per_tick
-                self._blocked = tick + blocks_steps, sample
+                self._blocked = tick + sample.decision.blocks_ticks, sample
                 break
             published += (sample,)
             if sample.decision.stop_reason is not None:
                 break
         return computed, published
-
-    def _ask(self, time_ns: int, pose_sequence: int, pose: Pose) -> Sample | None:
-        """Return the law's answer to a pose; None where it fails, with the reason kept."""
-        try:
-            return self._driver.answer(time_ns, pose_sequence, pose)
-        except SimulationError as err:
-            self.failure = err
-            return None

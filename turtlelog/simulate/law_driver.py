@@ -2,7 +2,7 @@
 
 from math import atan2, copysign, hypot, isfinite, isinf
 from operator import index
-from typing import Final
+from typing import Final, NoReturn
 
 import msgspec
 
@@ -86,6 +86,7 @@ class LawDriver:
     __slots__ = (
         "_ended",
         "_goal",
+        "_has_more",
         "_kind",
         "_law",
         "_limits",
@@ -104,10 +105,9 @@ class LawDriver:
         self.declaration = declaration = declare_law(type(law), parameters, goal)
         self._goal = goal if declaration.uses_goal else None
         self._limits = scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s
-        self._phases: dict[str | None, int] = {
-            name: number for number, name in enumerate(declaration.phase_names)
-        }
-        self._phases[None] = 0
+        self._phases = {name: number for number, name in enumerate(declaration.phase_names)}
+        # What only other laws than the built-in ones answer is looked at there.
+        self._has_more = type(law) not in LAWS.values() or bool(declaration.states)
         self._with_reference = frozenset(
             phase
             for loop in declaration.loops
@@ -115,7 +115,7 @@ class LawDriver:
             for phase in declaration.list_phases(loop.name)
         )
         self._sequence = 0
-        self._ended: str | None = None
+        self._ended: int | None = None
 
     def answer(self, time_ns: int, pose_sequence: int, pose: Pose) -> Sample:
         """Return the sample that a pose makes, with its command clipped.
@@ -129,17 +129,21 @@ class LawDriver:
             if sequence == 0:
                 self._reset(pose)
             decision = self._step(time_ns, pose)
-            speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
-            decision, distance = self._complete(decision, pose)
-            phase = self._require_sound(decision)
+            try:
+                phase = self._judge(decision)
+            except TypeError:  # it leaves something out, or holds what is no number
+                decision = self._complete(decision, pose)
+                phase = self._judge(decision)
         except (Exception, SystemExit) as err:
             reason = describe_law_error(err, type(self._law))
             raise SimulationError(f"law {self._kind}, sample {sequence}: {reason}") from err
+        speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
         speed_limit, turn_limit = self._limits
         if not -speed_limit <= speed <= speed_limit:
             speed = copysign(speed_limit, speed)
         if not -turn_limit <= turn_rate <= turn_limit:
             turn_rate = copysign(turn_limit, turn_rate)
+        distance = hypot(decision.error_x_m, decision.error_y_m)  # type: ignore[arg-type]
         return Sample(time_ns, sequence, pose_sequence, decision, phase, speed, turn_rate, distance)
 
     def _reset(self, pose: Pose) -> None:
@@ -153,61 +157,77 @@ class LawDriver:
             raise SimulationError(f"expected a Decision, found {decision!r:.60}")
         return decision
 
-    def _complete(self, decision: Decision, pose: Pose) -> tuple[Decision, float]:
-        """Return the decision with what it leaves out, and the distance to the goal [m]."""
-        error_x_m, error_y_m = decision.error_x_m, decision.error_y_m
-        bearing_rad, heading_error_rad = decision.bearing_rad, decision.heading_error_rad
-        if (
-            error_x_m is not None
-            and error_y_m is not None
-            and bearing_rad is not None
-            and heading_error_rad is not None
-            and decision.phase is not None
-        ):
-            return decision, hypot(error_x_m, error_y_m)
+    def _complete(self, decision: Decision, pose: Pose) -> Decision:
+        """Return the decision with what it leaves out; without a goal its errors are NaN."""
         goal = self._goal
         ahead_m = _NO_GOAL if goal is None else goal.x_m - pose.x_m
         left_m = _NO_GOAL if goal is None else goal.y_m - pose.y_m
-        bearing_now_rad = atan2(left_m, ahead_m)
-        turn_rad = subtract_headings(bearing_now_rad, pose.heading_rad) if goal else _NO_GOAL
-        complete = msgspec.structs.replace(
-            decision,
-            phase=next(iter(self._phases)) if decision.phase is None else decision.phase,
-            error_x_m=ahead_m if error_x_m is None else error_x_m,
-            error_y_m=left_m if error_y_m is None else error_y_m,
-            bearing_rad=bearing_now_rad if bearing_rad is None else bearing_rad,
-            heading_error_rad=turn_rad if heading_error_rad is None else heading_error_rad,
-        )
-        return complete, hypot(complete.error_x_m, complete.error_y_m)  # type: ignore[arg-type]
+        bearing_rad = atan2(left_m, ahead_m)
+        turn_rad = subtract_headings(bearing_rad, pose.heading_rad) if goal else _NO_GOAL
+        defaults = {
+            "phase": next(iter(self._phases)),
+            "error_x_m": ahead_m,
+            "error_y_m": left_m,
+            "bearing_rad": bearing_rad,
+            "heading_error_rad": turn_rad,
+        }
+        left_out = {
+            name: value for name, value in defaults.items() if getattr(decision, name) is None
+        }
+        return msgspec.structs.replace(decision, **left_out)
 
-    def _require_sound(self, decision: Decision) -> int:
-        """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
-        _require_finite(decision, has_goal=self._goal is not None)
-        number = self._follow_phase(decision)
-        if decision.states or self.declaration.states:
-            self._require_states(decision.states)
-        if decision.reference is not None or decision.phase in self._with_reference:
-            self._require_reference(decision)
+    def _judge(self, decision: Decision) -> int:
+        """Return the number of a decision's phase; refuse what cannot be executed or recorded.
+
+        Raises:
+            TypeError: Where it leaves something out.
+        """
+        speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
+        # A sum of numbers is finite where all of them are.
+        errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
+        errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
+        if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
+            raise SimulationError(
+                f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
+            )
+        world = decision.world_v_x_m_s + decision.world_v_y_m_s
+        if not isfinite(errors + world):
+            self._require_finite(decision)
+        number = self._phases[phase] if phase in self._phases else self._refuse_phase(phase)
+        if self._has_more or decision.blocks_ticks != 0 or decision.stop_reason is not None:
+            self._require_more(decision)
+        if number == self._ended:
+            raise SimulationError(
+                f"expected another phase than {phase}, which had ended, found it again"
+            )
+        self._ended = number if decision.ends_phase else None
+        return number
+
+    def _refuse_phase(self, phase: object) -> NoReturn:
+        if phase is None:
+            raise TypeError("phase")
+        known = ", ".join(self.declaration.phases)
+        raise SimulationError(f"expected a phase of {known}, found {phase!r}")
+
+    def _require_finite(self, decision: Decision) -> None:
+        errors = (
+            *(decision.bearing_rad, decision.heading_error_rad),
+            *(decision.error_x_m, decision.error_y_m),
+        )
+        world = decision.world_v_x_m_s, decision.world_v_y_m_s
+        has_errors = all(map(isfinite, errors))  # type: ignore[arg-type]
+        if (self._goal is not None and not has_errors) or any(map(isinf, world)):
+            raise SimulationError(f"expected finite numbers, found {decision}")
+
+    def _require_more(self, decision: Decision) -> None:
+        self._require_states(decision.states)
+        self._require_reference(decision)
         if index(decision.blocks_ticks) < 0:
             raise SimulationError(f"expected blocks_ticks >= 0, found {decision.blocks_ticks}")
         if decision.stop_reason is not None and not isinstance(decision.stop_reason, str):
             raise SimulationError(
                 f"expected a stop_reason in words, found {decision.stop_reason!r}"
             )
-        return number
-
-    def _follow_phase(self, decision: Decision) -> int:
-        phase = decision.phase
-        number = self._phases.get(phase)
-        if number is None:
-            known = ", ".join(self.declaration.phases)
-            raise SimulationError(f"expected a phase of {known}, found {phase!r}")
-        if phase == self._ended:
-            raise SimulationError(
-                f"expected another phase than {phase}, which had ended, found it again"
-            )
-        self._ended = phase if decision.ends_phase else None
-        return number
 
     def _require_states(self, states: tuple[float, ...]) -> None:
         names = self.declaration.states
@@ -220,31 +240,18 @@ class LawDriver:
 
     def _require_reference(self, decision: Decision) -> None:
         reference = decision.reference
+        if reference is None:
+            if decision.phase in self._with_reference:
+                phase = decision.phase
+                raise SimulationError(f"expected a reference pose in phase {phase}, found none")
+            return
         if not self.declaration.has_reference:
             raise SimulationError(
                 "expected no reference pose, for no loop is declared with the reference"
                 f" recorded, found {reference}"
             )
-        if reference is None:
-            raise SimulationError(
-                f"expected a reference pose in phase {decision.phase}, found none"
-            )
         if not isfinite(reference.x_m + reference.y_m + reference.heading_rad):
             raise SimulationError(f"expected a finite reference pose, found {reference}")
-
-
-def _require_finite(decision: Decision, *, has_goal: bool) -> None:
-    speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
-    if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
-        raise SimulationError(
-            f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
-        )
-    # A sum of numbers is finite where all of them are.
-    errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
-    errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
-    world = decision.world_v_x_m_s, decision.world_v_y_m_s
-    if (has_goal and not isfinite(errors)) or isinf(world[0]) or isinf(world[1]):
-        raise SimulationError(f"expected finite numbers, found {decision}")
 
 
 def build_law(choice: LawChoice) -> Law:

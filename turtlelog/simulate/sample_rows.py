@@ -10,6 +10,7 @@ from turtlelog.loops import Declaration
 from turtlelog.run import SampleColumns
 from turtlelog.simulate.law_driver import Sample
 
+_SAMPLE_ROW: Final = Struct("<4q11d")
 _WHOLE: Final = 4
 _NAN: Final = float("nan")
 
@@ -17,10 +18,12 @@ _NAN: Final = float("nan")
 class SampleRows:
     """Packs the samples of a law, 8 bytes a value, whole numbers first."""
 
+    __slots__ = ("_declaration", "_extra", "_pack", "_packed")
+
     def __init__(self, declaration: Declaration) -> None:
         """Make room for the states and the reference that a law declares."""
         self._declaration = declaration
-        self._struct = Struct("<4q11d")
+        self._pack = _SAMPLE_ROW.pack
         extra = len(declaration.states) + 3 * declaration.has_reference
         self._extra = Struct(f"<{extra}d") if extra else None
         self._packed = bytearray()
@@ -30,11 +33,11 @@ class SampleRows:
 
     @property
     def _row_size(self) -> int:
-        return self._struct.size + (self._extra.size if self._extra else 0)
+        return _SAMPLE_ROW.size + (self._extra.size if self._extra else 0)
 
     def add(self, sample: Sample) -> None:
         """Take the next sample."""
-        self._packed += self._struct.pack(sample.time_ns, *sample.row)
+        self._packed += self._pack(sample.time_ns, *sample.row)
         if self._extra is not None:
             self._packed += self._extra.pack(*list_extra_values(sample, self._declaration))
 
