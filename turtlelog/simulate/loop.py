@@ -9,7 +9,7 @@ import msgspec
 from turtlelog.laws import Pose
 from turtlelog.plants import TURTLESIM, Plant, Turtle
 from turtlelog.run import Event
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import Samples, build_law
 from turtlelog.simulate.queues import CommandQueue
@@ -55,6 +55,7 @@ def iterate_ticks(scenario: Scenario, plant: Plant = TURTLESIM) -> Iterator[Tick
         SimulationError: Where the law fails or answers with something that is no number; after the
             tick in which it does, whose stop reason is `law_failed`.
     """
+    scenario = resolve_scenario(scenario)
     loop = scenario.loop
     turtle = Turtle(
         x_m=scenario.start.x_m,

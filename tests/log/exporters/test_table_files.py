@@ -42,6 +42,7 @@ def make_numbers_run(values: list[float]) -> Run:
 
 def assert_holds_run(samples: dict[str, list[Any]], poses: dict[str, list[Any]], run: Run) -> None:
     expected = run.samples
+    assert expected.error_xy_m is not None
     assert [float(x) for x in samples["error_y_m"]] == expected.error_xy_m[:, 1].tolist()
     assert [float(x) for x in samples["speed_m_s"]] == expected.speed_m_s.tolist()
     assert [int(x) for x in samples["sequence"]] == expected.sequence.tolist()

@@ -163,10 +163,11 @@ def test_a_folder_is_one_line(tmp_path: Path) -> None:
             read(tmp_path)
 
 
-def test_a_newer_format_is_refused_by_name(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "new.mcap", {"format_version": "7"}, b"unknown")
+@pytest.mark.parametrize("version", [3, 7])
+def test_a_newer_format_is_refused_by_name(version: int, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "new.mcap", {"format_version": f"{version}"}, b"unknown")
     for read in (read_recording, read_info):
-        with pytest.raises(LogError, match="format version 7: this turtlelog reads up to 2"):
+        with pytest.raises(LogError, match=f"version {version}: this turtlelog reads up to 2"):
             read(path)
 
 

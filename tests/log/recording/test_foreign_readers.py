@@ -95,6 +95,8 @@ def test_others_read_the_commands(topics: Any, run: Run) -> None:
 
 def test_others_read_the_samples(topics: Any, run: Run) -> None:
     samples, messages = run.samples, topics["/turtle1/control"]
+    assert samples.error_xy_m is not None
+    assert samples.world_velocity_m_s is not None
     columns = {
         "sequence": samples.sequence,
         "pose_sequence": samples.pose_sequence,

@@ -75,7 +75,8 @@ def test_of_another_law_the_phases_are_known() -> None:
     run = read("other_law")
     assert run.phase_names == ("rotate", "pause", "translate", "done")
     assert set(run.samples.phase.tolist()) == {2}
-    assert run.declaration.loops == run.declaration.states == ()
+    assert not run.declaration.loops
+    assert not run.declaration.states
 
 
 def test_a_recording_of_format_1_is_the_run_that_is_simulated_today() -> None:

@@ -11,9 +11,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from tests.log.recording.strange import make_strange
-from tests.log.recording.ticks import assert_same_columns, record
+from tests.log.recording.ticks import assert_same_columns, make_scenario, record
 from tests.log.runs import STRANGE, assert_same, make_run
 from tests.log.strict import check_strictly
+from tests.strange_law import KIND
 from tests.torture.recordings import pack_again
 from turtlelog.errors import LogError
 from turtlelog.log import (
@@ -94,6 +95,18 @@ def test_a_strange_law_is_the_same_live_and_at_once(goal: str, tmp_path: Path) -
     names = {topic.topic for topic in read_info(live).topics}
     assert ("/turtle1/goal" in names) == uses_goal
     assert {LAW_STATE, REFERENCE.name, REFERENCE64.name} <= names
+
+
+def test_a_law_that_hesitates_between_its_phases_is_the_same_live_and_at_once(
+    tmp_path: Path,
+) -> None:
+    scenario = make_scenario("textbook", law__kind=KIND, law__gain_a=4.0)
+    record(tmp_path / "live.mcap", scenario)
+    write_recording(simulate_run(scenario), tmp_path / "once.mcap")
+    assert_same_columns(tmp_path / "live.mcap", tmp_path / "once.mcap")
+    assert_same(read_recording(tmp_path / "live.mcap"), simulate_run(scenario))
+    phases = read_columns(tmp_path / "live.mcap")["/turtle1/phase"].fields["data"].tolist()
+    assert phases == ["one", "pause", "two", "done"]
 
 
 def test_phases_of_a_strange_law_are_told_by_name(run: Run, tmp_path: Path) -> None:

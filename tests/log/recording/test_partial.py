@@ -90,6 +90,8 @@ def test_an_unfinished_recording_is_read_up_to_its_end(
     rows, samples = len(found.poses), len(found.samples)
     assert 0 < rows < len(run.poses)
     assert found.poses.xy_m.tobytes() == run.poses.xy_m[:rows].tobytes()
+    assert found.samples.error_xy_m is not None
+    assert run.samples.error_xy_m is not None
     assert found.samples.error_xy_m.tobytes() == run.samples.error_xy_m[:samples].tobytes()
     assert "byte" in found.notes["partial"]
     with pytest.raises(LogError, match="turtlelog recover FILE -o OUT rewrites what it still"):
@@ -110,7 +112,8 @@ def test_samples_keep_their_poses_where_a_chunk_is_lost(
         samples = np.searchsorted(run.samples.sequence, found.samples.sequence)
         read = run.samples.pose_sequence[samples]
         assert (rows[found.samples.pose_sequence] == read).all()
-        assert (found.samples.distance_m == run.samples.distance_m[samples]).all()
+        assert run.samples.distance_m is not None
+        assert np.array_equal(found.samples.distance_m, run.samples.distance_m[samples])  # type: ignore[arg-type]
 
 
 def test_a_lost_summary_costs_no_row(sound: bytes, run: Run, tmp_path: Path) -> None:

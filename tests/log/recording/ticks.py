@@ -43,8 +43,8 @@ def assert_same_columns(found: Path, expected: Path) -> None:
         for name in ("log_time_ns", "publish_time_ns", "sequence"):
             assert_same(getattr(one[topic], name), getattr(columns, name), f"{topic} {name}")
         for name, values in columns.fields.items():
-            found, place = one[topic].fields[name], f"{topic} {name}"
+            columns_found, place = one[topic].fields[name], f"{topic} {name}"
             if values.dtype.kind == "O":
-                assert_same(found.tolist(), values.tolist(), place)
+                assert_same(columns_found.tolist(), values.tolist(), place)
             else:
-                assert_same(found, values, place)
+                assert_same(columns_found, values, place)

@@ -23,6 +23,13 @@ _PAIRS: Final = MappingProxyType(
 )
 """What the two columns of a pair are called."""
 
+_SAMPLES: Final = (
+    *("time_ns", "sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
+    *("error_xy_m", "distance_m", "speed_m_s", "turn_rate_rad_s", "world_velocity_m_s"),
+    *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "reference_xy_m", "reference_heading_rad"),
+)
+"""Columns of samples in order, the law's states apart."""
+
 TABLES: Final[Mapping[str, Callable[[Run], Table]]] = MappingProxyType(
     {
         "poses": lambda run: _flatten(run.poses),
@@ -41,19 +48,23 @@ def tabulate_run(run: Run) -> Mapping[str, Table]:
 
 def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
     table: dict[str, NDArray[Any]] = {}
-    for column in fields(columns):
-        values = getattr(columns, column.name)
+    names = [column.name for column in fields(columns)]
+    for name in _SAMPLES if isinstance(columns, SampleColumns) else names:
+        values = getattr(columns, name)
         if values is None:
             continue
-        if column.name in _PAIRS:
-            table |= zip(_PAIRS[column.name], values.T, strict=True)
-        elif column.name != "states":
-            table[column.name] = values
+        if name in _PAIRS:
+            table |= zip(_PAIRS[name], values.T, strict=True)
+        else:
+            table[name] = values
     return table
 
 
 def _tabulate_samples(run: Run) -> Table:
-    """Return the samples with the names of their phases, and the states as columns of their own."""
+    """Return the samples with the names of their phases, and a column for each state of the law.
+
+    A state that is called like another column has `state_` in front.
+    """
     labels = np.array(run.phase_names, dtype=object)
     table = dict(_flatten(run.samples)) | {"phase": labels[run.samples.phase]}
     states = () if run.samples.states is None else run.samples.states.T

@@ -12,7 +12,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.border import name_file
 from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
-from turtlelog.log.recording.topics import CONTROL, GOAL
+from turtlelog.log.recording.topics import CONTROL, GOAL, LAW_STATE, REFERENCE64
 from turtlelog.log.ros2.bag_folder import list_bag_files
 from turtlelog.log.ros2.columns_of_types import (
     Fields,
@@ -86,11 +86,11 @@ def read_bag(
 
 def _note_rest(topics: Iterable[TopicInfo]) -> dict[str, str]:
     """Return a note on the topics of a recording of ours, which only one of ours is read with."""
-    own = {topic.name: topic.schema for topic in (CONTROL, GOAL)}
+    own = {topic.name: topic.schema for topic in (CONTROL, GOAL, REFERENCE64)}
     rest = [
         f"{topic.count} of {topic.topic}"
         for topic in topics
-        if topic.count and own.get(topic.topic) == topic.type
+        if topic.count and (own.get(topic.topic) == topic.type or topic.topic == LAW_STATE)
     ]
     return {NOT_READ: ", ".join(rest)} if rest else {}
 
