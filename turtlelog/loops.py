@@ -47,9 +47,14 @@ SIGNAL_NAMES: Final = frozenset(
 )
 """Names of signals, which no state of a law takes."""
 
-_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,59}")
-_STATE: Final = re.compile(r"[a-z](?:_?[a-z0-9]){0,59}")
-"""A field name as ROS 2 allows it."""
+NAME_PATTERN: Final = r"[A-Za-z][A-Za-z0-9_-]{0,59}"
+"""Names of loops and phases."""
+
+STATE_PATTERN: Final = r"[a-z](?:_?[a-z0-9]){0,59}"
+"""Names of states: field names as ROS 2 allows them."""
+
+_NAME: Final = re.compile(NAME_PATTERN)
+_STATE: Final = re.compile(STATE_PATTERN)
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(?:\.[A-Za-z0-9_-]+)+")
 _MOST_PHASES: Final = 250

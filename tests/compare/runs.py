@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import turtlelog as tl
+from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 
 
@@ -53,6 +54,7 @@ def make_run(
         ),
         commands=commands,
         samples=samples,
+        declaration=DECLARATION,
     )
 
 

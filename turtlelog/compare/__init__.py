@@ -5,7 +5,6 @@ from turtlelog.compare.across import (
     tabulate_table1,
     tabulate_whole_runs,
 )
-from turtlelog.compare.clock import ALIGNMENTS
 from turtlelog.compare.difference import (
     Comparison,
     MetricDifference,
@@ -14,7 +13,8 @@ from turtlelog.compare.difference import (
     iter_comparisons,
 )
 from turtlelog.compare.files import summarise_files
-from turtlelog.compare.gains import USUAL_METRICS, mark_metric, tabulate_runs
+from turtlelog.compare.gains import mark_metric, tabulate_runs
+from turtlelog.compare.ids import ALIGNMENTS
 from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
 from turtlelog.compare.names import name_runs
 from turtlelog.compare.order import order_by_gain
@@ -22,6 +22,7 @@ from turtlelog.compare.summary import (
     RunSummary,
     choose_columns,
     list_needed_metrics,
+    list_usual_metrics,
     select_runs,
     sort_runs,
     summarise_run,
@@ -34,7 +35,6 @@ from turtlelog.compare.verdict_table import tabulate_all_findings, tabulate_find
 
 __all__ = [
     "ALIGNMENTS",
-    "USUAL_METRICS",
     "Cell",
     "Column",
     "Comparison",
@@ -51,6 +51,7 @@ __all__ = [
     "format_cell",
     "iter_comparisons",
     "list_needed_metrics",
+    "list_usual_metrics",
     "load_tolerances",
     "mark_metric",
     "name_runs",

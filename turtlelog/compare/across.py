@@ -9,7 +9,8 @@ from turtlelog.compare.names import name_runs
 from turtlelog.compare.order import order_by_gain
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.verdict_table import describe_alignment
-from turtlelog.measure import SIGNALS, measure_run
+from turtlelog.loops import ControlLoop
+from turtlelog.measure import SIGNALS, list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
@@ -33,12 +34,14 @@ _CLOCK_NOTE: Final = (
 def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table:
     """Return the paper's Table 1: errors 15 s after the first sample; tau and 4 tau are theory.
 
-    Rows are sorted by gain; with `beside_paper` the paper's own figures stand beside ours.
+    Rows are sorted by gain; with `beside_paper` the paper's own figures stand beside ours. Theory's
+    columns are there where a law has loops that it holds for.
     """
+    has_theory = _have_theory(runs)
+    theory = (_KP, Column(title="tau", unit="s", digits=2), _FOUR_TAU) if has_theory else ()
     columns = [
-        *_HEAD[:2],
-        Column(title="tau", unit="s", digits=2),
-        *_HEAD[2:],
+        _RUN,
+        *theory,
         Column(title="heading", unit="deg", digits=4),
         *([Column(title="paper", unit="deg", digits=4)] if beside_paper else []),
         Column(title="position", unit="m", digits=6),
@@ -51,10 +54,12 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
         paper: Sequence[float | None] = PAPER_ERRORS.get(_get_gain(run) or 0.0, (None, None))
         pairs = zip(ours, paper, strict=True)
         errors = [cell for pair in pairs for cell in pair] if beside_paper else ours
-        described = _describe_run(name, run)
         gain = _get_gain(run)
-        tau_s = None if gain is None else compute_time_constant(gain)
-        rows.append((*described[:2], tau_s, *described[2:], *errors))
+        tau_s, settled_s = (
+            None if gain is None else compute(gain)
+            for compute in (compute_time_constant, compute_settling_time)
+        )
+        rows.append((name, *((gain, tau_s, settled_s) if has_theory else ()), *errors))
     return Table(
         title="Table 1: errors 15 s after the first sample",
         columns=tuple(columns),
@@ -64,16 +69,25 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
 
 
 def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
-    """Return Table 1 without its window: each run to its own end, settling times measured."""
-    rows = []
+    """Return Table 1 without its window: each run to its own end, how its loops answered."""
+    has_theory, of_loops = _have_theory(runs), _list_loop_columns(runs)
+    shown = {**of_loops, **_WHOLE_RUN}
+    rows: list[tuple[Cell, ...]] = []
     for name, run in _name_in_order(runs):
-        metrics = measure_run(run, only=[name for name, _ in _WHOLE_RUN])
-        rows.append(
-            (*_describe_run(name, run), *(metrics[metric].value for metric, _ in _WHOLE_RUN))
-        )
+        own = [metric for metric in shown if metric in list_metrics(run.declaration)]
+        metrics = measure_run(run, only=own)
+        gain = _get_gain(run)
+        settled_s = None if gain is None else compute_settling_time(gain)
+        values = [metrics[metric].value if metric in metrics else None for metric in shown]
+        rows.append((name, *((gain, settled_s) if has_theory else ()), *values))
+    words = [
+        word
+        for metric, word in _ANSWERS.items()
+        if any(name.endswith(f".{metric}") for name in of_loops)
+    ]
     return Table(
-        title="To the end of each run: measured settling times ts (2 %), overshoot, errors",
-        columns=(*_HEAD, *(column for _, column in _WHOLE_RUN)),
+        title=f"To the end of each run: {', '.join([*words, 'errors'])}",
+        columns=(_RUN, *((_KP, _FOUR_TAU) if has_theory else ()), *shown.values()),
         rows=tuple(rows),
     )
 
@@ -90,13 +104,13 @@ def tabulate_differences(
     for name in names:
         columns += [Column(title=name), Column(title="at", unit="s", digits=2, joined=True)]
     rows = []
-    for name, kind in SIGNALS.items():
+    units = {name: signal.unit for signals in found for name, signal in signals.items()}
+    for name in sorted(units, key=lambda name: (name not in SIGNALS, [*SIGNALS, name].index(name))):
         cells: list[Cell] = []
         for signals in found:
             known = signals.get(name)
             cells += [known.largest, known.at_s] if known else [None, None]
-        if any(cell is not None for cell in cells):
-            rows.append((name, kind.unit, *cells))
+        rows.append((name, units[name], *cells))
     alignments = dict.fromkeys(describe_alignment(found.alignment) for found in comparisons)
     return Table(
         title=f"Largest differences from {reference}, {', '.join(alignments)}",
@@ -106,22 +120,70 @@ def tabulate_differences(
     )
 
 
-_HEAD: Final = (
-    Column(title="run"),
-    Column(title="Kp", unit="1/s"),
-    Column(title="4 tau", unit="s", digits=2),
-)
+_RUN: Final = Column(title="run")
+_KP: Final = Column(title="Kp", unit="1/s")
+_FOUR_TAU: Final = Column(title="4 tau", unit="s", digits=2)
 
 _TABLE1: Final = ("final.heading_error_at_15s", "final.position_error_at_15s")
 
-_WHOLE_RUN: Final = (
-    ("rotate.settling_time", Column(title="ts rotate", unit="s", digits=2)),
-    ("translate.settling_time", Column(title="ts translate", unit="s", digits=2)),
-    ("rotate.overshoot", Column(title="overshoot", unit="%", digits=2)),
-    ("final.heading_error", Column(title="heading", unit="deg", digits=4)),
-    ("final.position_error", Column(title="position", unit="m", digits=6)),
-    ("run.duration", Column(title="length", unit="s", digits=2)),
+_WHOLE_RUN: Final = MappingProxyType(
+    {
+        "final.heading_error": Column(title="heading", unit="deg", digits=4),
+        "final.position_error": Column(title="position", unit="m", digits=6),
+        "run.duration": Column(title="length", unit="s", digits=2),
+    }
 )
+
+_ANSWERS: Final = MappingProxyType(
+    {
+        "settling_time": "measured settling times ts (2 %)",
+        "overshoot": "overshoot",
+        "rms_error": "rms errors of loops that follow",
+    }
+)
+
+
+def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
+    """Return the columns of the loops that the runs have, by metric.
+
+    Settling times of all that answer a step, overshoots of those of them that turn the robot, and
+    rms errors of all that follow a reference.
+    """
+    loops = {loop.name: loop for run in runs for loop in run.declaration.loops}
+    kinds = list_metrics(*(run.declaration for run in runs))
+    still = [loop for loop in loops.values() if not loop.moves]
+    turning = [loop for loop in still if loop.command == "turn_rate"]
+    columns = {f"{loop.name}.settling_time": f"ts {loop.name}" for loop in still}
+    for loop in turning:
+        title = "overshoot" if len(turning) == 1 else f"overshoot {loop.name}"
+        columns[f"{loop.name}.overshoot"] = title
+    columns |= {
+        f"{loop.name}.rms_error": f"rms {loop.name}" for loop in loops.values() if loop.moves
+    }
+    return {
+        name: Column(title=title, unit=kinds[name].unit, digits=2)
+        for name, title in columns.items()
+        if name in kinds
+    }
+
+
+def _have_theory(runs: Sequence[Run]) -> bool:
+    """Return whether theory's lines hold for a loop of any run."""
+    return any(_list_theory_loops(run) for run in runs)
+
+
+def _list_theory_loops(run: Run) -> list[ControlLoop]:
+    """Return the loops with a gain whose ideal answer decays: a way by speed, a heading by turns.
+
+    A cross-track error, and a heading that the speed acts on, answer otherwise.
+    """
+    loops = [loop for loop in run.declaration.loops if loop.gain is not None]
+    return [
+        loop
+        for loop in loops
+        if (loop.signal, loop.command)
+        in {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
+    ]
 
 
 def _list_overlaps(comparisons: Sequence[Comparison], names: Sequence[str]) -> tuple[str, ...]:
@@ -135,17 +197,10 @@ def _list_overlaps(comparisons: Sequence[Comparison], names: Sequence[str]) -> t
     return f"Compared over {compared}.", *notes
 
 
-def _describe_run(name: str, run: Run) -> tuple[Cell, ...]:
-    gain = _get_gain(run)
-    if gain is None:
-        return name, None, None
-    return name, gain, compute_settling_time(gain)
-
-
 def _get_gain(run: Run) -> float | None:
-    """Return the gain of both loops, None where it is not recorded or they differ."""
-    gains = {run.parameters.get(f"law.kp_{loop}") for loop in ("angular", "linear")}
-    gain = gains.pop()
+    """Return the gain of all loops that theory holds for, None where unknown or not one."""
+    gains = {run.parameters.get(loop.gain or "") for loop in _list_theory_loops(run)}
+    gain = gains.pop() if gains else None
     if gains or not isinstance(gain, int | float) or gain <= 0.0:
         return None
     return float(gain)

@@ -2,24 +2,16 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.measure import Signal
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
 
 Times = NDArray[np.int64]
-
-ALIGNMENTS: Final = (
-    "first_sample",
-    *(f"phase:{phase.label}" for phase in Phase),
-    "recorded",
-    "sample",
-)
-"""How runs can be brought together."""
 
 
 class Clock(Protocol):
@@ -41,14 +33,16 @@ class Clock(Protocol):
 
 
 def align_runs(reference: Run, run: Run, alignment: str) -> Clock:
-    """Return the clock of one of `ALIGNMENTS` for two runs.
+    """Return the clock of one of `ALIGNMENTS` for two runs; a phase is one of their laws'.
 
     Raises:
         CompareError: Where there is no such alignment, a run lacks what it asks for, or the runs
             do not overlap.
     """
-    if alignment not in ALIGNMENTS:
-        expected = suggest_names(alignment, ALIGNMENTS)
+    phases = dict.fromkeys([*reference.phase_names, *run.phase_names])
+    known = ["first_sample", *(f"phase:{phase}" for phase in phases), "recorded", "sample"]
+    if alignment not in known:
+        expected = suggest_names(alignment, known)
         raise CompareError(f"alignment: expected {expected}, found {alignment!r}")
     if alignment == "sample":
         return _align_by_number(reference, run)
@@ -136,6 +130,7 @@ def _find_zero_ns(run: Run, phase: str) -> int:
     if phase == "first_sample":
         return run.start_ns
     for span in run.find_phase_spans():
-        if span.phase.label == phase:
+        if span.phase == phase:
             return span.start_ns
-    raise CompareError(f"{run.name}: expected a phase {phase} to align at, found none")
+    found = ", ".join(dict.fromkeys(span.phase for span in run.find_phase_spans())) or "none"
+    raise CompareError(f"{run.name}: expected a phase {phase} to align at, found {found}")

@@ -1,14 +1,27 @@
 """What differs between a run and a reference, signal by signal, and whether that is tolerated."""
 
+import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from turtlelog.compare.clock import Clock, align_runs
+from turtlelog.compare.ids import list_names
 from turtlelog.compare.tolerances import Tolerance, Tolerances
 from turtlelog.compare.tube import Grid, Rows, find_nearest, lay_grid, measure_distance, read_rows
 from turtlelog.compare.verdict import Finding, judge_metric, judge_signal, miss_signal
-from turtlelog.measure import SIGNALS, Metric, Signal, measure_run, read_signal
+from turtlelog.errors import suggest_names
+from turtlelog.measure import (
+    Metric,
+    Signal,
+    list_metrics,
+    list_signals,
+    measure_run,
+    miss_metric,
+    read_signal,
+)
 from turtlelog.run import Run
 
 
@@ -47,7 +60,7 @@ class Comparison:
         overlap_from_s: Where the stretch that is compared begins on the common clock [s].
         overlap_s: Length of that stretch [s].
         signals: For every signal that both hold.
-        metrics: For every metric.
+        metrics: For every metric of either law, but those that differ in their unit.
         findings: For every tolerance given, signals before metrics.
         notes: What the reader should know of the alignment.
     """
@@ -110,25 +123,55 @@ def iter_comparisons(
     for run in runs:
         clock = align_runs(reference, run, alignment)
         signals, found = _compare_signals(reference, run, clock, tolerances.signals)
-        ours = measure_run(run)
+        pairs = _pair_metrics((reference, metrics), run, tolerances.metrics)
         yield Comparison(
             name=run.name,
             alignment=alignment,
             overlap_from_s=clock.read_seconds(clock.span[0]),
             overlap_s=clock.read_seconds(clock.span[1]) - clock.read_seconds(clock.span[0]),
             signals=signals,
-            metrics=tuple(
-                MetricDifference(metric=metric, reference=metrics[name])
-                for name, metric in ours.items()
-            ),
+            metrics=tuple(pair for pair in pairs.values() if not _differ_in_unit(pair)),
             findings=(
                 *found,
                 *(
-                    judge_metric(ours[name], metrics[name], tolerance)
+                    judge_metric(pairs[name].metric, pairs[name].reference, tolerance)
                     for name, tolerance in tolerances.metrics.items()
                 ),
             ),
-            notes=tuple(_list_notes(reference, run, clock, tolerances)),
+            notes=(
+                *_list_notes(reference, run, clock, tolerances),
+                *_list_apart(pairs.values()),
+            ),
+        )
+
+
+def _pair_metrics(
+    reference: tuple[Run, Mapping[str, Metric]], run: Run, judged: Iterable[str]
+) -> dict[str, MetricDifference]:
+    """Return every metric of either law, and those that are judged; of no loop: `no_phase`."""
+    declarations = reference[0].declaration, run.declaration
+    theirs, ours = reference[1], measure_run(run)
+    return {
+        name: MetricDifference(
+            metric=ours.get(name) or miss_metric(declarations[1], name),
+            reference=theirs.get(name) or miss_metric(declarations[0], name),
+        )
+        for name in dict.fromkeys([*list_metrics(*declarations), *judged])
+    }
+
+
+def _differ_in_unit(pair: MetricDifference) -> bool:
+    """Return whether loops of one name control what has another unit."""
+    has_values = pair.metric.value is not None and pair.reference.value is not None
+    return has_values and pair.metric.unit != pair.reference.unit
+
+
+def _list_apart(pairs: Iterable[MetricDifference]) -> Iterator[str]:
+    apart = [pair for pair in pairs if _differ_in_unit(pair)]
+    for loop in dict.fromkeys(pair.metric.id.rpartition(".")[0] for pair in apart):
+        yield (
+            f"The loop {loop} controls another signal in the reference: metrics of other units"
+            " are not compared."
         )
 
 
@@ -137,24 +180,49 @@ def _compare_signals(
 ) -> tuple[tuple[SignalDifference, ...], tuple[Finding, ...]]:
     differences, findings = [], {}
     grids: dict[str, Grid] = {}
-    for name, kind in SIGNALS.items():
-        theirs, ours = read_signal(reference, name), read_signal(run, name)
+    units = list_names([reference.declaration, run.declaration])
+    for name in dict.fromkeys([*units, *tolerances]):
+        theirs, ours = _read_signals(name, reference, run)
         if theirs is None or ours is None:
             if name in tolerances:
-                lacking = " and ".join(
-                    who.name for who, held in ((reference, theirs), (run, ours)) if held is None
-                )
-                findings[name] = miss_signal(name, tolerances[name], lacking)
+                lacking = [who for who, held in ((reference, theirs), (run, ours)) if held is None]
+                reason = _explain_lack(name, lacking, known=list(units))
+                findings[name] = miss_signal(name, units.get(name, ""), tolerances[name], reason)
             continue
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
-        times = (placed[0].time_ns, placed[1].time_ns)
-        if kind.source not in grids:
-            grids[kind.source] = lay_grid(*times, clock.span)
-        rows = read_rows(placed[1], grids[kind.source])
+        times, source = (placed[0].time_ns, placed[1].time_ns), theirs.kind.source
+        if source not in grids:
+            grids[source] = lay_grid(*times, clock.span)
+        rows = read_rows(placed[1], grids[source])
         differences.append(_find_largest(placed[0], rows, clock))
         if name in tolerances:
             findings[name] = judge_signal(placed[0], rows, tolerances[name], clock)
     return tuple(differences), tuple(findings[name] for name in tolerances)
+
+
+def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, Signal | None]:
+    """Return a signal of both, None of one that does not hold it; phases by one numbering."""
+    theirs, ours = (
+        read_signal(who, name) if name in list_signals(who.declaration) else None
+        for who in (reference, run)
+    )
+    if theirs is None or ours is None or ours.kind.compared_as != "label":
+        return theirs, ours
+    names = list(dict.fromkeys([*reference.phase_names, *run.phase_names]))
+    numbers = np.array([names.index(phase) for phase in run.phase_names], dtype=np.float64)
+    return theirs, dataclasses.replace(ours, values=numbers[ours.values.astype(np.int64)])
+
+
+def _explain_lack(name: str, lacking: list[Run], *, known: list[str]) -> str:
+    """Return why a signal cannot be judged: a run does not hold it, or its law has no such name."""
+    if name not in known:
+        return f"no signal, and no state of these laws: expected {suggest_names(name, known)}"
+    reason = f"{' and '.join(run.name for run in lacking)} does not hold it"
+    lawless = [run for run in lacking if name not in list_signals(run.declaration)]
+    if not lawless:
+        return reason
+    states = ", ".join(lawless[0].declaration.states) or "none"
+    return f"{reason}: no state of its law (it has {states})"
 
 
 def _find_largest(reference: Signal, rows: Rows, clock: Clock) -> SignalDifference:

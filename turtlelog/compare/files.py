@@ -10,6 +10,7 @@ from typing import Final
 from turtlelog.compare.summary import RunSummary, summarise_run
 from turtlelog.errors import CompareError, TurtlelogError
 from turtlelog.log import TopicChoice
+from turtlelog.loops import Declaration
 from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
 
 _AT_ONCE: Final = 16
@@ -31,7 +32,7 @@ def summarise_files(
     Args:
         paths: Recordings, bags or the paper's logs, as `read_run` takes them.
         settings: As in `measure_run`.
-        only: The same.
+        only: The same; patterns stand for the metrics that each run has.
         topics: The same topics for all of them.
         jobs: Processes to measure in, at least 1. They import the module that runs: a script that
             asks for more than one keeps its own work under `if __name__ == "__main__":`.
@@ -42,8 +43,10 @@ def summarise_files(
     """
     if jobs < 1:
         raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
-    names = None if only is None else choose_metrics(only)
-    measure = partial(_measure_file, settings=settings, only=names, topics=topics or TopicChoice())
+    if only is not None:
+        choose_metrics(only, Declaration())  # refuses what names no metric of any law
+        only = (only,) if isinstance(only, str) else tuple(only)
+    measure = partial(_measure_file, settings=settings, only=only, topics=topics or TopicChoice())
     return _iterate(measure, [str(path) for path in paths], jobs)
 
 

@@ -5,19 +5,13 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare.names import name_runs
-from turtlelog.compare.summary import RunSummary, choose_columns
+from turtlelog.compare.ids import list_units
+from turtlelog.compare.metric_table import get_cell
+from turtlelog.compare.names import has_one_gain, name_runs
+from turtlelog.compare.summary import RunSummary, choose_columns, list_usual_metrics
 from turtlelog.compare.table import Cell, Column, Mark, Table
-from turtlelog.measure import METRICS
-
-USUAL_METRICS: Final = (
-    "rotate.settling_time",
-    "rotate.overshoot",
-    "final.heading_error",
-    "final.position_error",
-    "run.duration",
-)
-"""What tells runs of a law apart at a glance."""
+from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.measure import find_metric_kind, list_metrics
 
 
 def tabulate_runs(
@@ -38,25 +32,32 @@ def tabulate_runs(
     Raises:
         CompareError: Where `only` names what there is not.
     """
-    gains = _find_gains(summaries)
-    chosen = choose_columns(summaries, only or USUAL_METRICS)
+    gains = _list_gain_columns(summaries)
+    usual = list_usual_metrics(*(found.declaration for found in summaries))
+    chosen = choose_columns(summaries, only or usual)
     differing = [] if only else _find_differing(summaries)
     shown = [*differing[:_MOST_DIFFERING], *chosen]
+    units = {name: _list_units(summaries, name) for name in shown}
     rows = tuple(
         (
             name,
-            *(_get_cell(summary, key) for key in gains.values()),
-            *(_get_cell(summary, key) for key in shown),
+            *(_get_gain(summary, column.title) for column in gains),
+            *(_get_cell(summary, key, has_one_unit=len(units[key]) < 2) for key in shown),
         )
         for name, summary in zip(name_runs(summaries), summaries, strict=True)
     )
     columns = (
         Column(title="run"),
-        *(Column(title=title, unit="1/s") for title in gains),
-        *map(_head_column, shown),
+        *gains,
+        *(_head_column(name, units[name]) for name in shown),
     )
     hidden = differing[_MOST_DIFFERING:]
     told = [f"More parameters that differ: {', '.join(hidden)}."] if hidden else []
+    told += [
+        f"{name} is not compared: loops of that name control signals of other units."
+        for name in shown
+        if len(units[name]) > 1
+    ]
     return Table(
         title=title or f"{len(summaries)} runs",
         columns=columns,
@@ -73,12 +74,14 @@ def tabulate_runs(
 
 
 def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:
-    """Return which runs are the best and the worst in a metric; none where all are alike."""
-    kind = METRICS.get(name)
-    better = kind.better if kind else None
-    values = (
-        {row: found.metrics[name].value for row, found in enumerate(summaries)} if better else {}
-    )
+    """Return which runs are the best and the worst in a metric; none where all are alike.
+
+    None either where loops of one name control signals of other units.
+    """
+    kind = find_metric_kind(name)
+    better = kind.better if kind and len(_list_units(summaries, name)) < 2 else None
+    found = [summary.find_metric(name) if better else None for summary in summaries]
+    values = {row: metric.value for row, metric in enumerate(found) if metric is not None}
     # Values below the floor of a metric are equally good.
     floor = -math.inf if kind is None or kind.floor is None else kind.floor
     known = {row: max(value, floor) for row, value in values.items() if value is not None}
@@ -91,38 +94,87 @@ def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:
 
 
 _MOST_DIFFERING: Final = 2
-_GAINS: Final = ("law.kp_angular", "law.kp_linear")
-_SHOWN: Final = frozenset({*_GAINS, "name"})
+_COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn", "speed": "drive"})
 
 
-def _find_gains(summaries: Sequence[RunSummary]) -> dict[str, str]:
-    """Return the columns of gains by title: one where both loops always have the same."""
-    pairs = [[found.parameters.get(key) for key in _GAINS] for found in summaries]
-    if not any(gain is not None for pair in pairs for gain in pair):
-        return {}
-    if all(one == other for one, other in pairs):
-        return {"Kp": _GAINS[1]}
-    return {"Kp turn": _GAINS[0], "Kp drive": _GAINS[1]}
+def _list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
+    """Return the columns of gains: one where all loops of each run always have the same."""
+    known = [found for found in summaries if _list_known_gains(found)]
+    if not known:
+        return []
+    if all(has_one_gain(found) for found in known):
+        loops = [loop for found in known for loop in _title_gains(found.declaration).values()]
+        return [_head_gain("Kp", [_find_unit(loop) for loop in loops])]
+    titled: dict[str, list[str]] = {}
+    for found in known:
+        for title, loop in _title_gains(found.declaration).items():
+            titled.setdefault(title, []).append(_find_unit(loop))
+    return [_head_gain(title, units) for title, units in titled.items()]
+
+
+def _head_gain(title: str, units: Sequence[str]) -> Column:
+    return Column(title=title, unit=units[0] if len({*units}) == 1 else "")
+
+
+def _list_known_gains(summary: RunSummary) -> list[str]:
+    keys = summary.declaration.list_gains()
+    return [key for key in keys if summary.parameters.get(key) is not None]
+
+
+def _title_gains(declaration: Declaration) -> dict[str, ControlLoop]:
+    """Return the loops with a gain by the title of its column: `Kp turn`, or by their own name."""
+    loops = [loop for loop in declaration.loops if loop.gain is not None]
+    keys = {(loop.command, loop.gain) for loop in loops}
+    counts = {word: sum(command == word for command, _ in keys) for word in _COMMAND_WORDS}
+    return {
+        f"Kp {_COMMAND_WORDS[loop.command] if counts[loop.command] == 1 else loop.name}": loop
+        for loop in loops
+    }
+
+
+def _find_unit(loop: ControlLoop) -> str:
+    """Return the unit of a loop's gain: of its command by that of its signal."""
+    if (loop.signal == "heading") == (loop.command == "turn_rate"):
+        return "1/s"
+    return "m/(rad s)" if loop.signal == "heading" else "rad/(m s)"
+
+
+def _get_gain(summary: RunSummary, title: str) -> Cell:
+    if title == "Kp":
+        gains = summary.declaration.list_gains()
+        return _get_parameter(summary, gains[0]) if gains else None
+    loop = _title_gains(summary.declaration).get(title)
+    return None if loop is None or loop.gain is None else _get_parameter(summary, loop.gain)
 
 
 def _find_differing(summaries: Sequence[RunSummary]) -> list[str]:
     """Return the other parameters in which the runs differ; one that is not known does not."""
+    shown = {"name", *(key for found in summaries for key in found.declaration.list_gains())}
     values: dict[str, set[str]] = {}
     for summary in summaries:
         for key, value in summary.parameters.items():
             values.setdefault(key, set()).add(repr(value))
-    return [key for key, found in values.items() if len(found) > 1 and key not in _SHOWN]
+    return [key for key, found in values.items() if len(found) > 1 and key not in shown]
 
 
-def _head_column(name: str) -> Column:
-    unit = METRICS[name].unit if name in METRICS else ""
+def _list_units(summaries: Sequence[RunSummary], name: str) -> list[str]:
+    """Return the units in which a metric stands in some runs; none of a parameter."""
+    found = [summary.find_metric(name) for summary in summaries]
+    return list_units([metric for metric in found if metric is not None])
+
+
+def _head_column(name: str, units: Sequence[str]) -> Column:
     lines = tuple(name.replace(".", "_").split("_"))
-    return Column(title=name, unit="" if unit == "1" else unit, lines=lines)
+    has_unit = len(units) == 1 and units[0] != "1"
+    return Column(title=name, unit=units[0] if has_unit else "", lines=lines)
 
 
-def _get_cell(summary: RunSummary, name: str) -> Cell:
-    metric = summary.metrics.get(name)
-    if metric is None:
-        value = summary.parameters.get(name)
-        return str(value).lower() if isinstance(value, bool | list) else value
-    return metric.status.value if metric.value is None else metric.value
+def _get_cell(summary: RunSummary, name: str, *, has_one_unit: bool) -> Cell:
+    if name in summary.parameters and name not in list_metrics(summary.declaration):
+        return _get_parameter(summary, name)
+    return get_cell(summary.metrics.get(name), has_one_unit=has_one_unit)
+
+
+def _get_parameter(summary: RunSummary, name: str) -> Cell:
+    value = summary.parameters.get(name)
+    return str(value).lower() if isinstance(value, bool | list) else value

@@ -2,9 +2,10 @@
 
 from collections.abc import Collection, Mapping, Sequence
 
+from turtlelog.compare.ids import list_units, order_ids
 from turtlelog.compare.names import name_runs
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.measure import METRICS, MeasureSettings, Metric, measure_run
+from turtlelog.measure import MeasureSettings, Metric, measure_run
 from turtlelog.run import Run
 
 
@@ -30,12 +31,14 @@ def tabulate_measured(
 ) -> Table:
     """Return runs that have been measured as `tabulate_metrics` does; at least one.
 
+    Runs of several laws stand side by side; a cell is empty where a law has no such loop.
+
     Args:
         names: One for each run.
-        measured: As `measure_run` returns them, all of the same metrics.
+        measured: As `measure_run` returns them.
         notes: Sentences to stand below, before the reasons for what is missing.
     """
-    ids = tuple(measured[0])
+    ids = order_ids(name for metrics in measured for name in metrics)
     groups = [name.partition(".")[0] for name in ids]
     return Table(
         title="Metrics",
@@ -44,13 +47,16 @@ def tabulate_measured(
             Column(title="unit"),
             *(Column(title=name) for name in names),
         ),
-        rows=tuple(
-            (name, METRICS[name].unit, *(_get_cell(metrics[name]) for metrics in measured))
-            for name in ids
-        ),
+        rows=tuple(_build_row(name, [metrics.get(name) for metrics in measured]) for name in ids),
         notes=(*notes, *_list_reasons(measured)),
         breaks=tuple(row for row in range(1, len(ids)) if groups[row] != groups[row - 1]),
     )
+
+
+def _build_row(name: str, found: Sequence[Metric | None]) -> tuple[Cell, ...]:
+    units = list_units([metric for metric in found if metric is not None])
+    has_one = len(units) == 1
+    return (name, " or ".join(units), *(get_cell(metric, has_one_unit=has_one) for metric in found))
 
 
 def _list_reasons(measured: Sequence[Mapping[str, Metric]]) -> tuple[str, ...]:
@@ -60,5 +66,10 @@ def _list_reasons(measured: Sequence[Mapping[str, Metric]]) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def _get_cell(metric: Metric) -> Cell:
-    return metric.status.value if metric.value is None else metric.value
+def get_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:
+    """Return a value, with its unit where the metric has several; or why there is none."""
+    if metric is None:
+        return None
+    if metric.value is None:
+        return metric.status.value
+    return metric.value if has_one_unit else f"{metric.value:.5g} {metric.unit}"

@@ -9,7 +9,6 @@ from typing import Final
 from turtlelog.compare.summary import RunSummary
 from turtlelog.run import Parameter, Run
 
-_GAINS: Final = ["law.kp_angular", "law.kp_linear"]
 _MOST_PARAMETERS: Final = 2
 
 
@@ -44,16 +43,18 @@ def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
     """Return the parameters that tell runs apart, what to call them by key; empty if too many."""
     keys = sorted({key for run in runs for key in run.parameters})
     found = [key for key in keys if len({repr(run.parameters.get(key)) for run in runs}) > 1]
-    if found == _GAINS and all(_has_one_gain(run) for run in runs):
-        return {_GAINS[0]: "Kp"}
+    gains = {key for run in runs for key in run.declaration.list_gains()}
+    if len(found) > 1 and gains == {*found} and all(has_one_gain(run) for run in runs):
+        return {found[0]: "Kp"}
     if len(found) > _MOST_PARAMETERS:
         return {}
     words = {key: key.rpartition(".")[2] for key in found}
     return words if len(set(words.values())) == len(words) else {key: key for key in found}
 
 
-def _has_one_gain(run: Run | RunSummary) -> bool:
-    return len({run.parameters.get(key) for key in _GAINS}) == 1
+def has_one_gain(run: Run | RunSummary) -> bool:
+    """Return whether all loops that declare a gain have the same."""
+    return len({run.parameters.get(key) for key in run.declaration.list_gains()}) == 1
 
 
 def _add_parameters(run: Run | RunSummary, differing: Mapping[str, str]) -> str:

@@ -12,17 +12,18 @@ AnyRun = TypeVar("AnyRun", Run, RunSummary)
 
 
 def order_by_gain(runs: Sequence[AnyRun]) -> tuple[AnyRun, ...]:
-    """Return runs in rising order of their gains, that along the track first.
+    """Return runs in rising order of the gains that their laws declare, that of the speed first.
 
     Runs of the same gains stand in the natural order of their names (`run2` before `run10`), those
     of one name as they were; a run without gains comes after those that have them.
     """
-    return tuple(sorted(runs, key=lambda run: (*_get_gains(run), _split_numbers(run.name))))
+    return tuple(sorted(runs, key=lambda run: (_get_gains(run), _split_numbers(run.name))))
 
 
 def _get_gains(run: Run | RunSummary) -> tuple[float, ...]:
-    gains = (run.parameters.get(f"law.kp_{loop}") for loop in ("linear", "angular"))
-    return tuple(float(gain) if isinstance(gain, int | float) else math.inf for gain in gains)
+    gains = [run.parameters.get(key) for key in run.declaration.list_gains()]
+    known = [float(gain) if isinstance(gain, int | float) else math.inf for gain in gains]
+    return tuple(known) if known else (math.inf,)
 
 
 def _split_numbers(name: str) -> list[str | tuple[int, str]]:

@@ -6,9 +6,18 @@ from fnmatch import fnmatchcase
 from types import MappingProxyType
 from typing import Any, Final
 
+from turtlelog.compare.ids import is_metric_pattern, order_ids
 from turtlelog.errors import CompareError, suggest_names
 from turtlelog.expressions import evaluate_expression, parse_expression
-from turtlelog.measure import METRICS, Metric, measure_run
+from turtlelog.loops import Declaration
+from turtlelog.measure import (
+    Metric,
+    find_metric_kind,
+    list_essential_metrics,
+    list_metrics,
+    measure_run,
+    miss_metric,
+)
 from turtlelog.run import Parameter, Run
 
 TEXTS: Final = ("name", "source", "stop_reason")
@@ -30,6 +39,7 @@ class RunSummary:
         metrics: By id.
         file: Where it was read from, empty where that is not known.
         notes: As in `Run`.
+        declaration: As in `Run`.
     """
 
     name: str
@@ -39,6 +49,7 @@ class RunSummary:
     metrics: Mapping[str, Metric]
     file: str = ""
     notes: Mapping[str, str] = field(default_factory=dict)
+    declaration: Declaration = field(default_factory=Declaration)
 
     def __post_init__(self) -> None:
         for name in _MAPPINGS:
@@ -53,8 +64,18 @@ class RunSummary:
         if name in TEXTS:
             text: str | None = getattr(self, name)
             return text
-        metric = self.metrics.get(name)
+        metric = self.find_metric(name)
         return self.parameters.get(name) if metric is None else metric.value
+
+    def find_metric(self, name: str) -> Metric | None:
+        """Return a metric; of a loop that its law does not declare `no_phase`.
+
+        None where it was not measured, or no metric of this law has such an id and a parameter has.
+        """
+        if name in list_metrics(self.declaration):
+            return self.metrics.get(name)
+        is_metric = name not in self.parameters and find_metric_kind(name) is not None
+        return miss_metric(self.declaration, name) if is_metric else None
 
 
 def _rebuild(values: dict[str, Any]) -> RunSummary:
@@ -73,6 +94,7 @@ def summarise_run(
         metrics=measure_run(run) if metrics is None else metrics,
         file=file,
         notes=run.notes,
+        declaration=run.declaration,
     )
 
 
@@ -92,7 +114,8 @@ def select_runs(
         CompareError: Where it is no condition.
     """
     expression = parse_expression(where, source=source)
-    known = dict.fromkeys(_list_names(summaries))
+    others = (name for name in expression.names if find_metric_kind(name) is not None)
+    known = dict.fromkeys([*_list_names(summaries), *others])
     chosen, lacking = [], {}
     for summary in summaries:
         values = {name: summary.find_value(name) for name in known.keys() & expression.names}
@@ -126,7 +149,8 @@ def sort_runs(
         CompareError: Where no run has it.
     """
     name = by.removeprefix("-")
-    _require_name(name, _list_names(summaries), source)
+    if find_metric_kind(name) is None:
+        _require_name(name, _list_names(summaries), source)
     valued = [found for found in summaries if found.find_value(name) is not None]
     rest = [found for found in summaries if found.find_value(name) is None]
     valued.sort(key=lambda found: _rank(found.find_value(name)), reverse=by != name)
@@ -138,31 +162,57 @@ def choose_columns(
 ) -> tuple[str, ...]:
     """Return the metrics and parameters that names and patterns (`translate.*`) stand for.
 
+    A metric of a loop that none of the runs has is chosen where it is named in full. A pattern that
+    only other laws' loops match chooses nothing.
+
     Raises:
-        CompareError: Where one stands for none.
+        CompareError: Where one can stand for none, or all together stand for none.
     """
-    parameters = _list_parameters(summaries)
+    parameters, metrics = _list_parameters(summaries), _list_ids(summaries)
     chosen: dict[str, None] = {}
     for pattern in only:
-        found = [name for name in METRICS if fnmatchcase(name, pattern)]
+        found = [name for name in metrics if fnmatchcase(name, pattern)]
         found += [pattern] if pattern in parameters else []
-        if not found:
-            _require_name(pattern, [*METRICS, *parameters], source)
+        if not found and find_metric_kind(pattern) is not None:
+            found = [pattern]
+        if not found and not is_metric_pattern(pattern):
+            _require_name(pattern, [*metrics, *parameters], source)
         chosen |= dict.fromkeys(found)
+    if only and not chosen:
+        asked = ", ".join(only)
+        raise CompareError(f"{source}: expected metrics of these runs, found none for {asked}")
     return tuple(chosen)
 
 
+def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
+    """Return the ids of the metrics that tell runs of these laws apart at a glance.
+
+    Of the loops that turn the robot how they answer, where a law has such loops, else of all; and
+    where the run ended. How it drove shows in the position at the end.
+    """
+    chosen: dict[str, None] = {}
+    for declaration in declarations:
+        turning = [loop.name for loop in declaration.loops if loop.command == "turn_rate"]
+        loops = turning or [loop.name for loop in declaration.loops]
+        essential = list_essential_metrics(declaration)
+        usual = (f"{loop}.{name}" for loop in loops for name in _USUAL_OF_LOOP)
+        chosen |= dict.fromkeys(name for name in usual if name in essential)
+    return order_ids([*chosen, *_USUAL_OF_RUN])
+
+
 def list_needed_metrics(
-    columns: Sequence[str],
+    columns: Sequence[str] = (),
     *,
     where: str | None = None,
     sort: str | None = None,
     source: str = "where",
 ) -> tuple[str, ...]:
-    """Return the metrics that a table across runs is made of, so that no others are measured.
+    """Return ids and patterns of the metrics that a table across runs is made of.
+
+    So no others are measured; which of them a run has, its law says.
 
     Args:
-        columns: As `choose_columns` takes them.
+        columns: As `choose_columns` takes them; none: the usual ones.
         where: As `select_runs` does.
         sort: As `sort_runs` does.
         source: What error lines begin with.
@@ -172,14 +222,20 @@ def list_needed_metrics(
     """
     named = [] if where is None else list(parse_expression(where, source=source).names)
     named += [] if sort is None else [sort.removeprefix("-")]
-    return tuple(
-        name
-        for name in METRICS
-        if name in named or any(fnmatchcase(name, pattern) for pattern in columns)
-    )
+    wanted = dict.fromkeys([*(columns or _USUAL_PATTERNS), *named])
+    return tuple(name for name in wanted if is_metric_pattern(name))
 
 
 _MOST_NOTES: Final = 5
+
+_USUAL_OF_LOOP: Final = ("settling_time", "overshoot", "rms_error")
+_USUAL_OF_RUN: Final = ("final.heading_error", "final.position_error", "run.duration")
+_USUAL_PATTERNS: Final = (*(f"*.{name}" for name in _USUAL_OF_LOOP), *_USUAL_OF_RUN)
+"""Whatever the law; the runs are not read yet."""
+
+
+def _list_ids(summaries: Sequence[RunSummary]) -> list[str]:
+    return list(list_metrics(*(found.declaration for found in summaries)))
 
 
 def _list_parameters(summaries: Sequence[RunSummary]) -> list[str]:
@@ -187,7 +243,7 @@ def _list_parameters(summaries: Sequence[RunSummary]) -> list[str]:
 
 
 def _list_names(summaries: Sequence[RunSummary]) -> list[str]:
-    return [*TEXTS, *METRICS, *_list_parameters(summaries)]
+    return [*TEXTS, *_list_ids(summaries), *_list_parameters(summaries)]
 
 
 def _require_name(name: str, known: Sequence[str], source: str) -> None:
@@ -199,7 +255,7 @@ def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
     lacks = []
     for name in sorted(values):
         if values[name] is None:
-            metric = summary.metrics.get(name)
+            metric = summary.find_metric(name)
             lacks.append(f"{name} is {metric.status.value}" if metric else f"{name} is not known")
     return ", ".join(lacks) or "the expression has no value"
 

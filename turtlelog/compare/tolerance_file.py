@@ -9,9 +9,14 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from turtlelog.compare.tolerances import Tolerance, Tolerances
+from turtlelog.compare.tolerances import (
+    Tolerance,
+    Tolerances,
+    is_known,
+    is_label_signal,
+    list_nearby,
+)
 from turtlelog.errors import CompareError
-from turtlelog.measure import METRICS, SIGNALS
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
 from turtlelog.text_files import parse_toml, read_text_file
@@ -22,7 +27,7 @@ FORMAT: Final = 1
 OTHERS: Final = ("checks", "reference", "alignment")
 """Tables and keys of the same file that belong to other stages."""
 
-_OWN: Final = {"signals": list(SIGNALS), "metrics": list(METRICS)}
+_OWN: Final = ("signals", "metrics")
 _KEYS: Final = {
     "signals": ("abs", "rel", "time_s", "reason"),
     "metrics": ("abs", "rel", "reason"),
@@ -85,7 +90,7 @@ def _parse_kind(kind: str, table: Any, source: str) -> dict[str, Tolerance]:
 
 
 def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance:
-    if name not in _OWN[kind]:
+    if not is_known(kind, name):
         raise CompareError(f"{source}: {kind}.{name_key(name)}: {_suggest(kind, name, entry)}")
     place = f'{source}: {kind}."{name}"' if "." in name else f"{source}: {kind}.{name}"
     _require_table(entry, place)
@@ -96,7 +101,7 @@ def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance
     reason = entry.get("reason")
     if not isinstance(reason, str) or not reason.strip():
         raise CompareError(f"{place}.reason: expected a reason, found {describe_value(reason)}")
-    is_label = kind == "signals" and SIGNALS[name].compared_as == "label"
+    is_label = kind == "signals" and is_label_signal(name)
     if not is_label and len(entry) < 2:
         wanted = " or ".join(key for key in _KEYS[kind] if key != "reason")
         raise CompareError(f"{place}: expected {wanted}, found none of them")
@@ -113,10 +118,14 @@ def _suggest(kind: str, name: str, entry: Any) -> str:
     """
     tables = entry.items() if isinstance(entry, Mapping) else ()
     inner = [f"{name}.{key}" for key, table in tables if isinstance(table, Mapping)]
-    meant = [found for key in inner for found in difflib.get_close_matches(key, _OWN[kind], n=1)]
+    meant = [
+        found
+        for key in inner
+        for found in difflib.get_close_matches(key, list_nearby(kind, key), n=1)
+    ]
     if meant:
         return f'expected quotes around the id, as in {kind}."{meant[0]}", found none'
-    return describe_unknown_key(name, _OWN[kind])
+    return describe_unknown_key(name, list_nearby(kind, name))
 
 
 def _require_format(tables: dict[str, Any], *, source: str) -> None:

@@ -6,7 +6,7 @@ from typing import Literal
 from turtlelog.compare.clock import Clock
 from turtlelog.compare.tolerances import Tolerance
 from turtlelog.compare.tube import Rows, find_limit, find_nearest, measure_distance
-from turtlelog.measure import METRICS, SIGNALS, Metric, Signal
+from turtlelog.measure import Metric, Signal, find_metric_kind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,15 +77,10 @@ def judge_signal(reference: Signal, rows: Rows, tolerance: Tolerance, clock: Clo
     )
 
 
-def miss_signal(name: str, tolerance: Tolerance, lacking: str) -> Finding:
+def miss_signal(name: str, unit: str, tolerance: Tolerance, reason: str) -> Finding:
     """Return the verdict on a signal that one of the runs does not hold."""
     return Finding(
-        kind="signal",
-        name=name,
-        unit=SIGNALS[name].unit,
-        tolerance=tolerance,
-        within=False,
-        reason=f"{lacking} does not hold it",
+        kind="signal", name=name, unit=unit, tolerance=tolerance, within=False, reason=reason
     )
 
 
@@ -93,7 +88,10 @@ def judge_metric(metric: Metric, reference: Metric, tolerance: Tolerance) -> Fin
     """Return the verdict on a metric: it fails in its bad direction, or by another status."""
     if metric.value is None or reference.value is None:
         return _judge_status(metric, reference, tolerance)
-    off = METRICS[metric.id].compute_loss(metric.value, reference.value)
+    kind = find_metric_kind(metric.id)
+    if kind is None or metric.unit != reference.unit:
+        return _leave_apart(metric, reference, tolerance)
+    off = kind.compute_loss(metric.value, reference.value)
     limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
     return Finding(
         kind="metric",
@@ -105,6 +103,18 @@ def judge_metric(metric: Metric, reference: Metric, tolerance: Tolerance) -> Fin
         reference=reference.value,
         off=off,
         limit=limit,
+    )
+
+
+def _leave_apart(metric: Metric, reference: Metric, tolerance: Tolerance) -> Finding:
+    """Return that two loops of one name control something else: no figure is of both."""
+    return Finding(
+        kind="metric",
+        name=metric.id,
+        unit=metric.unit,
+        tolerance=tolerance,
+        within=False,
+        reason=f"in {metric.unit}, where the reference has {reference.unit}: not compared",
     )
 
 

@@ -10,6 +10,7 @@ from turtlelog.measure.metrics import (
     list_essential_metrics,
     list_metrics,
     measure_run,
+    miss_metric,
     suggest_metrics,
 )
 from turtlelog.measure.path_file import read_reference_path
@@ -45,6 +46,7 @@ __all__ = [
     "list_metrics",
     "list_signals",
     "measure_run",
+    "miss_metric",
     "read_heading_reference",
     "read_reference",
     "read_reference_path",

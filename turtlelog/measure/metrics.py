@@ -155,16 +155,20 @@ def measure_run(
     # Values at the border of what a float holds become statuses, not warnings.
     with np.errstate(all="ignore"):
         return {
-            name: _measure(context, name, kinds[name]) if name in kinds else _miss_loop(run, name)
+            name: (
+                _measure(context, name, kinds[name])
+                if name in kinds
+                else miss_metric(run.declaration, name)
+            )
             for name in names
         }
 
 
-def _miss_loop(run: Run, name: str) -> Metric:
-    """Return the metric of a loop that the law does not declare, or that its kind does not have."""
+def miss_metric(declaration: Declaration, name: str) -> Metric:
+    """Return the metric of a loop that a law does not declare, or that its kind does not have."""
     loop, _, plain = name.rpartition(".")
-    declared = run.declaration.find_loop(loop)
-    known = ", ".join(found.name for found in run.declaration.loops) or "none"
+    declared = declaration.find_loop(loop)
+    known = ", ".join(found.name for found in declaration.loops) or "none"
     reason = f"the run declares no loop {loop} (it declares {known})"
     if declared is not None:
         reason = (
