@@ -27,7 +27,6 @@ from .check import (
 )
 from .compare import (
     ALIGNMENTS as ALIGNMENTS,
-    USUAL_METRICS as USUAL_METRICS,
     Column as Column,
     Comparison as Comparison,
     Finding as Finding,
@@ -39,10 +38,13 @@ from .compare import (
     compare_runs as compare_runs,
     iter_comparisons as iter_comparisons,
     list_needed_metrics as list_needed_metrics,
+    list_units as list_units,
+    list_usual_metrics as list_usual_metrics,
     load_tolerances as load_tolerances,
     mark_metric as mark_metric,
     name_runs as name_runs,
     order_by_gain as order_by_gain,
+    order_ids as order_ids,
     select_runs as select_runs,
     sort_runs as sort_runs,
     summarise_files as summarise_files,
@@ -117,10 +119,12 @@ from .measure import (
     Signal as Signal,
     Status as Status,
     choose_metrics as choose_metrics,
+    find_metric_kind as find_metric_kind,
     list_essential_metrics as list_essential_metrics,
     list_metrics as list_metrics,
     list_signals as list_signals,
     measure_run as measure_run,
+    suggest_metrics as suggest_metrics,
     read_reference_path as read_reference_path,
     read_signal as read_signal,
 )
@@ -173,7 +177,10 @@ from .show import (
     write_tables as write_tables,
     write_violation_rrd as write_violation_rrd,
 )
-from .simulate import simulate_run as simulate_run
+from .simulate import (
+    declare_scenario as declare_scenario,
+    simulate_run as simulate_run,
+)
 from .theory import (
     PLANT as PLANT,
     PLANT_INPUTS as PLANT_INPUTS,

@@ -130,7 +130,7 @@ def _summarise(
     held: "Sequence[Run] | None",
     topics: TopicOptions | None,
     *,
-    only: Sequence[str],
+    only: Sequence[str] | None,
 ) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
     """Return the runs in short, read one by one unless they are held, and what cannot be read."""
     if held is not None:
@@ -144,13 +144,12 @@ def _summarise(
     return tuple(watch_summaries(found, len(paths), errors)), errors
 
 
-def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...]:
-    """Return the metrics to compute: of thousands of runs no others are kept."""
+def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...] | None:
+    """Return the metrics to compute, None for all: of thousands of runs no others are kept."""
     columns = choice.list_columns()
-    shown = columns or (tl.METRICS if kind == "json" else tl.USUAL_METRICS)
-    return tl.list_needed_metrics(
-        tuple(shown), where=choice.where, sort=choice.sort, source="--where"
-    )
+    if not columns and kind == "json":
+        return None
+    return tl.list_needed_metrics(columns, where=choice.where, sort=choice.sort, source="--where")
 
 
 def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
@@ -184,7 +183,7 @@ def _compare_against(
     summaries: list[RunSummary] = []
 
     def summarise(run: "Run") -> "Run":
-        usual = tl.measure_run(run, only=tl.USUAL_METRICS)
+        usual = tl.measure_run(run, only=tl.list_usual_metrics(run.declaration))
         file = str(paths[len(summaries)])
         summaries.append(tl.summarise_run(run, file=file, metrics=usual))
         return run

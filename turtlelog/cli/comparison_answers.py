@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import turtlelog as tl
 
 if TYPE_CHECKING:
-    from turtlelog import Comparison, Finding, RunSummary
+    from turtlelog import Comparison, Finding, Metric, RunSummary
     from turtlelog.compare import MetricDifference, SignalDifference
 
 
@@ -16,9 +16,10 @@ def describe_across(
     summaries: "Sequence[RunSummary]", *, only: Sequence[str], notes: Sequence[str]
 ) -> dict[str, Any]:
     """Return runs beside each other: no reference, no signals, marks on the metrics."""
-    names = list(tl.METRICS)
+    names = list(tl.list_metrics(*(found.declaration for found in summaries)))
     if only:
-        names = [name for name in tl.choose_columns(summaries, only) if name in tl.METRICS]
+        chosen = tl.choose_columns(summaries, only)
+        names = [name for name in chosen if any(found.find_metric(name) for found in summaries)]
     marks = {name: tl.mark_metric(summaries, name) for name in names}
     return {
         "reference": None,
@@ -33,8 +34,9 @@ def describe_across(
                 "parameters": dict(summary.parameters),
                 "signals": [],
                 "metrics": [
-                    {**_describe_metric(summary, metric), "mark": marks[metric].get(row)}
-                    for metric in names
+                    {**_describe_metric(metric), "mark": marks[metric.id].get(row)}
+                    for metric in map(summary.find_metric, names)
+                    if metric is not None
                 ],
             }
             for row, (name, summary) in enumerate(
@@ -70,15 +72,14 @@ def describe_against(
     }
 
 
-def _describe_metric(summary: "RunSummary", name: str) -> dict[str, Any]:
-    metric = summary.metrics[name]
+def _describe_metric(metric: "Metric") -> dict[str, Any]:
     return {
-        "id": name,
+        "id": metric.id,
         "value": metric.value,
         "unit": metric.unit,
         "status": metric.status.value,
         "reference": None,
-        "better": tl.METRICS[name].better,
+        "better": _find_better(metric.id),
     }
 
 
@@ -89,13 +90,18 @@ def _describe_signals(comparison: "Comparison") -> list[dict[str, Any]]:
     return [
         {
             "signal": name,
-            "unit": tl.SIGNALS[name].unit,
+            "unit": tl.SIGNALS[name].unit if name in tl.SIGNALS else "1",
             **_describe_largest(held.get(name)),
             **_describe_finding(findings.get(name)),
         }
-        for name in tl.SIGNALS
+        for name in dict.fromkeys([*tl.SIGNALS, *held, *findings])
         if name in held or name in findings
     ]
+
+
+def _find_better(name: str) -> str | None:
+    kind = tl.find_metric_kind(name)
+    return None if kind is None else kind.better
 
 
 def _describe_largest(found: "SignalDifference | None") -> dict[str, Any]:
@@ -117,7 +123,7 @@ def _describe_difference(found: "MetricDifference", comparison: "Comparison") ->
         "status": found.metric.status.value,
         "reference": found.reference.value,
         "reference_status": found.reference.status.value,
-        "better": tl.METRICS[found.metric.id].better,
+        "better": _find_better(found.metric.id),
         **described,
     }
 

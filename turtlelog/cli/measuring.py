@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasureOptions:
-    """How to measure; a value of a phase is in rad for rotate and in m for translate.
+    """How to measure; a value of a loop is in rad where it controls the heading, else in m.
 
     Attributes:
         only: Ids or patterns, as in rotate.overshoot,final.*
         band: Half-width of the settling band, as a share of the step (0.02).
-        initial: Where steps start: NUMBER or PHASE=NUMBER (first value).
-        final: Where they lead: reference, last, NUMBER, or PHASE=... (reference).
+        initial: Where steps start: NUMBER or LOOP=NUMBER (first value).
+        final: Where they lead: reference, last, NUMBER, or LOOP=... (reference).
         reference_path: CSV of x,y in m, for cross-track errors (line to the goal).
         dead_time: Samples of dead time in the delayed ideal loop (as found).
     """
@@ -67,7 +67,7 @@ def _parse_values(option: str, text: str) -> Value | Mapping[str, Value]:
     if "=" not in text:
         return _parse_value(option, text)
     pairs = [part.partition("=") for part in text.split(",")]
-    return {phase.strip(): _parse_value(option, value) for phase, _, value in pairs}
+    return {loop.strip(): _parse_value(option, value) for loop, _, value in pairs}
 
 
 def _parse_value(option: str, text: str) -> Value:
@@ -78,4 +78,4 @@ def _parse_value(option: str, text: str) -> Value:
         return float(text)
     except ValueError as err:
         words = "reference, last, a number" if option == "--final" else "a number"
-        raise UsageError(f"{option}: expected {words} or PHASE=VALUE,..., found {text!r}") from err
+        raise UsageError(f"{option}: expected {words} or LOOP=VALUE,..., found {text!r}") from err

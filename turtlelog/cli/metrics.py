@@ -1,6 +1,6 @@
 """`turtlelog metrics`: measure recordings."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -18,7 +18,7 @@ from turtlelog.cli.output import (
     print_json_list,
 )
 from turtlelog.cli.summaries import watch_summaries
-from turtlelog.errors import TurtlelogError
+from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import RunSummary
@@ -57,11 +57,12 @@ def metrics(
     require_files(files)
     measuring, topics = measuring or MeasureOptions(), topics or TopicOptions()
     kind = (formats or FormatOptions()).choose()
-    chosen = _choose(measuring, kind, everything=all_)
+    patterns = measuring.list_patterns()
+    is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     found = tl.summarise_files(
         files,
         measuring.build_settings(),
-        only=chosen,
+        only=tl.list_essential_metrics if is_short else patterns,
         topics=topics.build_choice(),
         jobs=jobs,
     )
@@ -69,32 +70,30 @@ def metrics(
     summaries = watch_summaries(found, len(files), errors)
     if kind == "json":
         print_json_list(map(_describe, summaries))
-    elif kind == "csv":
-        units = [f"{name} [{tl.METRICS[name].unit}]" for name in chosen]
-        print_csv(["file", "run", *units], map(_list_cells, summaries))
     else:
-        has_more = measuring.only is None and len(chosen) < len(tl.METRICS)
-        _print_tables(list(summaries), chosen, kind, tell_more=kind == "txt" and has_more)
+        held = list(summaries)
+        _require_some(held, patterns)
+        if kind == "csv":
+            _print_csv(held)
+        else:
+            _print_tables(held, kind, tell_more=kind == "txt" and is_short)
     for err in errors:
         print_error(str(err))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
-def _choose(options: MeasureOptions, kind: str, *, everything: bool) -> tuple[str, ...]:
-    """Return the metrics to compute."""
-    patterns = options.list_patterns()
-    if patterns is not None:
-        return tl.choose_metrics(patterns)
-    if everything or kind in {"json", "csv"}:
-        return tuple(tl.METRICS)
-    return tl.ESSENTIAL_METRICS
+def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | None) -> None:
+    """Refuse patterns that stand for no metric of any of the runs."""
+    if patterns is None or not summaries or any(found.metrics for found in summaries):
+        return
+    known = tl.list_metrics(*(found.declaration for found in summaries))
+    raise UsageError(f"--only: expected {tl.suggest_metrics(patterns[0], known)}")
 
 
-def _print_tables(
-    summaries: "Sequence[RunSummary]", chosen: Sequence[str], kind: str, *, tell_more: bool
-) -> None:
+def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, tell_more: bool) -> None:
     if not summaries:
         return
+    chosen = tl.order_ids(name for found in summaries for name in found.metrics)
     summaries = tl.order_by_gain(summaries)
     if len(summaries) > _MOST_COLUMNS:
         table = tl.tabulate_runs(summaries, only=chosen)
@@ -102,18 +101,31 @@ def _print_tables(
         names = tl.name_runs(summaries)
         table = tl.tabulate_measured(names, [summary.metrics for summary in summaries])
     if tell_more:
-        more = f"{len(chosen)} of {len(tl.METRICS)} metrics: --all shows every one, --only chooses."
+        count = len(tl.list_metrics(*(found.declaration for found in summaries)))
+        more = f"{len(chosen)} of {count} metrics: --all shows every one, --only chooses."
         table = replace(table, notes=(more, *table.notes))
     print_tables([table], kind)
 
 
-def _list_cells(summary: "RunSummary") -> list[str | float]:
-    """Return the row of a run: a status where there is no value."""
-    cells = (
-        found.status.value if found.value is None else found.value
-        for found in summary.metrics.values()
-    )
-    return [summary.file, summary.name, *cells]
+def _print_csv(summaries: "Sequence[RunSummary]") -> None:
+    """Print a row for every run, in the order given; a cell is empty without such a loop."""
+    chosen = tl.order_ids(name for found in summaries for name in found.metrics)
+    heads = []
+    for name in chosen:
+        found = [summary.metrics[name] for summary in summaries if name in summary.metrics]
+        heads.append(f"{name} [{' or '.join(tl.list_units(found))}]")
+    rows = ([found.file, found.name, *_list_cells(found, chosen)] for found in summaries)
+    print_csv(["file", "run", *heads], rows)
+
+
+def _list_cells(summary: "RunSummary", chosen: Sequence[str]) -> "Iterator[str | float | None]":
+    """Yield the cells of a run: a status where there is no value."""
+    for name in chosen:
+        found = summary.metrics.get(name)
+        if found is None:
+            yield None
+        else:
+            yield found.status.value if found.value is None else found.value
 
 
 def _describe(summary: "RunSummary") -> dict[str, Any]:

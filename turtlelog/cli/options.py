@@ -1,6 +1,6 @@
 """Options that several commands share, and what they stand for."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +13,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Run, Scenario, TopicChoice
+    from turtlelog import Declaration, Run, Scenario, TopicChoice
 
 
 def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -40,7 +40,7 @@ class ScenarioOptions:
     """Changes to a scenario, applied in this order.
 
     Attributes:
-        kp: Set both gains [1/s].
+        kp: Set the gains that the law declares [1/s].
         goal: Set the goal position, as in 2,10 [m].
         assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
             several times.
@@ -76,7 +76,10 @@ class TopicOptions:
 
 
 def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
-    """Return a preset or file with the options applied, under a name that tells them."""
+    """Return a preset or file with the options applied, under a name that tells them.
+
+    The code of a law is loaded only where its gains are to be set.
+    """
     base = tl.load_scenario(name_or_path)
     return name_by_changes(change_scenario(base, options), base.name, options)
 
@@ -109,8 +112,18 @@ def _list_changes(options: ScenarioOptions | None) -> list[str]:
     return said + [text if text.isprintable() else repr(text)[1:-1] for text in texts]
 
 
-def change_scenario(scenario: "Scenario", options: ScenarioOptions | None) -> "Scenario":
-    """Return a scenario with the options applied."""
+def change_scenario(
+    scenario: "Scenario",
+    options: ScenarioOptions | None,
+    declaration: "Declaration | None" = None,
+) -> "Scenario":
+    """Return a scenario with the options applied.
+
+    Args:
+        scenario: To be changed.
+        options: The changes.
+        declaration: What its law declares, where a recording tells; otherwise the law is asked.
+    """
     options = options or ScenarioOptions()
     changes = tl.parse_assignments(options.assignments or (), source="--set")
     if "law.kind" in changes:
@@ -118,11 +131,19 @@ def change_scenario(scenario: "Scenario", options: ScenarioOptions | None) -> "S
         kind = {"law.kind": changes.pop("law.kind")}
         scenario = tl.override_scenario(scenario, kind, source="--set")
     if options.kp is not None:
-        gains = {"law.kp_angular": options.kp, "law.kp_linear": options.kp}
+        asked = declaration or _ask_law(scenario, changes)
+        gains = dict.fromkeys(asked.list_gains(), options.kp)
+        if not gains:
+            raise UsageError("--kp: expected a law that declares a gain, found none: --set does it")
         scenario = tl.override_scenario(scenario, gains, source="--kp")
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
     return tl.override_scenario(scenario, changes, source="--set")
+
+
+def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
+    """Return what the law of a scenario declares, once it has all values that it must have."""
+    return tl.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
 
 
 def read_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "list[Run]":

@@ -94,7 +94,9 @@ def choose_scenario(
     scenario = _find_base(run, options.scenario)
     if kind is not None:
         scenario = tl.override_scenario(scenario, {"law.kind": kind}, source="--law")
-    changed = change_scenario(scenario, changes)
+    # What is not asked of a law is read from its recording: so no code is run.
+    declared = run.declaration if named is None and options.scenario is None else None
+    changed = change_scenario(scenario, changes, declared)
     said = [] if options.scenario is None else [f"as {Path(options.scenario).stem}"]
     return name_by_changes(changed, run.name, changes, *said)
 

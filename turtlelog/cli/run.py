@@ -22,9 +22,10 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
 from turtlelog.cli.targets import require_new_target
+from turtlelog.errors import SimulationError
 
 if TYPE_CHECKING:
-    from turtlelog import Run, Scenario
+    from turtlelog import Run, Scenario, Table
     from turtlelog.runner import Sink
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
@@ -68,7 +69,7 @@ def run(
     With --realtime the recording is written while the loop runs, to a new file that can be read up
     to the last second whatever happens. Ctrl-C or a terminal that closes ends the run, and the file
     is finished (exit code 130). With --live a viewer shows it on the way; closing that does the run
-    no harm.
+    no harm. Of a law that fails, what came before is written (exit code 2).
 
     Args:
         scenario: A preset (paper-kp1, paper-kp2, paper-kp4, paper-kp10, paper, textbook) or a
@@ -82,7 +83,12 @@ def run(
     chosen = tl.resolve_scenario(load_changed_scenario(scenario, options))
     live = live or LiveOptions()
     with _open_viewer(live) as (window, url):
-        result = _run(chosen, output, live, url)
+        try:
+            result = _run(chosen, output, live, url)
+        except SimulationError as err:
+            if err.run is not None:
+                _write(err.run, output, rrd, is_recorded=live.realtime)
+            raise
         code = _answer(result, output, rrd, is_recorded=live.realtime, json=json)
         if window is not None and code == EXIT_FINE:
             with outlive_reader():
@@ -114,8 +120,12 @@ def _answer(
         )
         return code
     print_text(f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n")
-    print_text(format_table(tl.tabulate_metrics([result], only=tl.ESSENTIAL_METRICS)))
+    print_text(format_table(_tabulate(result)))
     return code
+
+
+def _tabulate(run: "Run") -> "Table":
+    return tl.tabulate_metrics([run], only=tl.list_essential_metrics(run.declaration))
 
 
 def _write(run: "Run", output: Path | None, rrd: Path | None, *, is_recorded: bool) -> None:

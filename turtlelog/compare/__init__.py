@@ -14,7 +14,7 @@ from turtlelog.compare.difference import (
 )
 from turtlelog.compare.files import summarise_files
 from turtlelog.compare.gains import mark_metric, tabulate_runs
-from turtlelog.compare.ids import ALIGNMENTS
+from turtlelog.compare.ids import ALIGNMENTS, list_units, order_ids
 from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
 from turtlelog.compare.names import name_runs
 from turtlelog.compare.order import order_by_gain
@@ -51,11 +51,13 @@ __all__ = [
     "format_cell",
     "iter_comparisons",
     "list_needed_metrics",
+    "list_units",
     "list_usual_metrics",
     "load_tolerances",
     "mark_metric",
     "name_runs",
     "order_by_gain",
+    "order_ids",
     "parse_tolerances",
     "read_tables",
     "select_runs",

@@ -1,7 +1,7 @@
 """Many recordings, read and measured one by one: what is kept of each is its summary."""
 
 import multiprocessing
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,9 @@ from turtlelog.log import TopicChoice
 from turtlelog.loops import Declaration
 from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
 
+Choice = Collection[str] | Callable[[Declaration], Collection[str]] | None
+"""Which metrics to compute: ids and patterns, or what says which, from the law of a run; all."""
+
 _AT_ONCE: Final = 16
 """Files that a process takes at a time."""
 
@@ -21,7 +24,7 @@ def summarise_files(
     paths: Sequence[str | Path],
     settings: MeasureSettings | None = None,
     *,
-    only: Collection[str] | None = None,
+    only: Choice = None,
     topics: TopicChoice | None = None,
     jobs: int = 1,
 ) -> Iterator[RunSummary | TurtlelogError]:
@@ -32,7 +35,8 @@ def summarise_files(
     Args:
         paths: Recordings, bags or the paper's logs, as `read_run` takes them.
         settings: As in `measure_run`.
-        only: The same; patterns stand for the metrics that each run has.
+        only: The same, patterns stand for the metrics that each run has; or a function that says
+            which, as `list_essential_metrics` does.
         topics: The same topics for all of them.
         jobs: Processes to measure in, at least 1. They import the module that runs: a script that
             asks for more than one keeps its own work under `if __name__ == "__main__":`.
@@ -43,7 +47,7 @@ def summarise_files(
     """
     if jobs < 1:
         raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
-    if only is not None:
+    if only is not None and not callable(only):
         choose_metrics(only, Declaration())  # refuses what names no metric of any law
         only = (only,) if isinstance(only, str) else tuple(only)
     measure = partial(_measure_file, settings=settings, only=only, topics=topics or TopicChoice())
@@ -54,14 +58,15 @@ def _measure_file(
     path: str,
     *,
     settings: MeasureSettings | None,
-    only: Collection[str] | None,
+    only: Choice,
     topics: TopicChoice,
 ) -> RunSummary | TurtlelogError:
     try:
         run = topics.read(path)
     except TurtlelogError as err:
         return err
-    return summarise_run(run, file=path, metrics=measure_run(run, settings, only=only))
+    chosen = only(run.declaration) if callable(only) else only
+    return summarise_run(run, file=path, metrics=measure_run(run, settings, only=chosen))
 
 
 def _iterate(
