@@ -27,7 +27,6 @@ from .check import (
 )
 from .compare import (
     ALIGNMENTS as ALIGNMENTS,
-    USUAL_METRICS as USUAL_METRICS,
     Column as Column,
     Comparison as Comparison,
     Finding as Finding,
@@ -39,6 +38,7 @@ from .compare import (
     compare_runs as compare_runs,
     iter_comparisons as iter_comparisons,
     list_needed_metrics as list_needed_metrics,
+    list_usual_metrics as list_usual_metrics,
     load_tolerances as load_tolerances,
     mark_metric as mark_metric,
     name_runs as name_runs,
