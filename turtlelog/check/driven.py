@@ -9,7 +9,7 @@ from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.laws import Law
-from turtlelog.measure import SIGNALS
+from turtlelog.measure import list_signals
 from turtlelog.replay import Difference, LawReplay, SignalDifference, replay_law
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, complete_scenario
@@ -82,7 +82,7 @@ class DrivenRecording:
         return replay_law(self._run, named, law=self._law, tolerance=tolerance)
 
     def _judge(self, signal: SignalDifference, limit: float) -> CheckResult:
-        first = signal.first_difference
+        first, known = signal.first_difference, list_signals(self._run.declaration)
         return CheckResult(
             file=self._file,
             check=f"law.{signal.signal}",
@@ -94,7 +94,7 @@ class DrivenRecording:
             unit=signal.unit,
             first_violation_s=None if first is None else self._read_time(first),
             reason="" if first is None else _describe(first),
-            names=(signal.signal,) if signal.signal in SIGNALS else ("speed", "turn_rate"),
+            names=(signal.signal,) if signal.signal in known else ("speed", "turn_rate"),
         )
 
     def _judge_other(self, other: Difference) -> CheckResult:

@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Final
 
 from turtlelog.check.cut import Ending, find_ending
-from turtlelog.measure import METRICS, Metric, measure_run
+from turtlelog.loops import Declaration
+from turtlelog.measure import Metric, MetricKind, list_metrics, measure_run
 from turtlelog.run import Run
 
-_CHOSEN: Final = (
-    *("rotate.overshoot", "rotate.settling_time", "rotate.saturated_share"),
-    *("translate.overshoot", "translate.settling_time", "translate.saturated_share"),
+_OF_STEP: Final = ("overshoot", "settling_time", "saturated_share")
+_OF_MOVING: Final = ("rms_error", "largest_error", "saturated_share")
+"""Of a loop whose reference the law moves."""
+
+_OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
@@ -60,18 +63,37 @@ def _list_head(run: Run, reference: str, partial: str) -> Iterator[str]:
 
 
 def _list_checks(run: Run) -> Iterator[str]:
-    for metric in measure_run(run, only=_CHOSEN).values():
-        if metric.value is None:
+    kinds = list_metrics(run.declaration)
+    for metric in measure_run(run, only=_choose_metrics(run.declaration)).values():
+        if not _is_name(metric.id):
+            yield ""
+            yield f"# {metric.id}: no formula can name it: - stands for minus"
+        elif metric.value is None:
             yield ""
             yield f"# {metric.id}: no value here: {metric.status.value} ({_comment(metric.reason)})"
         else:
-            yield from _list_check(metric, metric.value)
+            yield from _list_check(metric, metric.value, kinds[metric.id])
     if run.goal_xy_m is not None and len(run.samples):
         yield from _list_arrival(run)
 
 
-def _list_check(metric: Metric, value: float) -> Iterator[str]:
-    kind = METRICS[metric.id]
+def _choose_metrics(declaration: Declaration) -> list[str]:
+    """Return the ids to write a check for: of every loop that is declared, the end and the run."""
+    of_loops = (
+        f"{loop.name}.{name}"
+        for loop in declaration.loops
+        for name in (_OF_MOVING if loop.moves else _OF_STEP)
+    )
+    known = list_metrics(declaration)
+    return [name for name in (*of_loops, *_OF_RUN) if name in known]
+
+
+def _is_name(text: str) -> bool:
+    """Return whether a formula can name it: a loop may be called `my-loop`."""
+    return all(part.isidentifier() for part in text.split("."))
+
+
+def _list_check(metric: Metric, value: float, kind: MetricKind) -> Iterator[str]:
     is_higher = kind.better == "higher"
     base = value if kind.floor is None or is_higher else max(value, kind.floor)
     operator = ">=" if is_higher else "<="

@@ -12,6 +12,7 @@ from turtlelog.check.robustness import Margins
 from turtlelog.check.sides import read_sides
 from turtlelog.check.signals import Signals, Trace, check_names, read_signals
 from turtlelog.check.violation import find_first_violation
+from turtlelog.check.vocabulary import find_kind
 from turtlelog.expressions import (
     Expression,
     Node,
@@ -20,7 +21,8 @@ from turtlelog.expressions import (
     format_expression,
     iterate_nodes,
 )
-from turtlelog.measure import METRICS, SIGNALS
+from turtlelog.loops import Declaration
+from turtlelog.measure import list_metrics, list_signals
 from turtlelog.run import Run
 
 _TOO_SHORT: Final = "the recording ends before the formula's window does"
@@ -83,6 +85,7 @@ def check_formula(
     *,
     window_ns: tuple[int, int] | None = None,
     ending: Ending = Ending.SETTLED,
+    declaration: Declaration | None = None,
 ) -> FormulaResult:
     """Check a formula at the beginning of a trace.
 
@@ -93,6 +96,7 @@ def check_formula(
         window_ns: First and last time [ns] of the trace; by default from the first moment at
             which every signal used has a value to the last time of any.
         ending: What is known of the time after that; by default the last values hold for ever.
+        declaration: Of the law that ran, which says the units of its loops' metrics.
 
     Raises:
         ExpressionError: Where a name is not there or the kinds do not go together.
@@ -115,7 +119,7 @@ def check_formula(
         return replace(unknown, reason=_explain_unknown(expression, trace))
     decision = find_decision(margins, expression.root, trace)
     decisive = trace.read_values(decision.time_ns)
-    sides = read_sides(expression, decision.node, decisive)
+    sides = read_sides(expression, decision.node, decisive, declaration or Declaration())
     return replace(
         unknown,
         holds=holds,
@@ -139,7 +143,8 @@ def check_run(
 
     Args:
         run: Time zero is its first sample.
-        expression: A formula over the names of `SIGNALS`, `METRICS` and `run.parameters`.
+        expression: A formula over the run's signals and states, its metrics and its parameters. A
+            metric of a loop that its law does not declare has no value.
         window_ns: First and last time [ns]; by default from time zero to the run's end. After one
             that ends earlier, such as a phase, its last values hold.
 
@@ -147,11 +152,15 @@ def check_run(
         ExpressionError: Where a name is not there or the kinds do not go together.
         CheckError: Where a signal has no value at the first time.
     """
-    check_names(expression, {**SIGNALS, **METRICS, **run.parameters})
+    others = {name: None for name in expression.names if find_kind(run, name) is not None}
+    known = {**list_signals(run.declaration), **list_metrics(run.declaration), **others}
+    check_names(expression, {**known, **run.parameters})
     signals = read_signals(run, expression.names)
     window_ns = window_ns or (run.start_ns, run.end_ns)
     ending = find_ending(run) if window_ns[1] >= run.end_ns else Ending.SETTLED
-    return check_formula(signals, expression, window_ns=window_ns, ending=ending)
+    return check_formula(
+        signals, expression, window_ns=window_ns, ending=ending, declaration=run.declaration
+    )
 
 
 def _decide(expression: Expression, trace: Trace) -> tuple[bool | None, Margins]:

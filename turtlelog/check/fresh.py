@@ -7,7 +7,7 @@ from typing import Any
 from turtlelog.check.recording import Recording, Watch
 from turtlelog.log import write_recording
 from turtlelog.scenario import Scenario, load_scenario, override_scenario
-from turtlelog.simulate import simulate_run
+from turtlelog.simulate import declare_scenario, simulate_run
 
 
 class FreshRuns:
@@ -32,7 +32,7 @@ class FreshRuns:
 
         Args:
             scenario: A preset, a file, or the scenario itself.
-            kp: Both gains [1/s].
+            kp: All gains that the law declares.
             changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
 
         Raises:
@@ -41,8 +41,11 @@ class FreshRuns:
         """
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(str(scenario))
-        gains = {} if kp is None else {"law.kp_angular": kp, "law.kp_linear": kp}
-        scenario = override_scenario(scenario, {**gains, **(changes or {})}, source="simulate")
+        scenario = override_scenario(scenario, changes or {}, source="simulate")
+        if kp is not None:
+            keys = declare_scenario(scenario).list_gains()
+            gains = {key: kp for key in keys if key not in (changes or {})}
+            scenario = override_scenario(scenario, gains, source="simulate")
         self._count += 1
         path = self._folder / f"simulated-{self._count}.mcap"
         write_recording(simulate_run(scenario), path)

@@ -10,9 +10,14 @@ from turtlelog.check.moments import find_metric_violation
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check
 from turtlelog.check.surroundings import choose_signals
-from turtlelog.check.vocabulary import find_window, require_known_names
+from turtlelog.check.vocabulary import (
+    describe_no_phase,
+    find_kind,
+    find_window,
+    require_known_names,
+)
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
-from turtlelog.measure import METRICS, SIGNALS, Metric, measure_run
+from turtlelog.measure import Metric, list_signals, measure_run
 from turtlelog.run import Run
 
 
@@ -36,8 +41,9 @@ def judge_check(
 def measure_named(checks: Sequence[Check], run: Run) -> Mapping[str, Metric]:
     """Return the metrics of a run that checks name."""
     formulas = [found for check in checks for found in (check.formula, check.when) if found]
-    ids = {name for formula in formulas for name in formula.names if name in METRICS}
-    return measure_run(run, only=sorted(ids)) if ids else {}
+    names = {name for formula in formulas for name in formula.names}
+    ids = sorted(name for name in names if find_kind(run, name) is not None)
+    return measure_run(run, only=ids) if ids else {}
 
 
 class _Judge:
@@ -62,7 +68,9 @@ class _Judge:
         lacking = self._find_lacking(condition)
         if lacking:
             return self._leave_open(f"when: {lacking}")
-        found = check_formula(self._read_values(condition), condition)
+        found = check_formula(
+            self._read_values(condition), condition, declaration=self._run.declaration
+        )
         if found.holds is None:
             return self._leave_open(f"when: {found.reason}")
         if found.holds:
@@ -73,7 +81,9 @@ class _Judge:
 
     def _judge_metrics(self) -> CheckResult:
         formula = self._check.formula
-        found = check_formula(self._read_values(formula), formula)
+        found = check_formula(
+            self._read_values(formula), formula, declaration=self._run.declaration
+        )
         failed_s = None if found.holds else self._find_moment(found.limit)
         return replace(self._describe(found), first_violation_s=failed_s)
 
@@ -81,8 +91,7 @@ class _Judge:
         check, run = self._check, self._run
         window_ns = find_window(run, check.phase)
         if window_ns is None:
-            reason = f"no_phase (the run has no phase {check.phase})"
-            return self._leave_open(reason)
+            return self._leave_open(describe_no_phase(run, check.phase or ""))
         found = check_run(run, check.formula, window_ns=window_ns)
         begun_s = (window_ns[0] - run.start_ns) / 1e9
         value_s, failed_s = (
@@ -113,20 +122,20 @@ class _Judge:
             verdict=verdict,
             expected=self._check.describe(),
             reason=reason,
-            names=choose_signals(self._check.formula.names),
+            names=choose_signals(self._check.formula.names, self._run.declaration),
         )
 
     def _find_lacking(self, formula: Expression) -> str:
         """Return the names without a value and why; empty where all have one."""
         lacking = []
         for name in formula.names:
-            if name in SIGNALS:
+            if name in list_signals(self._run.declaration):
                 continue
-            if name in self._run.parameters:
+            metric = self._metrics.get(name)
+            if metric is None and name in self._run.parameters:
                 if isinstance(self._run.parameters[name], list):
                     lacking.append(f"{name}: expected one value, found a list")
                 continue
-            metric = self._metrics.get(name)
             if metric is None:
                 lacking.append(f"{name}: the recording does not hold it")
             elif metric.value is None:
@@ -135,14 +144,14 @@ class _Judge:
 
     def _read_values(self, formula: Expression) -> dict[str, Any]:
         return {
-            name: self._metrics[name].value if name in METRICS else self._run.parameters[name]
+            name: self._metrics[name].value if name in self._metrics else self._run.parameters[name]
             for name in formula.names
         }
 
     def _find_moment(self, limit: float | None) -> float | None:
         """Return when a bound on one metric is first violated; None where there are several."""
         formula = self._check.formula
-        named = [name for name in formula.names if name in METRICS]
+        named = [name for name in formula.names if name in self._metrics]
         if len(named) != 1:
             return None
         metric, root = self._metrics[named[0]], formula.root

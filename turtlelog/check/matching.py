@@ -9,9 +9,10 @@ from turtlelog.check.reference import Reference, load_reference
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.runs import convert_finding
 from turtlelog.compare import Finding, Tolerance, Tolerances, compare_runs, load_tolerances
+from turtlelog.compare.ids import list_names
 from turtlelog.compare.verdict import judge_metric
 from turtlelog.errors import CheckError
-from turtlelog.measure import SIGNALS, Metric, measure_run, read_signal
+from turtlelog.measure import Metric, list_signals, measure_run, read_signal
 from turtlelog.run import Run
 
 AnyTolerance = Tolerance | Tolerances | str | Path | None
@@ -53,7 +54,7 @@ def _match_runs(
     if not isinstance(tolerances, Tolerances):
         tolerances = _spread(run, reference, tolerances or _SIGNALS_APART)
     findings = compare_runs(reference, run, tolerances=tolerances).findings
-    results = [convert_finding(finding, file=file) for finding in findings]
+    results = [convert_finding(finding, run.declaration, file=file) for finding in findings]
     if not isinstance(tolerance, Tolerances):
         window_s = 0.0 if tolerance is None else tolerance.time_s
         results.append(_judge_length(run, reference, window_s, file))
@@ -63,11 +64,18 @@ def _match_runs(
 def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
     """Return one tolerance for every signal that either run holds."""
     label = dataclasses.replace(tolerance, abs=0.0, rel=0.0)
+    held = {
+        name: kind
+        for found in (run, reference)
+        for name, kind in list_signals(found.declaration).items()
+        if read_signal(found, name) is not None
+    }
+    names = list_names([run.declaration, reference.declaration])
     return Tolerances(
         signals={
-            name: label if kind.compared_as == "label" else tolerance
-            for name, kind in SIGNALS.items()
-            if any(read_signal(found, name) is not None for found in (run, reference))
+            name: label if held[name].compared_as == "label" else tolerance
+            for name in names
+            if name in held
         }
     )
 
@@ -112,4 +120,7 @@ def _match_metrics(
         judge_metric(measured[name], reference[name], found) for name, found in wanted.items()
     ]
     # What never had a value is as it was.
-    return [convert_finding(finding, file=file, is_strict=False) for finding in findings]
+    return [
+        convert_finding(finding, run.declaration, file=file, is_strict=False)
+        for finding in findings
+    ]

@@ -9,7 +9,6 @@ from turtlelog.check.surroundings import describe_clock, tabulate_surroundings
 from turtlelog.escapes import escape_controls
 from turtlelog.run import Run
 
-_GAINS = ("law.kp_angular", "law.kp_linear")
 _WIDTH = 92
 _MOST = 3
 
@@ -66,10 +65,11 @@ def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:
 def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
     yield f"  recording       {result.file}"
     parameters = run.parameters
-    gains = [f"{name} = {parameters[name]}" for name in _GAINS if name in parameters]
+    keys = dict.fromkeys(loop.gain for loop in run.declaration.loops if loop.gain is not None)
+    gains = [f"{name} = {parameters[name]}" for name in keys if name in parameters]
     gains = gains or [f"{n} = {v}" for n, v in parameters.items() if n.startswith("law.")]
     yield f"  gains           {', '.join(gains) or 'not recorded'}"
-    others = [f"{n} = {v}" for n, v in parameters.items() if n not in (*_GAINS, "name")]
+    others = [f"{n} = {v}" for n, v in parameters.items() if n not in (*keys, "name")]
     text = ", ".join([run.name, *others]) if others else f"{run.name}, nothing else recorded"
     wrapped = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
     yield f"  scenario        {wrapped[0]}"

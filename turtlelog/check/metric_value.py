@@ -162,7 +162,7 @@ class MetricValue(FloatArithmetic):
             margin=margin,
             unit=self.unit,
             value_s=self.at_s,
-            names=choose_signals([self.metric.id]),
+            names=choose_signals([self.metric.id], self._run.declaration),
         )
 
     def _compare(self, operator: str, other: object) -> bool:
@@ -205,7 +205,7 @@ class MetricValue(FloatArithmetic):
                 verdict=Verdict.FAIL,
                 expected=wanted,
                 reason=reason,
-                names=choose_signals([self.metric.id]),
+                names=choose_signals([self.metric.id], self._run.declaration),
                 is_decided=False,
             )
         )

@@ -1,34 +1,19 @@
 """When a metric first goes beyond its limit."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from turtlelog.check.cut import cut_run
 from turtlelog.check.operators import OPERATORS
-from turtlelog.measure import MeasureSettings, Metric, measure_run
-from turtlelog.run import Phase, Run
-
-_GROWING: Final = frozenset(
-    {
-        *("overshoot", "undershoot", "crossings", "largest_error", "cross_track_max"),
-        *("iae", "ise", "itae", "effort", "total_variation", "largest_jump", "largest_slew_rate"),
-        *("reversals", "largest_wanted", "longest_saturation", "path_length", "largest_gap"),
-        *("largest_pose_gap", "burst_samples", "dropped_samples", "duplicates", "disorder"),
-        *("ideal_deviation_max", "sampled_deviation_max"),
-    }
+from turtlelog.measure import (
+    MeasureSettings,
+    Metric,
+    find_first_stretch,
+    list_metrics,
+    measure_run,
 )
-"""Metrics that only grow while a run goes on: counts, sums of magnitudes and the largest so far.
-
-What comes later takes nothing away from these, so that the first violation can be searched for by
-halving. Shares, means, percentiles, what is taken at the end, and what rests on a dead time that is
-estimated from all rows may fall again."""
-
-_WAITED_FOR: Final = frozenset(
-    {"duration", "settling_time", "rise_time", "delay_time", "peak_time", "time_to_goal"}
-)
-"""Metrics that are a time since the beginning of their phase, or of the run."""
+from turtlelog.run import Run
 
 
 def find_metric_violation(
@@ -41,20 +26,16 @@ def find_metric_violation(
     the time allowed is over; what is taken at the end, at the end. Otherwise it is the moment at
     which the metric is taken; None where it belongs to no moment.
     """
-    phase, name = metric.id.split(".", 1)
-    if operator in {"<", "<="} and is_growing(metric.id) and metric.value is not None:
-        return _find_growth(run, metric.id, operator, limit, settings)
-    if operator in {"<", "<="} and name in _WAITED_FOR and metric.unit == "s":
-        return _find_start_s(run, phase) + max(limit, 0.0)
-    if metric.at_s is None and phase == "final":
+    part = metric.id.split(".", 1)[0]
+    kind = list_metrics(run.declaration).get(metric.id)
+    if kind is not None and operator in {"<", "<="} and metric.value is not None:
+        if kind.grows:
+            return _find_growth(run, metric.id, operator, limit, settings)
+        if kind.is_awaited:
+            return _find_start_s(run, part) + max(limit, 0.0)
+    if metric.at_s is None and part == "final":
         return (run.end_ns - run.start_ns) / 1e9
     return metric.at_s
-
-
-def is_growing(name: str) -> bool:
-    """Whether the metric of this id only grows while a run goes on."""
-    plain = name.split(".", 1)[1].removeprefix("speed_").removeprefix("turn_rate_")
-    return plain in _GROWING
 
 
 def _find_growth(
@@ -74,8 +55,8 @@ def _find_growth(
     return float(run.poses.time_ns[last] - run.start_ns) / 1e9
 
 
-def _find_start_s(run: Run, phase: str) -> float:
-    for span in run.find_phase_spans():
-        if span.phase is not Phase.PAUSE and span.phase.label == phase:
-            return (span.start_ns - run.start_ns) / 1e9
-    return 0.0
+def _find_start_s(run: Run, part: str) -> float:
+    """Return when a loop first acts, from the first sample [s]; of anything else 0."""
+    loop = run.declaration.find_loop(part)
+    stretch = find_first_stretch(run, loop) if loop else []
+    return (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0

@@ -19,17 +19,16 @@ from turtlelog.check.result import CheckResult
 from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
+from turtlelog.compare.ids import list_ids_like
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
 from turtlelog.log import TopicChoice
-from turtlelog.measure import METRICS, Metric
+from turtlelog.measure import Metric, find_metric_kind, list_metrics
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 
 Expected: TypeAlias = "Recording | Run | Reference | Mapping[str, Metric] | str | Path"
-
-_PARTS = tuple(dict.fromkeys(name.split(".", 1)[0] for name in METRICS))
 
 
 class Watch(Protocol):
@@ -40,7 +39,7 @@ class Watch(Protocol):
 
 
 class UnknownMetricError(CheckError, AttributeError):
-    """A metric of a phase that is none; an AttributeError, as it is asked for as an attribute."""
+    """A metric that a loop does not have; an AttributeError, as it is asked for as an attribute."""
 
 
 class Recording:
@@ -95,21 +94,26 @@ class Recording:
     def metric(self, name: str, **settings: Any) -> MetricValue:
         """Return a metric by its id, as measured with settings of `MeasureSettings`.
 
+        That of a loop which the run's law does not declare has no value, and says so.
+
         Raises:
             CheckError: Where there is no such metric; with those nearest to it.
         """
-        if name not in METRICS:
-            raise CheckError(f"metric: {describe_nearest(name, tuple(METRICS))}")
+        if find_metric_kind(name) is None:
+            known = dict.fromkeys([*list_metrics(self.run.declaration), *list_ids_like(name)])
+            raise CheckError(f"metric: {describe_nearest(name, tuple(known))}")
         return MetricValue(self.run, self.file, name, self._note, settings)
 
     def phase(self, name: str) -> "PhaseMetrics":
-        """Return the metrics of a phase (`rotate`, `translate`), of `final` or `run`.
+        """Return the metrics of a loop of the run's law (`rotate`), of `final` or `run`.
 
         Raises:
-            CheckError: Where there is no such phase; with those nearest to it.
+            CheckError: Where its law declares no such loop; with those that it does.
         """
-        if name not in _PARTS:
-            raise CheckError(f"phase: {describe_nearest(name, _PARTS)}")
+        ids = list_metrics(self.run.declaration)
+        parts = tuple(dict.fromkeys(known.rpartition(".")[0] for known in ids))
+        if name not in parts:
+            raise CheckError(f"phase: {describe_nearest(name, parts)}")
         return PhaseMetrics(self, name)
 
     def holds(self, formula: str, *, phase: str | None = None) -> CheckOutcome:
@@ -117,11 +121,12 @@ class Recording:
 
         Args:
             formula: As in `always(abs(cross_track) <= 0.05)`.
-            phase: The stretch to look at; the whole run where None.
+            phase: The stretch to look at; the whole run where None. Undecided where the run has no
+                such phase.
 
         Raises:
             ExpressionError: Where it does not parse or names what is not there.
-            CheckError: Where there is no such phase.
+            CheckError: Where that can be the name of no phase.
         """
         parsed = parse_expression(formula, source="holds")
         if phase is not None:
@@ -178,7 +183,7 @@ class Recording:
 
 
 class PhaseMetrics:
-    """The metrics of one phase as attributes: `rotate.overshoot`."""
+    """The metrics of one loop, of the end or the run as attributes: `rotate.overshoot`."""
 
     def __init__(self, recording: Recording, name: str) -> None:
         self._recording, self._name = recording, name
@@ -187,10 +192,11 @@ class PhaseMetrics:
         raise CheckError(f"phase {self._name}: expected one of its metrics, found none")
 
     def __getattr__(self, name: str) -> MetricValue:
-        if f"{self._name}.{name}" in METRICS:
-            return self._recording.metric(f"{self._name}.{name}")
         if name.startswith("__"):
             raise AttributeError(name)
+        ids = list_metrics(self._recording.run.declaration)
+        if f"{self._name}.{name}" in ids:
+            return self._recording.metric(f"{self._name}.{name}")
         prefix = f"{self._name}."
-        known = tuple(found.removeprefix(prefix) for found in METRICS if found.startswith(prefix))
+        known = tuple(found.removeprefix(prefix) for found in ids if found.startswith(prefix))
         raise UnknownMetricError(f"metric of {self._name}: {describe_nearest(name, known)}")

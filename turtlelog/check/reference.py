@@ -13,7 +13,7 @@ from typing import Any
 from turtlelog.errors import CheckError
 from turtlelog.log import read_run, replace_when_complete, write_recording
 from turtlelog.log.border import name_file, open_file
-from turtlelog.measure import METRICS, Metric, Status, measure_run
+from turtlelog.measure import Metric, Status, find_metric_kind, measure_run
 from turtlelog.run import Run
 
 
@@ -132,11 +132,13 @@ def _has_metrics(found: Any) -> bool:
 
 def _parse_metric(entry: Any, place: str) -> Metric:
     found = entry.get("id") if isinstance(entry, dict) else entry
-    if not isinstance(entry, dict) or not isinstance(found, str) or found not in METRICS:
+    kind = find_metric_kind(found) if isinstance(found, str) else None
+    if not isinstance(entry, dict) or kind is None:
         raise CheckError(f"{place}.id: expected the id of a metric, found {found!r}")
-    unit, value, status = METRICS[entry["id"]].unit, entry.get("value"), entry.get("status")
-    if entry.get("unit") != unit:
-        raise CheckError(f"{place}.unit: expected {unit}, found {entry.get('unit')!r}")
+    unit, value, status = entry.get("unit"), entry.get("value"), entry.get("status")
+    # That of a metric of any loop is `deg or m` where it depends on what the loop controls.
+    if unit not in (kind.unit, *kind.unit.split(" or ")):
+        raise CheckError(f"{place}.unit: expected {kind.unit}, found {unit!r}")
     if status not in list(Status):
         raise CheckError(f"{place}.status: expected one of a metric, found {status!r}")
     if (status == Status.OK) != _is_finite(value):

@@ -14,7 +14,8 @@ from turtlelog.compare import Finding, compare_runs
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import TopicChoice, read_info
 from turtlelog.log.ros2 import list_bag_files
-from turtlelog.measure import METRICS, SIGNALS
+from turtlelog.loops import Declaration
+from turtlelog.measure import SIGNALS, find_metric_kind
 from turtlelog.run import Run
 
 
@@ -88,17 +89,17 @@ def judge_run(
         except ExpressionError as err:
             if not _names_parameters(check):
                 raise
-            # Which keys a law has, and of what kind, is the recording's: others are still judged.
+            # Which keys and states a law has is the recording's: others are still judged.
             yield replace(fail_recording(file, str(err)), check=check.name)
     if reference is not None:
         yield from _judge_tolerances(spec, reference, run, file)
 
 
 def _names_parameters(check: Check) -> bool:
-    """Whether a check names anything but signals and metrics: each run has its own of these."""
+    """Whether a check names anything but signals and metrics: each law has its own of these."""
     formulas = filter(None, (check.formula, check.when))
     names = (name for formula in formulas for name in formula.names)
-    return any(name not in SIGNALS and name not in METRICS for name in names)
+    return any(name not in SIGNALS and find_metric_kind(name) is None for name in names)
 
 
 def fail_recording(file: str, reason: str) -> CheckResult:
@@ -120,14 +121,17 @@ def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterat
             yield replace(fail_recording(file, str(err)), check=name)
         return
     for finding in found:
-        yield convert_finding(finding, file=file)
+        yield convert_finding(finding, run.declaration, file=file)
 
 
-def convert_finding(finding: Finding, *, file: str, is_strict: bool = True) -> CheckResult:
+def convert_finding(
+    finding: Finding, declaration: Declaration, *, file: str, is_strict: bool = True
+) -> CheckResult:
     """Return a verdict against a reference as a result: value is the distance from it.
 
     Args:
         finding: Of a signal or metric.
+        declaration: Of the run's law.
         file: The recording.
         is_strict: Whether a metric without a value fails even where the reference has none either.
     """
@@ -149,6 +153,6 @@ def convert_finding(finding: Finding, *, file: str, is_strict: bool = True) -> C
         unit=finding.unit,
         first_violation_s=finding.first_outside_s,
         reason=reason,
-        names=choose_signals([finding.name]),
+        names=choose_signals([finding.name], declaration),
         is_decided=passes or finding.off is not None,
     )

@@ -1,14 +1,16 @@
 """The JSON Schema of specification files, for editors."""
 
-from collections.abc import Mapping
 from typing import Any
 
-from turtlelog.check.vocabulary import PHASES
 from turtlelog.compare import ALIGNMENTS
 from turtlelog.compare.tolerance_file import FORMAT
-from turtlelog.measure import METRICS, SIGNALS, MetricKind, SignalKind
+from turtlelog.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
+from turtlelog.measure import ANY_LOOP, METRICS, SIGNALS
 
 _TEXT = {"type": "string", "pattern": "\\S"}
+
+_LOOP = f"(?!(?:{'|'.join(sorted(RESERVED))})[.]){NAME_PATTERN}"
+"""Which loops and phases there are, a run's law says."""
 
 
 def build_schema() -> dict[str, Any]:
@@ -27,7 +29,10 @@ def build_schema() -> dict[str, Any]:
                 "description": "Recording that tolerances are taken from, relative to this file.",
             },
             "alignment": {
-                "enum": list(ALIGNMENTS),
+                "anyOf": [
+                    {"enum": [found for found in ALIGNMENTS if not found.startswith("phase:")]},
+                    {"type": "string", "pattern": f"^phase:{NAME_PATTERN}$"},
+                ],
                 "description": "How runs and reference are brought together in time.",
             },
             "checks": {
@@ -35,8 +40,8 @@ def build_schema() -> dict[str, Any]:
                 "additionalProperties": _build_check(),
                 "description": "What is to hold, by a name of your own.",
             },
-            "signals": _build_tolerances(SIGNALS, "signal"),
-            "metrics": _build_tolerances(METRICS, "metric"),
+            "signals": _build_signals(),
+            "metrics": _build_metrics(),
         },
         "$defs": {
             "signal": _build_tolerance(has_time=True),
@@ -52,7 +57,11 @@ def _build_check() -> dict[str, Any]:
         "properties": {
             "expect": {**_TEXT, "description": "Formula over metrics and parameters."},
             "holds": {**_TEXT, "description": "Formula over signals and time."},
-            "phase": {"enum": list(PHASES), "description": "Stretch that holds looks at."},
+            "phase": {
+                "type": "string",
+                "pattern": f"^(?!{DONE}$){NAME_PATTERN}$",
+                "description": "Stretch that holds looks at: a phase of the law, or pause.",
+            },
             "when": {**_TEXT, "description": "Otherwise the check is skipped."},
             "reason": {**_TEXT, "description": "Why so much and no more."},
             "observed": {
@@ -65,15 +74,36 @@ def _build_check() -> dict[str, Any]:
     }
 
 
-def _build_tolerances(kinds: Mapping[str, SignalKind | MetricKind], kind: str) -> dict[str, Any]:
+def _build_signals() -> dict[str, Any]:
+    """Return the schema of signals by name; any law may have states of its own."""
     return {
         "type": "object",
         "additionalProperties": False,
         "properties": {
-            name: {"$ref": f"#/$defs/{kind}", "description": f"[{found.unit}] {found.meaning}"}
-            for name, found in kinds.items()
+            name: _describe("signal", found.unit, found.meaning) for name, found in SIGNALS.items()
+        },
+        "patternProperties": {f"^{STATE_PATTERN}$": {"$ref": "#/$defs/signal"}},
+    }
+
+
+def _build_metrics() -> dict[str, Any]:
+    """Return the schema of metrics by id, those of a loop as of any law's."""
+    described = {
+        name: _describe("metric", found.unit, found.meaning) for name, found in METRICS.items()
+    }
+    patterns = {name: name.partition(f"{ANY_LOOP}.")[2] for name in METRICS if ANY_LOOP in name}
+    return {
+        "type": "object",
+        "additionalProperties": False,
+        "properties": {name: found for name, found in described.items() if name not in patterns},
+        "patternProperties": {
+            f"^{_LOOP}[.]{plain}$": described[name] for name, plain in patterns.items()
         },
     }
+
+
+def _describe(kind: str, unit: str, meaning: str) -> dict[str, Any]:
+    return {"$ref": f"#/$defs/{kind}", "description": f"[{unit}] {meaning}"}
 
 
 def _build_tolerance(*, has_time: bool) -> dict[str, Any]:

@@ -14,10 +14,8 @@ from turtlelog.expressions import (
     evaluate_node,
     iterate_nodes,
 )
-from turtlelog.measure import METRICS, SIGNALS
-
-_UNITS = {name: kind.unit for name, kind in SIGNALS.items()}
-_UNITS |= {name: kind.unit for name, kind in METRICS.items()}
+from turtlelog.loops import Declaration
+from turtlelog.measure import find_metric_kind, list_metrics, list_signals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,34 +27,53 @@ class Sides:
     unit: str = ""
 
 
-def read_sides(expression: Expression, node: Node, values: Mapping[str, Any]) -> Sides:
+def read_sides(
+    expression: Expression, node: Node, values: Mapping[str, Any], declaration: Declaration
+) -> Sides:
     """Return the sides of a comparison of two.
 
     Args:
         expression: That it is part of.
         node: The comparison; of anything else the sides are None.
         values: What its names stand for.
+        declaration: Of the law, which says the units of its loops' metrics.
     """
     if not isinstance(node, Comparison):
         return Sides()
+    names = {part.name for part in iterate_nodes(node) if isinstance(part, Name)}
+    units = {name: unit for name in names if (unit := find_unit(name, declaration)) is not None}
     measured, limit = node.operands
-    if _is_measured(limit) and not _is_measured(measured):
+    if _is_measured(limit, units) and not _is_measured(measured, units):
         measured, limit = limit, measured
     sides = [evaluate_node(expression, side, values) for side in (measured, limit)]
     if any(side.kind is not Kind.NUMBER for side in sides):
         return Sides()
-    return Sides(value=float(sides[0].data), limit=float(sides[1].data), unit=_find_unit(measured))
+    return Sides(
+        value=float(sides[0].data), limit=float(sides[1].data), unit=_find_unit(measured, units)
+    )
 
 
-def _is_measured(node: Node) -> bool:
-    return any(isinstance(part, Name) and part.name in _UNITS for part in iterate_nodes(node))
+def find_unit(name: str, declaration: Declaration) -> str | None:
+    """Return the unit of a signal or metric, None where the name is of neither.
+
+    Empty for a metric of a loop that is not declared, whose unit depends on what it controls.
+    """
+    kinds = {**list_signals(declaration), **list_metrics(declaration)}
+    if name in kinds:
+        return kinds[name].unit
+    other = find_metric_kind(name)
+    return None if other is None else "" if " or " in other.unit else other.unit
 
 
-def _find_unit(node: Node) -> str:
+def _is_measured(node: Node, units: Mapping[str, str]) -> bool:
+    return any(isinstance(part, Name) and part.name in units for part in iterate_nodes(node))
+
+
+def _find_unit(node: Node, units: Mapping[str, str]) -> str:
     """Return the unit of what is measured, empty where it is not plain."""
     if isinstance(node, Call) and node.function in {"abs", "min", "max"}:
-        units = {_find_unit(argument) for argument in node.arguments}
+        units = {_find_unit(argument, units) for argument in node.arguments}
         return units.pop() if len(units) == 1 else ""
     if isinstance(node, Call) and node.function == "deg":
         return "deg"
-    return _UNITS.get(node.name, "") if isinstance(node, Name) else ""
+    return units.get(node.name, "") if isinstance(node, Name) else ""

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from turtlelog.check.cut import Ending
 from turtlelog.check.steps import Steps, make_steps
+from turtlelog.check.vocabulary import find_kind
 from turtlelog.errors import CheckError
 from turtlelog.expressions import Expression, Name, describe_unknown_name, fail_at, iterate_nodes
-from turtlelog.measure import METRICS, SIGNALS, measure_run, read_signal
-from turtlelog.run import Phase, Run
+from turtlelog.measure import list_signals, measure_run, read_signal
+from turtlelog.run import Run
 
 Column = tuple[NDArray[np.int64], NDArray[Any]]
 
@@ -106,15 +107,16 @@ def check_names(expression: Expression, known: Mapping[str, object]) -> None:
 def read_signals(run: Run, names: Sequence[str]) -> Signals:
     """Return what names stand for in a run, leaving out those that are unknown to it.
 
-    Names are looked for among the signals, the metrics and the parameters, in this order. A
+    Names are looked for among the signals and states, the metrics and the parameters, in this order. A
     signal begins at the run's time zero at the latest; the phase is text; a signal that the run
     does not hold and a metric without a value are None.
     """
-    ids = [name for name in names if name in METRICS]
+    columns = list_signals(run.declaration)
+    ids = [name for name in names if name not in columns and find_kind(run, name) is not None]
     metrics = measure_run(run, only=ids) if ids else {}
     found: dict[str, Any] = {}
     for name in names:
-        if name in SIGNALS:
+        if name in columns:
             found[name] = _read_column(run, name)
         elif name in metrics:
             found[name] = metrics[name].value
@@ -129,7 +131,7 @@ def _read_column(run: Run, name: str) -> Column | None:
         return None
     if signal.kind.compared_as != "label":
         return signal.time_ns, signal.values
-    labels = np.array([phase.label for phase in Phase])
+    labels = np.array(run.phase_names)
     return signal.time_ns, labels[signal.values.astype(np.int64)]
 
 

@@ -16,8 +16,8 @@ class Check:
         name: Of its table.
         kind: `expect`: over metrics and parameters; `holds`: over signals and time, too.
         formula: What is to hold.
-        phase: The stretch that `holds` looks at: `rotate` (its pause included), `pause` or
-            `translate`; None for the whole run.
+        phase: The stretch that `holds` looks at: `pause`, or a phase of the run's law, the pause
+            after it included; None for the whole run.
         when: Otherwise the check is skipped; None: it never is.
         reason: Why so much and no more.
         is_observed: Whether the bound was read off a good run and nobody has thought about it yet.

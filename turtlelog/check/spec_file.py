@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from turtlelog.check.spec import Check, Spec
-from turtlelog.check.vocabulary import PHASES, describe_nearest, require_known_names
+from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.compare import ALIGNMENTS, parse_tolerances, read_tables
+from turtlelog.compare.ids import could_be_alignment
 from turtlelog.errors import CheckError
 from turtlelog.expressions import Expression, parse_expression
 from turtlelog.scenario import describe_unknown_key
@@ -88,8 +89,8 @@ def _parse_check(name: str, entry: Any, source: str) -> Check:
     phase = _read_text(entry, "phase", place)
     if phase is not None and kind == "expect":
         raise CheckError(f"{place}.phase: expected holds beside it, found expect")
-    if phase is not None and phase not in PHASES:
-        raise CheckError(f"{place}.phase: {describe_nearest(phase, PHASES)}")
+    if phase is not None:
+        _require_phase(phase, place)
     observed = entry.get("observed", False)
     if not isinstance(observed, bool):
         found = describe_value(observed)
@@ -106,6 +107,13 @@ def _parse_check(name: str, entry: Any, source: str) -> Check:
         reason=_read_text(entry, "reason", place) or "",
         is_observed=observed,
     )
+
+
+def _require_phase(phase: str, place: str) -> None:
+    try:
+        require_phase(phase)
+    except CheckError as err:
+        raise CheckError(f"{place}.{err}") from err
 
 
 def _choose_kind(entry: Mapping[str, Any], place: str) -> Literal["expect", "holds"]:
@@ -126,7 +134,7 @@ def _parse_formula(entry: Mapping[str, Any], key: str, place: str) -> Expression
 
 def _read_alignment(tables: Mapping[str, Any], source: str) -> str:
     alignment = _read_text(tables, "alignment", source)
-    if alignment is not None and alignment not in ALIGNMENTS:
+    if alignment is not None and not could_be_alignment(alignment):
         raise CheckError(f"{source}: alignment: {describe_nearest(alignment, ALIGNMENTS)}")
     return alignment or "first_sample"
 

@@ -6,17 +6,19 @@ from typing import Final
 import numpy as np
 
 from turtlelog.check.result import format_number
-from turtlelog.measure import METRICS, SIGNALS, read_signal
-from turtlelog.run import Phase, Run
+from turtlelog.loops import Declaration
+from turtlelog.measure import find_metric_kind, list_signals, read_signal
+from turtlelog.run import Run
 
 _ROWS: Final = 2
 _MOST_SIGNALS: Final = 4
 
-_OF_PHASE: Final = {
-    "rotate": ("heading_error", "turn_rate"),
-    "translate": ("along_track", "cross_track", "speed"),
-    "final": ("distance", "heading_error"),
+_OF_SIGNAL: Final = {
+    "heading": ("heading_error",),
+    "along_track": ("along_track", "cross_track"),
 }
+_OF_END: Final = ("distance", "heading_error")
+_OF_RUN: Final = ("distance", "speed", "turn_rate")
 _OF_NAME: Final = {
     "cross_track": ("cross_track",),
     "speed": ("speed",),
@@ -24,23 +26,27 @@ _OF_NAME: Final = {
 }
 
 
-def choose_signals(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the signals to look at for signals, metrics and parameters of these names."""
+def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str, ...]:
+    """Return the signals of a law to look at for signals, metrics and parameters."""
+    known = list_signals(declaration)
     chosen: list[str] = []
     for name in names:
-        if name in SIGNALS:
+        if name in known:
             chosen.append(name)
-        elif name in METRICS:
-            chosen += _choose_for_metric(name)
+        elif find_metric_kind(name) is not None:
+            chosen += _choose_for_metric(name, declaration)
     return tuple(dict.fromkeys(chosen))[:_MOST_SIGNALS]
 
 
-def _choose_for_metric(name: str) -> Sequence[str]:
-    phase, rest = name.split(".", 1)
+def _choose_for_metric(name: str, declaration: Declaration) -> Sequence[str]:
+    part, rest = name.split(".", 1)
     for start, signals in _OF_NAME.items():
         if rest.startswith(start):
             return signals
-    return _OF_PHASE.get(phase, ("distance", "speed", "turn_rate"))
+    loop = declaration.find_loop(part)
+    if loop is not None:
+        return (*_OF_SIGNAL.get(loop.signal, (loop.signal,)), loop.command)
+    return _OF_END if part == "final" else _OF_RUN
 
 
 def describe_clock(run: Run) -> str:
@@ -58,8 +64,9 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
     rows = list(range(max(row - _ROWS, 0), min(row + _ROWS + 1, len(time_ns))))
     columns = [["", *(">" if found == row else "" for found in rows)]]
     columns.append(["t [s]", *(f"{(time_ns[found] - run.start_ns) / 1e9:.3f}" for found in rows)])
-    for name in names:
-        unit = SIGNALS[name].unit
+    kinds = list_signals(run.declaration)
+    for name in (name for name in names if name in kinds):
+        unit = kinds[name].unit
         title = name if unit == "1" else f"{name} [{unit}]"
         columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
     widths = [max(map(len, column)) for column in columns]
@@ -77,4 +84,6 @@ def _read_value(run: Run, name: str, time_ns: int) -> str:
     if row < 0:
         return "-"
     value = float(signal.values[row])
-    return Phase(int(value)).label if signal.kind.compared_as == "label" else format_number(value)
+    return (
+        run.phase_names[int(value)] if signal.kind.compared_as == "label" else format_number(value)
+    )

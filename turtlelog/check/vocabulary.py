@@ -1,9 +1,10 @@
-"""The names that specifications and tests may use."""
+"""The names that specifications and tests may use, before a run is known and of one that is."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Final
 
+from turtlelog.compare.ids import could_be_signal, list_ids_like
 from turtlelog.errors import CheckError, suggest_names
 from turtlelog.expressions import (
     Expression,
@@ -14,12 +15,17 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
-from turtlelog.measure import METRICS, SIGNALS
-from turtlelog.run import Phase, Run
+from turtlelog.loops import DONE, NAME_PATTERN, PAUSE
+from turtlelog.measure import (
+    METRICS,
+    SIGNALS,
+    MetricKind,
+    find_metric_kind,
+    list_metrics,
+    list_signals,
+)
+from turtlelog.run import Run
 from turtlelog.scenario import Scenario, flatten_scenario
-
-PHASES: Final = tuple(phase.label for phase in Phase if phase is not Phase.DONE)
-"""Stretches of a run that can be looked at."""
 
 
 @cache
@@ -28,45 +34,80 @@ def list_parameters() -> tuple[str, ...]:
     return (*flatten_scenario(Scenario()), "goal.heading_rad")
 
 
+def find_kind(run: Run, name: str) -> MetricKind | None:
+    """Return what a metric of a run is, None where the name is that of no metric.
+
+    That of a loop which its law does not declare is a metric without a value, unless it is the
+    name of a parameter.
+    """
+    own = list_metrics(run.declaration).get(name)
+    return own or (None if name in run.parameters else find_metric_kind(name))
+
+
 def require_known_names(formula: Expression, *, over_time: bool, run: Run | None = None) -> None:
-    """Refuse names that no run has; a law's parameters are known by a run only.
+    """Refuse names that no run has, or not this one.
+
+    Until a run is known any loop may have the metrics that there are, and a law's parameters and
+    states may have any name.
 
     Args:
         formula: What to look at.
         over_time: Whether signals and temporal operators may stand in it.
-        run: Knows the parameters of its law.
+        run: Knows the parameters and states of its law.
 
     Raises:
         ExpressionError: With the column and the nearest names.
     """
-    known = _list_known(over_time=over_time)
-    own = {} if run is None else run.parameters
     for node in iterate_nodes(formula.root):
         if isinstance(node, Temporal | Until) and not over_time:
             word = node.operator if isinstance(node, Temporal) else "until"
             fail_at(formula, node, f"expected metrics, found {word}: it stands in holds = ...")
-        if not isinstance(node, Name) or node.name in known or node.name in own:
+        if not isinstance(node, Name) or _is_known(node.name, over_time=over_time, run=run):
             continue
-        if node.name in SIGNALS:
+        signals = SIGNALS if run is None else list_signals(run.declaration)
+        if node.name in signals:
             problem = f"expected a metric, found the signal {node.name}: it stands in holds = ..."
             fail_at(formula, node, problem)
-        if run is not None or not node.name.startswith("law."):
-            fail_at(formula, node, describe_unknown_name(node.name, {**known, **own}))
+        known = _list_known(node.name, over_time=over_time, run=run)
+        problem = describe_unknown_name(node.name, known)
+        if run is not None and over_time and could_be_signal(node.name):
+            states = ", ".join(run.declaration.states) or "no states"
+            problem = f"{problem} (the law of this run has {states})"
+        fail_at(formula, node, problem)
 
 
-@cache
-def _list_known(*, over_time: bool) -> dict[str, None]:
-    return dict.fromkeys([*(SIGNALS if over_time else ()), *METRICS, *list_parameters()])
+def _is_known(name: str, *, over_time: bool, run: Run | None) -> bool:
+    if find_metric_kind(name) is not None or name in list_parameters():
+        return True
+    if run is None:
+        return name.startswith("law.") or (over_time and could_be_signal(name))
+    return name in run.parameters or (over_time and name in list_signals(run.declaration))
+
+
+def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, object]:
+    """Return the names among which that of a mistake is looked for."""
+    signals = SIGNALS if run is None else list_signals(run.declaration)
+    ids = [*(METRICS if run is None else list_metrics(run.declaration)), *list_ids_like(name)]
+    own = () if run is None else run.parameters
+    return dict.fromkeys([*(signals if over_time else ()), *ids, *list_parameters(), *own])
 
 
 def require_phase(phase: str) -> None:
-    """Refuse what is no phase.
+    """Refuse what can be no phase that is looked at; which there are, the run's law says.
 
     Raises:
-        CheckError: With the nearest names.
+        CheckError: With what was expected.
     """
-    if phase not in PHASES:
-        raise CheckError(f"phase: {describe_nearest(phase, PHASES)}")
+    if phase == DONE or not re.fullmatch(NAME_PATTERN, phase):
+        raise CheckError(f"phase: expected one of the run's law or pause, found {phase!r}")
+
+
+def describe_no_phase(run: Run, phase: str) -> str:
+    """Return why a run has no such phase: it does not come to it, or its law has others."""
+    known = [name for name in run.phase_names if name != DONE]
+    if phase in known:
+        return f"no_phase (the run has no phase {phase})"
+    return f"no_phase (the law of this run has no phase {phase}; it has {', '.join(known)})"
 
 
 def describe_nearest(text: str, known: Sequence[str]) -> str:
@@ -75,14 +116,14 @@ def describe_nearest(text: str, known: Sequence[str]) -> str:
 
 
 def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
-    """Return the first stretch of a phase [ns], rotate with its pause; None where it has none."""
+    """Return the first stretch of a phase with its pause [ns]; None where there is none."""
     if phase is None:
         return run.start_ns, run.end_ns
     spans = run.find_phase_spans()
     for index, span in enumerate(spans):
-        if span.phase.label != phase:
+        if span.phase != phase:
             continue
         after = spans[index + 1 : index + 2]
-        is_paused = span.phase is Phase.ROTATE and after and after[0].phase is Phase.PAUSE
+        is_paused = bool(after) and after[0].phase == PAUSE
         return span.start_ns, after[0].end_ns if is_paused else span.end_ns
     return None
