@@ -15,16 +15,12 @@ from turtlelog.compare import (
 )
 from turtlelog.compare.names import name_runs
 from turtlelog.escapes import escape_markdown
-from turtlelog.measure import ESSENTIAL_METRICS, Metric, measure_run
+from turtlelog.loops import PAUSE
+from turtlelog.measure import Metric, find_first_stretch, list_essential_metrics, measure_run
 from turtlelog.run import Parameter, Run
 from turtlelog.show.tables import format_markdown
 
-_HEADS: Final[Mapping[str, str]] = {
-    "rotate": "Rotate, its pause included",
-    "translate": "Translate",
-    "final": "At the end",
-    "run": "The whole run",
-}
+_HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run"}
 
 
 def describe_run(run: Run, *, metrics: Mapping[str, Metric] | None = None) -> Mapping[str, str]:
@@ -53,13 +49,20 @@ def describe_runs(
     metrics = [measure_run(run) for run in runs] if metrics is None else metrics
     pairs = zip(runs, metrics, strict=True)
     summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
-    essential = [{name: known[name] for name in ESSENTIAL_METRICS} for known in metrics]
     tables = {
         "Table 1": (tabulate_table1(runs), tabulate_whole_runs(runs)),
         "Side by side": (tabulate_runs(summaries),),
-        "Metrics": (tabulate_measured(name_runs(runs), essential),),
+        "Metrics": (tabulate_measured(name_runs(runs), choose_essentials(runs, metrics)),),
     }
     return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}
+
+
+def choose_essentials(
+    runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]
+) -> list[dict[str, Metric]]:
+    """Return of each run's metrics those to look at first; only of loops that its law declares."""
+    ids = list_essential_metrics(*(run.declaration for run in runs))
+    return [{name: known[name] for name in ids if name in known} for known in metrics]
 
 
 def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
@@ -68,7 +71,7 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
     for group, found in groupby(metrics.values(), lambda metric: metric.id.partition(".")[0]):
         listed = list(found)
         known = [metric for metric in listed if metric.value is not None]
-        yield from ("", f"**{_HEADS.get(group, group)}**", "")
+        yield from ("", f"**{_HEADS.get(group) or _head_loop(run, group)}**", "")
         if known:
             yield from ("| metric | value | unit | at [s] |", "| --- | ---: | --- | ---: |")
             yield from map(_format_metric, known)
@@ -77,6 +80,15 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
         for reason in reasons:
             names = [_shorten(metric.id) for metric in missing if metric.reason == reason]
             yield from ("", f"No {', '.join(names)}: {escape_markdown(reason)}.")
+
+
+def _head_loop(run: Run, name: str) -> str:
+    """Return the head of a loop's metrics, and that they cover its pause where they do."""
+    loop = run.declaration.find_loop(name)
+    stretch = [] if loop is None else find_first_stretch(run, loop)
+    has_pause = any(span.phase == PAUSE for span in stretch)
+    head = f"{name[0].upper()}{name[1:]}"
+    return escape_markdown(f"{head}, its pause included" if has_pause else head)
 
 
 def _format_metric(metric: Metric) -> str:

@@ -10,16 +10,18 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from turtlelog.compare import (
+    name_runs,
     order_by_gain,
     summarise_run,
-    tabulate_metrics,
+    tabulate_measured,
     tabulate_runs,
     tabulate_table1,
     tabulate_whole_runs,
 )
 from turtlelog.errors import ShowError, suggest_names
-from turtlelog.measure import ESSENTIAL_METRICS
+from turtlelog.measure import measure_run
 from turtlelog.run import Run
+from turtlelog.show.documents import choose_essentials
 from turtlelog.show.figures.catalogue import FIGURES, FigureKind, has_table1
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import LOOKS, Page
@@ -154,7 +156,8 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
     """Write tables as `write_tables` does, with what `replace_together` yields."""
     runs = order_by_gain(runs)
     if len(runs) <= _MOST_COLUMNS:
-        metrics = tabulate_metrics(runs, only=ESSENTIAL_METRICS)
+        essentials = choose_essentials(runs, [measure_run(run) for run in runs])
+        metrics = tabulate_measured(name_runs(runs), essentials)
     else:
         metrics = tabulate_runs([summarise_run(run) for run in runs])
     table1 = tabulate_table1(runs)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Final
 
@@ -10,14 +10,17 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.run import Phase, Run
-from turtlelog.show.rerun.entities import TICKS, TIMELINE, TRANSLATE_TIMELINE, WALL_TIMELINE
+from turtlelog.loops import DONE, PAUSE
+from turtlelog.run import Run
+from turtlelog.show.rerun.entities import PHASE_TIMELINE, TICKS, TIMELINE, WALL_TIMELINE
 
 Times = NDArray[np.int64]
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LARGEST_NS: Final = 2**62
 _SHARE_BEYOND: Final = 16
+_MOST_PHASES: Final = 8
+"""Timelines of phases in a run: each costs 8 bytes per row and entity."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,13 +30,13 @@ class Clock:
     Attributes:
         zero_ns: Zero of `sim_time`, in the run's own time [ns].
         tick_ns: Times of the run's poses [ns], shape (n,), whose numbers are the ticks.
-        translate_ns: Zero of `translate_time`, in the run's own time [ns].
+        starts_ns: Zeros of the timelines of phases, by their names, in the run's own time [ns].
         epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
     """
 
     zero_ns: int
     tick_ns: Times | None = None
-    translate_ns: int | None = None
+    starts_ns: Mapping[str, int] = field(default_factory=dict)
     epoch_ns: int | None = None
 
     def read(self, time_ns: Times) -> dict[str, Times]:
@@ -41,8 +44,8 @@ class Clock:
         read = {TIMELINE: time_ns - self.zero_ns}
         if self.tick_ns is not None:
             read[TICKS] = _count_ticks(self.tick_ns, time_ns)
-        if self.translate_ns is not None:
-            read[TRANSLATE_TIMELINE] = time_ns - self.translate_ns
+        for name, start_ns in self.starts_ns.items():
+            read[name] = time_ns - start_ns
         if self.epoch_ns is not None:
             read[WALL_TIMELINE] = time_ns + self.epoch_ns
         return read
@@ -56,8 +59,14 @@ def build_run_clock(run: Run) -> Clock:
 
 
 def build_compared_clock(run: Run) -> Clock:
-    """Return the clock of a run among others: aligned at the first sample and at translation."""
-    return Clock(zero_ns=run.start_ns, translate_ns=_find_translation_ns(run))
+    """Return the clock of a run among others: aligned at the first sample and at later phases."""
+    return Clock(zero_ns=run.start_ns, starts_ns=_find_starts_ns(run))
+
+
+def name_phase_timeline(phase: str) -> str:
+    """Return the timeline whose zero is the start of a phase; no other has its name."""
+    name = PHASE_TIMELINE.format(phase)
+    return PHASE_TIMELINE.format(f"phase.{phase}") if name in {TIMELINE, WALL_TIMELINE} else name
 
 
 def read_span(runs: Sequence[Run], clocks: Sequence[Clock]) -> dict[str, Times]:
@@ -91,9 +100,14 @@ def parse_timestamp(text: str) -> int | None:
     return time_ns if abs(time_ns) < _LARGEST_NS else None
 
 
-def _find_translation_ns(run: Run) -> int | None:
-    spans = run.find_phase_spans()
-    return next((span.start_ns for span in spans if span.phase is Phase.TRANSLATE), None)
+def _find_starts_ns(run: Run) -> dict[str, int]:
+    """Return the timelines of the phases after the first that is declared, with their zeros."""
+    phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
+    starts_ns: dict[str, int] = {}
+    for span in run.find_phase_spans():
+        starts_ns.setdefault(span.phase, span.start_ns)
+    later = phases[1 : 1 + _MOST_PHASES]
+    return {name_phase_timeline(name): starts_ns[name] for name in later if name in starts_ns}
 
 
 def _find_first_ns(run: Run) -> int:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show.commanded import read_commanded
+from turtlelog.show.aims import list_limit_keys
+from turtlelog.show.commanded import Command, read_commanded
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.series import Series
 from turtlelog.show.run_colors import Color
@@ -31,9 +32,9 @@ def list_commands(run: Run, plot: str) -> Iterator[Series]:
         yield _build(plot, entities.APPLIED, poses.time_ns, applied, palette.SECOND)
 
 
-def find_limits(runs: Sequence[Run], key: str) -> set[float]:
+def find_limits(runs: Sequence[Run], command: Command) -> set[float]:
     """Return the limits of runs with both signs, none where they are infinite or not known."""
-    limits = {run.parameters.get(key) for run in runs}
+    limits = {run.parameters.get(key) for run in runs for key in list_limit_keys(run, command)}
     sizes = {float(limit) for limit in limits if isinstance(limit, int | float)}
     return {sign * size for size in sizes if np.isfinite(size) for sign in (-1.0, 1.0)}
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from turtlelog.measure import read_signal
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
+from turtlelog.show.aims import find_end_of_turn
 from turtlelog.show.close_up import CloseUp, find_close_up
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.corners import Corners
@@ -42,6 +43,8 @@ class Content:
         plane: What the plane shows.
         goal: What the close-up of the goal shows, None without one.
         ranges: Fixed ranges of values, by plot.
+        close_ups: Plots whose range does not hold all of their curves.
+        controlled: Plots of signals that a loop of a run controls.
         corners: Where the legends of plots stand, if not in their usual places.
     """
 
@@ -59,7 +62,20 @@ class Content:
     plane: Bounds
     goal: CloseUp | None
     ranges: Mapping[str, tuple[float, float]]
+    close_ups: frozenset[str] = frozenset()
+    controlled: frozenset[str] = frozenset()
     corners: Corners = field(default_factory=dict)
+
+    def list_states(self) -> list[str]:
+        """Return the plots of the laws' states, in order."""
+        roots = [join_path(prefix, entities.STATE) + "/" for prefix in self.prefixes]
+        found = [
+            path.removeprefix(root)
+            for root in roots
+            for path in self.series
+            if path.startswith(root)
+        ]
+        return [f"{entities.STATE}/{name}" for name in dict.fromkeys(found)]
 
     def list_curves(self, plot: str) -> list[str]:
         """Return the entity paths of a plot's curves: of its own name, and below it."""
@@ -82,6 +98,7 @@ def describe_content(
     names: Sequence[str] = (),
 ) -> Content:
     """Return what a recording of these runs holds, `series` being what is drawn of each."""
+    close_ups = _find_close_up(runs)
     return Content(
         prefixes=tuple(prefixes),
         series=tuple(
@@ -99,8 +116,12 @@ def describe_content(
         ranges={
             **_find_ranges(series, references),
             **_find_command_ranges(series, references),
-            **_find_close_up(runs),
+            **close_ups,
         },
+        close_ups=frozenset(close_ups),
+        controlled=frozenset(
+            entities.PLOTS[loop.signal] for run in runs for loop in run.declaration.loops
+        ),
     )
 
 
@@ -147,16 +168,19 @@ def _find_command_ranges(
 
 
 def _find_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
-    """Return the range of heading errors that remain after rotating: the turn itself hides them."""
+    """Return the range of heading errors that remain after turning: the turn itself hides them.
+
+    None where a loop of the heading acts in every phase, or never.
+    """
     largest_deg = 0.0
     for run in runs:
         errors = read_signal(run, "heading_error")
         if errors is None:
             continue
-        ends_ns = [span.end_ns for span in run.find_phase_spans() if span.phase is Phase.ROTATE]
-        if not ends_ns:
+        end_ns = find_end_of_turn(run)
+        if end_ns is None:
             return {}
-        after = np.abs(errors.values[errors.time_ns >= ends_ns[0]])
+        after = np.abs(errors.values[errors.time_ns >= end_ns])
         largest_deg = max(largest_deg, float(np.degrees(after.max(initial=0.0))))
     half_deg = max(_CLOSE_UP * largest_deg, _SMALLEST_CLOSE_UP_DEG)
     return {entities.HEADING_ERROR: (-half_deg, half_deg)}

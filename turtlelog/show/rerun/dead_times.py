@@ -1,36 +1,37 @@
-"""The dead time at the start of each phase, during which its commands do not act yet."""
+"""The dead time at the start of each loop, during which its commands do not act yet."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import rerun as rr
 
-from turtlelog.measure import Metric
-from turtlelog.run import Phase, Run
+from turtlelog.measure import Metric, find_first_stretch
+from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.run_stream import RunStream
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeadSpan:
-    """From a phase's first sample until its command acts, in the run's own time [ns]."""
+    """From a loop's first sample until its command acts, in the run's own time [ns]."""
 
     start_ns: int
     end_ns: int
 
 
 def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[DeadSpan, ...]:
-    """Return the dead time at the start of rotation and of translation, where it is known."""
-    starts_ns: dict[Phase, int] = {}
-    for span in run.find_phase_spans():
-        starts_ns.setdefault(span.phase, span.start_ns)
-    found = []
-    for phase in (Phase.ROTATE, Phase.TRANSLATE):
-        metric = metrics.get(f"{phase.label}.dead_time")
-        if phase in starts_ns and metric is not None and metric.value:
-            end_ns = starts_ns[phase] + round(metric.value * 1e9)
-            found.append(DeadSpan(start_ns=starts_ns[phase], end_ns=end_ns))
-    return tuple(found)
+    """Return the dead time at the start of each loop, where it is known, in order of time.
+
+    Of loops that begin together it is the longest.
+    """
+    ends_ns: dict[int, int] = {}
+    for loop in run.declaration.loops:
+        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
+        if stretch and metric is not None and metric.value:
+            start_ns = stretch[0].start_ns
+            end_ns = start_ns + round(metric.value * 1e9)
+            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
+    return tuple(DeadSpan(start_ns=start, end_ns=end) for start, end in sorted(ends_ns.items()))
 
 
 def draw_dead_times(run_stream: RunStream, spans: Sequence[DeadSpan]) -> None:

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from turtlelog.run import Phase, Run
+from turtlelog.loops import DONE, PAUSE
+from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.clock import Times, build_index
 from turtlelog.show.rerun.entities import join_path
@@ -38,7 +39,7 @@ def draw_references(
         entity = join_path(entities.REFERENCE, reference.plot)
         count = len(reference.levels)
         style = rr.SeriesLines(
-            names=[reference.label] * count,
+            names=list(reference.labels),
             colors=palette.pack_colors([palette.REFERENCE] * count),
             widths=[_REFERENCE_WIDTH] * count,
         )
@@ -53,14 +54,14 @@ def draw_phases(run_stream: RunStream, run: Run) -> None:
     if not spans:
         return
     style = rr.StateConfiguration(
-        values=[phase.label for phase in Phase],
+        values=list(run.phase_names),
         # The pause is too short for its name; the title of the view explains its colour.
-        labels=[" " if phase is Phase.PAUSE else phase.label for phase in Phase],
-        colors=[palette.PHASES[phase] for phase in Phase],
+        labels=[" " if name == PAUSE else name for name in run.phase_names],
+        colors=[found.bar for found in palette.choose_phase_colors(run.phase_names)],
     )
     run_stream.log(entities.PHASE, style)
-    last = Phase.DONE.label if run.is_complete else ""
-    columns = rr.StateChange.columns(state=[*(span.phase.label for span in spans), last])
+    last = DONE if run.is_complete else ""
+    columns = rr.StateChange.columns(state=[*(span.phase for span in spans), last])
     starts_ns = [*(span.start_ns for span in spans), run.end_ns]
     run_stream.send_few(entities.PHASE, starts_ns, columns)
 

@@ -1,11 +1,13 @@
 """Names in a recording: where each thing of a run is found. docs/rerun.md explains them."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 APPLICATION_ID: Final = "turtlelog"
 TIMELINE: Final = "sim_time"
 TICKS: Final = "tick"
-TRANSLATE_TIMELINE: Final = "translate_time"
+PHASE_TIMELINE: Final = "{}_time"
 WALL_TIMELINE: Final = "wall_time"
 
 PLANE: Final = "plane"
@@ -14,6 +16,8 @@ SPEED_PATH: Final = "plane/path_by_speed"
 ERROR: Final = "plane/error"
 EVENT_PLACES: Final = "plane/events"
 VIOLATION: Final = "plane/violation"
+REFERENCE_PATH: Final = "plane/reference_path"
+REFERENCE_POSE: Final = "plane/reference_pose"
 TURTLE: Final = "plane/turtle"
 ARROW: Final = "plane/turtle/arrow"
 COMMAND: Final = "plane/turtle/command"
@@ -43,8 +47,12 @@ COMMANDED: Final = "commanded"
 WANTED: Final = "wanted"
 APPLIED: Final = "applied"
 WORLD_VELOCITY: Final = "world_velocity"
+STATE: Final = "state"
 IDEAL: Final = "ideal"
 SAMPLED: Final = "sampled"
+AIMED: Final = "reference"
+BEARING_NOW: Final = "bearing_now"
+TO_REFERENCE: Final = "to_reference"
 MARKS: Final = "marks"
 
 PHASE: Final = "phase"
@@ -56,6 +64,17 @@ REFERENCE: Final = "reference"
 RUNS: Final = "runs"
 LEGEND: Final = "legend"
 SHARES: Final = "shares"
+
+
+PLOTS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "heading": HEADING,
+        "along_track": ALONG_TRACK,
+        "cross_track": CROSS_TRACK,
+        "distance": DISTANCE,
+    }
+)
+"""The plot of each signal that a loop can control."""
 
 
 def join_path(*parts: str) -> str:

@@ -15,6 +15,7 @@ stays a small multiple of the rows."""
 
 _WHOLE = (
     join_path(entities.PATH),
+    join_path(entities.REFERENCE_PATH),
     join_path(entities.EVENT_PLACES),
     join_path(entities.REFERENCE),
 )

@@ -53,6 +53,10 @@ _COLUMN_SHARES: Final = (1.0, 1.8)
 _PHASE_HEAD_SHARE: Final = 0.09
 _PHASE_ROW_SHARE: Final = 0.055
 _LARGEST_PHASE_SHARE: Final = 0.4
+_STATE_SHARE: Final = 0.22
+"""Of the height of the plots: a little less than one of three rows."""
+_MOST_STATES_BESIDE: Final = 3
+"""More would each be narrower than the others' legends: they are tabs."""
 
 
 class LinkedBlueprint(rrb.Blueprint):
@@ -97,7 +101,8 @@ def _build_blueprint(
     parts: list[rrb.Container] = [rrb.Vertical(*left, row_shares=_LEFT_SHARES[: len(left)])]
     stacks = [cells for column in columns if (cells := _list_cells(content, column, legends))]
     if stacks:
-        parts.append(_add_phases(content, rrb.Horizontal(*(rrb.Vertical(*s) for s in stacks))))
+        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
+        parts.append(_add_phases(content, _add_states(content, plots)))
     return LinkedBlueprint(
         rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)]),
         rrb.BlueprintPanel(state="hidden"),
@@ -142,8 +147,25 @@ def _list_cells(
             if content.list_curves(plot)
         ]
         if plots:
-            cells.append(rrb.Tabs(*plots, active_tab=0) if len(plots) > 1 else plots[0])
+            active = _choose_tab(content, cell)
+            cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
     return cells
+
+
+def _choose_tab(content: Content, cell: Sequence[str]) -> int:
+    """Return the first plot that a loop controls, among those that are there; else the first."""
+    shown = [plot for plot in cell if content.list_curves(plot)]
+    return next((tab for tab, plot in enumerate(shown) if plot in content.controlled), 0)
+
+
+def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
+    """Put the states of a law into a row of their own."""
+    states = [views.view_plot(content, plot, None) for plot in content.list_states()]
+    if not states:
+        return plots
+    beside = len(states) <= _MOST_STATES_BESIDE
+    row = rrb.Horizontal(*states) if beside else rrb.Tabs(*states, active_tab=0)
+    return rrb.Vertical(plots, row, row_shares=[1.0 - _STATE_SHARE, _STATE_SHARE])
 
 
 def _add_phases(content: Content, plots: rrb.Container) -> rrb.Container:

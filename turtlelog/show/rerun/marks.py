@@ -1,6 +1,6 @@
 """Marks on the time axes: metrics that have a place, on their curves, and lines across plots."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, Literal
@@ -8,6 +8,7 @@ from typing import Final, Literal
 import numpy as np
 import rerun as rr
 
+from turtlelog.loops import PAUSE, ControlLoop, Declaration
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show.rerun import entities, palette
@@ -28,47 +29,62 @@ _DECADES: Final = 10.0 ** -np.arange(8.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _MarkKind:
-    """Where a metric is marked: the entity of its curve, what it is called there, and its shape."""
+    """Where a metric is marked: its id, the entity of its curve, its name there, and its shape."""
 
+    metric: str
     curve: str
     word: str
     shape: Shape
 
 
-_COMMANDED_TURN_RATE: Final = f"{entities.TURN_RATE}/{entities.COMMANDED}"
-_COMMANDED_SPEED: Final = f"{entities.SPEED}/{entities.COMMANDED}"
-
-MARKED: Final[Mapping[str, _MarkKind]] = MappingProxyType(
-    {
-        "rotate.settling_time": _MarkKind(curve=entities.HEADING, word="settled", shape="Circle"),
-        "rotate.overshoot": _MarkKind(curve=entities.HEADING, word="overshoot", shape="Diamond"),
-        "rotate.rise_time": _MarkKind(curve=entities.HEADING, word="rise", shape="Up"),
-        "rotate.final_error": _MarkKind(
-            curve=entities.HEADING_ERROR, word="when driving off", shape="Circle"
-        ),
-        "rotate.longest_saturation": _MarkKind(
-            curve=_COMMANDED_TURN_RATE, word="saturated for", shape="Right"
-        ),
-        "translate.settling_time": _MarkKind(
-            curve=entities.ALONG_TRACK, word="settled", shape="Circle"
-        ),
-        "translate.overshoot": _MarkKind(
-            curve=entities.ALONG_TRACK, word="overshoot", shape="Diamond"
-        ),
-        "translate.rise_time": _MarkKind(curve=entities.ALONG_TRACK, word="rise", shape="Up"),
-        "translate.longest_saturation": _MarkKind(
-            curve=_COMMANDED_SPEED, word="saturated for", shape="Right"
-        ),
-        "translate.cross_track_max": _MarkKind(
-            curve=entities.CROSS_TRACK, word="furthest", shape="Diamond"
-        ),
-        "run.time_to_goal": _MarkKind(curve=entities.DISTANCE, word="at the goal", shape="Up"),
-        "final.position_error": _MarkKind(
-            curve=entities.DISTANCE, word="at the end", shape="Circle"
-        ),
-    }
+_OF_RUN: Final = (
+    _MarkKind(metric="run.time_to_goal", curve=entities.DISTANCE, word="at the goal", shape="Up"),
+    _MarkKind(
+        metric="final.position_error", curve=entities.DISTANCE, word="at the end", shape="Circle"
+    ),
 )
-"""The metrics that are marked on a curve, by id; the document gives the places of the others."""
+
+
+def list_marked(declaration: Declaration) -> tuple[_MarkKind, ...]:
+    """Return the metrics that are marked on a curve; the document gives the places of the others.
+
+    Of each loop those of its step on what it controls, and where it is furthest off if its
+    reference moves; its longest saturation on its command; and what is left of a heading.
+    """
+    found = [kind for loop in declaration.loops for kind in _list_of_loop(declaration, loop)]
+    return (*found, *_OF_RUN)
+
+
+def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_MarkKind]:
+    def mark(metric: str, curve: str, word: str, shape: Shape) -> _MarkKind:
+        return _MarkKind(metric=f"{loop.name}.{metric}", curve=curve, word=word, shape=shape)
+
+    controlled, command = entities.PLOTS[loop.signal], f"{loop.command}/{entities.COMMANDED}"
+    alike = [other for other in declaration.loops if other.signal == loop.signal]
+    whose = f"{loop.name} " if len(alike) > 1 else ""
+    if loop.moves:
+        yield mark("largest_error", controlled, f"{whose}furthest off", "Diamond")
+    else:
+        yield mark("settling_time", controlled, f"{whose}settled", "Circle")
+        yield mark("overshoot", controlled, f"{whose}overshoot", "Diamond")
+        yield mark("rise_time", controlled, f"{whose}rise", "Up")
+    if loop.signal == "heading":
+        yield mark("final_error", entities.HEADING_ERROR, _name_end(declaration, loop), "Circle")
+    commanding = [other for other in declaration.loops if other.command == loop.command]
+    whose = f"{loop.name} " if len(commanding) > 1 else ""
+    yield mark("longest_saturation", command, f"{whose}saturated for", "Right")
+    if loop.command == "speed":
+        yield mark("cross_track_max", entities.CROSS_TRACK, "furthest", "Diamond")
+
+
+def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
+    """Return what the error of a heading's loop at its end is called."""
+    phases = {name: acting for name, acting in declaration.phases.items() if name != PAUSE}
+    names = list(phases)
+    own = [number for number, name in enumerate(names) if loop.name in phases[name]]
+    following = phases[names[own[-1] + 1]] if own and own[-1] + 1 < len(names) else ()
+    drives = any(found.command == "speed" for found in declaration.loops if found.name in following)
+    return "when driving off" if drives else f"at the end of {loop.name}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,8 +119,8 @@ def list_marks(
     """Return the metrics that have a place on a curve that is drawn."""
     curves = {curve.entity: curve for curve in series}
     marks = []
-    for name, kind in MARKED.items():
-        metric, curve = metrics.get(name), curves.get(kind.curve)
+    for kind in list_marked(run.declaration):
+        metric, curve = metrics.get(kind.metric), curves.get(kind.curve)
         if metric is None or metric.value is None or metric.at_s is None or curve is None:
             continue
         time_ns = run.start_ns + round(metric.at_s * 1e9)

@@ -93,6 +93,7 @@ def draw_overlay(
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.clocks[number])
         plane.draw_trace(run_stream, run, overlay.colors[number])
+        plane.draw_reference_path(run_stream, run)
         plane.draw_turtle(run_stream, run, overlay.colors[number], content.plane.half_size_m)
         drawing.draw_phases(run_stream, run)
         drawing.draw_events(run_stream, run, overlay.names[number])

@@ -1,13 +1,14 @@
 """The colours of what is no run of its own, told apart by colour-blind readers on dark ground."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.run import Phase
+from turtlelog.loops import DONE, PAUSE
 from turtlelog.show.run_colors import Color, choose_run_colors
 
 _OKABE_ITO: Final[tuple[Color, ...]] = (
@@ -25,7 +26,7 @@ GROUND: Final[Color] = (13, 13, 13)
 """Of planes, also in a light theme; plots follow the theme, as their cursor does."""
 
 REFERENCE: Final[Color] = (150, 150, 150)
-"""Goal bearing, goal position, limits, world border."""
+"""Goal bearing, goal position, limits, world border, what a law asks for where that moves."""
 
 GOAL: Final[Color] = (255, 255, 255)
 
@@ -56,27 +57,49 @@ MARK: Final[Color] = (165, 165, 165)
 """A metric where it has its place, to be seen on light ground too."""
 
 NO_PHASE: Final = -1
+"""Index of no phase: before the first sample."""
 
-TRACES: Final[Mapping[int, Color]] = MappingProxyType(
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseColors:
+    """How a phase looks.
+
+    Attributes:
+        trace: Light enough for a line.
+        bar: Dark enough for the viewer's white lettering.
+    """
+
+    trace: Color
+    bar: Color
+
+
+_OF_EVERY_LAW: Final[Mapping[str, PhaseColors]] = MappingProxyType(
     {
-        NO_PHASE: START,
-        Phase.ROTATE: _OKABE_ITO[0],
-        Phase.PAUSE: _OKABE_ITO[3],
-        Phase.TRANSLATE: _OKABE_ITO[1],
-        Phase.DONE: START,
+        PAUSE: PhaseColors(trace=_OKABE_ITO[3], bar=(140, 70, 20)),
+        DONE: PhaseColors(trace=START, bar=(90, 90, 90)),
     }
 )
-"""The hues of the phases, light enough for a line."""
 
-PHASES: Final[Mapping[Phase, Color]] = MappingProxyType(
-    {
-        Phase.ROTATE: (46, 96, 148),
-        Phase.PAUSE: (140, 70, 20),
-        Phase.TRANSLATE: (20, 110, 84),
-        Phase.DONE: (90, 90, 90),
-    }
+_BY_ORDER: Final = (
+    PhaseColors(trace=_OKABE_ITO[0], bar=(46, 96, 148)),
+    PhaseColors(trace=_OKABE_ITO[1], bar=(20, 110, 84)),
+    PhaseColors(trace=_OKABE_ITO[2], bar=(112, 104, 20)),
+    PhaseColors(trace=_OKABE_ITO[4], bar=(132, 62, 102)),
+    PhaseColors(trace=(170, 150, 255), bar=(88, 72, 166)),
+    PhaseColors(trace=(150, 215, 90), bar=(70, 106, 24)),
+    PhaseColors(trace=(255, 160, 150), bar=(150, 58, 66)),
+    PhaseColors(trace=(120, 215, 220), bar=(24, 104, 118)),
 )
-"""Dark enough for the viewer's white lettering."""
+"""The hues of phases in the order in which a law declares them; more begin again."""
+
+
+def choose_phase_colors(names: Sequence[str]) -> tuple[PhaseColors, ...]:
+    """Return colours for phases in declared order; `pause` and `done` always have their own."""
+    own = [name for name in names if name not in _OF_EVERY_LAW]
+    by_name = {name: _BY_ORDER[number % len(_BY_ORDER)] for number, name in enumerate(own)} | dict(
+        _OF_EVERY_LAW
+    )
+    return tuple(by_name[name] for name in names)
 
 
 def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:

@@ -1,6 +1,6 @@
 """What a run puts into the plane: its trace, the turtle, its error and command, its events."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -56,7 +56,8 @@ def draw_trace_by_phase(run_stream: RunStream, run: Run) -> None:
     stretches = list(_split_where_changed(phases[:-1]))
     xy_m = run.poses.xy_m[kept]
     strips = [xy_m[first : last + 1] for first, last in stretches] or [xy_m]
-    colors = [palette.TRACES[int(phases[first])] for first, _ in stretches] or [palette.MAIN]
+    hues = [found.trace for found in palette.choose_phase_colors(run.phase_names)]
+    colors = [_choose_hue(hues, int(phases[first])) for first, _ in stretches] or [palette.MAIN]
     _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
 
 
@@ -101,6 +102,29 @@ def draw_turtle(run_stream: RunStream, run: Run, color: Color, half_size_m: floa
     run_stream.send(entities.TURTLE, poses.time_ns, values, _build_transforms)
 
 
+def draw_reference_path(run_stream: RunStream, run: Run) -> None:
+    """Draw the way of the reference pose, where the law records one: a strip where it is known."""
+    xy_m = run.samples.reference_xy_m
+    if xy_m is None:
+        return
+    known = np.isfinite(xy_m[:, 0]).astype(np.int64)
+    stretches = [s for s in _split_where_changed(known) if known[s[0]]]
+    strips = [xy_m[first:after] for first, after in stretches]
+    colors = [palette.REFERENCE] * len(strips)
+    _log_strips(run_stream, entities.REFERENCE_PATH, strips, colors, _TRACE_RADIUS)
+
+
+def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
+    """Draw the reference pose at the cursor as an arrow, where the law records one."""
+    xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
+    if xy_m is None or heading_rad is None or not np.isfinite(heading_rad).any():
+        return
+    _log_arrow_style(run_stream, entities.REFERENCE_POSE, palette.REFERENCE)
+    ways = half_size_m * _ARROW_SHARE * np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
+    values = np.column_stack([xy_m, ways])
+    run_stream.send(entities.REFERENCE_POSE, run.samples.time_ns, values, _build_known_arrows)
+
+
 def draw_arrows(run_stream: RunStream, run: Run) -> None:
     """Draw at the cursor the error, from turtle to goal, and the command: its second's way.
 
@@ -135,12 +159,16 @@ def draw_event_places(run_stream: RunStream, run: Run) -> None:
 
 
 def _find_phases(run: Run) -> NDArray[np.int64]:
-    """Return the phase of each pose, -1 before the first sample, shape (n,)."""
+    """Return the index of the phase of each pose, -1 before the first sample, shape (n,)."""
     phases = np.full(len(run.poses), palette.NO_PHASE)
     for span in run.find_phase_spans():
         first, last = np.searchsorted(run.poses.time_ns, [span.start_ns, span.end_ns])
-        phases[first : last + 1] = span.phase
+        phases[first : last + 1] = run.phase_names.index(span.phase)
     return phases
+
+
+def _choose_hue(hues: Sequence[Color], phase: int) -> Color:
+    return palette.START if phase == palette.NO_PHASE else hues[phase]
 
 
 def _split_where_changed(values: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
@@ -175,6 +203,13 @@ def _build_transforms(values: Values) -> rr.ComponentColumnList:
         translation=np.column_stack([values[:, :2], zeros]),
         quaternion=np.column_stack([zeros, zeros, np.sin(half_rad), np.cos(half_rad)]),
     )
+
+
+def _build_known_arrows(values: Values) -> rr.ComponentColumnList:
+    """Build an arrow for each row; one of NaN has none, and takes that of the row before away."""
+    known = np.isfinite(values).all(axis=1)
+    columns = rr.Arrows2D.columns(origins=values[known, :2], vectors=values[known, 2:])
+    return columns.partition(known.astype(np.int64))
 
 
 def _build_error(values: Values) -> rr.ComponentColumnList:

@@ -36,7 +36,7 @@ def send_comparison_properties(
 ) -> None:
     """Store the same of several runs, as lists in the order given.
 
-    A number that is not known is NaN, a text empty.
+    A number that is not known, or that a run's law does not have, is NaN, a text empty.
     """
     described = [_describe(run) for run in runs]
     of_runs = {key: [values[key] for values in described] for key in described[0]}
@@ -47,7 +47,8 @@ def send_comparison_properties(
     if keys:
         found = {key: _fill([known.get(key) for known in parameters]) for key in keys}
         stream.send_property(SCENARIO, _Properties(found))
-    values = {name: [_get_value(known[name]) for known in metrics] for name in metrics[0]}
+    ids = dict.fromkeys(name for known in metrics for name in known)
+    values = {name: [_get_value(known.get(name)) for known in metrics] for name in ids}
     stream.send_property(METRICS, _Properties(values))
 
 
@@ -98,5 +99,5 @@ def _fill(values: list[float | str | None]) -> list[float] | list[str]:
     return [float("nan") if value is None else float(value) for value in values]
 
 
-def _get_value(metric: Metric) -> float:
-    return float("nan") if metric.value is None else metric.value
+def _get_value(metric: Metric | None) -> float:
+    return float("nan") if metric is None or metric.value is None else metric.value

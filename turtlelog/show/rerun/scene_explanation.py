@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from turtlelog.errors import ShowError
-from turtlelog.measure import METRICS, measure_run
-from turtlelog.run import Phase, Run
+from turtlelog.loops import PAUSE
+from turtlelog.measure import list_metrics, measure_run
+from turtlelog.run import Run
 from turtlelog.show.rerun import drawing, entities, palette
 from turtlelog.show.rerun.content import find_largest
 from turtlelog.show.rerun.dead_times import draw_dead_times, list_dead_times
@@ -44,14 +45,16 @@ def write_explanation_rrd(
         documents: Markdown texts by title, shown as tabs after the table of shares.
 
     Raises:
-        ShowError: Where no metric has that id, or the file cannot be written.
+        ShowError: Where the recorded run has no metric of that id, or the file cannot be written.
     """
-    if metric not in METRICS:
+    kinds = list_metrics(recorded.declaration)
+    if metric not in kinds:
         raise ShowError(f"metric: expected an id such as final.position_error, found {metric!r}")
     names = [_RECORDED, *(f"without {mechanism}" for mechanism in without)]
     overlay = build_overlay([recorded, *without.values()], names)
     metrics = [measure_run(run) for run in overlay.runs]
-    of_metric = {name: known[metric] for name, known in zip(without, metrics[1:], strict=True)}
+    pairs = zip(without, metrics[1:], strict=True)
+    of_metric = {name: known[metric] for name, known in pairs if metric in known}
     texts = {"Shares": tabulate_shares(shares, metrics[0][metric], of_metric), **(documents or {})}
     texts = {**add_thinning(texts, overlay.runs)}
     dead_times = list_dead_times(recorded, metrics[0])
@@ -64,7 +67,7 @@ def write_explanation_rrd(
         overlay.describe(texts),
         lines=tuple(join_path(overlay.prefixes[0], entities.LINES, name) for name in drawn),
         legend_names=overlay.names,
-        shares_title=f"Shares of {metric} [{METRICS[metric].unit}]" if shares else None,
+        shares_title=f"Shares of {metric} [{kinds[metric].unit}]" if shares else None,
         has_dead_time=bool(dead_times),
     )
     name = f"{recorded.name}, explained"
@@ -80,5 +83,5 @@ def write_explanation_rrd(
 
 def _list_pause_times(run: Run) -> list[int]:
     """Return where each pause starts and ends [ns]."""
-    pauses = [span for span in run.find_phase_spans() if span.phase is Phase.PAUSE]
+    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
     return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]

@@ -82,8 +82,10 @@ class LiveScene:
             draw_surroundings(stream, [run])
         if stream.is_due:
             plane.draw_trace_by_phase(run_stream, run)
+            plane.draw_reference_path(run_stream, run)
             drawing.draw_references(stream, references, read_span([run], [clock]))
         plane.draw_turtle(run_stream, run, palette.MAIN, self._half_size_m)
+        plane.draw_reference_pose(run_stream, run, self._half_size_m)
         plane.draw_arrows(run_stream, run)
         drawing.draw_phases(run_stream, run)
         if run.events:

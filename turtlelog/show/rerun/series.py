@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.show.rerun import palette
+from turtlelog.show.rerun import entities, palette
 from turtlelog.show.run_colors import Color
 
 LINE_WIDTH: Final = 1.5
@@ -17,7 +17,8 @@ class Series:
     """Curves that share their times and their plot.
 
     Attributes:
-        entity: Entity path below the run's prefix; its first part names the plot.
+        entity: Entity path below the run's prefix; its first part names the plot, of a state of a
+            law its first two.
         labels: Legend, one per curve.
         colors: One per curve.
         time_ns: The run's own time [ns], shape (n,), not decreasing.
@@ -40,8 +41,9 @@ class Series:
 
     @property
     def plot(self) -> str:
-        """The plot it stands in."""
-        return self.entity.partition("/")[0]
+        """The plot it stands in: each state of a law has one of its own."""
+        parts = self.entity.split("/")
+        return "/".join(parts[: 1 + (parts[0] == entities.STATE)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,10 +52,10 @@ class Reference:
 
     Attributes:
         plot: Entity that the plot is named after.
-        label: Legend.
+        labels: Legend, one per level.
         levels: In the plot's unit.
     """
 
     plot: str
-    label: str
+    labels: tuple[str, ...]
     levels: tuple[float, ...]

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
+from turtlelog.show.aims import REFERENCE, list_aims, list_levels, read_distance_to_reference
 from turtlelog.show.rerun import entities, palette
 from turtlelog.show.rerun.commands import find_limits, list_commands
 from turtlelog.show.rerun.series import LINE_WIDTH, Reference, Series
@@ -21,6 +22,8 @@ _POSE_SIGNALS: Final = (
     (entities.CROSS_TRACK, "cross_track", "cross-track"),
     (entities.DISTANCE, "distance", "distance"),
 )
+
+_AIM_WIDTH: Final = 1.0  # [points]
 
 _LOGARITHMS: Final = (
     (entities.HEADING_ERROR, entities.HEADING_ERROR_LOG),
@@ -35,6 +38,8 @@ def list_series(run: Run) -> tuple[Series, ...]:
         *_list_pairs(run),
         *poses,
         *_list_logarithms(poses),
+        *_list_aims(run),
+        *_list_states(run),
         *list_commands(run, entities.SPEED),
         *list_commands(run, entities.TURN_RATE),
     )
@@ -61,29 +66,55 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
 
 
 def list_references(runs: Sequence[Run]) -> tuple[Reference, ...]:
-    """Return bearings, goals, limits and the zeros of errors, each level once per plot."""
-    bearings = {float(np.degrees(value)) for run in runs for value in run.samples.bearing_rad[:1]}
+    """Return what loops aim at, goals, limits and the zeros of errors, each once per plot."""
     goals = {value for run in runs for value in run.goal_xy_m or ()}
-    lengths = {float(np.hypot(*run.samples.error_xy_m[0])) for run in runs if len(run.samples)}
-    goal_zeros = {0.0 for run in runs if run.goal_xy_m is not None}
-    track_zeros = {0.0 for run in runs if len(run.samples)}
+    zeros = {0.0}
     levels = (
-        (entities.HEADING, "goal bearing", bearings),
-        (entities.HEADING_ERROR, "zero", track_zeros),
-        (entities.POSITION, "goal", goals),
-        (entities.POSITION_ERROR, "zero", goal_zeros),
-        (entities.ALONG_TRACK, "goal", lengths),
-        (entities.CROSS_TRACK, "zero", track_zeros),
-        (entities.DISTANCE, "zero", goal_zeros),
-        (entities.SPEED, "limit", find_limits(runs, "limits.speed_m_s")),
-        (entities.TURN_RATE, "limit", find_limits(runs, "limits.turn_rate_rad_s")),
-        (entities.WORLD_VELOCITY, "zero", track_zeros),
+        (entities.HEADING, _list_levels(runs, "heading")),
+        (entities.HEADING_ERROR, _name("zero", zeros if _hold(runs, "heading_error") else ())),
+        (entities.POSITION, _name("goal", goals)),
+        (entities.POSITION_ERROR, _name("zero", zeros if goals else ())),
+        (entities.ALONG_TRACK, _list_levels(runs, "along_track")),
+        (entities.CROSS_TRACK, _name("zero", zeros if _hold(runs, "cross_track") else ())),
+        (entities.DISTANCE, _name("zero", zeros if goals or _follow_distance(runs) else ())),
+        (entities.SPEED, _name("limit", find_limits(runs, "speed"))),
+        (entities.TURN_RATE, _name("limit", find_limits(runs, "turn_rate"))),
+        (entities.WORLD_VELOCITY, _name("zero", zeros if _hold_world_velocity(runs) else ())),
     )
     return tuple(
-        Reference(plot=plot, label=label, levels=tuple(sorted(values)))
-        for plot, label, values in levels
-        if values
+        Reference(
+            plot=plot,
+            labels=tuple(label for _, label in sorted(named)),
+            levels=tuple(level for level, _ in sorted(named)),
+        )
+        for plot, named in levels
+        if named
     )
+
+
+def _list_levels(runs: Sequence[Run], signal: str) -> set[tuple[float, str]]:
+    found = [level for run in runs for level in list_levels(run, signal)]
+    is_angle = signal == "heading"
+    return {
+        (float(np.degrees(level.value)) if is_angle else level.value, level.label)
+        for level in found
+    }
+
+
+def _name(label: str, levels: Iterable[float]) -> set[tuple[float, str]]:
+    return {(level, label) for level in levels}
+
+
+def _hold(runs: Sequence[Run], signal: str) -> bool:
+    return any(read_signal(run, signal) is not None for run in runs)
+
+
+def _hold_world_velocity(runs: Sequence[Run]) -> bool:
+    return any(len(_find_velocities(run)) for run in runs)
+
+
+def _follow_distance(runs: Sequence[Run]) -> bool:
+    return any(read_distance_to_reference(run) is not None for run in runs)
 
 
 def _name_curves(name: str, labels: tuple[str, ...]) -> tuple[str, ...]:
@@ -99,10 +130,33 @@ def _list_pairs(run: Run) -> Iterable[Series]:
         labels = ("goal x - x", "goal y - y")
         series = _build_pair(entities.POSITION_ERROR, labels, poses.time_ns, errors_m)
         yield replace(series, is_main=False)
-    if len(samples):
+    rows = _find_velocities(run)
+    if samples.world_velocity_m_s is not None and len(rows):
         labels, velocity = ("Kp ex", "Kp ey"), samples.world_velocity_m_s
-        series = _build_pair(entities.WORLD_VELOCITY, labels, samples.time_ns, velocity)
+        times_ns = samples.time_ns
+        if len(rows) < len(samples):
+            velocity, times_ns = velocity[rows], times_ns[rows]
+        series = _build_pair(entities.WORLD_VELOCITY, labels, times_ns, velocity)
         yield replace(series, is_main=False, holds=True)
+    if samples.reference_xy_m is not None:
+        yield Series(
+            entity=f"{entities.POSITION}/{entities.AIMED}",
+            labels=("reference x", "reference y"),
+            colors=(palette.REFERENCE, palette.REFERENCE),
+            time_ns=samples.time_ns,
+            values=samples.reference_xy_m,
+            width=_AIM_WIDTH,
+            holds=True,
+            is_main=False,
+        )
+
+
+def _find_velocities(run: Run) -> NDArray[np.int64]:
+    """Return the samples that hold gain times error."""
+    velocity = run.samples.world_velocity_m_s
+    if velocity is None:
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(np.isfinite(velocity).all(axis=1))
 
 
 def _build_pair(
@@ -124,6 +178,46 @@ def _list_pose_series(run: Run) -> Iterable[Series]:
         yield Series(
             entity=entity, labels=(label,), time_ns=signal.time_ns, values=values[:, np.newaxis]
         )
+
+
+def _list_aims(run: Run) -> Iterable[Series]:
+    """Yield what moves and a signal of a loop should be, or is recorded as reference."""
+    for signal, plot in entities.PLOTS.items():
+        for aim in list_aims(run, signal):
+            is_recorded = aim.label == REFERENCE
+            values = np.degrees(aim.values) if signal == "heading" else aim.values
+            yield Series(
+                entity=f"{plot}/{entities.AIMED if is_recorded else entities.BEARING_NOW}",
+                labels=(aim.label,),
+                colors=(palette.REFERENCE,),
+                time_ns=aim.time_ns,
+                values=values[:, np.newaxis],
+                width=_AIM_WIDTH,
+                holds=is_recorded,
+                is_main=False,
+            )
+    away_m = read_distance_to_reference(run)
+    if away_m is not None:
+        yield Series(
+            entity=f"{entities.DISTANCE}/{entities.TO_REFERENCE}",
+            labels=("to the reference",),
+            colors=(palette.SECOND,),
+            time_ns=run.samples.time_ns,
+            values=away_m[:, np.newaxis],
+        )
+
+
+def _list_states(run: Run) -> Iterable[Series]:
+    for name in run.declaration.states:
+        signal = read_signal(run, name)
+        if signal is not None:
+            yield Series(
+                entity=f"{entities.STATE}/{name}",
+                labels=(name,),
+                time_ns=signal.time_ns,
+                values=signal.values[:, np.newaxis],
+                holds=True,
+            )
 
 
 def _list_logarithms(series: Iterable[Series]) -> Iterable[Series]:

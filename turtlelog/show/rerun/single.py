@@ -78,9 +78,11 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     draw_surroundings(stream, [run])
     run_stream = RunStream(stream, "", clock)
     plane.draw_trace_by_phase(run_stream, run)
+    plane.draw_reference_path(run_stream, run)
     if single.by_speed is not None:
         plane.draw_speed_trace(run_stream, single.by_speed)
     plane.draw_turtle(run_stream, run, palette.MAIN, content.plane.half_size_m)
+    plane.draw_reference_pose(run_stream, run, content.plane.half_size_m)
     plane.draw_arrows(run_stream, run)
     if content.goal is not None:
         draw_close_up(stream, content.goal, run, [""], [palette.MAIN])

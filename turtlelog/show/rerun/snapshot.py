@@ -12,7 +12,7 @@ from rerun.experimental import ViewerClient
 from turtlelog.errors import ShowError
 from turtlelog.show.files import replace_file
 from turtlelog.show.rerun.connection import find_free_port, wait_for_viewer
-from turtlelog.show.rerun.entities import TIMELINE, TRANSLATE_TIMELINE
+from turtlelog.show.rerun.entities import TICKS, TIMELINE, WALL_TIMELINE
 from turtlelog.show.rerun.viewer import ViewerProcess, require_recordings, start_viewer
 
 _LOAD_S: Final = 60.0
@@ -21,8 +21,8 @@ _PAUSE_S: Final = 0.1
 _NOTICE_S: Final = 3.5
 _LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
-_TIMELINES: Final = frozenset({TIMELINE, TRANSLATE_TIMELINE})
-"""Those that count in seconds from a moment of the run."""
+_OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
+"""Those that do not count in seconds from a moment of the run."""
 
 _PACKAGES: Final = "mesa-vulkan-drivers libvulkan1"
 
@@ -144,7 +144,7 @@ def write_snapshot(
         rrd_path: The recording.
         png_path: The picture; replaced when the new one is complete.
         at_s: Where to put the time cursor [s]; at the end where None.
-        timeline: What time is told in, `sim_time` or `translate_time`.
+        timeline: What time is told in, `sim_time`, or of several runs also that of a phase, as `translate_time`.
         size: Width and height of the window [pixels].
         zoom: Scale of letters and lines, in steps of 0.1; at least 1.
 
@@ -196,7 +196,7 @@ def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
     ends_ns: dict[str, int] = {}
     for recording in client.get_state().recordings:
         for timeline in recording.timelines:
-            if timeline.end is not None and timeline.name in _TIMELINES:
+            if timeline.end is not None and timeline.name not in _OTHER_TIMELINES:
                 ends_ns[timeline.name] = max(timeline.end, ends_ns.get(timeline.name, 0))
     if name in ends_ns:
         cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s

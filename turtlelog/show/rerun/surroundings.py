@@ -36,7 +36,8 @@ class Bounds:
 
 def is_in_world(runs: Sequence[Run]) -> bool:
     """Whether every pose lies in turtlesim's world; a physical robot's need not."""
-    return all(run.poses.xy_m.min() >= 0.0 and run.poses.xy_m.max() <= WORLD_SIZE_M for run in runs)
+    places = [_list_places(run) for run in runs]
+    return all(xy_m.min() >= 0.0 and xy_m.max() <= WORLD_SIZE_M for xy_m in places)
 
 
 def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
@@ -44,7 +45,7 @@ def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
     if is_in_world(runs):
         return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
     goals = np.array(_find_goals(runs)).reshape(-1, 2)
-    points = np.concatenate([*(run.poses.xy_m for run in runs), goals])
+    points = np.concatenate([*map(_list_places, runs), goals])
     return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
 
 
@@ -119,6 +120,14 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
             radii=rr.Radius.ui_points(0.75),
         )
         stream.log(join_path(entities.TOLERANCE), boxes, static=True)
+
+
+def _list_places(run: Run) -> NDArray[np.float64]:
+    """Return where the robot is, and where its law wants it to be."""
+    aims = run.samples.reference_xy_m
+    if aims is None:
+        return run.poses.xy_m
+    return np.concatenate([run.poses.xy_m, aims[np.isfinite(aims[:, 0])]])
 
 
 def _find_starts(runs: Sequence[Run]) -> list[tuple[float, float]]:

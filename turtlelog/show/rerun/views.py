@@ -70,7 +70,7 @@ def view_speed(content: Content, highest_m_s: float) -> rrb.View:
 
 def view_goal(content: Content, close_up: CloseUp) -> rrb.View:
     """Show how close they end; arrows and names would cover it."""
-    arrows = (entities.ARROW, entities.COMMAND, entities.ERROR)
+    arrows = (entities.ARROW, entities.COMMAND, entities.ERROR, entities.REFERENCE_POSE)
     hidden = [entities.NAMES, entities.SPEED_PATH]
     hidden += [join_path(prefix, arrow) for prefix in content.prefixes for arrow in arrows]
     bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
@@ -91,16 +91,19 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None) -> rrb.V
         contents.insert(0, join_path(entities.REFERENCE, plot))
     if legend is None or plot not in _CROWDED:
         contents += content.lines
-    title, limits = _TITLES[plot], content.ranges.get(plot)
-    is_close_up = plot == entities.HEADING_ERROR and limits is not None
+    title, limits = _name_plot(plot), content.ranges.get(plot)
     return rrb.TimeSeriesView(
         origin="/",
         contents=contents,
-        name=title.replace(" [", ", close up [") if is_close_up else title,
+        name=title.replace(" [", ", close up [") if plot in content.close_ups else title,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
         plot_legend=rrb.PlotLegend(legend, visible=legend is not None and has_several),
     )
+
+
+def _name_plot(plot: str) -> str:
+    return _TITLES.get(plot) or f"State {plot.partition('/')[2]}"
 
 
 def view_phases(content: Content) -> rrb.View:

@@ -1,0 +1,224 @@
+"""What the loops of a run aim at: levels that stand still, curves that move, theory's steps."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import subtract_headings
+from turtlelog.loops import DONE, PAUSE, ControlLoop
+from turtlelog.measure import find_first_stretch, read_reference, read_signal
+from turtlelog.measure.references import project_on_line
+from turtlelog.run import PhaseSpan, Run
+
+Values = NDArray[np.float64]
+
+REFERENCE: Final = "reference"
+"""Name of the curves of a reference that a law records."""
+
+BEARING_NOW: Final = "bearing of the goal"
+"""Name of the curve of the bearing from the present position."""
+
+_LABELS: Final = MappingProxyType(
+    {
+        "goal_bearing": "goal bearing",
+        "goal_heading": "goal heading",
+        "goal_distance": "goal",
+        "zero": "zero",
+    }
+)
+_INTEGRATED: Final = frozenset(
+    {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
+)
+"""Signals with the commands that they integrate: of such loops theory has the response."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """What a signal should be, at all times the same.
+
+    Attributes:
+        label: For a legend.
+        value: In rad or m.
+    """
+
+    label: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Aim:
+    """What a signal should be, where that moves.
+
+    Attributes:
+        label: For a legend.
+        time_ns: In the run's own time [ns], shape (n,).
+        values: In rad or m, shape (n,); NaN where there is no such reference.
+    """
+
+    label: str
+    time_ns: NDArray[np.int64]
+    values: Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopStep:
+    """The step that a loop answers, where theory knows how.
+
+    Attributes:
+        loop: Which loop.
+        kp: Its gain [1/s].
+        stretch: Where it acts first, its pause included.
+        reference: What it drives its signal to [rad or m].
+    """
+
+    loop: ControlLoop
+    kp: float
+    stretch: tuple[PhaseSpan, ...]
+    reference: float
+
+
+def list_loops(run: Run, signal: str) -> list[ControlLoop]:
+    """Return the loops that control a signal, as declared."""
+    return [loop for loop in run.declaration.loops if loop.signal == signal]
+
+
+def list_levels(run: Run, signal: str) -> list[Level]:
+    """Return what a signal should be, where that stands still.
+
+    That is what its loops are declared to aim at, and along the line to the goal the goal. Of a run
+    whose loops are not known it is the goal's bearing from the start.
+    """
+    levels = [
+        Level(label=_LABELS[loop.reference], value=value)
+        for loop in list_loops(run, signal)
+        if isinstance(value := read_reference(run, loop), float) and loop.reference in _LABELS
+    ]
+    line = run.goal_line
+    if line is not None and signal == "along_track" and line.length_m is not None:
+        levels.append(Level(label="goal", value=line.length_m))
+    if line is not None and signal == "heading" and not run.declaration.loops:
+        levels.append(Level(label="goal bearing", value=line.bearing_rad))
+    return list(dict.fromkeys(levels))
+
+
+def list_aims(run: Run, signal: str) -> list[Aim]:
+    """Return what a signal should be, where that moves: of `x`, `y` and the signals of loops.
+
+    Recorded references are those of the samples; headings are near those of the robot, which are
+    counted through full turns.
+    """
+    found = [_read_recorded(run, signal)]
+    if any(loop.reference == "bearing_now" for loop in list_loops(run, signal)):
+        found.append(_read_bearings(run))
+    return [aim for aim in found if aim is not None and np.isfinite(aim.values).any()]
+
+
+def read_distance_to_reference(run: Run) -> Values | None:
+    """Return what a loop of the distance to a recorded reference controls, at each sample [m]."""
+    xy_m = run.samples.reference_xy_m
+    if xy_m is None or not any(loop.moves for loop in list_loops(run, "distance")):
+        return None
+    away_m = xy_m - run.poses.xy_m[run.samples.pose_sequence]
+    return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
+
+
+def find_steps(run: Run, signal: str) -> Iterator[LoopStep]:
+    """Yield the step of each loop of a signal whose response theory knows, in declared order.
+
+    The reference stands still, the signal integrates the command, and the gain is known.
+    """
+    for loop in list_loops(run, signal):
+        if not has_response(loop):
+            continue
+        kp, stretch = find_gain(run, loop), tuple(find_first_stretch(run, loop))
+        reference = read_reference(run, loop)
+        if kp is not None and stretch and isinstance(reference, float):
+            yield LoopStep(loop=loop, kp=kp, stretch=stretch, reference=reference)
+
+
+def has_response(loop: ControlLoop) -> bool:
+    """Whether the loop is theory's, an integrator under u = Kp e."""
+    return (loop.signal, loop.command) in _INTEGRATED
+
+
+def find_gain(run: Run, loop: ControlLoop) -> float | None:
+    """Return the gain of a loop [1/s], None where it is not known or no positive number."""
+    kp = None if loop.gain is None else run.parameters.get(loop.gain)
+    if not isinstance(kp, int | float) or isinstance(kp, bool):
+        return None
+    return float(kp) if 0.0 < kp < np.inf else None
+
+
+def list_limit_keys(run: Run, command: str) -> tuple[str, ...]:
+    """Return the scenario keys of the limits of a command: its loops', or else its own."""
+    keys = [loop.limit_key for loop in run.declaration.loops if loop.command == command]
+    return tuple(dict.fromkeys(keys)) or (_LIMITS[command],)
+
+
+def find_end_of_turn(run: Run) -> int | None:
+    """Return when the heading's loop first ceases to act, before its pause [ns].
+
+    None without a phase in which no such loop acts, and where it never acted.
+    """
+    loops = list_loops(run, "heading")
+    names = {loop.name for loop in loops}
+    phases = run.declaration.phases.items()
+    if all(names & set(acting) for name, acting in phases if name not in (PAUSE, DONE)):
+        return None
+    for loop in loops:
+        own = [span.end_ns for span in find_first_stretch(run, loop) if span.phase != PAUSE]
+        if own:
+            return own[-1]
+    return None
+
+
+_LIMITS: Final = MappingProxyType(
+    {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
+)
+
+
+def _read_recorded(run: Run, signal: str) -> Aim | None:
+    """Return the reference poses of the samples, as a signal tells them."""
+    samples = run.samples
+    xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
+    if xy_m is None or heading_rad is None:
+        return None
+    if signal in ("x", "y"):
+        values = xy_m[:, "xy".index(signal)]
+    elif signal == "heading":
+        values = _bring_near(run, heading_rad, samples.pose_sequence)
+    elif signal in ("along_track", "cross_track") and run.goal_line is not None:
+        if not any(loop.reference == "recorded" for loop in list_loops(run, signal)):
+            return None
+        values = project_on_line(xy_m, run.goal_line, along=signal == "along_track")
+    else:
+        return None
+    return Aim(label=REFERENCE, time_ns=samples.time_ns, values=values)
+
+
+def _read_bearings(run: Run) -> Aim | None:
+    """Return the bearing from the present position, wherever a loop of it acts."""
+    loops = [loop for loop in list_loops(run, "heading") if loop.reference == "bearing_now"]
+    bearings = read_reference(run, loops[0])
+    if not isinstance(bearings, np.ndarray):
+        return None
+    own = {phase for loop in loops for phase in run.declaration.list_phases(loop.name)}
+    time_ns = run.poses.time_ns
+    acts = np.zeros(len(time_ns), dtype=bool)
+    for span in run.find_phase_spans():
+        if span.phase in own:
+            first, last = np.searchsorted(time_ns, [span.start_ns, span.end_ns])
+            acts[first : last + 1] = True
+    near = _bring_near(run, bearings, np.arange(len(time_ns)))
+    return Aim(label=BEARING_NOW, time_ns=time_ns, values=np.where(acts, near, np.nan))
+
+
+def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Values:
+    """Return headings with the full turns that bring them nearest to those of some poses."""
+    signal = read_signal(run, "heading")
+    measured = run.poses.heading_rad if signal is None else signal.values
+    return np.asarray(measured[rows] + subtract_headings(heading_rad, measured[rows]))
