@@ -64,7 +64,6 @@ from .errors import (
     TurtlelogError as TurtlelogError,
 )
 from .explain import (
-    MECHANISMS as MECHANISMS,
     Attribution as Attribution,
     Identification as Identification,
     attribute_run as attribute_run,

@@ -23,16 +23,18 @@ _NOTHING: Final = "No metric is explained: there is no scenario to simulate."
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class OutputOptions:
-    """Files to write.
+class ExplainOptions:
+    """Files to write, and which code may run.
 
     Attributes:
         scenario: Write the identified scenario to this .toml file.
         rrd: Write a Rerun recording of the run beside itself without each effect.
+        trust_law: Run the code of the law that the recording names, where it is not built in.
     """
 
     scenario: Path | None = None
     rrd: Path | None = None
+    trust_law: Annotated[bool, Parameter(negative="")] = False
 
 
 def explain(
@@ -41,7 +43,7 @@ def explain(
     *,
     metric: str = "final.position_error",
     mechanisms: str | None = None,
-    outputs: OutputOptions | None = None,
+    options: ExplainOptions | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -50,13 +52,19 @@ def explain(
     First it identifies, from the samples of the controller (the poses that it read and the commands
     that it gave): gains, limits, tolerances, dead times, queues, start backlog and pause, each with
     its evidence or the reason why the log does not tell. The identified scenario is simulated again
-    and compared with the log, sample by sample. Of a law other than sequential-p nothing is said.
+    and compared with the log, sample by sample.
+
+    Of another law than sequential-p no parameter is identified. Where its recording holds the whole
+    scenario, that is simulated again; where it reproduces every sample, the loop's effects and the
+    law's own mechanisms share the metric. That runs the code that the recording names, and needs
+    --trust-law unless the law is built in.
 
     Then it simulates that scenario without its effects, in every combination, and divides the
     metric among them: Shapley values, whose sum is the metric as built less that without all. They
     are given where the re-simulation has the log's own value; both stand side by side. Effects are
-    what an implementation adds: queue, pause, delay, wrap. Properties of any such loop stand beside
-    them, each taken out alone: saturation, sampling, float32, projection, tolerance.
+    what an implementation adds: queue and delay, of sequential-p pause and wrap, and what another
+    law declares. Properties of any such loop stand beside them, each taken out alone: saturation,
+    sampling, float32, of sequential-p projection and tolerance.
 
     Example: turtlelog explain kp10.mcap --metric final.heading_error --scenario found.toml
 
@@ -67,25 +75,31 @@ def explain(
             effect that is in the run. Of more than six, those six that change it most.
         json: Print one JSON object instead of tables.
     """
-    outputs = outputs or OutputOptions()
-    require_new_target(outputs.scenario, [file], suffix=".toml")
-    require_new_target(outputs.rrd, [file], suffix=".rrd")
+    options = options or ExplainOptions()
+    require_new_target(options.scenario, [file], suffix=".toml")
+    require_new_target(options.rrd, [file], suffix=".rrd")
+    # Imported here: the command line loads no room before a command needs it.
+    from turtlelog.explain import require_trust
+
     names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
-    tl.require_players(metric, names)
     (run,) = read_runs([file], topics)
-    found = tl.identify_run(run)
-    if outputs.scenario is not None:
-        _write_scenario(found, outputs.scenario)
+    tl.require_players(run, metric, names)
+    require_trust(run, trust_law=options.trust_law)
+    found = tl.identify_run(run, trust_law=options.trust_law)
+    if options.scenario is not None:
+        _write_scenario(found, options.scenario)
     attribution = None
     if found.scenario is not None:
-        attribution = tl.attribute_run(run, metric=metric, mechanisms=names, identified=found)
+        attribution = tl.attribute_run(
+            run, metric=metric, mechanisms=names, identified=found, trust_law=options.trust_law
+        )
     if json:
         print_json(describe_explanation(file, found, attribution))
     else:
         print_text(format_identification(found))
         print_text(_NOTHING if attribution is None else format_attribution(attribution))
-    if outputs.rrd is not None:
-        _draw(run, found, attribution, outputs.rrd)
+    if options.rrd is not None:
+        _draw(run, found, attribution, options.rrd)
 
 
 def _draw(

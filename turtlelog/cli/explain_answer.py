@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _JSON: Final = {
     "start_backlog": "loop.start_backlog",
     "pause_ticks": "law.pause_ticks",
-    "dead_time_ticks": {"rotate": "dead_time.rotate", "translate": "dead_time.translate"},
+    "dead_time_ticks": {},
     "gains": {"angular": "law.kp_angular", "linear": "law.kp_linear"},
     "limits": {"speed": "limits.speed_m_s", "turn_rate": "limits.turn_rate_rad_s"},
     "heading_tolerance": "law.heading_tolerance_rad",
@@ -37,6 +37,9 @@ _JSON: Final = {
 }
 """What stands where in the answer's `identified`."""
 
+_DEAD_TIME: Final = "dead_time."
+"""Begins the key of a loop's dead time."""
+
 
 def describe_explanation(
     file: Path, found: "Identification", attribution: "Attribution | None"
@@ -46,7 +49,7 @@ def describe_explanation(
     return {
         "file": str(file),
         "name": found.name,
-        "identified": _nest(_JSON, found, "value"),
+        "identified": _nest(_JSON, found, "value") | {"dead_time_ticks": _list_dead_times(found)},
         "reasons": {
             key: finding.evidence
             for key, finding in found.findings.items()
@@ -79,6 +82,15 @@ def describe_explanation(
         "tried": {key: [*values] for key, values in found.tried.items()},
         "attribution": None if attribution is None else _describe_attribution(attribution),
         "notes": [*found.notes],
+    }
+
+
+def _list_dead_times(found: "Identification") -> dict[str, Any]:
+    """Return the dead times by loop, or else by phase."""
+    return {
+        key.removeprefix(_DEAD_TIME): finding.value
+        for key, finding in found.findings.items()
+        if key.startswith(_DEAD_TIME)
     }
 
 

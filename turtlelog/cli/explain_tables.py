@@ -20,8 +20,6 @@ _ROWS: Final = (
     ("  command held in it", "pause.held_turn_rate_rad_s", "rad/s"),
     ("  turned by the end", "pause.turned_rad", "rad"),
     ("  answered at once", "pause.burst", "poses"),
-    ("dead time rotating", "dead_time.rotate", "ticks"),
-    ("dead time translating", "dead_time.translate", "ticks"),
     ("lost commands", "lost_commands", ""),
     ("queue policy", "loop.queue_policy", ""),
     ("command queue", "loop.command_queue", ""),
@@ -41,6 +39,9 @@ _ROWS: Final = (
 )
 """What the table shows: its name, its key among the findings, its unit there."""
 
+_DEAD_TIME: Final = "dead_time."
+"""Begins the key of a loop's dead time."""
+
 _EVIDENCE_WIDTH: Final = 46
 
 _WIDTH: Final = 96
@@ -50,7 +51,7 @@ _WIDTH: Final = 96
 def format_identification(found: "Identification") -> str:
     """Return what was identified, with its evidence, and how the re-simulation compares."""
     rows: list[tuple[str, ...]] = []
-    for name, key, unit in _ROWS:
+    for name, key, unit in _list_rows(found):
         if key in found.findings:
             finding = found.findings[key]
             evidence = "see below" if finding.evidence in found.notes else finding.evidence
@@ -80,13 +81,24 @@ def format_attribution(found: "Attribution") -> str:
                 share.mechanism,
                 share.share,
                 share.alone,
-                tl.MECHANISMS[share.mechanism].meaning,
+                share.meaning,
             )
             for share in (*found.shares, *found.others)
         ),
         notes=tl.write_sentences(found),
     )
     return f"\n{format_table(table)}"
+
+
+def _list_rows(found: "Identification") -> list[tuple[str, str, str]]:
+    """Return the rows, with one for the dead time of each loop."""
+    from turtlelog.explain import describe_loop_name
+
+    keys = [key for key in found.findings if key.startswith(_DEAD_TIME)]
+    names = [describe_loop_name(found.law, key.removeprefix(_DEAD_TIME)) for key in keys]
+    rows = [(f"dead time {name}", key, "ticks") for name, key in zip(names, keys, strict=True)]
+    after = [key for _, key, _ in _ROWS].index("lost_commands")
+    return [*_ROWS[:after], *rows, *_ROWS[after:]]
 
 
 def _format_finding(name: str, finding: "Finding", unit: str) -> list[tuple[str, ...]]:

@@ -9,22 +9,21 @@ from turtlelog.explain.attribute import (
 from turtlelog.explain.attribution import Attribution, Share, StartRange, Together, ValueSet
 from turtlelog.explain.finding import Certainty, Finding
 from turtlelog.explain.grain import Grain
+from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS, Mechanism, simulate_without
+from turtlelog.explain.law import describe_loop_name
+from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
 from turtlelog.explain.resimulation import Resimulation
 from turtlelog.explain.wording import write_sentences
 
 __all__ = [
     "DEFAULT_METRIC",
-    "EFFECTS",
-    "MECHANISMS",
     "Attribution",
     "Certainty",
     "Finding",
     "Grain",
     "Identification",
-    "Mechanism",
     "Resimulation",
     "Share",
     "StartRange",
@@ -32,8 +31,11 @@ __all__ = [
     "ValueSet",
     "attribute_run",
     "attribute_scenario",
+    "describe_loop_name",
+    "find_mechanisms",
     "identify_run",
     "require_players",
+    "require_trust",
     "simulate_without",
     "write_sentences",
 ]

@@ -8,23 +8,36 @@ from typing import Final
 from turtlelog.errors import ExplainError
 from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet
 from turtlelog.explain.finding import Certainty, Finding
-from turtlelog.explain.game import Game, Outcome
 from turtlelog.explain.grain import find_grain
+from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS, find_mechanism, is_present
+from turtlelog.explain.mechanisms import (
+    LOOP_MECHANISMS,
+    SAMPLING,
+    describe_no_sampling,
+    find_mechanism,
+    find_mechanisms,
+    is_present,
+    list_effects,
+)
 from turtlelog.explain.sensitivity import vary_start
 from turtlelog.explain.shapley import (
     Coalition,
+    Game,
+    Outcome,
     Worth,
     compute_dividends,
     compute_shares,
     find_smallest,
     list_coalitions,
 )
-from turtlelog.measure import METRICS, measure_run, suggest_metrics
+from turtlelog.laws import LAWS, find_law, list_mechanisms
+from turtlelog.loops import Declaration, Mechanism
+from turtlelog.measure import find_metric_kind, list_metrics, measure_run, suggest_metrics
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario
 
 DEFAULT_METRIC: Final = "final.position_error"
 
@@ -45,33 +58,44 @@ def attribute_run(
     metric: str = DEFAULT_METRIC,
     mechanisms: Sequence[str] | None = None,
     identified: Identification | None = None,
+    trust_law: bool = False,
 ) -> Attribution:
     """Attribute a value of a run to mechanisms of the scenario that stands for it.
 
-    Shares are withheld where the log's value and the re-simulation's differ by more than a tenth of
-    what the effects add together.
+    That is the identified one, or the recorded one of a law that none is identified of, where its
+    re-simulation reproduces the run. Shares are withheld where the log's value and the
+    re-simulation's differ by more than a tenth of what the effects add together.
 
     Args:
         run: Whose value it is.
         metric: Its id.
         mechanisms: Those that take part; otherwise every effect that is in the scenario.
         identified: What `identify_run` found, where that is known already.
+        trust_law: Run the law that the recording names, where it is not built in: its code.
 
     Raises:
-        ExplainError: Where the scenario cannot be identified, or as in `attribute_scenario`.
+        ExplainError: Where no scenario stands for the run, or as in `attribute_scenario`.
+        ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
     """
-    require_players(metric, mechanisms)
-    identified = identified or identify_run(run)
+    require_players(run, metric, mechanisms)
+    require_trust(run, trust_law=trust_law)
+    identified = identified or identify_run(run, trust_law=trust_law)
     scenario = identified.build_scenario()
     found = attribute_scenario(scenario, metric=metric, mechanisms=mechanisms)
     logged = measure_run(run, only=[metric])[metric]
     found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason)
-    others = tuple(_withhold_alone(share, identified.findings) for share in found.others)
-    found = replace(found, others=others)
+    is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
+    if is_identified:
+        others = tuple(_withhold_alone(share, identified.findings) for share in found.others)
+        found = replace(found, others=others)
     obstacle = found.withheld or _compare_with_log(found)
     if obstacle:
         return replace(found, withheld=obstacle, shares=())
-    return replace(found, doubts=tuple(_list_doubts(identified.findings, found.acting)))
+    if not is_identified:
+        return found
+    table = find_mechanisms(scenario)
+    acting = [table[name] for name in found.acting]
+    return replace(found, doubts=tuple(_list_doubts(identified.findings, acting)))
 
 
 def attribute_scenario(
@@ -86,53 +110,85 @@ def attribute_scenario(
     value most, alone out or alone in, are players; the others stay as built.
 
     Raises:
-        ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, there are
-            none, or the scenario is of another law.
+        ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, or there
+            are none.
+        ScenarioError: Where the law cannot be loaded, or may not run.
+        SimulationError: Where the law fails without one of them.
     """
-    require_players(metric, mechanisms)
-    if scenario.law.kind != "sequential-p":
-        raise ExplainError(
-            f"{scenario.name}: expected a run of the law sequential-p, found {scenario.law.kind}"
-        )
-    if mechanisms is None:
-        mechanisms = [name for name in EFFECTS if is_present(scenario, name)]
+    scenario = resolve_scenario(scenario)
     game = Game(scenario, metric)
+    declaration, table = declare_scenario(scenario), game.mechanisms
+    _require_metric(declaration, metric)
+    _require_distinct(mechanisms)
+    for name in mechanisms or ():
+        find_mechanism(name, table, scenario)
+    present = [name for name, found in table.items() if is_present(scenario, found)]
+    if mechanisms is None:
+        mechanisms = [name for name in list_effects(table) if name in present]
     players = _choose_players(game, mechanisms)
     outcomes = {inside: game.play(inside, players) for inside in list_coalitions(players)}
     worth = {key: found.value for key, found in outcomes.items() if found.value is not None}
     built, without = outcomes[frozenset(players)], outcomes[frozenset()]
-    others = [name for name in MECHANISMS if name not in players and is_present(scenario, name)]
+    others = [name for name in present if name not in players]
     found = Attribution(
         metric=metric,
-        unit=METRICS[metric].unit,
+        unit=_find_unit(declaration, metric),
         as_built=built.value,
         without_all=without.value,
         players=tuple(players),
         shares=(),
         others=tuple(_describe_alone(game, name) for name in others),
-        grain=find_grain(scenario, metric, built.value or 0.0),
+        grain=find_grain(scenario, declaration, metric, built.value or 0.0),
         reason=built.reason,
         left=tuple(name for name in mechanisms if name not in players),
+        effects=list_effects(table),
+        remarks=() if SAMPLING in table else (_write_no_sampling(scenario),),
     )
     if len(worth) < len(outcomes):
         return _tell_what_has_no_value(found, outcomes)
     return _divide(found, game, scenario, worth)
 
 
-def require_players(metric: str, mechanisms: Sequence[str] | None) -> None:
-    """Require a metric that is known, and different mechanisms that are; None: every effect.
+def require_players(run: Run, metric: str, mechanisms: Sequence[str] | None) -> None:
+    """Require a metric of the run, and different mechanisms that it may have. Loads no code.
+
+    The mechanisms of a law that is not built in are known when it runs.
 
     Raises:
         ExplainError: Where they are not; with the names nearest to it.
     """
-    if metric not in METRICS:
-        raise ExplainError(f"metric {metric!r}: expected {suggest_metrics(metric)}")
+    _require_metric(run.declaration, metric)
+    _require_distinct(mechanisms)
+    kind = str(run.parameters.get("law.kind", DEFAULT_LAW))
+    if kind not in LAWS:
+        return
+    known = [*LOOP_MECHANISMS, *list_mechanisms(find_law(kind))]
+    table = {mechanism.name: mechanism for mechanism in known}
+    for name in mechanisms or ():
+        find_mechanism(name, table, Scenario())
+
+
+def _require_metric(declaration: Declaration, metric: str) -> None:
+    if metric not in list_metrics(declaration) and find_metric_kind(metric) is None:
+        known = list_metrics(declaration)
+        raise ExplainError(f"metric {metric!r}: expected {suggest_metrics(metric, known)}")
+
+
+def _require_distinct(mechanisms: Sequence[str] | None) -> None:
     if mechanisms is None:
         return
-    for name in mechanisms:
-        find_mechanism(name)
     if not mechanisms or len({*mechanisms}) < len(mechanisms):
         raise ExplainError(f"mechanisms: expected different ones, found {', '.join(mechanisms)}")
+
+
+def _find_unit(declaration: Declaration, metric: str) -> str:
+    kind = list_metrics(declaration).get(metric) or find_metric_kind(metric)
+    return "" if kind is None else kind.unit
+
+
+def _write_no_sampling(scenario: Scenario) -> str:
+    text = describe_no_sampling(scenario)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 def _choose_players(game: Game, mechanisms: Sequence[str]) -> list[str]:
@@ -161,6 +217,7 @@ def _describe_alone(game: Game, name: str, share: float | None = None) -> Share:
         share=share,
         alone=game.take_out([name]).value,
         ending=game.describe_ending(name),
+        meaning=game.mechanisms[name].meaning,
     )
 
 
@@ -237,9 +294,9 @@ def _list_gains(mechanism: str) -> tuple[str, ...]:
     return ("law.kp_angular", "law.kp_linear") if mechanism == "saturation" else ()
 
 
-def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[str]) -> Iterator[str]:
+def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Mechanism]) -> Iterator[str]:
     """Yield what is not proven of the settings that the acting mechanisms take out."""
-    concerned = [(*MECHANISMS[name].without, *_list_gains(name)) for name in acting]
+    concerned = [(*found.neutral, *_list_gains(found.name)) for found in acting]
     keys = [key for names in concerned for key in names if key in findings]
     found = {findings[key].certainty for key in keys}
     if Certainty.AMBIGUOUS in found:

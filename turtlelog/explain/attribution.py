@@ -17,12 +17,14 @@ class Share:
         alone: The metric with this mechanism out and all others in; None where it has no value.
         ending: What differs in kind without it, in one clause: a phase that no longer ends, or why
             there is no value. Empty where the run passes the same phases.
+        meaning: What taking it out means, in one clause.
     """
 
     mechanism: str
     share: float | None
     alone: float | None
     ending: str = ""
+    meaning: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +103,8 @@ class Attribution:
         reason: Why it has no value, in the log or else re-simulated; empty where it has.
         doubts: What the shares rest on that the log does not prove, in whole sentences.
         left: Mechanisms that were to take part and stay as built, being more than six.
+        effects: Every effect that loop and law may have, whether it is in the scenario or not.
+        remarks: What could not be taken out, in whole sentences.
     """
 
     metric: str
@@ -120,6 +124,8 @@ class Attribution:
     reason: str = ""
     doubts: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def acting(self) -> tuple[str, ...]:

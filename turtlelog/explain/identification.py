@@ -5,10 +5,14 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.errors import ExplainError
-from turtlelog.explain.finding import Finding, miss
+import numpy as np
+
+from turtlelog.errors import ExplainError, ReplayError
+from turtlelog.explain.finding import Finding, find_exactly, miss
 from turtlelog.explain.resimulation import Resimulation
-from turtlelog.scenario import Scenario
+from turtlelog.replay import replay_plant
+from turtlelog.run import Run
+from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 LAW_KEYS: Final = (
     "law.kp_angular",
@@ -32,6 +36,11 @@ LOOP_KEYS: Final = (
 )
 """What lies between controller and plant, decided by simulating again."""
 
+DEAD_TIME: Final = "dead_time."
+"""Begins the keys of dead times; the name of a loop follows, of a phase where there are none."""
+
+_NO_SAMPLES: Final = "the recording holds no samples: which pose a command answers is not known"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
@@ -39,13 +48,16 @@ class Identification:
 
     Attributes:
         name: Of the run.
-        findings: By key of the scenario (`law.kp_linear`), and beside it `dead_time.rotate`,
-            `dead_time.translate` [ticks], `pause.seconds` [s], `pause.held_turn_rate_rad_s`,
+        findings: By key of the scenario (`law.kp_linear`), and beside it `dead_time.` and the name
+            of each loop, or else phase [ticks], `pause.seconds` [s], `pause.held_turn_rate_rad_s`,
             `pause.turned_rad`, `pause.burst` (poses answered at once after it), `stop_reason`,
             `lost_commands`.
         resimulation: The identified scenario, simulated again and compared; None where there is
             none.
-        scenario: The identified scenario; None where too little is known for one.
+        scenario: The identified scenario, or the recorded one; None where too little is known for
+            one, or where the recorded one does not reproduce the run.
+        is_recorded: Whether it is the recorded scenario, which reproduces every sample.
+        law: Kind of the law, as recorded, else that whose parameters are identified.
         notes: What else is worth a sentence.
         tried: By key of the loop's settings, the values that were tried; what is exact or fitted is
             so among these.
@@ -55,6 +67,8 @@ class Identification:
     findings: Mapping[str, Finding]
     resimulation: Resimulation | None
     scenario: Scenario | None
+    is_recorded: bool = False
+    law: str = DEFAULT_LAW
     notes: tuple[str, ...] = ()
     tried: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
@@ -66,8 +80,35 @@ class Identification:
         """
         if self.scenario is None:
             reason = "; ".join(self.notes) or "too little is known"
-            raise ExplainError(f"{self.name}: expected a run of the sequential law: {reason}")
+            expected = f"a run of the law {DEFAULT_LAW}, or one that its own scenario reproduces"
+            raise ExplainError(f"{self.name}: expected {expected}: {reason}")
         return self.scenario
+
+
+def identify_plant(run: Run) -> Identification:
+    """Return what poses and commands tell where no sample says which pose a command answers.
+
+    That is the largest commands, and how many of them were lost.
+    """
+    loops = [f"{DEAD_TIME}{loop.name}" for loop in run.declaration.loops]
+    findings = dict.fromkeys((*LAW_KEYS, *loops), miss(_NO_SAMPLES))
+    largest = {
+        "limits.speed_m_s": run.commands.speed_m_s,
+        "limits.turn_rate_rad_s": run.commands.turn_rate_rad_s,
+    }
+    for key, command in largest.items():
+        if len(command):
+            seen = f"the largest of {len(command)} commands is {np.abs(command).max():.4g}"
+            findings[key] = miss(f"{seen}; without the error nobody knows if it was clipped")
+    return give_up(run.name, {**findings, "lost_commands": _count_lost(run)}, _NO_SAMPLES)
+
+
+def _count_lost(run: Run) -> Finding:
+    try:
+        use = replay_plant(run).commands
+    except ReplayError as err:
+        return miss(str(err))
+    return find_exactly(use.unseen, f"no pose shows them; {use.taken} others are shown")
 
 
 def disclaim_law(findings: Mapping[str, Finding], reason: str) -> dict[str, Finding]:

@@ -2,6 +2,7 @@
 
 from collections import ChainMap
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -10,11 +11,22 @@ import numpy as np
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.command_fit import CommandFit
 from turtlelog.explain.ending import Ending, find_ending, find_pause
-from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
-from turtlelog.explain.identification import Identification, disclaim_law, give_up
-from turtlelog.explain.law import identify_rotation, identify_translation
+from turtlelog.explain.finding import Certainty, Finding, miss
+from turtlelog.explain.hypothesis import (
+    LONGEST_S,
+    check_recorded_scenario,
+    describe_dead_time,
+    identify_other_law,
+)
+from turtlelog.explain.identification import (
+    DEAD_TIME,
+    Identification,
+    disclaim_law,
+    give_up,
+    identify_plant,
+)
+from turtlelog.explain.law import PHASES, identify_rotation, identify_translation
 from turtlelog.explain.loop import read_hints
-from turtlelog.explain.plant import identify_plant
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.settings import describe_loop, describe_pause
@@ -22,11 +34,9 @@ from turtlelog.explain.start import describe_goal, describe_start, read_start
 from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.trace import Trace, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
-
-_LONGEST_S: Final = 3600.0
 
 _MOST_PHASES: Final = 6
 """Phases that are listed: three runs in one file."""
@@ -37,35 +47,65 @@ _CUT: Final = (None, "interrupted", "max_duration")
 """Stop reasons of runs whose controller did not come to its end."""
 
 
-def identify_run(run: Run) -> Identification:
+def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
 
-    Of the run's own parameters only the law's name is read: of another law nothing is claimed.
-    Gains, limits and tolerances come from the commands; the queues and the pause from the dead
-    times and the time stamps, and from simulating every setting that agrees with them: those that
-    reproduce all samples are what fits. Where none does, the plant is driven with the log's
-    commands, and what fits within the noise is told as that.
+    Of the run's own parameters only the law's name is read: of another law than sequential-p no
+    parameter is claimed. Gains, limits and tolerances come from the commands; the queues and the
+    pause from the dead times and the time stamps, and from simulating every setting that agrees
+    with them: those that reproduce all samples are what fits. Where none does, the plant is driven
+    with the log's commands, and what fits within the noise is told as that.
     A run without samples tells next to nothing, and the findings say why.
+
+    Where the run holds its whole scenario, that one is a hypothesis, and its re-simulation the
+    test: of another law it stands for the run if it reproduces every sample, of sequential-p if
+    what was identified does not.
+
+    Args:
+        run: Any.
+        trust_law: Run the law that the recording names, where it is not built in: its code. Without
+            it the scenario of such a run is not tested.
+
+    Raises:
+        ScenarioError: Where a law that is trusted cannot be loaded, or a parameter is wrong.
     """
     if not len(run.samples):
         return identify_plant(run)
     # Commands of any size are read; those whose squares overflow fit nothing.
     with np.errstate(over="ignore", invalid="ignore"):
-        return _identify_samples(run)
+        reason = _find_other_law(run)
+        if reason:
+            return identify_other_law(run, reason, trust_law=trust_law)
+        return _prefer_recorded(run, _identify_samples(run))
+
+
+def _prefer_recorded(run: Run, found: Identification) -> Identification:
+    """Return the recorded scenario where it reproduces the run, and the identified does not."""
+    again = found.resimulation
+    if not run.scenario_is_complete or (again is not None and again.is_exact):
+        return found
+    recorded = check_recorded_scenario(run, mark_breaks(trace_run(run, PHASES)), trust_law=False)
+    if recorded.scenario is None or recorded.resimulation is None:
+        return found
+    identified = "no scenario is identified" if again is None else "the identified one does not"
+    return replace(
+        found,
+        scenario=recorded.scenario,
+        resimulation=recorded.resimulation,
+        is_recorded=True,
+        notes=(f"{recorded.reach}; {identified}", *_list_candidates(found.findings)),
+    )
 
 
 def _identify_samples(run: Run) -> Identification:
-    trace = mark_breaks(trace_run(run))
+    trace = mark_breaks(trace_run(run, PHASES))
     motion = space_out(trace)
-    dead_times = {phase: find_dead_time(motion, phase) for phase in (Phase.ROTATE, Phase.TRANSLATE)}
+    dead_times = {loop: find_dead_time(motion, loop) for loop in PHASES}
     findings = {
-        f"dead_time.{phase.label}": _describe_dead_time(found, motion, run)
-        for phase, found in dead_times.items()
+        f"{DEAD_TIME}{loop}": describe_dead_time(found, motion, run)
+        for loop, found in dead_times.items()
     }
     findings |= describe_goal(trace)
-    obstacle = _find_other_law(run)
-    if obstacle:
-        return give_up(run.name, findings, obstacle)
     rotation, turning = identify_rotation(trace)
     translation, driving = identify_translation(trace)
     obstacle = _contradict_law(trace, turning, driving)
@@ -87,7 +127,7 @@ def _identify_samples(run: Run) -> Identification:
     hints = read_hints(trace)
     known = {**_collect(findings), **read_start(trace)}
     try:
-        fits = search_loop(trace, known, hints, dead_times)
+        fits = search_loop(trace, known, hints, tuple(dead_times.values()))
         scenario = _cut_scenario(trace, fits, ending)
         again = simulate_run(scenario)
     except (ScenarioError, SimulationError) as err:
@@ -117,37 +157,20 @@ def _identify_samples(run: Run) -> Identification:
     )
 
 
-def _describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Finding:
-    if isinstance(found, Missing):
-        return miss(found.reason)
-    changed = ""
-    for change in found.changes:
-        row = int(np.searchsorted(motion.poses.time_ns, change.time_ns))
-        changed += f"; {change.before} until {run.poses.time_ns[row] / 1e9:.2f} s"
-    if found.is_exact:
-        return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
-    return Finding(
-        value=found.ticks,
-        certainty=Certainty.FITTED,
-        evidence=f"least squares; the next best leaves {found.margin:.3g} times",
-        interval=(found.ticks, found.ticks),
-    )
-
-
 def _describe_dead_times_again(
-    dead_times: Mapping[Phase, DeadTime | Missing], again: Run
+    dead_times: Mapping[str, DeadTime | Missing], again: Run
 ) -> dict[str, Finding]:
     """Return the dead times that the settings found have, where noise hides the log's own."""
     found = {}
-    for phase, logged in dead_times.items():
+    for loop, logged in dead_times.items():
         is_hidden = (
             not logged.is_exact
             if isinstance(logged, DeadTime)
             else (logged.status is Status.UNDETERMINED)
         )
-        dead_time = find_dead_time(again, phase)
+        dead_time = find_dead_time(again, loop)
         if is_hidden and isinstance(dead_time, DeadTime):
-            found[f"dead_time.{phase.label}"] = Finding(
+            found[f"{DEAD_TIME}{loop}"] = Finding(
                 value=dead_time.ticks,
                 certainty=Certainty.FITTED,
                 evidence="of the settings that explain the motion",
@@ -176,10 +199,15 @@ def _withhold_law(
 
 
 def _find_other_law(run: Run) -> str | None:
+    """Return why the law is not sequential-p, by its name or by its loops."""
     kind = run.parameters.get("law.kind", DEFAULT_LAW)
-    if kind == DEFAULT_LAW:
-        return None
-    return f"its law is {kind}: only of {DEFAULT_LAW} the commands tell the parameters"
+    told = f"only of {DEFAULT_LAW} the commands tell the parameters"
+    if kind != DEFAULT_LAW:
+        return f"its law is {kind}: {told}"
+    if not all(run.declaration.find_loop(name) for name in PHASES):
+        names = [loop.name for loop in run.declaration.loops]
+        return f"its loops are {', '.join(names) or 'not recorded'}: {told}"
+    return None
 
 
 def _cut_scenario(trace: Trace, fits: Fits, ending: Ending) -> Scenario:
@@ -210,16 +238,17 @@ def _find_obstacle(trace: Trace) -> str | None:
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
-    if length_s > _LONGEST_S:
-        return f"it lasts {length_s:.0f} s; up to {_LONGEST_S:.0f} s are simulated again"
+    if length_s > LONGEST_S:
+        return f"it lasts {length_s:.0f} s; up to {LONGEST_S:.0f} s are simulated again"
     return None
 
 
 def _list_phases(trace: Trace) -> list[str]:
     """Return the phases in the order in which they come, up to `_MOST_PHASES`."""
     phases = trace.run.samples.phase
+    names = trace.run.phase_names
     begins = np.flatnonzero(np.diff(phases, prepend=-1) != 0)
-    labels = [Phase(phase).label for phase in phases[begins[:_MOST_PHASES]].tolist()]
+    labels = [names[phase] for phase in phases[begins[:_MOST_PHASES]].tolist()]
     return [*labels, "..."] if len(begins) > _MOST_PHASES else labels
 
 

@@ -1,4 +1,4 @@
-"""What the commands say of the law: gains, limits, tolerances, projection, wrapping."""
+"""What the commands of sequential-p say of it: gains, limits, tolerances, projection, wrapping."""
 
 import math
 from functools import partial
@@ -23,10 +23,34 @@ from turtlelog.explain.tolerances import (
     bracket_position_tolerance,
 )
 from turtlelog.explain.trace import Trace, Values
+from turtlelog.loops import DONE, PAUSE
 from turtlelog.measure.dead_time import CERTAIN
+from turtlelog.scenario import DEFAULT_LAW
+
+ROTATE: Final = "rotate"
+TRANSLATE: Final = "translate"
+PHASES: Final = (ROTATE, TRANSLATE)
+"""The phases of sequential-p, which are its loops, in order."""
+
+_NOUNS: Final = {ROTATE: "rotation", TRANSLATE: "translation"}
+_ADVERBS: Final = {ROTATE: "rotating", TRANSLATE: "translating"}
 
 _HALF_TURN_SURE: Final = 6.0
 """Standard deviations beyond half a turn from which on a noisy error has wrapped."""
+
+
+def describe_phase(kind: str, phase: str) -> str:
+    """Return a phase of a law in words: `the rotation`, `phase approach`."""
+    if phase in {PAUSE, DONE}:
+        return "the pause" if phase == PAUSE else "the run"
+    noun = _NOUNS.get(phase) if kind == DEFAULT_LAW else None
+    return f"the {noun}" if noun else f"phase {phase}"
+
+
+def describe_loop_name(kind: str, loop: str) -> str:
+    """Return what a loop of a law does, or whose it is: `rotating`, `of align`."""
+    adverb = _ADVERBS.get(loop) if kind == DEFAULT_LAW else None
+    return adverb or f"of {loop}"
 
 
 def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:

@@ -39,7 +39,7 @@ class Hints:
 
     Attributes:
         backlogs: Start backlogs that agree with them.
-        pauses: Pauses that agree with them [ticks].
+        pauses: Pauses that agree with them [ticks]; none where the law's own is not known.
         pause_s: Silence after the rotation, by the clock [s]; None without an end of rotation.
         burst: Poses answered at once after the pause.
         pose_queue: Depth of the pose queue where poses were lost, else None.

@@ -107,7 +107,7 @@ def _fit_least_squares(command: Values, error: Values) -> GainFit:
     changes = np.diff(left)
     whiteness = float(changes @ changes / (2.0 * left @ left)) if noise > 0.0 else 1.0
     spread = noise / math.sqrt(square) if square > 0.0 else math.inf
-    reach = find_quantile(rows) * spread * _widen_for_runs(whiteness)
+    reach = find_quantile(rows) * spread * float(widen_for_runs(np.asarray(whiteness)))
     return GainFit(
         value=1.0 / slope if slope else 0.0,
         is_exact=False,
@@ -129,10 +129,10 @@ def find_quantile(rows: int) -> float:
     return float(stdtrit(max(rows - 1, 1), 0.975))
 
 
-def _widen_for_runs(whiteness: float) -> float:
+def widen_for_runs(whiteness: Values) -> Values:
     """Return by how much errors that hang on the one before spread more than independent ones."""
-    alike = min(max(1.0 - whiteness, 0.0), 0.99)
-    return math.sqrt((1.0 + alike) / (1.0 - alike))
+    alike = np.clip(1.0 - whiteness, 0.0, 0.99)
+    return np.asarray(np.sqrt((1.0 + alike) / (1.0 - alike)))
 
 
 def find_round_number(low: float, high: float) -> float:

@@ -12,12 +12,11 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from turtlelog.angles import subtract_headings
-from turtlelog.explain.numbers import find_quantile
+from turtlelog.explain.numbers import find_quantile, widen_for_runs
 from turtlelog.explain.stretches import list_breaks
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
-from turtlelog.run import Phase
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
 from turtlelog.simulate import iterate_ticks
 
@@ -36,6 +35,9 @@ _MOST_STEPS: Final = 4.0
 _REFITS: Final = 3
 """Rounds in which the weights of position and heading settle."""
 
+
+_PHASE: Final = "control"
+"""The phase of a law that declares none."""
 
 _SMALLER: Final = 16.0
 """After a jump the driven plant is not where the robot is, and must not meet a wall that the robot
@@ -68,9 +70,9 @@ class Playback:
         self._parameters = parameters
         self._next = 0
 
-    def reset(self, start: Pose, goal: Goal) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
         """Begin with the first command."""
-        del start, goal
+        del start, goal, path
         self._next = 0
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
@@ -82,7 +84,7 @@ class Playback:
         return Decision(
             speed_m_s=speed_m_s,
             turn_rate_rad_s=turn_rate_rad_s,
-            phase=Phase.ROTATE,
+            phase=_PHASE,
             bearing_rad=0.0,
             heading_error_rad=0.0,
             error_x_m=0.0,
@@ -120,7 +122,7 @@ class Drive:
 
     def compute_misfit(self, whiteness: Values) -> float:
         """Return the negative log-likelihood, up to a constant, for noise of that whiteness."""
-        weights = 1.0 / _widen_for_runs(whiteness) ** 2
+        weights = 1.0 / widen_for_runs(whiteness) ** 2
         return float((self.rows * weights * np.log(np.array(self.noise))).sum())
 
 
@@ -216,7 +218,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
     whiteness = _measure_whiteness(after, stretches)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     quantile = find_quantile(int(kept.sum()) - 2)
-    reach = quantile * np.sqrt(np.diag(spread)) * _widen_for_runs(whiteness)
+    reach = quantile * np.sqrt(np.diag(spread)) * widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
     is_noise = np.abs(whiteness - 1.0) < _WHITE
     is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
@@ -259,12 +261,6 @@ def _measure_whiteness(left: Values, stretches: list[slice]) -> Values:
         changes += (np.diff(part, axis=0) ** 2).sum(axis=0) / (len(part) - 1)
         squares += (part**2).sum(axis=0) / len(part)
     return np.where(squares > 0.0, changes / np.maximum(2.0 * squares, 1e-300), 1.0)
-
-
-def _widen_for_runs(whiteness: Values) -> Values:
-    """Return by how much errors that hang on the one before spread more than independent ones."""
-    alike = np.clip(1.0 - whiteness, 0.0, 0.99)
-    return np.asarray(np.sqrt((1.0 + alike) / (1.0 - alike)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

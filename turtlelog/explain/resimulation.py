@@ -11,7 +11,7 @@ from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.replay import PoseError
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import CommandQueue, Sample, iterate_ticks
 
@@ -45,7 +45,7 @@ def list_rows(trace: Trace) -> list[Row | None]:
         trace.heading_rad,
         trace.speed_m_s,
         trace.turn_rate_rad_s,
-        samples.phase,
+        np.array(trace.run.phase_names)[samples.phase],
     ]
     if trace.has_ticks:
         columns.append(_number_poses(trace))
@@ -93,7 +93,7 @@ def _describe(sample: Sample) -> Row:
     return (
         sample.speed_m_s,
         sample.turn_rate_rad_s,
-        int(sample.decision.phase),
+        sample.decision.phase,
         sample.pose_sequence,
         sample.time_ns,
     )
@@ -133,11 +133,25 @@ def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
         left = np.flatnonzero(trace.number < len(again.samples))
         yield left, trace.number[left]
         return
-    for phase in Phase:
-        left = np.flatnonzero(trace.run.samples.phase == phase)
-        right = np.flatnonzero(again.samples.phase == phase)
+    logged = np.array(trace.run.phase_names)[trace.run.samples.phase]
+    simulated = np.array(again.phase_names)[again.samples.phase]
+    for phase in trace.run.phase_names:
+        left, right = np.flatnonzero(logged == phase), np.flatnonzero(simulated == phase)
         count = min(len(left), len(right))
         yield left[:count], right[:count]
+
+
+def find_end_s(trace: Trace, scenario: Scenario, samples: int) -> float:
+    """Return the time of a simulation at which the log ends, whose samples it reproduces [s]."""
+    run = trace.run
+    if trace.has_exact_clock and trace.has_ticks:
+        return max(float(run.end_ns - run.poses.time_ns[0]) / 1e9, TICK_S)
+    computed = 0
+    for tick in iterate_ticks(scenario):
+        computed += len(tick.computed)
+        if computed >= samples:
+            return max(tick.time_ns / 1e9, TICK_S)
+    return scenario.max_duration_s
 
 
 def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:

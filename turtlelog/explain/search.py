@@ -18,14 +18,12 @@ from turtlelog.explain.open_loop import (
     drive_plant,
     join_starts,
 )
-from turtlelog.explain.resimulation import Row, count_equal, list_rows
+from turtlelog.explain.resimulation import Row, count_equal, find_end_s, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.measure.dead_time import CERTAIN
-from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
-from turtlelog.run import Phase
+from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
-from turtlelog.simulate import iterate_ticks
 
 _MOST_TICKS: Final = 150_000
 """Ticks that are simulated where none is exact, some four seconds' worth."""
@@ -42,6 +40,8 @@ _OFF_GRID: Final = 0.02
 """How far a logged value may be off its step, in steps: rounded to 32 bits after it."""
 
 _DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
+
+_PAUSE: Final = "law.pause_ticks"
 
 START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
@@ -65,6 +65,7 @@ class Fits:
         reproduced: Samples that the likeliest reproduces, from the first one on.
         tried: How many were simulated.
         ranges: The values of each key among the settings tried, in ascending order.
+        is_driven: Whether the plant was driven with the log's commands, and no law was asked.
         hidden: Keys whose value makes no difference in this run.
         bounds: Of the start, where what is left is the rounding of poses alone.
     """
@@ -77,6 +78,7 @@ class Fits:
     reproduced: int
     tried: int
     ranges: Mapping[str, tuple[Any, ...]]
+    is_driven: bool = False
     hidden: frozenset[str] = frozenset()
     bounds: StartBounds | None = None
 
@@ -99,7 +101,7 @@ def search_loop(
     trace: Trace,
     known: Settings,
     hints: Hints,
-    dead_times: Mapping[Phase, DeadTime | Missing],
+    dead_times: Sequence[DeadTime | Missing],
 ) -> Fits:
     """Return the settings of the loop that reproduce a log, with `known` for all others.
 
@@ -107,9 +109,15 @@ def search_loop(
     a pause or a backlog that the clock contradicts.
     Where nothing is exact, the plant is driven with the log's own commands, and the settings that
     explain the motion best are returned.
+
+    Args:
+        trace: The samples.
+        known: Values by key of the scenario.
+        hints: What time stamps and pose numbers say.
+        dead_times: Of the loops, in the order in which they act; at least one.
     """
     search = _Search(trace, known, hints)
-    tiers = list_queues(trace, hints, dead_times[Phase.ROTATE], dead_times[Phase.TRANSLATE])
+    tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
     found = search.find_in_tiers(tiers)
     if found is None:
         likeliest = search.find_likeliest(next(filter(None, tiers)))
@@ -117,6 +125,13 @@ def search_loop(
         search.to_rounding = found is None
         found = found or search.find_in_tiers(tiers) or likeliest
     return found
+
+
+def drive_loop(trace: Trace, hints: Hints, dead_times: Sequence[DeadTime | Missing]) -> Fits:
+    """Return the settings with which the log's own commands move the plant best. Asks no law."""
+    search = _Search(trace, {}, hints)
+    tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
+    return search.drive_only([guess for tier in tiers for guess in tier])
 
 
 class _Search:
@@ -129,8 +144,10 @@ class _Search:
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
         self._trace, self._known, self._hints = trace, dict(known), hints
         self._rows = list_rows(trace)
-        pauses = hints.pauses
-        self._near = [p for p in pauses if agrees_with_clock(p, hints, trace)] or pauses
+        # A law without a known pause has none to search for.
+        self._pauses = pauses = hints.pauses or (None,)
+        near = [pause for pause in hints.pauses if agrees_with_clock(pause, hints, trace)]
+        self._near: Sequence[int | None] = near or pauses
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = self._simulated = 0
         self._values: dict[str, set[Any]] = {}
@@ -140,7 +157,9 @@ class _Search:
         """Return the scenario of a guess."""
         values = {"name": self._trace.run.name, **self._known, **guess, **more}
         values.setdefault("max_duration_s", self._most_s)
-        return build_scenario(nest_parameters(values), source=self._trace.run.name)
+        # Whoever searches with a law may run it.
+        tables = nest_parameters(values)
+        return build_scenario(tables, source=self._trace.run.name, trust_law=True)
 
     def find_in_tiers(self, tiers: Sequence[Sequence[Guess]]) -> Fits | None:
         """Return the settings that reproduce every sample, None where none does."""
@@ -163,14 +182,14 @@ class _Search:
 
     def find_exact(self, queues: Sequence[Guess]) -> list[_Exact]:
         """Return the settings that reproduce every sample, of them those nearest to the clock."""
-        self._note_values(queues, self._hints.pauses)
-        first, rotation = self._hints.pauses[0], self._list_rotation()
+        self._note_values(queues, self._pauses)
+        first, rotation = self._pauses[0], self._list_rotation()
         alike = [
             guess
             for guess in queues
             if self._count(_pause(guess, first), rotation) >= len(rotation)
         ]
-        guesses = [_pause(guess, pause) for pause, guess in product(self._hints.pauses, alike)]
+        guesses = [_pause(guess, pause) for pause, guess in product(self._pauses, alike)]
         guesses.sort(key=self.contradict_clock)
         for _, group in groupby(guesses, key=self.contradict_clock):
             counted = [(guess, self._count(guess, self._rows)) for guess in group]
@@ -182,7 +201,7 @@ class _Search:
     def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
         """Return whether time stamps and pose numbers contradict the pause, and the backlog."""
         return (
-            guess["law.pause_ticks"] not in self._near,
+            guess.get(_PAUSE) not in self._near,
             guess["loop.start_backlog"] not in self._hints.backlogs,
         )
 
@@ -225,6 +244,24 @@ class _Search:
         drives = [drive for guess, drive in driven if guess in agreeing]
         return self._build_nearest(agreeing, join_starts(drives))
 
+    def drive_only(self, queues: Sequence[Guess]) -> Fits:
+        """Return the settings with which the log's commands move the plant as logged, by no law."""
+        self._note_values(queues, self._pauses)
+        driven = self._drive(queues, self._pauses, rows=None)
+        least = min((self.contradict_clock(guess) for guess, _ in driven), default=(False, False))
+        agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
+        drives = [drive for _, drive in agreeing]
+        return Fits(
+            guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
+            scenarios=(),
+            is_exact=False,
+            drive=join_starts(drives) if drives else None,
+            reproduced=0,
+            tried=self._tried,
+            ranges=self._list_ranges(),
+            is_driven=True,
+        )
+
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
         """Return the settings that reproduce every sample from a start that is no 32-bit float.
 
@@ -246,10 +283,11 @@ class _Search:
         return replace(found, bounds=fits.bounds)
 
     def _drive(
-        self, guesses: Sequence[Guess], pauses: Sequence[int], *, rows: int | None
+        self, guesses: Sequence[Guess], pauses: Sequence[int | None], *, rows: int | None
     ) -> list[tuple[Guess, Drive]]:
         """Return the settings that fit alike best, the best first."""
-        ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks + pauses[0]
+        ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks
+        ticks += pauses[0] or 0
         tried = [
             _pause(guess, pause) for pause, guess in product(pauses, [_unpause(g) for g in guesses])
         ][: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
@@ -283,10 +321,11 @@ class _Search:
             ranges=self._list_ranges(),
         )
 
-    def _note_values(self, guesses: Sequence[Guess], pauses: Sequence[int]) -> None:
+    def _note_values(self, guesses: Sequence[Guess], pauses: Sequence[int | None]) -> None:
         for key, value in (pair for guess in guesses for pair in guess.items()):
             self._values.setdefault(key, set()).add(value)
-        self._values.setdefault("law.pause_ticks", set()).update(pauses)
+        if self._hints.pauses:
+            self._values.setdefault(_PAUSE, set()).update(pauses)
 
     def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
         return {key: tuple(sorted(values)) for key, values in self._values.items()}
@@ -318,18 +357,8 @@ class _Search:
         """Let a scenario end with the log where the log was cut, else leave it the usual time."""
         if not goes_on:
             return replace(scenario, max_duration_s=max(_USUAL_S, ceil(self._most_s)))
-        return replace(scenario, max_duration_s=self._find_end_s(scenario))
-
-    def _find_end_s(self, scenario: Scenario) -> float:
-        run = self._trace.run
-        if self._trace.has_exact_clock and self._trace.has_ticks:
-            return max(float(run.end_ns - run.poses.time_ns[0]) / 1e9, TICK_S)
-        samples = 0
-        for tick in iterate_ticks(scenario):
-            samples += len(tick.computed)
-            if samples >= len(self._rows):
-                return max(tick.time_ns / 1e9, TICK_S)
-        return scenario.max_duration_s
+        end_s = find_end_s(self._trace, scenario, len(self._rows))
+        return replace(scenario, max_duration_s=end_s)
 
 
 def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -338,9 +367,9 @@ def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float
     return x_m, y_m, wrap_angle(pose[2])
 
 
-def _pause(guess: Guess, ticks: int) -> Guess:
-    return {**guess, "law.pause_ticks": ticks}
+def _pause(guess: Guess, ticks: int | None) -> Guess:
+    return guess if ticks is None else {**guess, _PAUSE: ticks}
 
 
 def _unpause(guess: Guess) -> Guess:
-    return {key: value for key, value in guess.items() if key != "law.pause_ticks"}
+    return {key: value for key, value in guess.items() if key != _PAUSE}

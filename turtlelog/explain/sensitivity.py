@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.explain.attribution import StartRange
-from turtlelog.explain.game import Game
-from turtlelog.explain.shapley import compute_shares, list_coalitions
+from turtlelog.explain.shapley import Game, compute_shares, list_coalitions
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run

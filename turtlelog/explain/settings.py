@@ -14,6 +14,9 @@ from turtlelog.explain.trace import Trace
 
 _HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
 
+_QUEUES: Final = ("loop.queue_policy", "loop.command_queue", "loop.pose_queue")
+"""Settings whose one value was not read off the clock, but is the usual one."""
+
 _PERIOD: Final = "the usual distance of the poses answered"
 
 
@@ -22,14 +25,18 @@ def describe_loop(trace: Trace, fits: Fits) -> dict[str, Finding]:
 
     Where nothing is exact and no noise explains it, what fits best is no finding.
     """
+    keys = [key for key in LOOP_KEYS if key in fits.guesses[0]]
     poses = np.column_stack([trace.xy_m, trace.heading_rad])
     if not np.ptp(poses, axis=0).any():
         reason = "the robot never moves in this log"
-        findings = {key: miss(reason, fits.guesses[0][key]) for key in LOOP_KEYS}
+        findings = {key: miss(reason, fits.guesses[0][key]) for key in keys}
         return {**findings, "lost_commands": miss(reason)}
-    findings = {key: _describe_setting(trace, fits, key) for key in LOOP_KEYS}
+    findings = {key: _describe_setting(trace, fits, key) for key in keys}
+    for key in _QUEUES:
+        if fits.is_driven and len(fits.ranges[key]) == 1:
+            findings[key] = miss("no other value was tried", fits.guesses[0][key])
     findings["lost_commands"] = _describe_lost(fits)
-    if not trace.shows_pause:
+    if "law.pause_ticks" in keys and not trace.shows_pause:
         assumed = fits.guesses[0]["law.pause_ticks"]
         seen = f": at least {assumed - 1} ticks" if assumed else ""
         findings["law.pause_ticks"] = miss(f"the log does not show the end of it{seen}", assumed)
@@ -115,6 +122,8 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
         also = "; so does a command queue of 1" if chosen == "newest" else ""
         return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
     evidence = f"likeliest of {fits.tried} settings; none is exact"
+    if fits.is_driven:
+        evidence = f"likeliest of {fits.tried} settings, the plant driven with the log's commands"
     if fits.is_close:
         evidence = f"reproduces all {len(trace)} samples to rounding, none bit for bit"
     is_number = isinstance(chosen, int)
@@ -128,7 +137,8 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
 
 def _describe_lost(fits: Fits) -> Finding:
     if not fits.is_exact:
-        return miss("no setting reproduces every sample")
+        never = "no setting reproduces every sample"
+        return miss("only a re-simulation tells" if fits.is_driven else never)
     counts = sorted({count_lost_commands(scenario) for scenario in fits.scenarios})
     if len(counts) > 1:
         return Finding(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import ExplainError
 from turtlelog.plants.turtlesim import TICK_NS
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
 
 Values = NDArray[np.float64]
 
@@ -39,8 +39,9 @@ class Trace:
         heading_rad: Of the pose read [rad], shape (n,).
         speed_m_s: Published [m/s], shape (n,).
         turn_rate_rad_s: Published [rad/s], shape (n,).
-        rotating: How many samples the rotation has, from the first one.
-        translating: How many samples the translation after it has.
+        rotating: How many samples the first phase has, from the first one: of sequential-p the
+            rotation. All of a law whose phases are not known.
+        translating: How many samples the phase after it has: of sequential-p the translation.
         goal_xy_m: Goal position [m], None where the log does not tell.
         period_ticks: Ticks between the poses that are answered.
         has_exact_clock: Whether times are simulated: whole ticks.
@@ -77,8 +78,12 @@ class Trace:
 
     @property
     def bearing_rad(self) -> float:
-        """The goal bearing, as logged [rad]: noise may have hidden the pose that gave it."""
-        return float(self.run.samples.bearing_rad[0])
+        """The goal bearing, as logged [rad]: noise may have hidden the pose that gave it.
+
+        NaN where the log holds none.
+        """
+        logged = self.run.samples.bearing_rad
+        return math.nan if logged is None else float(logged[0])
 
     @property
     def grain_m(self) -> float:
@@ -107,8 +112,12 @@ class Trace:
         return [(row + 1, int(steps[row]) - 1) for row in np.flatnonzero(steps > 1).tolist()]
 
 
-def trace_run(run: Run) -> Trace:
+def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
     """Return the samples of a run, one after the other.
+
+    Args:
+        run: With samples.
+        phases: The two that follow each other in it; None: of a law whose phases are not known.
 
     Raises:
         ExplainError: Where it holds none.
@@ -120,8 +129,11 @@ def trace_run(run: Run) -> Trace:
             f" {run.source}"
         )
     read = samples.pose_sequence
-    phase = samples.phase
-    rotating = _count_leading(phase == Phase.ROTATE)
+    rotating, translating = len(samples), 0
+    if phases is not None:
+        names = np.array(run.phase_names)[samples.phase]
+        rotating = _count_leading(names == phases[0])
+        translating = _count_leading(names[rotating:] == phases[1])
     has_ticks = _has_ticks(run)
     return Trace(
         run=run,
@@ -133,7 +145,7 @@ def trace_run(run: Run) -> Trace:
         speed_m_s=samples.speed_m_s,
         turn_rate_rad_s=samples.turn_rate_rad_s,
         rotating=rotating,
-        translating=_count_leading(phase[rotating:] == Phase.TRANSLATE),
+        translating=translating,
         goal_xy_m=_find_goal(run),
         period_ticks=_find_period(run),
         has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % TICK_NS).any(),
@@ -181,6 +193,8 @@ def _find_goal(run: Run) -> tuple[float, float] | None:
     if run.goal_xy_m is not None:
         return run.goal_xy_m
     samples = run.samples
+    if samples.error_xy_m is None or samples.bearing_rad is None:
+        return None
     reached = np.median(run.poses.xy_m[samples.pose_sequence] + samples.error_xy_m, axis=0)
     x_m, y_m = np.round(reached, _FIRST_DIGITS).tolist()
     first_x_m, first_y_m = run.poses.xy_m[samples.pose_sequence[0]].tolist()

@@ -4,7 +4,6 @@ import math
 from typing import Final
 
 from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet
-from turtlelog.explain.mechanisms import EFFECTS, MECHANISMS
 
 _NAMED: Final = 0.1
 """Of the sum of the shares' magnitudes: a mechanism with a larger share is named, and so is what
@@ -29,6 +28,7 @@ def write_sentences(found: Attribution) -> tuple[str, ...]:
         sentences += [*found.doubts, *(_write_alone(found, other) for other in found.others)]
     if found.left:
         sentences += [f"{_capitalise(_join(found.left))} {_be(found.left)} left as built."]
+    sentences += found.remarks
     return tuple(filter(None, sentences))
 
 
@@ -78,7 +78,7 @@ def _name_set(found: Attribution, case: ValueSet) -> str:
 
 def _write_cause(found: Attribution) -> str:
     if not found.players:
-        return f"None of the effects is in this run: {_join(EFFECTS)}."
+        return f"None of the effects is in this run: {_join(found.effects)}."
     if not found.acting:
         return f"Without {_join(found.players, 'or')} it is the same."
     largest = max(abs(share.share or 0.0) for share in found.shares)
@@ -169,8 +169,7 @@ def _write_remainder(found: Attribution) -> str:
 
 def _write_alone(found: Attribution, other: Share) -> str:
     built = found.as_built or 0.0
-    meaning = MECHANISMS[other.mechanism].meaning
-    without = f"Re-simulated without {other.mechanism} alone ({meaning})"
+    without = f"Re-simulated without {other.mechanism} alone ({other.meaning})"
     if other.alone is None:
         return f"{without} it has no value: {other.ending}."
     change = abs(other.alone - built)

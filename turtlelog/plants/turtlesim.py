@@ -37,6 +37,8 @@ class Plant:
         period_ns: One step [ns].
         low_m: The least coordinate of start and goal [m].
         high_m: The largest [m].
+        watchdog_ns: The plant stops when more than this has passed since it last took a command
+            [ns], whatever its period.
         steps_per_tick: Steps that take as long as one tick of the plant as it is; 1 but for a finer
             clock.
     """
@@ -45,6 +47,7 @@ class Plant:
     period_ns: int
     low_m: float
     high_m: float
+    watchdog_ns: int
     steps_per_tick: int = 1
 
     @property
@@ -60,7 +63,13 @@ class Plant:
         return replace(self, period_ns=period_ns, steps_per_tick=self.steps_per_tick * times)
 
 
-TURTLESIM: Final = Plant(name="turtlesim", period_ns=TICK_NS, low_m=0.0, high_m=WORLD_SIZE_M)
+TURTLESIM: Final = Plant(
+    name="turtlesim",
+    period_ns=TICK_NS,
+    low_m=0.0,
+    high_m=WORLD_SIZE_M,
+    watchdog_ns=WATCHDOG_NS,
+)
 """turtlesim as it is."""
 
 
@@ -81,6 +90,7 @@ class Turtle:
         "_period_ns",
         "_period_s",
         "_teleports",
+        "_watchdog_ns",
         "_x_m",
         "hit_wall",
         "lateral_speed_m_s",
@@ -99,9 +109,11 @@ class Turtle:
     ) -> None:
         """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does.
 
-        Unless `is_rounded`: then it stands there since it moved before. `plant` tells its period.
+        Unless `is_rounded`: then it stands there since it moved before. The `plant` says how long a
+        step is.
         """
         self._period_ns, self._period_s = plant.period_ns, plant.period_s
+        self._watchdog_ns = plant.watchdog_ns
         self._x_m, self._down_m, self._heading_rad = x_m, WORLD_SIZE_M - y_m, heading_rad
         if is_rounded:
             self._x_m = round_to_float32(x_m)
@@ -136,7 +148,7 @@ class Turtle:
             self._apply_teleports()
         period_s = self._period_s
         self._idle_ns += self._period_ns
-        if self._idle_ns > WATCHDOG_NS:
+        if self._idle_ns > self._watchdog_ns:
             self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
         heading_rad = self._heading_rad + self.turn_rate_rad_s * period_s
         heading_rad -= _TWO_PI * floor((heading_rad + _PI) / _TWO_PI)

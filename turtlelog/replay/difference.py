@@ -112,7 +112,7 @@ def _subtract(pairing: Pairing) -> tuple[NDArray[np.float64], NDArray[np.bool_]]
     if pairing.kind == "label":
         differs = np.not_equal(recorded, replayed)
         return differs.astype(np.float64), np.zeros_like(differs)
-    missing = np.isnan(recorded), np.isnan(replayed)  # type: ignore[arg-type]
+    missing = np.isnan(recorded), np.isnan(replayed)
     with np.errstate(over="ignore", invalid="ignore"):
         apart: NDArray[np.float64] = np.subtract(replayed, recorded, dtype=np.float64)
         apart = np.abs(wrap_angle(apart) if pairing.kind == "angle" else apart)

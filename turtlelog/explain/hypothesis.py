@@ -1,0 +1,258 @@
+"""The recorded scenario as a hypothesis, and what the samples of any law say of its loop.
+
+Nothing here knows a law. A re-simulation of the recorded scenario either reproduces every sample or
+stands for nothing; dead times, limits and queues come from poses, commands and the clock.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.errors import SimulationError
+from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
+from turtlelog.explain.identification import (
+    DEAD_TIME,
+    LAW_KEYS,
+    LOOP_KEYS,
+    Identification,
+)
+from turtlelog.explain.loop import read_hints
+from turtlelog.explain.resimulation import (
+    Resimulation,
+    compare_samples,
+    count_equal,
+    find_end_s,
+    list_rows,
+)
+from turtlelog.explain.search import Fits, drive_loop, search_loop
+from turtlelog.explain.settings import describe_loop
+from turtlelog.explain.start import describe_goal, describe_start
+from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
+from turtlelog.explain.trace import Trace, Values, trace_run
+from turtlelog.laws import LAWS
+from turtlelog.loops import PAUSE, RESERVED, ControlLoop
+from turtlelog.measure import DeadTime, Missing, find_dead_time
+from turtlelog.run import CUT_SHORT, Run
+from turtlelog.scenario import (
+    DEFAULT_LAW,
+    Scenario,
+    flatten_scenario,
+    resolve_scenario,
+    restore_scenario,
+)
+from turtlelog.simulate import simulate_run
+
+LONGEST_S: Final = 3600.0
+"""Longer runs are not simulated again: 225,000 ticks take some five seconds each time."""
+
+_COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
+"""What may act in a phase without loops, with a signal and a reference that it goes with."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedScenario:
+    """The scenario that a run holds, tested.
+
+    Attributes:
+        scenario: Ends where the log does; None where it does not reproduce every sample.
+        run: Simulated again; None likewise.
+        resimulation: How that compares with the log; None likewise.
+        reach: How far it reproduces the log, or why it was not simulated, in one clause.
+    """
+
+    scenario: Scenario | None = None
+    run: Run | None = None
+    resimulation: Resimulation | None = None
+    reach: str
+
+
+def require_trust(run: Run, *, trust_law: bool) -> None:
+    """Refuse the law of a run with its whole scenario that is neither built in nor trusted.
+
+    Raises:
+        ScenarioError: With its name and how to trust it; where it is trusted, why it cannot run.
+    """
+    if run.scenario_is_complete and run.parameters.get("law.kind", DEFAULT_LAW) not in LAWS:
+        resolve_scenario(restore_scenario(run), trust_law=trust_law)
+
+
+def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> RecordedScenario:
+    """Simulate the scenario that a run holds, and compare it with the log sample by sample.
+
+    Raises:
+        ScenarioError: Where the law may not run, or cannot.
+    """
+    length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
+    if length_s > LONGEST_S:
+        reach = f"it lasts {length_s:.0f} s; up to {LONGEST_S:.0f} s are simulated again"
+        return RecordedScenario(reach=reach)
+    scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
+    rows = list_rows(trace)
+    try:
+        count = count_equal(scenario, rows, to_rounding=True)
+        if count < len(rows):
+            return RecordedScenario(reach=_describe_reach(trace, count))
+        if count > len(rows):
+            end_s = find_end_s(trace, scenario, len(rows))
+            scenario = replace(scenario, max_duration_s=end_s)
+        again = simulate_run(scenario)
+    except SimulationError as err:
+        return RecordedScenario(reach=f"the recorded scenario cannot be simulated again: {err}")
+    return RecordedScenario(
+        scenario=scenario,
+        run=again,
+        resimulation=compare_samples(trace, again),
+        reach=f"the recorded scenario reproduces all {len(trace)} samples",
+    )
+
+
+def _describe_reach(trace: Trace, equal: int) -> str:
+    row = int(np.searchsorted(trace.number, equal))
+    at_s = float(trace.time_ns[row] - trace.run.start_ns) / 1e9
+    return (
+        f"the recorded scenario reproduces the first {row:,} samples and departs at {at_s:.3f} s:"
+        " nothing is claimed of the law"
+    )
+
+
+def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identification:
+    """Return what a log tells of the loop around a law whose parameters are not identified.
+
+    Args:
+        run: With samples.
+        reason: Why they are not, in one clause.
+        trust_law: Whether the law that it names may run.
+    """
+    kind = str(run.parameters.get("law.kind", DEFAULT_LAW))
+    trace = mark_breaks(trace_run(run))
+    motion = space_out(trace)
+    dead_times = find_dead_times(motion)
+    recorded = _check_if_allowed(run, trace, kind, trust_law=trust_law)
+    fits = _fit_loop(trace, recorded, [*dead_times.values()])
+    findings = {
+        **{key: miss(reason) for key in (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")},
+        **{
+            f"{DEAD_TIME}{name}": describe_dead_time(found, motion, run)
+            for name, found in dead_times.items()
+        },
+        **describe_goal(trace),
+        **_describe_limits(run),
+        **describe_loop(trace, fits),
+        "loop.pose_precision": describe_start(trace, fits)["loop.pose_precision"],
+        "stop_reason": _describe_stop(run, recorded),
+    }
+    return Identification(
+        name=run.name,
+        findings=MappingProxyType(findings),
+        resimulation=recorded.resimulation,
+        scenario=recorded.scenario,
+        is_recorded=recorded.scenario is not None,
+        law=kind,
+        tried=fits.ranges,
+        notes=(*describe_breaks(trace), *filter(None, (reason, recorded.reach))),
+    )
+
+
+def _check_if_allowed(run: Run, trace: Trace, kind: str, *, trust_law: bool) -> RecordedScenario:
+    if not run.scenario_is_complete:
+        return RecordedScenario(reach="")
+    if not trust_law and kind not in LAWS:
+        return RecordedScenario(
+            reach="the recorded scenario is not tested, as the code of its law is not trusted"
+        )
+    return check_recorded_scenario(run, trace, trust_law=trust_law)
+
+
+def _fit_loop(
+    trace: Trace, recorded: RecordedScenario, dead_times: Sequence[DeadTime | Missing]
+) -> Fits:
+    """Return the settings that reproduce the log, by its law where that is known, else by none."""
+    hints = replace(read_hints(trace), pauses=())
+    scenario = recorded.scenario
+    if scenario is not None:
+        known = flatten_scenario(scenario)
+        fits = search_loop(
+            trace,
+            {key: known[key] for key in known if key not in {"name", "max_duration_s"}},
+            hints,
+            dead_times,
+        )
+        if fits.is_exact or fits.is_close:
+            return fits
+    return drive_loop(trace, hints, dead_times)
+
+
+def find_dead_times(run: Run) -> dict[str, DeadTime | Missing]:
+    """Return the dead time of each loop; by phase where the law declares no loops."""
+    loops = run.declaration.loops
+    if loops:
+        return {loop.name: find_dead_time(run, loop) for loop in loops}
+    names = [name for name in run.declaration.phases if name != PAUSE]
+    return {phase: _find_dead_time_of_phase(run, phase) for phase in names}
+
+
+def _find_dead_time_of_phase(run: Run, phase: str) -> DeadTime | Missing:
+    """Return the dead time of the turn rate in a phase, or where that tells none of the speed."""
+    name = f"{phase}-loop" if phase in RESERVED else phase
+    found: list[DeadTime | Missing] = []
+    for command, signal, reference in _COMMANDS:
+        loop = ControlLoop(name=name, signal=signal, command=command, reference=reference)
+        phases = {one: (name,) if one == phase else () for one in run.declaration.phases}
+        declaration = replace(run.declaration, loops=(loop,), phases=phases)
+        found.append(find_dead_time(replace(run, declaration=declaration), loop))
+    return next((one for one in found if isinstance(one, DeadTime)), found[0])
+
+
+def describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Finding:
+    """Return a dead time as a finding; `motion` is the run with its gaps spaced out."""
+    if isinstance(found, Missing):
+        return miss(found.reason)
+    changed = ""
+    for change in found.changes:
+        row = int(np.searchsorted(motion.poses.time_ns, change.time_ns))
+        changed += f"; {change.before} until {run.poses.time_ns[row] / 1e9:.2f} s"
+    if found.is_exact:
+        return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
+    return Finding(
+        value=found.ticks,
+        certainty=Certainty.FITTED,
+        evidence=f"least squares; the next best leaves {found.margin:.3g} times",
+        interval=(found.ticks, found.ticks),
+    )
+
+
+def _describe_limits(run: Run) -> dict[str, Finding]:
+    samples = run.samples
+    sides: dict[str, tuple[Values | None, Values]] = {
+        "limits.speed_m_s": (samples.wanted_speed_m_s, samples.speed_m_s),
+        "limits.turn_rate_rad_s": (samples.wanted_turn_rate_rad_s, samples.turn_rate_rad_s),
+    }
+    return {key: _describe_limit(*columns) for key, columns in sides.items()}
+
+
+def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
+    """Return where commands are clipped, which those that the law wanted show."""
+    largest = float(np.abs(sent).max())
+    seen = f"the largest of {len(sent)} commands is {largest:.4g}"
+    if wanted is None:
+        return miss(f"{seen}; what the law wanted is not logged")
+    clipped = wanted != sent
+    if not clipped.any():
+        return miss(f"no command is clipped; {seen}")
+    if not np.array_equal(np.clip(wanted, -largest, largest), sent):
+        return miss(f"no one limit makes the commands of those that the law wanted; {seen}")
+    return find_exactly(largest, f"{int(clipped.sum())} of {len(sent)} commands stand there")
+
+
+def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
+    again: Any = None if recorded.run is None else recorded.run.stop_reason
+    if again is None:
+        return miss("only a re-simulation tells which rule of the law ended the run")
+    if run.stop_reason is None or run.stop_reason in CUT_SHORT:
+        return miss("the run was cut")
+    if again != run.stop_reason:
+        return miss(f"recorded {run.stop_reason}, simulated again {again}")
+    return find_exactly(again, "as recorded; the re-simulation ends so as well")
