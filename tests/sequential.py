@@ -1,7 +1,13 @@
-"""The phases of the sequential law by the number that samples hold, and what the law declares."""
+"""The sequential law in numbers and names: its phases as samples hold them, its metrics."""
 
+from typing import Final
+
+import turtlelog as tl
 from turtlelog.laws.sequential_p import DECLARATION
 
-__all__ = ["DECLARATION", "DONE", "PAUSE", "ROTATE", "TRANSLATE"]
+__all__ = ["DECLARATION", "DONE", "ESSENTIAL_METRICS", "METRICS", "PAUSE", "ROTATE", "TRANSLATE"]
 
 ROTATE, PAUSE, TRANSLATE, DONE = range(len(DECLARATION.phase_names))
+
+METRICS: Final = tl.list_metrics(DECLARATION)
+ESSENTIAL_METRICS: Final = tl.list_essential_metrics(DECLARATION)

@@ -110,6 +110,10 @@ from .log import (
     write_columns as write_columns,
     write_recording as write_recording,
 )
+from .loops import (
+    ControlLoop as ControlLoop,
+    Declaration as Declaration,
+)
 from .measure import (
     METRICS as METRICS,
     SIGNALS as SIGNALS,
@@ -123,13 +127,9 @@ from .measure import (
     list_metrics as list_metrics,
     list_signals as list_signals,
     measure_run as measure_run,
-    suggest_metrics as suggest_metrics,
     read_reference_path as read_reference_path,
     read_signal as read_signal,
-)
-from .loops import (
-    ControlLoop as ControlLoop,
-    Declaration as Declaration,
+    suggest_metrics as suggest_metrics,
 )
 from .replay import (
     LawReplay as LawReplay,

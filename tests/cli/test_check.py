@@ -9,6 +9,7 @@ import pytest
 import turtlelog as tl
 from tests.check.artifact_files import read_mark
 from tests.cli.conftest import Call
+from tests.sequential import METRICS
 
 SPEC = """format = 1
 [checks.overshoot]
@@ -68,7 +69,7 @@ def test_junit_has_cases_and_every_metric(
     root = Xml.parse(target).getroot()
     assert (root.get("tests"), root.get("failures"), root.get("skipped")) == ("4", "1", "1")
     suites = root.findall("testsuite")
-    assert [len(suite.findall("properties/property")) for suite in suites] == [len(tl.METRICS)] * 2
+    assert [len(suite.findall("properties/property")) for suite in suites] == [len(METRICS)] * 2
     failure = suites[1].find("testcase/failure")
     assert failure is not None
     assert failure.text is not None

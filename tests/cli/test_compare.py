@@ -6,6 +6,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.sequential import METRICS
 
 TOLERANCES = """
 format = 1
@@ -51,7 +52,7 @@ def test_runs_beside_each_other_as_json(call: Call, kp4: Path, kp10: Path) -> No
     (run,) = answer["runs"]
     assert (run["file"], run["name"], run["overlap_s"]) == (str(kp4), "paper-kp4", None)
     assert run["parameters"]["law.kp_linear"] == 4.0
-    assert [metric["id"] for metric in run["metrics"]] == list(tl.METRICS)
+    assert [metric["id"] for metric in run["metrics"]] == list(METRICS)
 
 
 def test_marks_stand_in_json(call: Call, kp4: Path, kp10: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.sequential import ESSENTIAL_METRICS, METRICS
 
 
 def test_a_newcomer_sees_the_essential_metrics_and_where_the_others_are(
@@ -15,14 +16,14 @@ def test_a_newcomer_sees_the_essential_metrics_and_where_the_others_are(
 ) -> None:
     out = call("metrics", kp4).out
     shown = [line.split()[0] for line in out.splitlines() if re.match(r"[a-z]+\.[a-z]", line)]
-    assert tuple(shown) == tuple(name for name in tl.METRICS if name in tl.ESSENTIAL_METRICS)
-    assert f"{len(shown)} of {len(tl.METRICS)} metrics: --all shows every one" in out
+    assert tuple(shown) == tuple(name for name in METRICS if name in ESSENTIAL_METRICS)
+    assert f"{len(shown)} of {len(METRICS)} metrics: --all shows every one" in out
     assert max(map(len, out.splitlines())) <= 100
 
 
 def test_all_shows_every_metric_and_why_values_are_missing(call: Call, kp4: Path) -> None:
     out = call("metrics", kp4, "--all").out
-    assert all(re.search(rf"^{re.escape(name)} ", out, re.M) for name in tl.METRICS)
+    assert all(re.search(rf"^{re.escape(name)} ", out, re.M) for name in METRICS)
     assert "not_reached: the response does not overshoot twice." in out
     assert "--all" not in out
 
@@ -31,13 +32,13 @@ def test_only_takes_ids_and_patterns(call: Call, kp4: Path) -> None:
     (answer,) = call("metrics", kp4, "--json", "--only", "final.*, rotate.overshoot").json
     ids = [metric["id"] for metric in answer["metrics"]]
     assert ids[0] == "rotate.overshoot"
-    assert ids[1:] == [name for name in tl.METRICS if name.startswith("final.")]
+    assert ids[1:] == [name for name in METRICS if name.startswith("final.")]
 
 
 def test_json_holds_every_metric_and_when_it_was_taken(call: Call, kp10: Path) -> None:
     (answer,) = call("metrics", kp10, "--json").json
     metrics = {metric["id"]: metric for metric in answer["metrics"]}
-    assert list(metrics) == list(tl.METRICS)
+    assert list(metrics) == list(METRICS)
     assert metrics["rotate.overshoot"]["at_s"] == pytest.approx(2.336)
     assert metrics["rotate.decay_ratio"]["value"] is None
     assert metrics["rotate.decay_ratio"]["status"] == "not_reached"
@@ -49,7 +50,7 @@ def test_csv_has_a_row_per_file_with_full_precision(call: Call, kp4: Path, kp10:
     expected = tl.measure_run(tl.read_recording(kp10))["rotate.overshoot"].value
     assert float(rows[1]["rotate.overshoot [%]"]) == expected
     assert rows[1]["rotate.decay_ratio [1]"] == "not_reached"
-    assert len(rows[0]) == 2 + len(tl.METRICS)
+    assert len(rows[0]) == 2 + len(METRICS)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +77,7 @@ def test_seven_runs_show_the_same_metrics_as_six(call: Call, kp4: Path, tmp_path
     rows = [line.split(" | ") for line in call("metrics", *files, "--markdown").out.splitlines()]
     (titles,) = [row for row in rows if row[0] == "| run"]
     shown = [title.split(" ")[0] for title in titles[2:]]
-    assert shown == [name for name in tl.METRICS if name in tl.ESSENTIAL_METRICS]
+    assert shown == [name for name in METRICS if name in ESSENTIAL_METRICS]
 
 
 def test_runs_stand_in_order_of_their_gains(call: Call, kp4: Path, kp10: Path) -> None:
@@ -155,11 +156,11 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--band", "0"], "band: expected a share of the step > 0, found 0.0"),
         (["--band", "nan"], "band: expected a share of the step > 0, found nan"),
         (["--band", "wide"], '--band: unable to convert "wide" into float'),
-        (["--final", "end"], "--final: expected reference, last, a number or PHASE=VALUE"),
-        (["--final", "pause=1"], "final: expected a phase rotate or translate, found 'pause'"),
+        (["--final", "end"], "--final: expected reference, last, a number or LOOP=VALUE"),
+        (["--final", "pause=1"], "final: expected a loop rotate or translate, found 'pause'"),
         (["--final", "inf"], "final: expected 'reference', 'last' or a number, found inf"),
-        (["--initial", "last"], "--initial: expected a number or PHASE=VALUE,..., found 'last'"),
-        (["--initial", "rotate="], "--initial: expected a number or PHASE=VALUE,..., found ''"),
+        (["--initial", "last"], "--initial: expected a number or LOOP=VALUE,..., found 'last'"),
+        (["--initial", "rotate="], "--initial: expected a number or LOOP=VALUE,..., found ''"),
         (
             ["--dead-time", "-1"],
             "dead_time_ticks: expected a whole number from 0 to 1000, found -1",

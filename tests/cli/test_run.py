@@ -4,6 +4,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.sequential import METRICS
 
 
 def test_run_prints_metrics_and_writes_nothing_unasked(
@@ -30,7 +31,7 @@ def test_run_answers_in_json(call: Call, tmp_path: Path) -> None:
     assert answer["name"] == "textbook kp=2"
     assert answer["file"] == str(tmp_path / "a.mcap")
     assert answer["rrd"] is None
-    assert {metric["id"] for metric in answer["metrics"]} == set(tl.METRICS)
+    assert {metric["id"] for metric in answer["metrics"]} == set(METRICS)
 
 
 def test_options_apply_gains_then_goal_then_single_keys(call: Call, tmp_path: Path) -> None:

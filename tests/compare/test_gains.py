@@ -4,6 +4,7 @@ import pickle
 import pytest
 
 import turtlelog as tl
+from tests.sequential import METRICS
 from turtlelog.errors import CompareError
 
 RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.PAPER_RUNS]
@@ -42,7 +43,7 @@ def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.Monk
     from turtlelog.compare import gains
 
     for better, marks in (("higher", {0: "best", 2: "worst"}), (None, {})):
-        kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
+        kind = dataclasses.replace(METRICS["run.duration"], better=better)  # type: ignore[arg-type]
         monkeypatch.setattr(gains, "METRICS", {"run.duration": kind})
         assert tl.mark_metric(SUMMARIES, "run.duration") == marks
 
@@ -159,7 +160,7 @@ def test_a_table_is_made_of_the_metrics_that_it_names() -> None:
     needed = tl.list_needed_metrics(
         ["final.*", "law.kp_linear"], where="run.duration < 9 and x > 1", sort="-rotate.iae"
     )
-    finals = tuple(name for name in tl.METRICS if name.startswith("final."))
+    finals = tuple(name for name in METRICS if name.startswith("final."))
     assert needed == ("rotate.iae", *finals, "run.duration")
     assert tl.list_needed_metrics([]) == ()
 

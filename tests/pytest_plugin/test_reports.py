@@ -8,6 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 import turtlelog as tl
+from tests.sequential import METRICS
 from tests.check.artifact_files import read_mark
 from tests.pytest_plugin.conftest import run
 
@@ -103,7 +104,7 @@ def test_workers_tell_the_same_and_do_not_write_over_each_other(
     assert len(list((suite.path / "failed").glob("test_it-kp10-rotate.overshoot-*.rrd"))) == 2
     cases = Xml.parse(suite.path / "report.xml").getroot().findall("testsuite/testcase")
     counts = [len(case.findall("properties/property")) for case in cases]
-    assert counts == [1 + len(tl.METRICS)] * 6
+    assert counts == [1 + len(METRICS)] * 6
 
 
 IMPORT = """

@@ -87,7 +87,8 @@ def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | N
     if patterns is None or not summaries or any(found.metrics for found in summaries):
         return
     known = tl.list_metrics(*(found.declaration for found in summaries))
-    raise UsageError(f"--only: expected {tl.suggest_metrics(patterns[0], known)}")
+    near = tl.suggest_metrics(patterns[0], known)
+    raise UsageError(f"metric {patterns[0]!r}: expected {near}")
 
 
 def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, tell_more: bool) -> None:

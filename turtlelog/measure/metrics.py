@@ -106,7 +106,10 @@ def _choose(patterns: tuple[str, ...], declaration: Declaration) -> tuple[str, .
         if not found and find_metric_kind(pattern) is not None:
             found = [pattern]
         if not found and not _matches_any_loop(pattern):
-            raise MeasureError(f"metric {pattern!r}: expected {suggest_metrics(pattern, known)}")
+            loop = pattern.partition(".")[0]
+            like = [name.replace(ANY_LOOP, loop) for name in METRICS if loop not in RESERVED]
+            near = suggest_metrics(pattern, dict.fromkeys([*known, *like]))
+            raise MeasureError(f"metric {pattern!r}: expected {near}")
         chosen |= dict.fromkeys(found)
     others = (name for name in chosen if name not in known)
     return (*(name for name in known if name in chosen), *others)
