@@ -279,6 +279,6 @@ def test_a_phase_that_another_one_follows_has_come_to_its_end() -> None:
     spans = simulate("paper-kp4", max_duration_s=8.0).find_phase_spans()
     run = simulate("paper-kp4", max_duration_s=8.0)
     formula = parse_expression("always(abs(turn_rate) <= 1)")
-    windows = {span.phase.label: (span.start_ns, span.end_ns) for span in spans}
+    windows = {span.phase: (span.start_ns, span.end_ns) for span in spans}
     assert tl.check_run(run, formula, window_ns=windows["rotate"]).holds is True
     assert tl.check_run(run, formula, window_ns=windows["translate"]).holds is None

@@ -10,10 +10,12 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.check.test_mutations import build
-from turtlelog.check.moments import find_metric_violation, is_growing
+from turtlelog.check.moments import find_metric_violation
+from turtlelog.measure import list_metrics
 
 RUN = simulate("paper-kp10")
 METRICS = tl.measure_run(RUN)
+KINDS = list_metrics(RUN.declaration)
 
 
 def find(name: str, limit: float, operator: str = "<=") -> float | None:
@@ -55,8 +57,8 @@ def measure_parts(change: str) -> list[Mapping[str, tl.Metric]]:
 @pytest.mark.parametrize("change", ["gain", "lag", "wrong direction", "slow loop", "lost pose"])
 def test_what_grows_never_falls_while_a_run_goes_on(change: str) -> None:
     parts = measure_parts(change)
-    for name in tl.METRICS:
-        if not is_growing(name):
+    for name, kind in KINDS.items():
+        if not kind.grows:
             continue
         values = [part[name].value for part in parts]
         known = [value for value in values if value is not None]
@@ -73,7 +75,7 @@ def test_what_grows_never_falls_while_a_run_goes_on(change: str) -> None:
     ],
 )
 def test_what_may_fall_again_is_not_said_to_grow(name: str) -> None:
-    assert not is_growing(name)
+    assert not KINDS[name].grows
     values = [part[name].value for part in measure_parts("gain")]
     known = [value for value in values if value is not None]
     assert any(after < before for before, after in pairwise(known))

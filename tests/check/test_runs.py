@@ -209,7 +209,7 @@ def test_runs_that_do_not_overlap_fail_and_say_so(good: Path) -> None:
     )
     (result,) = check_runs(spec, [("a.mcap", simulate("paper-kp4", max_duration_s=1.0))])
     assert result.verdict is Verdict.FAIL
-    assert "expected a phase translate to align at, found none" in result.reason
+    assert "expected a phase translate to align at, found rotate" in result.reason
 
 
 def test_verdicts_join_to_the_worst() -> None:

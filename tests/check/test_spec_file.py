@@ -62,8 +62,8 @@ BAD = {
     "empty": ('format = 1\n[checks.a]\nexpect = " "', r"checks.a.expect: expected text, found ' '"),
     "number": ("format = 1\n[checks.a]\nexpect = 3", r"checks.a.expect: expected text, found 3"),
     "phase": (
-        'format = 1\n[checks.a]\nholds = "x > 0"\nphase = "rotat"',
-        r"checks.a.phase: expected rotate, found 'rotat'",
+        'format = 1\n[checks.a]\nholds = "x > 0"\nphase = "done"',
+        r"checks.a.phase: expected one of the run's law or pause, found 'done'",
     ),
     "phase of metrics": (f'format = 1\n{CHECK}phase = "rotate"', r"near.phase: expected holds"),
     "observed": (f"format = 1\n{CHECK}observed = 1", r"observed: expected true or false, found 1"),
@@ -76,8 +76,8 @@ BAD = {
         r"checks.a.expect: column 1: unknown name 'rotate.overshot'; .* rotate.overshoot",
     ),
     "signal": (
-        'format = 1\n[checks.a]\nholds = "always(cros_track < 1)"',
-        r"checks.a.holds: column 8: unknown name 'cros_track'; .* cross_track",
+        'format = 1\n[checks.a]\nholds = "always(cros_track_ < 1)"',
+        r"checks.a.holds: column 8: unknown name 'cros_track_'; .* cross_track",
     ),
     "signal as metric": (
         'format = 1\n[checks.a]\nexpect = "cross_track < 2"',
@@ -97,8 +97,8 @@ BAD = {
     ),
     "reference": (f"format = 1\nreference = 3\n{CHECK}", r"spec.toml: reference: expected text"),
     "alignment": (
-        f'format = 1\nalignment = "phase:rotat"\n{CHECK}',
-        r"spec.toml: alignment: expected phase:rotate.*, found 'phase:rotat'",
+        f'format = 1\nalignment = "phase:1"\n{CHECK}',
+        r"spec.toml: alignment: expected phase:NAME.*, found 'phase:1'",
     ),
     "no TOML": ("format = ", r"spec.toml: expected TOML, found"),
     "nothing at all": ("", r"spec.toml: format: expected 1, found none"),

@@ -123,10 +123,26 @@ def test_compare_shows_no_column_of_a_loop_that_no_run_has(
 def test_check_judges_loops_states_and_phases(call: Call, strange: Path, tmp_path: Path) -> None:
     spec = tmp_path / "spec.toml"
     spec.write_text(
-        'format_version = 2\n[[check]]\nmetric = "a.rms_error"\nmost = 30.0\n'
-        '[[check]]\nholds = "always(memory >= 0)"\n'
-        '[[check]]\nholds = "always(abs(turn_rate) <= 1)"\nphase = "one"\n'
+        """format = 1
+[checks.follows]
+expect = "a.rms_error < 30"
+[checks.settles]
+expect = "0 < b.settling_time < 20"
+[checks.remembers]
+holds = "always(memory >= 0)"
+[checks.turns]
+holds = "always(abs(turn_rate) <= 1)"
+phase = "one"
+[checks.other]
+expect = "rotate.overshoot < 1"
+"""
     )
+    results = {
+        found["check"]: found for found in call("check", spec, strange, "--json").json["results"]
+    }
+    passed = [name for name, found in results.items() if found["verdict"] == "pass"]
+    assert passed == ["follows", "settles", "remembers", "turns"]
+    assert "declares no loop rotate" in results["other"]["reason"]
     example = call("check", "--init", strange).out
     assert "b.settling_time" in example
     assert "rotate" not in example

@@ -4,7 +4,6 @@ import pickle
 import pytest
 
 import turtlelog as tl
-from tests.sequential import METRICS
 from turtlelog.errors import CompareError
 
 RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.PAPER_RUNS]
@@ -43,8 +42,8 @@ def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.Monk
     from turtlelog.compare import gains
 
     for better, marks in (("higher", {0: "best", 2: "worst"}), (None, {})):
-        kind = dataclasses.replace(METRICS["run.duration"], better=better)  # type: ignore[arg-type]
-        monkeypatch.setattr(gains, "METRICS", {"run.duration": kind})
+        kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
+        monkeypatch.setattr(gains, "find_metric_kind", lambda _, kind=kind: kind)
         assert tl.mark_metric(SUMMARIES, "run.duration") == marks
 
 
@@ -160,9 +159,17 @@ def test_a_table_is_made_of_the_metrics_that_it_names() -> None:
     needed = tl.list_needed_metrics(
         ["final.*", "law.kp_linear"], where="run.duration < 9 and x > 1", sort="-rotate.iae"
     )
-    finals = tuple(name for name in METRICS if name.startswith("final."))
-    assert needed == ("rotate.iae", *finals, "run.duration")
-    assert tl.list_needed_metrics([]) == ()
+    assert needed == ("final.*", "run.duration", "rotate.iae")
+    usual = tl.measure_run(RUNS[0], only=tl.list_needed_metrics())
+    assert {*tl.list_usual_metrics(RUNS[0].declaration)} < {*usual}
+    assert len(usual) < 10
+
+
+def test_the_usual_metrics_of_the_papers_law() -> None:
+    assert tl.list_usual_metrics(RUNS[0].declaration) == (
+        *("rotate.settling_time", "rotate.overshoot"),
+        *("final.heading_error", "final.position_error", "run.duration"),
+    )
 
 
 def test_a_summary_comes_through_a_pickle_as_it_was() -> None:

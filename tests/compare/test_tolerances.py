@@ -45,8 +45,8 @@ def test_tables_of_other_stages_are_left_to_them(tmp_path: Path) -> None:
         ("format = 1\n[signal.x]", "signal: expected signals, found an unknown key"),
         ("format = 1\nsignals = 3", "signals: expected a table, found 3"),
         ("format = 1\n[signals]\nx = 3", "signals.x: expected a table, found 3"),
-        ("format = 1\n[signals.headin]", "signals.headin: expected heading"),
-        ("format = 1\n[signals.headin]\nabs = 1", "signals.headin: expected heading"),
+        ("format = 1\n[signals.Heading]", "signals.Heading: expected heading"),
+        ("format = 1\n[signals.Heading]\nabs = 1", "signals.Heading: expected heading"),
         (
             "format = 1\n[metrics.'run.durations']\nabs = 1",
             "metrics.run.durations: expected run.dur",
@@ -107,8 +107,8 @@ def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_tolerances_built_in_python_are_judged_as_well() -> None:
-    with pytest.raises(CompareError, match=r"signals\.headin: expected heading"):
-        tl.Tolerances(signals={"headin": tl.Tolerance(abs=1.0)})
+    with pytest.raises(CompareError, match=r"signals\.Heading: expected heading"):
+        tl.Tolerances(signals={"Heading": tl.Tolerance(abs=1.0)})
     with pytest.raises(CompareError, match=r"time_s: expected none for a metric"):
         tl.Tolerances(metrics={"run.duration": tl.Tolerance(time_s=1.0)})
     with pytest.raises(CompareError, match="abs: expected a finite number >= 0, found nan"):

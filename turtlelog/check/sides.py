@@ -58,9 +58,10 @@ def find_unit(name: str, declaration: Declaration) -> str | None:
 
     Empty for a metric of a loop that is not declared, whose unit depends on what it controls.
     """
-    kinds = {**list_signals(declaration), **list_metrics(declaration)}
-    if name in kinds:
-        return kinds[name].unit
+    if name in list_signals(declaration):
+        return list_signals(declaration)[name].unit
+    if name in list_metrics(declaration):
+        return list_metrics(declaration)[name].unit
     other = find_metric_kind(name)
     return None if other is None else "" if " or " in other.unit else other.unit
 
@@ -72,8 +73,8 @@ def _is_measured(node: Node, units: Mapping[str, str]) -> bool:
 def _find_unit(node: Node, units: Mapping[str, str]) -> str:
     """Return the unit of what is measured, empty where it is not plain."""
     if isinstance(node, Call) and node.function in {"abs", "min", "max"}:
-        units = {_find_unit(argument, units) for argument in node.arguments}
-        return units.pop() if len(units) == 1 else ""
+        found = {_find_unit(argument, units) for argument in node.arguments}
+        return found.pop() if len(found) == 1 else ""
     if isinstance(node, Call) and node.function == "deg":
         return "deg"
     return units.get(node.name, "") if isinstance(node, Name) else ""

@@ -107,9 +107,9 @@ def check_names(expression: Expression, known: Mapping[str, object]) -> None:
 def read_signals(run: Run, names: Sequence[str]) -> Signals:
     """Return what names stand for in a run, leaving out those that are unknown to it.
 
-    Names are looked for among the signals and states, the metrics and the parameters, in this order. A
-    signal begins at the run's time zero at the latest; the phase is text; a signal that the run
-    does not hold and a metric without a value are None.
+    Names are looked for among the signals and states, the metrics and the parameters, in this
+    order. A signal begins at the run's time zero at the latest; the phase is text; a signal that
+    the run does not hold and a metric without a value are None.
     """
     columns = list_signals(run.declaration)
     ids = [name for name in names if name not in columns and find_kind(run, name) is not None]

@@ -42,7 +42,7 @@ def load_tolerances(path: str | Path) -> Tolerances:
             is to be judged.
     """
     tables = read_tables(path)
-    own = {key: tables[key] for key in _OWN if key in tables}
+    own: dict[str, Any] = {key: tables[key] for key in _OWN if key in tables}
     tolerances = parse_tolerances(own, source=str(path))
     if not tolerances:
         raise CompareError(
