@@ -13,7 +13,7 @@ from turtlelog.run import Run
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
 from turtlelog.show.commanded import Command
 from turtlelog.show.figures import series
-from turtlelog.show.figures.curves import read_applied, read_command
+from turtlelog.show.figures.curves import read_applied, read_command, read_curve
 from turtlelog.show.figures.legend import label_runs
 from turtlelog.show.figures.plane import draw_plane
 from turtlelog.show.figures.theory import (
@@ -31,31 +31,46 @@ _MOST_NAMED: Final = 3
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 
+_SAMPLES: Final = "the controller's samples"
+_GOAL: Final = "a goal"
 
-def _holds_command(run: Run, command: Command, *, is_alone: bool) -> bool:
-    """Whether there is something to draw: among several runs that is what was commanded."""
+
+def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
+    """Say whether there is something to draw: among several runs that is what was commanded."""
     found = read_command(run, command) or (read_applied(run, command) if is_alone else None)
-    return found is not None
+    return "" if found else f"{command.replace('_', ' ')} commands"
 
 
-_HELD: Final[Mapping[str, tuple[str, Callable[[Run, bool], bool]]]] = MappingProxyType(
+def _lack(words: str, *, is_held: bool) -> str:
+    return "" if is_held else words
+
+
+def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
+    """Say what is missing of what rests on samples, without which there is nothing."""
+    return _lack(words, is_held=is_held) if len(run.samples) else _SAMPLES
+
+
+_LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
     {
-        "gain": ("the law's gain", lambda run, _: bool(find_gains([run]))),
-        "poses": ("poses", lambda run, _: len(run.poses) > 0),
-        "goal": ("a goal", lambda run, _: run.goal_xy_m is not None),
-        "samples": ("the controller's samples", lambda run, _: len(run.samples) > 0),
-        "speed": ("speed commands", lambda run, a: _holds_command(run, "speed", is_alone=a)),
-        "turn_rate": (
-            "turn rate commands",
-            lambda run, a: _holds_command(run, "turn_rate", is_alone=a),
+        "gain": lambda run, _: _lack("the law's gain", is_held=bool(find_gains([run]))),
+        "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
+        "goal": lambda run, _: _lack(_GOAL, is_held=run.goal_xy_m is not None),
+        "heading_error": lambda run, _: _lack_samples(
+            run, "a heading to aim at", is_held=read_curve(run, "heading_error") is not None
         ),
-        "wanted": (
+        "track": lambda run, _: _lack_samples(run, _GOAL, is_held=run.goal_line is not None),
+        "world_velocity": lambda run, _: _lack_samples(
+            run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
+        ),
+        "speed": lambda run, a: _lack_command(run, "speed", is_alone=a),
+        "turn_rate": lambda run, a: _lack_command(run, "turn_rate", is_alone=a),
+        "wanted": lambda run, _: _lack(
             "what the law wanted before clipping",
-            lambda run, _: len(run.samples) > 0 and run.samples.wanted_speed_m_s is not None,
+            is_held=len(run.samples) > 0 and run.samples.wanted_speed_m_s is not None,
         ),
     }
 )
-"""What a panel may need: in words, and whether a run, which may be alone, holds it."""
+"""What a panel may need: from a run, which may be alone, to what it lacks, empty where nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,11 +81,26 @@ class Panel:
         name: What it shows, in a word or two.
         needs: What a run must hold to be drawn.
         draw: Draws it for some runs.
+        loop: Signal that a loop of some run must control; of a usual panel, a run whose loops are
+            not known is taken to do so. Empty: whatever is controlled.
+        is_usual: Whether it is missed where no run has anything for it.
     """
 
     name: str
     needs: str
     draw: series.Draw
+    loop: str = ""
+    is_usual: bool = True
+
+    def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
+        """Return what each run lacks to be drawn, empty where nothing."""
+        if self.loop and not any(self._is_of(run) for run in runs):
+            return (f"a loop of the {self.loop.replace('_', ' ')}",) * len(runs)
+        return find_lacks(runs, self.needs)
+
+    def _is_of(self, run: Run) -> bool:
+        loops = run.declaration.loops
+        return any(loop.signal == self.loop for loop in loops) or (self.is_usual and not loops)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +110,7 @@ class FigureKind:
     Attributes:
         title: What it shows, for captions.
         paper: The paper's figure that it stands beside; empty where there is none.
-        height: Over its width, with all of its panels.
+        height: Over its width, with all of its usual panels.
         needs: What at least one run must hold; each panel has needs of its own where there are any.
         draw: Draws it for some runs, where it has no panels.
         panels: Those that no run has anything for are left out.
@@ -90,29 +120,30 @@ class FigureKind:
     title: str
     paper: str
     height: float = 0.62
-    needs: str = "samples"
+    needs: str = "poses"
     draw: DrawFigure | None = None
     panels: tuple[Panel, ...] = ()
     arrange: Arrange = series.draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return what is missing to draw it, None where nothing is; theory needs no runs."""
-        needs = [panel.needs for panel in self.panels] or [self.needs]
         if not runs:
-            return None if needs == ["gain"] else "a recording"
-        lacks = [_HELD[need][0] for need in needs if len(find_lacking(runs, need)) == len(runs)]
-        return lacks[0] if len(lacks) == len(needs) else None
+            return None if self.needs == "gain" else "a recording"
+        if not self.panels:
+            lacks = find_lacks(runs, self.needs)
+            return lacks[0] if all(lacks) else None
+        if self.choose_panels(runs):
+            return None
+        return self.panels[0].find_lacks(runs)[0]
 
     def choose_panels(self, runs: Sequence[Run]) -> tuple[Panel, ...]:
         """Return the panels that a run has something for."""
-        return tuple(
-            panel for panel in self.panels if len(find_lacking(runs, panel.needs)) < len(runs)
-        )
+        return tuple(panel for panel in self.panels if not all(panel.find_lacks(runs)))
 
     def find_height(self, runs: Sequence[Run]) -> float:
         """Return its height over its width: fewer panels need less."""
-        kept, most = len(self.choose_panels(runs)), len(self.panels)
-        return self.height * (1.0 + kept) / (1.0 + most)
+        kept, usual = len(self.choose_panels(runs)), sum(panel.is_usual for panel in self.panels)
+        return self.height * (1.0 + kept) / (1.0 + usual)
 
     def draw_on(self, figure: Figure, runs: Sequence[Run]) -> None:
         """Draw it for some runs."""
@@ -122,10 +153,9 @@ class FigureKind:
             self.arrange(figure, runs, [panel.draw for panel in self.choose_panels(runs)])
 
 
-def find_lacking(runs: Sequence[Run], need: str) -> tuple[int, ...]:
-    """Return the numbers of the runs that do not hold what a panel needs."""
-    holds = _HELD[need][1]
-    return tuple(number for number, run in enumerate(runs) if not holds(run, len(runs) == 1))
+def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
+    """Return what each run lacks of what a figure needs, empty where nothing."""
+    return tuple(_LACKS[need](run, len(runs) == 1) for run in runs)
 
 
 def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
@@ -139,9 +169,10 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
     left_out: dict[tuple[str, tuple[int, ...]], list[str]] = {}
     shown = tuple(FIGURES) if names is None else tuple(dict.fromkeys(names))
     for name in shown:
-        for part, need in _list_parts(name, runs):
-            if lacking := find_lacking(runs, need):
-                left_out.setdefault((_HELD[need][0], lacking), []).append(part)
+        for part, lacks in _list_parts(name, runs):
+            for words in dict.fromkeys(filter(None, lacks)):
+                lacking = tuple(number for number, lack in enumerate(lacks) if lack == words)
+                left_out.setdefault((words, lacking), []).append(part)
     lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
     if names is None and not has_table1(runs):
         lines.append("left out table1.tex: expected a gain or the controller's samples, found none")
@@ -155,13 +186,16 @@ def has_table1(runs: Sequence[Run]) -> bool:
     return any(value is not None for row in tabulate_table1(runs).rows for value in row[1:])
 
 
-def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, str]]:
-    """Return a figure, or its panels where they need different things, and what each needs."""
+def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return a figure, or its panels where they need different things, and what each run lacks."""
     kind = FIGURES[name]
-    needs = list(dict.fromkeys(panel.needs for panel in kind.panels)) or [kind.needs]
-    if len(needs) == 1 or not kind.choose_panels(runs):
-        return [(name, needs[0])]
-    return [(f"{name} ({panel.name})", panel.needs) for panel in kind.panels]
+    if not kind.panels:
+        return [(name, find_lacks(runs, kind.needs))]
+    chosen = kind.choose_panels(runs)
+    parts = [panel for panel in kind.panels if panel.is_usual or panel in chosen]
+    if not chosen or len({(panel.needs, panel.loop) for panel in parts}) == 1:
+        return [(name, parts[0].find_lacks(runs))]
+    return [(f"{name} ({panel.name})", panel.find_lacks(runs)) for panel in parts]
 
 
 def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Sequence[Run]) -> str:
@@ -174,14 +208,15 @@ def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Se
     return f"left {named}{more} out of {listed}: expected {words}, found none"
 
 
-def _signal(signal: str, label: str, needs: str = "samples", name: str = "") -> Panel:
+def _signal(signal: str, label: str, needs: str, loop: str = "", *, is_usual: bool = True) -> Panel:
     draw = partial(series.draw_signal, signal=signal, label=label)
-    return Panel(name=name or signal.replace("_", " "), needs=needs, draw=draw)
+    name = signal.replace("_", " ")
+    return Panel(name=name, needs=needs, draw=draw, loop=loop, is_usual=is_usual)
 
 
-def _magnitude(signal: str, label: str, needs: str) -> Panel:
+def _magnitude(signal: str, label: str, needs: str, loop: str = "") -> Panel:
     draw = partial(series.draw_error_magnitude, signal=signal, label=label)
-    return Panel(name=signal.replace("_", " "), needs=needs, draw=draw)
+    return Panel(name=signal.replace("_", " "), needs=needs, draw=draw, loop=loop)
 
 
 def _command(command: Command, label: str) -> Panel:
@@ -213,7 +248,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
         "heading": FigureKind(
             title="Heading, the goal bearing and the ideal response",
             paper="9-16",
-            panels=(_signal("heading", "heading [deg]", "poses"),),
+            panels=(_signal("heading", "heading [deg]", "poses", "heading"),),
         ),
         "position": FigureKind(
             title="Position, the goal and the ideal response",
@@ -224,7 +259,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
         "heading-error": FigureKind(
             title="Heading error and the ideal response",
             paper="9-16",
-            panels=(_signal("heading_error", "heading error [deg]"),),
+            panels=(_signal("heading_error", "heading error [deg]", "heading_error", "heading"),),
         ),
         "position-error": FigureKind(
             title="Position error and the ideal response",
@@ -260,8 +295,8 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
             title="Gain times error in the world frame, before projection and clipping",
             paper="9-16",
             panels=(
-                _signal("world_velocity_x", "$K_p e_x$ [m/s]"),
-                _signal("world_velocity_y", "$K_p e_y$ [m/s]"),
+                _signal("world_velocity_x", "$K_p e_x$ [m/s]", "world_velocity"),
+                _signal("world_velocity_y", "$K_p e_y$ [m/s]", "world_velocity"),
             ),
             height=0.95,
         ),
@@ -269,7 +304,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
             title="Magnitude of the errors on a logarithmic scale, the ideal decay, the tolerances",
             paper="",
             panels=(
-                _magnitude("heading_error", "|heading error| [deg]", "samples"),
+                _magnitude("heading_error", "|heading error| [deg]", "heading_error", "heading"),
                 _magnitude("distance", "distance [m]", "goal"),
             ),
             height=0.95,
@@ -285,10 +320,11 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
             title="Both loops, what they missed and what they were told",
             paper="",
             panels=(
-                _signal("heading", "heading [deg]", "poses"),
-                _signal("along_track", "along-track [m]"),
-                _magnitude("heading_error", "|heading error| [deg]", "samples"),
-                _signal("cross_track", "cross-track [m]"),
+                _signal("heading", "heading [deg]", "poses", "heading"),
+                _signal("along_track", "along-track [m]", "track", "along_track"),
+                _signal("distance", "distance [m]", "goal", "distance", is_usual=False),
+                _magnitude("heading_error", "|heading error| [deg]", "heading_error", "heading"),
+                _signal("cross_track", "cross-track [m]", "track"),
                 _command("turn_rate", "turn rate"),
                 _command("speed", "speed"),
             ),

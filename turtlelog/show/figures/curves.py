@@ -1,7 +1,8 @@
 """Curves of runs as figures draw them: in seconds from the first sample, in degrees, thinned."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -9,14 +10,26 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
-from turtlelog.run import Phase, Run
+from turtlelog.run import Run
+from turtlelog.show.aims import REFERENCE, Level, LoopStep, find_steps, list_aims, list_levels
 from turtlelog.show.commanded import Command, read_commanded
 from turtlelog.show.thinning import MOST_POINTS, choose_rows
 from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
-_TURNED: Final = frozenset({"heading", "heading_error"})
+_ALONG: Final = ("along_track",)
+_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "heading": ("heading",),
+        "heading_error": ("heading",),
+        **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), _ALONG),
+        **dict.fromkeys(("world_velocity_x", "world_velocity_y"), _ALONG),
+        "distance": ("along_track", "distance"),
+    }
+)
+"""Which loops' signals decide what theory expects of a curve: along the line all are the same."""
+
 _ERRORS: Final = frozenset(
     {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
 )
@@ -30,11 +43,13 @@ class Curve:
         time_s: From the first sample of its run [s], shape (n,).
         values: In the unit of its axis, shape (n,).
         holds: Whether a value lasts until the next.
+        label: For the legend, where it is not the run's own.
     """
 
     time_s: Values
     values: Values
     holds: bool = False
+    label: str = ""
 
 
 def read_curve(run: Run, signal_name: str) -> Curve | None:
@@ -76,43 +91,69 @@ def read_applied(run: Run, command: Command) -> Curve | None:
     return Curve(time_s=(poses.time_ns - run.start_ns) / 1e9, values=values, holds=True)
 
 
-def compute_ideal(run: Run, signal_name: str) -> Curve | None:
-    """Return how the ideal loop of the same gain would bring a signal to where it belongs.
+def read_aims(run: Run, signal_name: str) -> list[Curve]:
+    """Return what the law, or the goal, asks of a signal where that moves."""
+    is_angle = signal_name == "heading"
+    return [
+        Curve(
+            time_s=(aim.time_ns - run.start_ns) / 1e9,
+            values=np.degrees(aim.values) if is_angle else aim.values,
+            holds=aim.label == REFERENCE,
+            label=aim.label,
+        )
+        for aim in list_aims(run, signal_name)
+    ]
 
-    It starts where and when the phase that drives the signal starts. None for signals that no loop
-    drives, and where the phase, the gain or the goal is not known.
+
+def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
+    """Return how ideal loops of the same gains would bring a signal to where it belongs.
+
+    Each starts where and when its loop starts. None for signals that no loop of theory's drives,
+    and where the reference moves, or the gain or the goal is not known.
     """
-    measured, target = read_curve(run, signal_name), find_target(run, signal_name)
-    if measured is None or target is None:
-        return None
-    is_turn = signal_name in _TURNED
-    gain = run.parameters.get("law.kp_angular" if is_turn else "law.kp_linear")
-    phase = Phase.ROTATE if is_turn else Phase.TRANSLATE
-    starts_ns = [span.start_ns for span in run.find_phase_spans() if span.phase is phase]
-    if not starts_ns or not isinstance(gain, int | float) or not 0.0 < gain < np.inf:
-        return None
-    start_s = (starts_ns[0] - run.start_ns) / 1e9
+    measured = read_curve(run, signal_name)
+    if measured is None or signal_name not in _DRIVEN_BY:
+        return []
+    steps = [step for driven in _DRIVEN_BY[signal_name] for step in find_steps(run, driven)]
+    # Along the line, all but the way itself comes to where it belongs at the goal alone.
+    elsewhere = {"along_track"} - {signal_name}
+    found = [
+        _compute_ideal(run, signal_name, measured, step)
+        for step in steps
+        if step.loop.signal not in elsewhere or step.loop.reference == "goal_distance"
+    ]
+    return [curve for curve in found if curve is not None]
+
+
+def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) -> Curve | None:
+    target = _find_target(run, signal_name, step)
+    start_s = (step.stretch[0].start_ns - run.start_ns) / 1e9
     after = measured.time_s >= start_s
-    if not after.any():
+    if target is None or not after.any():
         return None
     time_s, initial = measured.time_s[after], float(measured.values[after][0])
-    values = compute_step_response(gain, time_s - start_s, initial=initial, reference=target)
+    values = compute_step_response(step.kp, time_s - start_s, initial=initial, reference=target)
     return Curve(time_s=time_s, values=values)
 
 
-def find_target(run: Run, signal_name: str) -> float | None:
+def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
     """Return the value that a loop brings a signal to, in the unit of its curve."""
-    if signal_name == "heading":
-        bearings = run.samples.bearing_rad[:1]
-        return float(np.degrees(bearings[0])) if len(bearings) else None
     if signal_name in _ERRORS:
         return 0.0
-    if run.goal_xy_m is None or signal_name not in {"x", "y", "along_track"}:
-        return None
-    if signal_name == "along_track":
-        distances_m = run.samples.distance_m[:1]
-        return float(distances_m[0]) if len(distances_m) else None
-    return run.goal_xy_m["xy".index(signal_name)]
+    if signal_name in ("x", "y"):
+        return None if run.goal_xy_m is None else run.goal_xy_m["xy".index(signal_name)]
+    return float(np.degrees(step.reference)) if signal_name == "heading" else step.reference
+
+
+def list_targets(run: Run, signal_name: str) -> list[Level]:
+    """Return what a signal should be, where that stands still, in the unit of its curve."""
+    if signal_name in ("x", "y"):
+        goal = run.goal_xy_m
+        return [] if goal is None else [Level(label="goal", value=goal["xy".index(signal_name)])]
+    levels = list_levels(run, signal_name)
+    if signal_name != "heading":
+        return levels
+    return [replace(level, value=float(np.degrees(level.value))) for level in levels]
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
@@ -142,7 +183,9 @@ def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
 
 
 def _read_world_velocity(run: Run, axis: int) -> Curve | None:
-    if not len(run.samples):
+    velocity = run.samples.world_velocity_m_s
+    known = np.zeros(0, dtype=bool) if velocity is None else np.isfinite(velocity[:, axis])
+    if velocity is None or not known.any():
         return None
-    time_s = (run.samples.time_ns - run.start_ns) / 1e9
-    return Curve(time_s=time_s, values=run.samples.world_velocity_m_s[:, axis], holds=True)
+    time_s = (run.samples.time_ns[known] - run.start_ns) / 1e9
+    return Curve(time_s=time_s, values=velocity[known, axis], holds=True)

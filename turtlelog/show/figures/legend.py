@@ -11,10 +11,16 @@ from matplotlib.textpath import text_to_path
 
 from turtlelog.compare import name_runs
 from turtlelog.run import Run
+from turtlelog.show.aims import BEARING_NOW, REFERENCE
 from turtlelog.show.figures.page import IDEAL
 
 _MOST_LETTERS: Final = 28
-_NAMES: Final = frozenset({"goal", "goal bearing", "ideal", "limit", "start", "tolerance"})
+_NAMES: Final = frozenset(
+    {
+        *("goal", "goal bearing", "goal heading", "zero", "ideal", "limit", "start", "tolerance"),
+        *(REFERENCE, BEARING_NOW),
+    }
+)
 """What figures name beside runs."""
 _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
@@ -45,7 +51,7 @@ def add_legend(figure: Figure) -> None:
         named.values(), named.keys(), loc="outside upper center", ncols=ceil(len(named) / lines)
     )
     for label, entry in zip(named, legend.legend_handles, strict=True):
-        if label == IDEAL["label"] and entry is not None:
+        if label in (IDEAL["label"], REFERENCE, BEARING_NOW) and entry is not None:
             entry.set(color="0.35")  # for all runs, whatever the colour of the first
 
 

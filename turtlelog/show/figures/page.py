@@ -55,6 +55,11 @@ IDEAL: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """What theory says; in the colour of its run."""
 
+AIM: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linewidth": 0.8, "linestyle": (0, (4, 1.2, 1, 1.2, 1, 1.2)), "zorder": 1.9}
+)
+"""What a law, or the goal, asks for where that moves; in the colour of its run."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:

@@ -11,6 +11,7 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
+from turtlelog.show.aims import REFERENCE as AIMED
 from turtlelog.show.close_up import (
     CloseUp,
     Label,
@@ -22,7 +23,7 @@ from turtlelog.show.close_up import (
 )
 from turtlelog.show.figures.curves import draw_thinned
 from turtlelog.show.figures.legend import label_runs
-from turtlelog.show.figures.page import REFERENCE, choose_lines
+from turtlelog.show.figures.page import AIM, REFERENCE, choose_lines
 
 Values = NDArray[np.float64]
 
@@ -37,7 +38,9 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     close_up = find_close_up(runs)
     grid = figure.subplots(1, 1 if close_up is None else 2, squeeze=False)[0]
     _draw_paths(grid[0], runs)
-    points = np.concatenate([run.poses.xy_m for run in runs] + [_list_goals(runs)])
+    points = np.concatenate(
+        [*(run.poses.xy_m for run in runs), _list_goals(runs), *_list_aims(runs)]
+    )
     _show_square(grid[0], points.min(axis=0), points.max(axis=0), 0.08)
     grid[0].set(title="whole paths")
     if close_up is not None:
@@ -50,6 +53,8 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
         xy_m = run.poses.xy_m
         draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
         axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
+        for aims_m in _list_aims([run]):
+            draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM}, label=AIMED)
     starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
     axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
     goals = _list_goals(runs)
@@ -94,6 +99,13 @@ def _measure_letters(figure: Figure) -> Lettering:
     return Lettering(
         letter=0.62 * size / half_points, line=1.5 * size / half_points, gap=8.0 / half_points
     )
+
+
+def _list_aims(runs: Sequence[Run]) -> list[Values]:
+    """Return the places where laws wanted their robots to be, of each run that records them."""
+    found = [run.samples.reference_xy_m for run in runs]
+    known = [xy_m[np.isfinite(xy_m[:, 0])] for xy_m in found if xy_m is not None]
+    return [xy_m for xy_m in known if len(xy_m)]
 
 
 def _list_goals(runs: Sequence[Run]) -> Values:

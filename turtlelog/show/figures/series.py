@@ -11,22 +11,25 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.run import Run
+from turtlelog.show.aims import list_limit_keys
 from turtlelog.show.commanded import Command
 from turtlelog.show.figures.curves import (
-    compute_ideal,
+    compute_ideals,
     draw_curve,
     draw_level,
-    find_target,
+    list_targets,
+    read_aims,
     read_applied,
     read_command,
     read_curve,
 )
 from turtlelog.show.figures.legend import label_runs
-from turtlelog.show.figures.page import IDEAL, REFERENCE, choose_lines
+from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines
 
-_LIMITS = {"speed": "limits.speed_m_s", "turn_rate": "limits.turn_rate_rad_s"}
 _TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
-_GOALS = {"heading": "goal bearing", "x": "goal", "y": "goal", "along_track": "goal"}
+_AIMED = frozenset({"heading", "x", "y", "along_track"})
+"""Signals that come to something else than zero."""
+
 _UNITS = {"speed": "m/s", "turn_rate": "rad/s"}
 _LIMIT = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "limit"}
 _TOLERANCE = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "tolerance"}
@@ -37,14 +40,13 @@ Draw = Callable[[Axes, Sequence[Run]], None]
 
 
 def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
-    """Draw one signal of every run, with its goal and the ideal response where there are."""
-    found = {find_target(run, signal) for run in runs}
-    targets = sorted(target for target in found if target is not None)
-    name = _GOALS.get(signal)
-    draw_level(axes, targets if name else [0.0], **REFERENCE, label=name)
+    """Draw one signal of every run, with what it aims at and the ideal response where known."""
+    _draw_targets(axes, runs, signal)
     for run, looks in _style_runs(runs):
-        if (ideal := compute_ideal(run, signal)) is not None:
+        for ideal in compute_ideals(run, signal):
             draw_curve(axes, ideal, **{**looks, **IDEAL})
+        for aim in read_aims(run, signal):
+            draw_curve(axes, aim, **{**looks, **AIM, "label": aim.label})
         if (curve := read_curve(run, signal)) is not None:
             draw_curve(axes, curve, **looks)
     _finish(axes, runs, label)
@@ -64,7 +66,7 @@ def draw_error_magnitude(axes: Axes, runs: Sequence[Run], *, signal: str, label:
         sizes = np.where(curve.values == 0.0, np.nan, np.abs(curve.values))
         known = sizes[np.isfinite(sizes)]
         extremes += [known.min(), known.max()] if len(known) else []
-        if (ideal := compute_ideal(run, signal)) is not None:
+        for ideal in compute_ideals(run, signal):
             decay = replace(ideal, values=np.abs(ideal.values))
             draw_curve(axes, decay, **{**looks, **IDEAL})
         draw_curve(axes, replace(curve, values=sizes), **looks)
@@ -133,12 +135,27 @@ def _draw_tolerances(axes: Axes, runs: Sequence[Run], signal: str) -> None:
     draw_level(axes, list(levels), **_TOLERANCE)
 
 
+def _draw_targets(axes: Axes, runs: Sequence[Run], signal: str) -> None:
+    """Draw the levels that a signal should come to, under their names; of errors it is zero."""
+    if signal not in _AIMED:
+        draw_level(axes, [0.0], **REFERENCE, label=None)
+        return
+    named: dict[str, set[float]] = {}
+    for level in (level for run in runs for level in list_targets(run, signal)):
+        named.setdefault(level.label, set()).add(level.value)
+    for name, levels in named.items():
+        draw_level(axes, sorted(levels), **REFERENCE, label=name)
+
+
 def _draw_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     draw_level(axes, [0.0], color="0.8", linewidth=0.5)
-    levels = [
-        sign * limit for limit in _find_parameters(runs, _LIMITS[command]) for sign in (1.0, -1.0)
-    ]
+    levels = [sign * limit for limit in _find_limits(runs, command) for sign in (1.0, -1.0)]
     draw_level(axes, levels, **_LIMIT)
+
+
+def _find_limits(runs: Sequence[Run], command: Command) -> list[float]:
+    keys = dict.fromkeys(key for run in runs for key in list_limit_keys(run, command))
+    return sorted({limit for key in keys for limit in _find_parameters(runs, key)})
 
 
 def _find_parameters(runs: Sequence[Run], key: str) -> list[float]:
@@ -163,7 +180,7 @@ def _draw_stages(axes: Axes, run: Run, command: Command) -> None:
 
 def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     """End the axis a little beyond the limits: what was wanted may lie far outside."""
-    limits = _find_parameters(runs, _LIMITS[command])
+    limits = _find_limits(runs, command)
     if not limits:
         return
     curves = [read_command(run, command) for run in runs]

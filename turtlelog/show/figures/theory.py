@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from turtlelog.run import Run
+from turtlelog.show.aims import find_gain, has_response
 from turtlelog.show.figures.page import REFERENCE, choose_lines
 from turtlelog.theory import compute_settling_time, compute_step_response
 
@@ -59,13 +60,10 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of the runs in rising order; without runs the paper's."""
+    """Return the gains of the loops that are theory's in rising order; without runs the paper's."""
     if not runs:
         return PAPER_GAINS
-    keys = ("law.kp_angular", "law.kp_linear")
-    found = {run.parameters.get(key) for run in runs for key in keys}
-    return tuple(
-        sorted(
-            float(gain) for gain in found if isinstance(gain, int | float) and 0.0 < gain < np.inf
-        )
-    )
+    found = {
+        find_gain(run, loop) for run in runs for loop in run.declaration.loops if has_response(loop)
+    }
+    return tuple(sorted(gain for gain in found if gain is not None))

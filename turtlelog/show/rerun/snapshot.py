@@ -144,7 +144,8 @@ def write_snapshot(
         rrd_path: The recording.
         png_path: The picture; replaced when the new one is complete.
         at_s: Where to put the time cursor [s]; at the end where None.
-        timeline: What time is told in, `sim_time`, or of several runs also that of a phase, as `translate_time`.
+        timeline: What time is told in: `sim_time`, or of several runs also that of a phase, as
+            `translate_time`.
         size: Width and height of the window [pixels].
         zoom: Scale of letters and lines, in steps of 0.1; at least 1.
 
