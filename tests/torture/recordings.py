@@ -35,6 +35,11 @@ Record = tuple[str, str, int, int, int, bytes]
 def make_recording(folder: Path, compression: str, *, seconds: float = 0.25) -> bytes:
     """Return a short run as turtlelog records it, in several chunks of another compression."""
     scenario = tl.override_scenario(tl.load_scenario("paper"), {"max_duration_s": seconds})
+    return record_scenario(scenario, folder, compression)
+
+
+def record_scenario(scenario: tl.Scenario, folder: Path, compression: str) -> bytes:
+    """Return a recording of a scenario, likewise."""
     tl.write_recording(tl.simulate_run(scenario), folder / "whole.mcap")
     return pack_again((folder / "whole.mcap").read_bytes(), compression)
 

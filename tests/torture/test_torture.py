@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.log.padding import pad_file
+from tests.log.recording.strange import make_strange
 from tests.torture.kills import (
     PRESETS,
     ROOT,
@@ -22,7 +23,7 @@ from tests.torture.kills import (
     simulate_messages,
 )
 from tests.torture.outcomes import count_outcomes, format_table, list_harms, sample_harms
-from tests.torture.recordings import COMPRESSIONS, list_messages, make_recording
+from tests.torture.recordings import COMPRESSIONS, list_messages, make_recording, record_scenario
 from turtlelog.log.recovery import recover_recording
 
 IS_FULL = os.environ.get("TORTURE") == "full"
@@ -31,11 +32,18 @@ SEED = int(os.environ.get("TORTURE_SEED", "0"))
 pytestmark = pytest.mark.torture
 
 
+def make_twin(name: str, folder: Path) -> bytes:
+    """Return a recording to damage; `states` has those of a law, and references that move."""
+    if name == "states":
+        return record_scenario(make_strange(folder, max_duration_s=0.25), folder, "zstd")
+    return make_recording(folder, "none" if name == "padded" else name)
+
+
 def test_damage_is_one_line_or_harmless(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     counts, failures = {}, []
-    for name in (*COMPRESSIONS, "padded"):
+    for name in (*COMPRESSIONS, "padded", "states"):
         # The mcap library, which lists what is there, does not step over the padding in chunks.
-        twin = make_recording(tmp_path, "none" if name == "padded" else name)
+        twin = make_twin(name, tmp_path)
         sound = pad_file(twin, b"\1\2\3") if name == "padded" else twin
         harms = list_harms(sound) if IS_FULL else sample_harms(sound, 100, SEED)
         with capsys.disabled():

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.log.recording.test_damage import HEAD, write_mcap
-from tests.log.runs import STRANGE, make_run
+from tests.log.runs import STRANGE, make_run, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import read_info, read_recording, write_recording
@@ -20,7 +21,7 @@ from turtlelog.log.recording.declaration import (
     parse_declaration,
 )
 from turtlelog.log.recording.type_hashes import find_type_hash
-from turtlelog.loops import Declaration
+from turtlelog.loops import ControlLoop, Declaration
 
 ENTRY: dict[str, Any] = json.loads(format_declaration(STRANGE))
 
@@ -118,6 +119,28 @@ def test_a_million_states_are_refused_by_their_size(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "odd.mcap", HEAD | {"format_version": "2", "declaration": entry})
     with pytest.raises(LogError, match=r"metadata turtlelog: expected up to 262144 bytes, found"):
         read_recording(path)
+
+
+def make_long(loops: int) -> Declaration:
+    """Return a declaration whose phases name their loops again and again."""
+    names = tuple(f"{'x' * 50}{number:03}" for number in range(loops))
+    loop = {"signal": "distance", "command": "speed", "reference": "zero"}
+    return Declaration(
+        loops=tuple(ControlLoop(name=name, **loop) for name in names),
+        phases={f"p{number}": names for number in range(25)},
+    )
+
+
+def test_what_is_written_can_be_read(tmp_path: Path) -> None:
+    run = replace(simulate_short_run(), declaration=make_long(80))
+    write_recording(run, tmp_path / "a.mcap")
+    assert read_recording(tmp_path / "a.mcap").declaration == make_long(80)
+    assert len(format_declaration(make_long(90))) > 2**17 > len(format_declaration(make_long(80)))
+    with pytest.raises(
+        LogError, match=r"b\.mcap: declaration: expected up to 131072 bytes as JSON"
+    ):
+        write_recording(replace(run, declaration=make_long(90)), tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
 
 
 def test_format_2_without_a_declaration_is_named(tmp_path: Path) -> None:

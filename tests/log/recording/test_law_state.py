@@ -1,6 +1,7 @@
 """States and reference poses of a law: written live and at once, read, recovered, exported."""
 
 import csv
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,8 @@ from tests.log.recording.ticks import assert_same_columns, make_scenario, record
 from tests.log.runs import STRANGE, assert_same, make_run
 from tests.log.strict import check_strictly
 from tests.strange_law import KIND
-from tests.torture.recordings import pack_again
+from tests.torture.outcomes import sample_harms
+from tests.torture.recordings import pack_again, record_scenario
 from turtlelog.errors import LogError
 from turtlelog.log import (
     PartialRecordingWarning,
@@ -184,6 +186,31 @@ def test_a_sample_of_a_lost_pose_takes_its_states_with_it(run: Run, tmp_path: Pa
     assert len(found.samples) == len(run.samples) - 1
     assert run.samples.states is not None
     assert_same(found.samples.states, run.samples.states[kept])
+
+
+def test_no_damage_moves_a_state_to_another_sample(tmp_path: Path) -> None:
+    sound = record_scenario(make_strange(tmp_path, max_duration_s=0.5), tmp_path, "zstd")
+    path, parts = tmp_path / "damaged.mcap", 0
+    whole = read_recording(tmp_path / "whole.mcap").samples
+    assert whole.reference_heading_rad is not None
+    for harm in sample_harms(sound, 60, seed=3):
+        path.write_bytes(harm.apply(sound))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", PartialRecordingWarning)
+                found = read_recording(path, allow_partial=True).samples
+        except LogError:
+            continue
+        at = np.searchsorted(whole.sequence, found.sequence)
+        parts += 0 < len(at) < len(whole)
+        for name in ("sequence", "states", "speed_m_s"):
+            assert_same(getattr(found, name), getattr(whole, name)[at], f"{name} of {harm}")
+        assert found.reference_heading_rad is not None
+        headings, is_lost = whole.reference_heading_rad[at], np.isnan(found.reference_heading_rad)
+        assert (found.reference_heading_rad == headings)[~is_lost].all()
+        # In phase one no loop asks for a reference: a sample stays without the one it had.
+        assert not is_lost[found.phase == 0].any()
+    assert parts > 10
 
 
 def test_recovery_keeps_states_and_references(run: Run, tmp_path: Path) -> None:

@@ -44,6 +44,10 @@ MAY_BE_ABSENT: Final = (
 _REFERENCE: Final = ("reference_xy_m", "reference_heading_rad")
 
 
+_LONGEST_DECLARATION: Final = _LONGEST // 2
+"""Bytes of JSON; the rest of the record needs room, too. 250 names of 60 letters take 16 KiB."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Head:
     """The metadata record.
@@ -109,7 +113,11 @@ def describe_scenario(
 
 
 def format_head(head: Head) -> dict[str, str]:
-    """Return the metadata record; what is None is left out."""
+    """Return the metadata record; what is None is left out.
+
+    Raises:
+        LogError: Where the declaration is longer than what is read.
+    """
     record = {
         "format_version": str(head.format_version),
         "turtlelog_version": __version__,
@@ -120,7 +128,11 @@ def format_head(head: Head) -> dict[str, str]:
         "notes": _encode(dict(head.notes)),
     }
     if head.declaration is not None:
-        record["declaration"] = format_declaration(head.declaration)
+        text = format_declaration(head.declaration)
+        if len(text) > _LONGEST_DECLARATION:
+            most = _LONGEST_DECLARATION
+            raise LogError(f"declaration: expected up to {most} bytes as JSON, found {len(text)}")
+        record["declaration"] = text
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
