@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 import turtlelog as tl
+from tests.known import known
 from tests.measure.runs import (
     GOAL_M,
     PERIOD_NS,
@@ -215,7 +216,7 @@ def test_the_step_leads_from_and_to_what_is_asked(
 def test_a_heading_that_is_asked_for_is_taken_at_the_turn_where_the_rotation_ended() -> None:
     scenario = tl.override_scenario(tl.load_scenario("textbook"), {"start.heading_rad": 3.0})
     run = tl.simulate_run(tl.override_scenario(scenario, {"goal.x_m": 5.0, "goal.y_m": 1.0}))
-    bearing_rad = float(run.samples.bearing_rad[0])
+    bearing_rad = float(known(run.samples.bearing_rad)[0])
     for turns in (-1, 0, 1):
         asked = tl.MeasureSettings(final=bearing_rad + turns * math.tau)
         expected = read(run, "rotate.overshoot")
@@ -249,8 +250,8 @@ def test_another_unit_of_length_scales_lengths_and_nothing_else(exponent: int) -
         poses=dataclasses.replace(poses, xy_m=poses.xy_m * scale),
         samples=dataclasses.replace(
             samples,
-            error_xy_m=samples.error_xy_m * scale,
-            distance_m=samples.distance_m * scale,
+            error_xy_m=known(samples.error_xy_m) * scale,
+            distance_m=known(samples.distance_m) * scale,
             speed_m_s=samples.speed_m_s * scale,
         ),
         commands=dataclasses.replace(
@@ -400,7 +401,7 @@ def test_a_step_within_the_rounding_of_poses_is_none() -> None:
     # The bearing of a goal straight ahead, but for the rounding of the first pose.
     ahead = {"goal.x_m": 9.0, "goal.y_m": 5.544444}
     run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), ahead))
-    assert 0.0 < abs(run.samples.bearing_rad[0]) < 1e-6
+    assert 0.0 < abs(known(run.samples.bearing_rad)[0]) < 1e-6
     assert find_statuses(run, "rotate.overshoot", "rotate.rise_time") == {tl.Status.NO_STEP}
 
 

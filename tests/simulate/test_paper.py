@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.known import known
 from tests.sequential import ROTATE, TRANSLATE
 from turtlelog.run import Run
 from turtlelog.scenario import get_preset
@@ -32,15 +33,15 @@ def list_columns(run: Run) -> dict[str, Values]:
         "pos_x": x_m,
         "pos_y": y_m,
         "pos_theta": run.poses.heading_rad[samples.pose_sequence],
-        "target_angle_rad": samples.bearing_rad,
-        "error_angle": samples.heading_error_rad,
-        "error_x": samples.error_xy_m[:, 0],
-        "error_y": samples.error_xy_m[:, 1],
-        "error_distance": samples.distance_m,
+        "target_angle_rad": known(samples.bearing_rad),
+        "error_angle": known(samples.heading_error_rad),
+        "error_x": known(samples.error_xy_m)[:, 0],
+        "error_y": known(samples.error_xy_m)[:, 1],
+        "error_distance": known(samples.distance_m),
         "vel_linear_x": samples.speed_m_s,
         "vel_angular_z": samples.turn_rate_rad_s,
-        "vel_x_global": samples.world_velocity_m_s[:, 0],
-        "vel_y_global": samples.world_velocity_m_s[:, 1],
+        "vel_x_global": known(samples.world_velocity_m_s)[:, 0],
+        "vel_y_global": known(samples.world_velocity_m_s)[:, 1],
     }
 
 
@@ -98,7 +99,7 @@ def test_run_is_as_long_as_published(kp: int, length_s: float) -> None:
 )
 def test_run_ends_with_the_published_heading_error(kp: int, error_deg: float) -> None:
     run = simulate_gain(kp)
-    error_rad = abs(run.samples.bearing_rad[-1] - run.poses.heading_rad[-1])
+    error_rad = abs(known(run.samples.bearing_rad)[-1] - run.poses.heading_rad[-1])
     assert math.degrees(error_rad) == pytest.approx(error_deg, abs=0.00005)
 
 
@@ -107,14 +108,14 @@ def test_run_ends_with_the_published_heading_error(kp: int, error_deg: float) ->
 )
 def test_run_ends_with_the_published_position_error(kp: int, error_m: float) -> None:
     digits = 0.00005 if kp == 1 else 0.0000005
-    assert simulate_gain(kp).samples.distance_m[-1] == pytest.approx(error_m, abs=digits)
+    assert known(simulate_gain(kp).samples.distance_m)[-1] == pytest.approx(error_m, abs=digits)
 
 
 @pytest.mark.parametrize(("kp", "error_m"), [(1, 0.082518), (10, 0.106728)])
 def test_position_error_at_15_s_is_as_published(kp: int, error_m: float) -> None:
     samples = simulate_gain(kp).samples
     time_s = (samples.time_ns - samples.time_ns[0]) / 1e9
-    at_15_s = np.interp(15.0, time_s, samples.distance_m)
+    at_15_s = np.interp(15.0, time_s, known(samples.distance_m))
     assert at_15_s == pytest.approx(error_m, abs=0.0000005)
 
 
