@@ -106,13 +106,19 @@ def _choose(patterns: tuple[str, ...], declaration: Declaration) -> tuple[str, .
         if not found and find_metric_kind(pattern) is not None:
             found = [pattern]
         if not found and not _matches_any_loop(pattern):
-            loop = pattern.partition(".")[0]
-            like = [name.replace(ANY_LOOP, loop) for name in METRICS if loop not in RESERVED]
-            near = suggest_metrics(pattern, dict.fromkeys([*known, *like]))
+            near = suggest_metrics(pattern, dict.fromkeys([*known, *_list_like(pattern)]))
             raise MeasureError(f"metric {pattern!r}: expected {near}")
         chosen |= dict.fromkeys(found)
     others = (name for name in chosen if name not in known)
     return (*(name for name in known if name in chosen), *others)
+
+
+def _list_like(pattern: str) -> list[str]:
+    """Return the metrics of the loop that a name speaks of, whatever law has it."""
+    loop, dot, _ = pattern.partition(".")
+    if not dot or loop in RESERVED:
+        return []
+    return [f"{loop}.{name}" for name in LOOP_METRICS]
 
 
 def _matches_any_loop(pattern: str) -> bool:
