@@ -20,7 +20,7 @@ def test_info_says_what_a_recording_holds(call: Call, kp4: Path) -> None:
 def test_info_answers_in_json(call: Call, kp4: Path, kp10: Path) -> None:
     first, second = call("info", kp4, kp10, "--json").json
     assert (first["file"], first["name"]) == (str(kp4), "paper-kp4")
-    assert (first["format_version"], first["source"], first["complete"]) == (1, "simulation", True)
+    assert (first["format_version"], first["source"], first["complete"]) == (2, "simulation", True)
     assert (first["duration_s"], second["duration_s"]) == (11.264, 12.672)
     assert first["scenario"]["law"]["kp_linear"] == 4.0
     assert first["absent"] == []
