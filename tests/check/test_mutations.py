@@ -20,6 +20,11 @@ NAMES = tuple(list_metrics(simulate().declaration))
 LAGGING = {"loop__transport_delay_ticks": 6, "max_duration_s": 40.0}
 
 
+def get_bearing(run: tl.Run) -> float:
+    assert run.goal_line is not None
+    return run.goal_line.bearing_rad
+
+
 def dip(run: tl.Run, *, heading_rad: float, along_m: float) -> tl.Run:
     """Let the turtle begin each phase in the wrong direction."""
     rows = np.arange(len(run.poses))
@@ -27,7 +32,7 @@ def dip(run: tl.Run, *, heading_rad: float, along_m: float) -> tl.Run:
     first, second = (int(np.searchsorted(run.poses.time_ns, at_ns)) for at_ns in starts_ns)
     turned = (rows > first) & (rows < first + 9)
     moved = (rows > second) & (rows < second + 9)
-    bearing = float(run.samples.bearing_rad[0])
+    bearing = get_bearing(run)
     step_m = along_m * np.array([np.cos(bearing), np.sin(bearing)])
     poses = replace(
         run.poses,
@@ -183,7 +188,7 @@ TURNING, DRIVING = 50, 300
 
 def step_aside(run: tl.Run) -> tl.Run:
     """Move the turtle 10 cm to the left of its line for one pose."""
-    row, bearing = run.samples.pose_sequence[DRIVING], float(run.samples.bearing_rad[0])
+    row, bearing = run.samples.pose_sequence[DRIVING], get_bearing(run)
     xy_m = run.poses.xy_m.copy()
     xy_m[row] += 0.1 * np.array([-np.sin(bearing), np.cos(bearing)])
     return replace(run, poses=replace(run.poses, xy_m=xy_m))

@@ -1,4 +1,5 @@
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -200,7 +201,7 @@ def matches(value: Any, schema: dict[str, Any], root: dict[str, Any] | None = No
     if isinstance(value, dict):
         return has_fitting_keys(value, schema, root)
     if isinstance(value, str):
-        return bool(value.strip())
+        return re.search(schema["pattern"], value) is not None
     return isinstance(value, bool) or 0 <= value <= schema.get("maximum", 1e9)
 
 
@@ -215,8 +216,13 @@ def has_fitting_keys(value: Any, schema: dict[str, Any], root: dict[str, Any]) -
     if not all(set(needs[key]) <= set(value) for key in value if key in needs):
         return False
     inner = schema.get("properties", {})
-    others = schema["additionalProperties"]
-    schemas = {key: inner.get(key, others) for key in value}
+    patterns = schema.get("patternProperties", {})
+    schemas = {
+        key: inner.get(key)
+        or next((patterns[found] for found in patterns if re.search(found, key)), None)
+        or schema["additionalProperties"]
+        for key in value
+    }
     return all(found and matches(value[key], found, root) for key, found in schemas.items())
 
 
@@ -229,7 +235,18 @@ def test_the_schema_accepts_the_examples_and_refuses_what_the_reader_does(
         assert matches(tomllib.loads(path.read_text("utf-8")), schema), path
     assert matches(tomllib.loads(SPEC), schema)
     assert matches(tomllib.loads(call("check", "--init", kp4).out), schema)
-    wrong_ones = ('[checks.a]\nfase = "b"', "[checks.a]\nexpect = 3", "[signals.z]\nabs = 1", "")
+    others = '[metrics."a.rms_error"]\nabs = 1\nreason = "b"\n[signals.memory]\nreason = "b"'
+    phase = 'alignment = "phase:one"\n[checks.a]\nholds = "true"\nphase = "one"'
+    for right in (others, phase):
+        assert matches(tomllib.loads(f"format = 1\n{right}"), schema), right
+    wrong_ones: tuple[str, ...] = (
+        '[checks.a]\nfase = "b"',
+        "[checks.a]\nexpect = 3",
+        "[signals.z]\nabs = 1",
+        "",
+    )
+    wrong_ones += ('[metrics."a.rms_eror"]\nreason = "b"', "[signals.Memory]\nreason = 'b'")
+    wrong_ones += ('alignment = "start"\n[checks.a]\nholds = "true"',)
     for wrong in (*wrong_ones, '[checks.a]\nexpect = "true"\nphase = "rotate"'):
         assert not matches(tomllib.loads(f"format = 1\n{wrong}"), schema), wrong
     assert not matches({"format": 2}, schema)

@@ -126,11 +126,11 @@ class Recording:
 
         Raises:
             ExpressionError: Where it does not parse or names what is not there.
-            CheckError: Where that can be the name of no phase.
+            CheckError: Where the name of a phase is misspelled.
         """
         parsed = parse_expression(formula, source="holds")
         if phase is not None:
-            require_phase(phase)
+            require_phase(phase, self.run)
         require_known_names(parsed, over_time=True, run=self.run)
         check = Check(name="", kind="holds", formula=parsed, phase=phase)
         result = judge_check(check, self.run, file=self.file)

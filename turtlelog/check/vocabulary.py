@@ -1,5 +1,6 @@
 """The names that specifications and tests may use, before a run is known and of one that is."""
 
+import difflib
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -92,14 +93,17 @@ def _list_known(name: str, *, over_time: bool, run: Run | None) -> Mapping[str, 
     return dict.fromkeys([*(signals if over_time else ()), *ids, *list_parameters(), *own])
 
 
-def require_phase(phase: str) -> None:
-    """Refuse what can be no phase that is looked at; which there are, the run's law says.
+def require_phase(phase: str, run: Run | None = None) -> None:
+    """Refuse what can be no phase that is looked at; of a run that is known, misspelled ones, too.
 
     Raises:
-        CheckError: With what was expected.
+        CheckError: With what was expected, or the nearest phases of the run's law.
     """
     if phase == DONE or not re.fullmatch(NAME_PATTERN, phase):
         raise CheckError(f"phase: expected one of the run's law or pause, found {phase!r}")
+    known = [] if run is None else [name for name in run.phase_names if name != DONE]
+    if phase not in known and difflib.get_close_matches(phase, known):
+        raise CheckError(f"phase: {describe_nearest(phase, known)}")
 
 
 def describe_no_phase(run: Run, phase: str) -> str:

@@ -175,9 +175,10 @@ def _have_theory(runs: Sequence[Run]) -> bool:
 def _list_theory_loops(run: Run) -> list[ControlLoop]:
     """Return the loops with a gain whose ideal answer decays: a way by speed, a heading by turns.
 
-    A cross-track error, and a heading that the speed acts on, answer otherwise.
+    A cross-track error, and a heading that the speed acts on, answer otherwise; a reference that
+    moves is no step.
     """
-    loops = [loop for loop in run.declaration.loops if loop.gain is not None]
+    loops = [loop for loop in run.declaration.loops if loop.gain is not None and not loop.moves]
     return [
         loop
         for loop in loops
@@ -198,8 +199,9 @@ def _list_overlaps(comparisons: Sequence[Comparison], names: Sequence[str]) -> t
 
 
 def _get_gain(run: Run) -> float | None:
-    """Return the gain of all loops that theory holds for, None where unknown or not one."""
-    gains = {run.parameters.get(loop.gain or "") for loop in _list_theory_loops(run)}
+    """Return the one gain of all loops, None where unknown, not one, or theory holds for none."""
+    keys = run.declaration.list_gains() if _list_theory_loops(run) else ()
+    gains = {run.parameters.get(key) for key in keys}
     gain = gains.pop() if gains else None
     if gains or not isinstance(gain, int | float) or gain <= 0.0:
         return None

@@ -1,6 +1,7 @@
 """What differs between a run and a reference, signal by signal, and whether that is tolerated."""
 
 import dataclasses
+import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -11,9 +12,15 @@ from turtlelog.compare.clock import Clock, align_runs
 from turtlelog.compare.ids import list_names
 from turtlelog.compare.tolerances import Tolerance, Tolerances
 from turtlelog.compare.tube import Grid, Rows, find_nearest, lay_grid, measure_distance, read_rows
-from turtlelog.compare.verdict import Finding, judge_metric, judge_signal, miss_signal
-from turtlelog.errors import suggest_names
+from turtlelog.compare.verdict import (
+    Finding,
+    judge_metric,
+    judge_signal,
+    leave_open,
+    miss_signal,
+)
 from turtlelog.measure import (
+    SIGNALS,
     Metric,
     Signal,
     list_metrics,
@@ -134,7 +141,7 @@ def iter_comparisons(
             findings=(
                 *found,
                 *(
-                    judge_metric(pairs[name].metric, pairs[name].reference, tolerance)
+                    _judge_metric(pairs[name], tolerance, (reference, run))
                     for name, tolerance in tolerances.metrics.items()
                 ),
             ),
@@ -158,6 +165,14 @@ def _pair_metrics(
         )
         for name in dict.fromkeys([*list_metrics(*declarations), *judged])
     }
+
+
+def _judge_metric(pair: MetricDifference, tolerance: Tolerance, runs: tuple[Run, Run]) -> Finding:
+    """Return the verdict on a metric; one of a loop that neither law declares does not pass."""
+    if pair.metric.id in list_metrics(*(run.declaration for run in runs)):
+        return judge_metric(pair.metric, pair.reference, tolerance)
+    reason = f"{pair.metric.status.value} ({pair.metric.reason})"
+    return leave_open(pair.metric, tolerance, reason)
 
 
 def _differ_in_unit(pair: MetricDifference) -> bool:
@@ -196,7 +211,8 @@ def _compare_signals(
         rows = read_rows(placed[1], grids[source])
         differences.append(_find_largest(placed[0], rows, clock))
         if name in tolerances:
-            findings[name] = judge_signal(placed[0], rows, tolerances[name], clock)
+            found = judge_signal(placed[0], rows, tolerances[name], clock)
+            findings[name] = _name_phases(found, reference, run)
     return tuple(differences), tuple(findings[name] for name in tolerances)
 
 
@@ -213,10 +229,23 @@ def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, S
     return theirs, dataclasses.replace(ours, values=numbers[ours.values.astype(np.int64)])
 
 
+def _name_phases(finding: Finding, reference: Run, run: Run) -> Finding:
+    """Return a finding with the phases by name where the laws number theirs otherwise."""
+    names = list(dict.fromkeys([*reference.phase_names, *run.phase_names]))
+    sides = finding.value, finding.reference
+    if finding.within or finding.name != "phase" or run.phase_names == reference.phase_names:
+        return finding
+    found, expected = (names[int(side or 0)] for side in sides)
+    return dataclasses.replace(finding, reason=f"{found}, where the reference has {expected}")
+
+
 def _explain_lack(name: str, lacking: list[Run], *, known: list[str]) -> str:
     """Return why a signal cannot be judged: a run does not hold it, or its law has no such name."""
     if name not in known:
-        return f"no signal, and no state of these laws: expected {suggest_names(name, known)}"
+        near = difflib.get_close_matches(name, known, n=2)
+        states = ", ".join(found for found in known if found not in SIGNALS) or "none"
+        hint = f"; the nearest are {', '.join(near)}" if near else ""
+        return f"neither a signal nor a state of these laws (they have {states}){hint}"
     reason = f"{' and '.join(run.name for run in lacking)} does not hold it"
     lawless = [run for run in lacking if name not in list_signals(run.declaration)]
     if not lawless:

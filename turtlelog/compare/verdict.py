@@ -90,7 +90,8 @@ def judge_metric(metric: Metric, reference: Metric, tolerance: Tolerance) -> Fin
         return _judge_status(metric, reference, tolerance)
     kind = find_metric_kind(metric.id)
     if kind is None or metric.unit != reference.unit:
-        return _leave_apart(metric, reference, tolerance)
+        reason = f"in {metric.unit}, where the reference has {reference.unit}: not compared"
+        return leave_open(metric, tolerance, reason)
     off = kind.compute_loss(metric.value, reference.value)
     limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
     return Finding(
@@ -106,15 +107,15 @@ def judge_metric(metric: Metric, reference: Metric, tolerance: Tolerance) -> Fin
     )
 
 
-def _leave_apart(metric: Metric, reference: Metric, tolerance: Tolerance) -> Finding:
-    """Return that two loops of one name control something else: no figure is of both."""
+def leave_open(metric: Metric, tolerance: Tolerance, reason: str) -> Finding:
+    """Return that a metric cannot be judged, which does not pass."""
     return Finding(
         kind="metric",
         name=metric.id,
         unit=metric.unit,
         tolerance=tolerance,
         within=False,
-        reason=f"in {metric.unit}, where the reference has {reference.unit}: not compared",
+        reason=reason,
     )
 
 

@@ -1,0 +1,175 @@
+"""Runs of a law that is like none of ours, beside each other and beside ours."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.strange_law import simulate_strange
+from turtlelog.compare import Finding
+from turtlelog.errors import CompareError
+from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.run import Run
+
+ONE = simulate_strange()
+TWO = simulate_strange(law__gain_b=2.0, name="faster")
+PAPER = tl.simulate_run(tl.load_scenario("paper-kp4"))
+CLOSE = tl.Tolerance(abs=0.1, reason="as close as that")
+
+
+def read_titles(table: tl.Table) -> list[str]:
+    return [column.title for column in table.columns]
+
+
+def judge(reference: Run, run: Run, **names: str) -> Finding:
+    ((kind, name),) = names.items()
+    tolerance = dataclasses.replace(CLOSE, abs=0.0) if name == "phase" else CLOSE
+    tolerances = tl.Tolerances(**{f"{kind}s": {name: tolerance}})
+    (finding,) = tl.compare_runs(reference, run, tolerances=tolerances).findings
+    return finding
+
+
+def test_tables_have_the_columns_of_the_loops_that_the_runs_have() -> None:
+    usual = ("a.rms_error", "final.heading_error", "final.position_error", "run.duration")
+    assert tl.list_usual_metrics(ONE.declaration) == usual
+    table = tl.tabulate_runs([tl.summarise_run(run) for run in (ONE, TWO)])
+    assert read_titles(table) == ["run", "Kp turn", "Kp drive", *usual]
+    assert [row[1:3] for row in table.rows] == [(4.0, 1.0), (4.0, 2.0)]
+    whole = ["run", "Kp", "4 tau", "ts b", "rms a", "heading", "position", "length"]
+    assert read_titles(tl.tabulate_whole_runs([ONE, TWO])) == whole
+
+
+def test_beside_another_law_a_cell_of_a_loop_that_a_run_does_not_have_is_empty() -> None:
+    summaries = [tl.summarise_run(run) for run in (PAPER, ONE)]
+    table = tl.tabulate_runs(summaries)
+    cells = [dict(zip(read_titles(table), row, strict=True)) for row in table.rows]
+    assert cells[0]["rotate.overshoot"] == PAPER_METRICS["rotate.overshoot"].value
+    assert (cells[1]["rotate.overshoot"], cells[0]["a.rms_error"]) == (None, None)
+    assert tl.mark_metric(summaries, "rotate.overshoot") == {}
+    found = summaries[1].find_metric("rotate.overshoot")
+    assert found is not None
+    assert (found.status, found.unit) == ("no_phase", "%")
+
+
+PAPER_METRICS = tl.measure_run(PAPER)
+
+
+def test_metrics_of_several_laws_stand_loop_by_loop() -> None:
+    table = tl.tabulate_metrics([PAPER, ONE], only=["*.rms_error", "run.duration"])
+    names = [f"{loop}.rms_error" for loop in ("rotate", "translate", "a", "b")]
+    assert [row[0] for row in table.rows] == [*names, "run.duration"]
+    assert [row[3] for row in table.rows[:2]] == [None, None]
+    assert [row[2] for row in table.rows[2:4]] == [None, None]
+
+
+def test_columns_are_chosen_among_those_of_the_runs() -> None:
+    summaries = [tl.summarise_run(ONE)]
+    assert tl.choose_columns(summaries, ["*.rms_error"]) == ("a.rms_error", "b.rms_error")
+    assert tl.choose_columns(summaries, ["rotate.overshoot"]) == ("rotate.overshoot",)
+    with pytest.raises(CompareError, match=r"only: expected a\.rms_error.*, found 'a\.rms_eror'"):
+        tl.choose_columns(summaries, ["a.rms_eror"])
+    with pytest.raises(CompareError, match=r"only: .*, found none for rotate\.\*"):
+        tl.choose_columns(summaries, ["rotate.*"])
+
+
+def test_a_filter_that_names_a_loop_of_another_law_leaves_its_runs_out_and_says_so() -> None:
+    chosen, notes = tl.select_runs(
+        [tl.summarise_run(run) for run in (PAPER, ONE)], "b.duration > 0"
+    )
+    assert [run.name for run in chosen] == ["strange"]
+    assert notes == ("paper-kp4 is left out: b.duration is no_phase.",)
+
+
+def test_a_parameter_that_is_called_like_a_metric_of_another_law_is_the_parameter() -> None:
+    run = dataclasses.replace(ONE, parameters={**ONE.parameters, "law.dead_time": 3.0})
+    assert tl.summarise_run(run).find_value("law.dead_time") == 3.0
+
+
+def test_runs_stand_in_the_order_of_the_gains_that_their_laws_declare() -> None:
+    slow = simulate_strange(law__gain_a=9.0, law__gain_b=0.5, name="slow")
+    assert [run.name for run in tl.order_by_gain([TWO, ONE, slow])] == ["slow", "strange", "faster"]
+    again = simulate_strange(law__gain_b=2.0)
+    assert tl.name_runs([ONE, again]) == ("strange gain_b 1", "strange gain_b 2")
+
+
+def test_states_are_signals_where_both_runs_have_them() -> None:
+    largest = {found.signal: found.largest for found in tl.compare_runs(ONE, TWO).signals}
+    assert largest["memory"] > 1.0
+    assert judge(ONE, ONE, signal="memory").within
+    assert not judge(ONE, TWO, signal="memory").within
+
+
+def test_a_state_of_another_law_is_not_held_and_what_nobody_has_is_told_with_the_nearest() -> None:
+    finding = judge(PAPER, ONE, signal="memory")
+    expected = "paper-kp4 does not hold it: no state of its law (it has none)"
+    assert (finding.within, finding.reason) == (False, expected)
+    finding = judge(ONE, TWO, signal="memry")
+    expected = (
+        "neither a signal nor a state of these laws (they have memory); the nearest are memory"
+    )
+    assert (finding.within, finding.reason) == (False, expected)
+
+
+def renumber(run: Run) -> Run:
+    """Return the same run of a law that lists its phases the other way round."""
+    names = dict(reversed(list(run.declaration.phases.items())))
+    declared = dataclasses.replace(run.declaration, phases=names)
+    numbers = np.array([declared.phase_names.index(name) for name in run.phase_names])
+    samples = dataclasses.replace(run.samples, phase=numbers[run.samples.phase])
+    return dataclasses.replace(run, declaration=declared, samples=samples)
+
+
+def test_phases_are_compared_by_name() -> None:
+    again = renumber(ONE)
+    assert (again.samples.phase != ONE.samples.phase).all()
+    assert judge(ONE, again, signal="phase").within
+    finding = judge(PAPER, ONE, signal="phase")
+    assert (finding.within, finding.reason) == (False, "one, where the reference has rotate")
+
+
+def test_runs_are_brought_together_at_any_phase_that_both_have() -> None:
+    assert tl.compare_runs(ONE, TWO, alignment="phase:two").overlap_from_s == 0.0
+    with pytest.raises(
+        CompareError, match=r"paper-kp4: expected a phase two .*, found rotate, pause"
+    ):
+        tl.compare_runs(PAPER, ONE, alignment="phase:two")
+    with pytest.raises(CompareError, match=r"alignment: expected phase:two.*, found 'phase:tow'"):
+        tl.compare_runs(ONE, TWO, alignment="phase:tow")
+
+
+def test_metrics_of_both_laws_are_paired_and_one_that_neither_has_does_not_pass() -> None:
+    pairs = {pair.metric.id: pair for pair in tl.compare_runs(PAPER, ONE).metrics}
+    assert pairs["rotate.overshoot"].metric.status == "no_phase"
+    assert pairs["a.rms_error"].reference.status == "no_phase"
+    assert judge(ONE, ONE, metric="a.rms_error").within
+    finding = judge(ONE, ONE, metric="rotate.overshoot")
+    expected = "no_phase (the run declares no loop rotate (it declares a, b))"
+    assert (finding.within, finding.reason) == (False, expected)
+
+
+def swap_signals(run: Run) -> Run:
+    """Return the run with a loop `b` that turns the heading to the goal."""
+    loop = ControlLoop(name="b", signal="heading", command="speed", reference="goal_bearing")
+    declared = Declaration(
+        loops=(run.declaration.loops[0], loop),
+        phases=run.declaration.phases,
+        states=run.declaration.states,
+    )
+    return dataclasses.replace(run, declaration=declared, name="swapped")
+
+
+def test_metrics_of_one_id_and_two_units_are_not_compared() -> None:
+    other = swap_signals(ONE)
+    comparison = tl.compare_runs(ONE, other)
+    ids = {pair.metric.id for pair in comparison.metrics}
+    assert ("b.rms_error" in ids, "b.duration" in ids) == (False, True)
+    assert any("The loop b controls another signal" in note for note in comparison.notes)
+    finding = judge(ONE, other, metric="b.rms_error")
+    assert (finding.within, finding.value) == (False, None)
+    assert finding.reason == "in deg, where the reference has m: not compared"
+    summaries = [tl.summarise_run(run) for run in (ONE, other)]
+    table = tl.tabulate_runs(summaries, only=["b.rms_error", "b.duration"])
+    assert [str(row[-2]).rpartition(" ")[2] for row in table.rows] == ["m", "deg"]
+    assert "b.rms_error is not compared" in " ".join(table.notes)
+    assert tl.mark_metric(summaries, "b.rms_error") == {}

@@ -1,0 +1,68 @@
+"""The plugin with a law that is like none of ours."""
+
+import pytest
+
+import turtlelog as tl
+from tests.pytest_plugin.conftest import run
+from tests.strange_law import simulate_strange
+
+PASSES = """
+def test_loops(recording):
+    a, b = recording.phase("a"), recording.phase("b")
+    assert a.rms_error < 10
+    assert b.settling_time < 8
+    assert recording.metric("a.saturated_share") < 0.5
+
+def test_states_and_phases(recording):
+    assert recording.holds("always(memory > -100)")
+    assert recording.holds("always(speed == 0 or phase == 'two')", phase="one")
+    assert recording.matches(recording)
+    assert recording.driven_by().matches(recording)
+"""
+
+FAILS = {
+    'phase("rotate")': "*phase: expected a, b, final or run, found 'rotate'",
+    'phase("a").overshoot < 1': "*metric of a: expected *, found 'overshoot'",
+    'metric("rotate.overshoot") < 1': "*rotate.overshoot: expected < 1, found no value: no_phase"
+    " (the run declares no loop rotate (it declares a, b))",
+    'metric("a.rms_error") < 1': "  gains           law.gain_a = 4.0, law.gain_b = 1.0",
+    'holds("always(memory < 0)")': "*memory*",
+    'holds("x < 99", phase="rotate")': "*no phase rotate; it has one, two, pause)",
+    'holds("integral < 1")': "*unknown name 'integral'; *(the law of this run has memory)",
+}
+
+
+@pytest.fixture
+def strange(pytester: pytest.Pytester) -> pytest.Pytester:
+    runs = pytester.mkdir("runs")
+    tl.write_recording(simulate_strange(), runs / "strange.mcap")
+    pytester.makeini("[pytest]\nfilterwarnings = error\nstrict = true\n")
+    return pytester
+
+
+def test_a_test_asks_for_its_loops_states_and_phases(strange: pytest.Pytester) -> None:
+    result = run(strange, PASSES, marker='"runs/*.mcap", trust_law=True')
+    result.assert_outcomes(passed=2)
+
+
+def test_what_its_law_does_not_have_fails_and_is_told(strange: pytest.Pytester) -> None:
+    tests = [f"def test_{i}(recording):\n    assert recording.{a}\n" for i, a in enumerate(FAILS)]
+    result = run(strange, "\n".join(tests))
+    result.assert_outcomes(failed=len(FAILS))
+    for line in FAILS.values():
+        result.stdout.fnmatch_lines([line])
+
+
+def test_a_scenario_of_its_own_gains_is_simulated_with_kp(strange: pytest.Pytester) -> None:
+    body = """
+def test_it(simulate):
+    changes = {"law.kind": KIND, "law.gain_a": 4.0}
+    slow = simulate("textbook", kp=2.0, changes=changes)
+    assert slow.run.parameters["law.gain_b"] == 2.0
+    assert slow.run.parameters["law.gain_a"] == 4.0
+    assert slow.phase("a").rms_error > 1.0
+"""
+    from tests.strange_law import KIND
+
+    result = run(strange, f"KIND = {KIND!r}\n{body}", marker="")
+    result.assert_outcomes(passed=1)
