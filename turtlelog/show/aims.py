@@ -132,7 +132,7 @@ def find_steps(run: Run, signal: str) -> Iterator[LoopStep]:
     The reference stands still, the signal integrates the command, and the gain is known.
     """
     for loop in list_loops(run, signal):
-        if not has_response(loop):
+        if loop.moves or not has_response(loop):
             continue
         kp, stretch = find_gain(run, loop), tuple(find_first_stretch(run, loop))
         reference = read_reference(run, loop)
@@ -160,14 +160,14 @@ def list_limit_keys(run: Run, command: str) -> tuple[str, ...]:
 
 
 def find_end_of_turn(run: Run) -> int | None:
-    """Return when the heading's loop first ceases to act, before its pause [ns].
+    """Return when the heading's loops first cease to act, before their pause [ns].
 
-    None without a phase in which no such loop acts, and where it never acted.
+    None where one acts in the last phase that is declared, and where none ever did.
     """
     loops = list_loops(run, "heading")
     names = {loop.name for loop in loops}
-    phases = run.declaration.phases.items()
-    if all(names & set(acting) for name, acting in phases if name not in (PAUSE, DONE)):
+    phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
+    if not phases or names & set(run.declaration.phases[phases[-1]]):
         return None
     for loop in loops:
         own = [span.end_ns for span in find_first_stretch(run, loop) if span.phase != PAUSE]

@@ -37,12 +37,17 @@ LABELS = {
 }
 
 
+def find_bearing(run: tl.Run) -> float:
+    assert run.samples.bearing_rad is not None
+    return float(run.samples.bearing_rad[0])
+
+
 def heading(run: tl.Run) -> Values:
     return np.degrees(run.poses.heading_rad)
 
 
 def heading_error(run: tl.Run) -> Values:
-    return np.degrees(run.samples.bearing_rad[0] - run.poses.heading_rad)
+    return np.degrees(find_bearing(run) - run.poses.heading_rad)
 
 
 def to_goal(run: tl.Run) -> Values:
@@ -54,15 +59,20 @@ def distance(run: tl.Run) -> Values:
 
 
 def along_track(run: tl.Run) -> Values:
-    bearing_rad = run.samples.bearing_rad[0]
+    bearing_rad = find_bearing(run)
     way = np.array([np.cos(bearing_rad), np.sin(bearing_rad)])
     return np.asarray((run.poses.xy_m - run.poses.xy_m[0]) @ way)
 
 
 def cross_track(run: tl.Run) -> Values:
-    bearing_rad = run.samples.bearing_rad[0]
+    bearing_rad = find_bearing(run)
     left = np.array([-np.sin(bearing_rad), np.cos(bearing_rad)])
     return np.asarray((run.poses.xy_m - run.poses.xy_m[0]) @ left)
+
+
+def read_world_velocity(run: tl.Run) -> Values:
+    assert run.samples.world_velocity_m_s is not None
+    return run.samples.world_velocity_m_s
 
 
 OF_POSES: list[tuple[str, int, Read]] = [
@@ -83,8 +93,8 @@ OF_SAMPLES: list[tuple[str, int, Read]] = [
     ("turn-rate", 0, lambda run: run.samples.turn_rate_rad_s),
     ("speed", 0, lambda run: run.samples.speed_m_s),
     ("wanted-speed", 0, lambda run: run.samples.wanted_speed_m_s),
-    ("world-velocity", 0, lambda run: run.samples.world_velocity_m_s[:, 0]),
-    ("world-velocity", 1, lambda run: run.samples.world_velocity_m_s[:, 1]),
+    ("world-velocity", 0, lambda run: read_world_velocity(run)[:, 0]),
+    ("world-velocity", 1, lambda run: read_world_velocity(run)[:, 1]),
     ("panel", 4, lambda run: run.samples.turn_rate_rad_s),
     ("panel", 5, lambda run: run.samples.speed_m_s),
 ]

@@ -117,7 +117,8 @@ def keep_poses(run: tl.Run) -> tl.Run:
 
 def empty(columns: Columns) -> Columns:
     tables = {field.name: getattr(columns, field.name) for field in fields(columns)}
-    return replace(columns, **{name: table[:0] for name, table in tables.items()})
+    known = {name: table[:0] for name, table in tables.items() if table is not None}
+    return replace(columns, **known)
 
 
 @pytest.fixture(scope="module")

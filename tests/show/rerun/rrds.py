@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from turtlelog.loops import Declaration
 from turtlelog.measure import read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset
@@ -48,15 +49,11 @@ def make_foreign_run(rows: int) -> Run:
             sequence=NOTHING_NS,
             pose_sequence=NOTHING_NS,
             phase=NOTHING_NS,
-            bearing_rad=np.zeros(0),
-            heading_error_rad=np.zeros(0),
-            error_xy_m=np.zeros((0, 2)),
-            distance_m=np.zeros(0),
             speed_m_s=np.zeros(0),
             turn_rate_rad_s=np.zeros(0),
-            world_velocity_m_s=np.zeros((0, 2)),
         ),
         goal_xy_m=None,
+        declaration=Declaration(),
         parameters={},
         stop_reason=None,
         events=(),

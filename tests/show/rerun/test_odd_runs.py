@@ -45,10 +45,9 @@ def test_a_single_pose_shows_the_plane_alone(tmp_path: Path) -> None:
 
 
 def cut_samples(count: int) -> SampleColumns:
-    columns = RUN.samples.__dataclass_fields__
-    return replace(
-        RUN.samples, **{name: getattr(RUN.samples, name)[:count].copy() for name in columns}
-    )
+    columns = {name: getattr(RUN.samples, name) for name in RUN.samples.__dataclass_fields__}
+    kept = {name: rows[:count].copy() for name, rows in columns.items() if rows is not None}
+    return replace(RUN.samples, **kept)
 
 
 def cut_after(count: int) -> Run:

@@ -18,6 +18,10 @@ from turtlelog.measure import measure_run
 from turtlelog.show import write_run_rrd
 
 RUN = simulate_preset("paper-kp10")
+LINE = RUN.goal_line
+assert LINE is not None
+BEARING_DEG = float(np.degrees(LINE.bearing_rad))
+LENGTH_M = LINE.length_m
 
 
 POSE_CURVES: dict[str, Callable[[], NDArray[np.float64] | None]] = {
@@ -79,13 +83,14 @@ def test_a_peak_is_marked_at_the_top_of_the_curve(run_rrd: Path) -> None:
 def test_the_ideal_response_stands_beside_the_heading(run_rrd: Path) -> None:
     rows = np.array(read_rows(run_rrd, "/heading_deg/ideal", "Scalars:scalars"))[:, 0]
     time_s = read_times(run_rrd, "/heading_deg/ideal") / 1e9
-    bearing_deg = float(np.degrees(RUN.samples.bearing_rad[0]))
-    np.testing.assert_allclose(rows, bearing_deg * (1.0 - np.exp(-10.0 * time_s)), atol=1e-5)
+    np.testing.assert_allclose(rows, BEARING_DEG * (1.0 - np.exp(-10.0 * time_s)), atol=1e-5)
 
 
-@pytest.mark.parametrize(("plot", "phase", "ticks"), [("heading_deg", 0, 4), ("along_track", 2, 6)])
+@pytest.mark.parametrize(
+    ("plot", "phase", "ticks"), [("heading_deg", "rotate", 4), ("along_track", "translate", 6)]
+)
 def test_the_sampled_response_waits_for_the_dead_time(
-    run_rrd: Path, plot: str, phase: int, ticks: int
+    run_rrd: Path, plot: str, phase: str, ticks: int
 ) -> None:
     rows = np.array(read_rows(run_rrd, f"/{plot}/sampled", "Scalars:scalars"))[:, 0]
     times_ns = read_times(run_rrd, f"/{plot}/sampled") + RUN.start_ns
@@ -129,13 +134,12 @@ def test_what_has_a_value_along_x_and_y_comes_in_pairs(run_rrd: Path) -> None:
 
 
 def test_references_lie_at_bearing_goal_and_limits(run_rrd: Path) -> None:
-    bearing_deg = float(np.degrees(RUN.samples.bearing_rad[0]))
     expected = {
-        "/reference/heading_deg": [bearing_deg],
+        "/reference/heading_deg": [BEARING_DEG],
         "/reference/heading_error_deg": [0.0],
         "/reference/position": [2.0, 10.0],
         "/reference/position_error": [0.0],
-        "/reference/along_track": [float(np.hypot(*RUN.samples.error_xy_m[0]))],
+        "/reference/along_track": [LENGTH_M],
         "/reference/cross_track": [0.0],
         "/reference/distance": [0.0],
         "/reference/speed": [-1.0, 1.0],

@@ -35,9 +35,9 @@ def test_turtle_is_turned_by_its_heading(run_rrd: Path) -> None:
 def test_the_trace_is_the_path_in_the_colours_of_its_phases(run_rrd: Path) -> None:
     np.testing.assert_array_equal(join_strips(run_rrd, "/plane/path"), RUN.poses.xy_m)
     colors = read_static(run_rrd, "/plane/path", "LineStrips2D:colors")
-    before = [palette.NO_PHASE] if RUN.start_ns > RUN.poses.time_ns[0] else []
-    phases = [*before, *(span.phase for span in RUN.find_phase_spans())]
-    expected = palette.pack_colors([palette.TRACES[phase] for phase in phases])
+    before = [palette.START] if RUN.start_ns > RUN.poses.time_ns[0] else []
+    hues = {"rotate": (86, 180, 233), "pause": (213, 94, 0), "translate": (0, 158, 115)}
+    expected = palette.pack_colors([*before, *(hues[span.phase] for span in RUN.find_phase_spans())])
     assert colors == expected.tolist()
 
 

@@ -43,7 +43,7 @@ def test_shares_are_bars_in_the_colours_of_the_runs_without_them(explanation_rrd
 
 
 def test_pause_and_dead_time_are_marked_on_the_time_axis(explanation_rrd: Path) -> None:
-    spans = {span.phase.label: span for span in RUN.find_phase_spans()}
+    spans = {span.phase: span for span in RUN.find_phase_spans()}
     pause_ns = read_times(explanation_rrd, f"{RECORDED}/lines/pause") + RUN.start_ns
     assert sorted(set(pause_ns.tolist())) == [spans["pause"].start_ns, spans["pause"].end_ns]
     dead_ns = read_times(explanation_rrd, f"{RECORDED}/dead_time") + RUN.start_ns

@@ -33,6 +33,12 @@ _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_
 
 _SAMPLES: Final = "the controller's samples"
 _GOAL: Final = "a goal"
+_LOOPS: Final[Mapping[str, str]] = {
+    "heading": "a loop of the heading",
+    "along_track": "a loop along the track",
+    "distance": "a loop of the distance",
+}
+"""What a panel is of, by the signal that is controlled."""
 
 
 def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
@@ -95,7 +101,7 @@ class Panel:
     def find_lacks(self, runs: Sequence[Run]) -> tuple[str, ...]:
         """Return what each run lacks to be drawn, empty where nothing."""
         if self.loop and not any(self._is_of(run) for run in runs):
-            return (f"a loop of the {self.loop.replace('_', ' ')}",) * len(runs)
+            return (_LOOPS[self.loop],) * len(runs)
         return find_lacks(runs, self.needs)
 
     def _is_of(self, run: Run) -> bool:
@@ -175,7 +181,8 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
                 left_out.setdefault((words, lacking), []).append(part)
     lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
     if names is None and not has_table1(runs):
-        lines.append("left out table1.tex: expected a gain or the controller's samples, found none")
+        needed = _GOAL if any(len(run.samples) for run in runs) else _SAMPLES
+        lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
     if "plane" in shown and find_close_up(runs) is None:
         lines.append(f"left out plane (how each run ends): expected {_ARRIVAL}, found none")
     return tuple(lines)

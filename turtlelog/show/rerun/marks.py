@@ -59,6 +59,8 @@ def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_Mark
         return _MarkKind(metric=f"{loop.name}.{metric}", curve=curve, word=word, shape=shape)
 
     controlled, command = entities.PLOTS[loop.signal], f"{loop.command}/{entities.COMMANDED}"
+    if loop.signal == "distance" and loop.moves:
+        controlled = f"{entities.DISTANCE}/{entities.TO_REFERENCE}"
     alike = [other for other in declaration.loops if other.signal == loop.signal]
     whose = f"{loop.name} " if len(alike) > 1 else ""
     if loop.moves:

@@ -204,6 +204,7 @@ def _list_aims(run: Run) -> Iterable[Series]:
             colors=(palette.SECOND,),
             time_ns=run.samples.time_ns,
             values=away_m[:, np.newaxis],
+            is_main=False,
         )
 
 

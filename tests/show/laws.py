@@ -1,0 +1,136 @@
+"""Runs of laws of every kind: no goal, no loop, one phase or eight, references that move."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import turtlelog as tl
+from tests.strange_law import simulate_strange
+from turtlelog.laws import Decision, Goal, Pose
+from turtlelog.loops import ControlLoop, Declaration
+
+EXAMPLE: Final = f"{Path(__file__).parents[2] / 'examples' / 'turn_and_drive.py'}:TurnAndDrive"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    gain: float = 2.0
+
+
+class _Plain:
+    Parameters = Parameters
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.gain = parameters.gain
+        self.count = 0
+
+    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+        self.start, self.goal, self.count = start, goal, 0
+
+
+class OpenLoop(_Plain):
+    """Drives a curve without a goal or a loop."""
+
+    @classmethod
+    def declare(cls, parameters: Parameters, goal: Goal | None, path: None) -> Declaration:
+        return Declaration(uses_goal=False)
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        self.count += 1
+        stop = "end" if self.count > 100 else None
+        return Decision(speed_m_s=0.5, turn_rate_rad_s=0.3, stop_reason=stop)
+
+
+class EightPhases(_Plain):
+    """Creeps ahead in eight phases, the last two of them in turns; nothing controls the heading."""
+
+    names = ("sim", "wall", "c", "d", "e", "f", "g", "h")
+
+    @classmethod
+    def declare(cls, parameters: Parameters, goal: Goal | None, path: None) -> Declaration:
+        loop = ControlLoop(name="creep", signal="distance", command="speed", reference="zero")
+        phases = dict.fromkeys(cls.names, ("creep",))
+        return Declaration(loops=(loop,), phases=phases, states=("left", "seen", "worn", "old"))
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        phase = min(self.count // 10, 7)
+        self.count += 1
+        stop = "end" if self.count > 100 else None
+        states = (float(self.count), 1.0, 2.0, -1.0)
+        return Decision(
+            speed_m_s=0.2,
+            turn_rate_rad_s=0.0,
+            phase=self.names[phase],
+            states=states,
+            stop_reason=stop,
+        )
+
+
+class Follower(_Plain):
+    """Follows a pose that goes ahead of it along the axes, by two loops of one command."""
+
+    @classmethod
+    def declare(cls, parameters: Parameters, goal: Goal | None, path: None) -> Declaration:
+        loops = (
+            ControlLoop(name="near", signal="distance", command="speed", reference="recorded"),
+            ControlLoop(
+                name="along",
+                signal="along_track",
+                command="speed",
+                reference="recorded",
+                gain="law.gain",
+            ),
+            ControlLoop(
+                name="straight",
+                signal="heading",
+                command="turn_rate",
+                reference="zero",
+                gain="law.gain",
+            ),
+        )
+        phases = {"free": (), "follow": ("near", "along", "straight")}
+        return Declaration(loops=loops, phases=phases)
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        self.count += 1
+        if self.count <= 20:
+            return Decision(speed_m_s=0.0, turn_rate_rad_s=0.2, phase="free")
+        wanted = Pose(self.start.x_m + 0.005 * self.count, self.start.y_m, 0.0)
+        return Decision(
+            speed_m_s=self.gain * (wanted.x_m - pose.x_m),
+            turn_rate_rad_s=-self.gain * pose.heading_rad,
+            phase="follow",
+            reference=wanted,
+            stop_reason="end" if self.count > 200 else None,
+        )
+
+
+LAWS: Final = {
+    name: f"{Path(__file__)}:{name}" for name in ("OpenLoop", "EightPhases", "Follower")
+}
+
+
+@cache
+def simulate_law(kind: str, **changes: Any) -> tl.Run:
+    """Return a run of one of these laws, of the example or of the strange one, named after it."""
+    if kind == "strange":
+        return simulate_strange(**changes)
+    values = {"law.kind": {**LAWS, "example": EXAMPLE}[kind], "name": kind, **changes}
+    return tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), values))
+
+
+KINDS: Final = ("strange", "example", *LAWS)
+
+
+def forget_loops(run: tl.Run) -> tl.Run:
+    """Return a run as a recording of format 1 holds one of another law: phases without loops."""
+    declared = run.declaration
+    phases = dict.fromkeys(declared.phases, ())
+    samples = replace(run.samples, states=None)
+    return replace(run, declaration=Declaration(phases=phases), samples=samples)
+
+
+def is_turned(value_deg: float, other_deg: float) -> bool:
+    return math.isclose(math.remainder(value_deg - other_deg, 360.0), 0.0, abs_tol=1e-9)
