@@ -50,7 +50,7 @@ def as_log(run: Run, *, jitter_ns: int = 0, hides_start: bool = False, seed: int
     columns = {
         found.name: getattr(samples, found.name).copy()
         for found in fields(samples)
-        if found.name not in absent
+        if found.name not in absent and getattr(samples, found.name) is not None
     }
     rows = np.arange(len(samples))
     return replace(

@@ -8,7 +8,7 @@ import pytest
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.command_fit import PoseNoise, fit_command
-from turtlelog.explain.law import identify_rotation
+from turtlelog.explain.law import PHASES, identify_rotation
 from turtlelog.explain.loop import read_hints
 from turtlelog.explain.numbers import Values, fit_gain
 from turtlelog.explain.open_loop import drive_plant
@@ -53,7 +53,7 @@ def test_a_pause_is_tried_up_to_two_and_a_half_ticks_from_the_clock(
 ) -> None:
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)
-    trace = mark_breaks(trace_run(shift_clock(log, ended + 1, ticks).to_run()))
+    trace = mark_breaks(trace_run(shift_clock(log, ended + 1, ticks).to_run(), PHASES))
     assert (34 in read_hints(trace).pauses) == tried
 
 
@@ -66,7 +66,7 @@ def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
 
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)
-    trace = mark_breaks(trace_run(shift_clock(log, ended + 1, ticks).to_run()))
+    trace = mark_breaks(trace_run(shift_clock(log, ended + 1, ticks).to_run(), PHASES))
     assert agrees_with_clock(34, read_hints(trace), trace) == near
 
 
@@ -143,7 +143,7 @@ def test_a_row_that_comes_two_ticks_late_while_nothing_moves_hides_one(
 ) -> None:
     log = make_log(Truth(jitter_s=0.0))
     standing = len(log.rows) - 50
-    trace = mark_breaks(trace_run(shift_clock(log, standing, ticks).to_run()))
+    trace = mark_breaks(trace_run(shift_clock(log, standing, ticks).to_run(), PHASES))
     assert sum(amount for _, amount in trace.missing) == missing
 
 
@@ -154,7 +154,10 @@ def test_a_late_callback_is_told_by_the_short_step_after_it(
     log = make_log(Truth(jitter_s=0.0))
     standing = len(log.rows) - 50
     late = shift_clock(shift_clock(log, standing, 1.0), standing + 1, catches_up - 1.0)
-    assert sum(amount for _, amount in mark_breaks(trace_run(late.to_run())).missing) == missing
+    assert (
+        sum(amount for _, amount in mark_breaks(trace_run(late.to_run(), PHASES)).missing)
+        == missing
+    )
 
 
 @pytest.mark.parametrize(("jump_m", "jumps"), [(0.025, 0), (0.04, 1)])
@@ -164,7 +167,7 @@ def test_a_pose_jumps_where_two_ticks_at_full_speed_do_not_lead(jump_m: float, j
         (found[0], found[1] + (jump_m if at >= 600 else 0.0), *found[2:])
         for at, found in enumerate(log.rows)
     ]
-    trace = mark_breaks(trace_run(replace(log, rows=rows).to_run()))
+    trace = mark_breaks(trace_run(replace(log, rows=rows).to_run(), PHASES))
     assert len(trace.jumps) == jumps
 
 
@@ -198,10 +201,10 @@ def test_a_noisy_error_has_wrapped_from_six_deviations_beyond_half_a_turn(
     start = (5.5444446, 5.5444446, bearing_rad - np.pi + 0.004)
     run = make_log(Truth(start=start, log_noise=1e-3)).to_run()
     heading_rad = run.poses.heading_rad.copy()
-    size = trace_run(run).noise_rad
+    size = trace_run(run, PHASES).noise_rad
     heading_rad[1] = bearing_rad - np.pi - deviations * size
     poses = replace(run.poses, heading_rad=heading_rad)
-    found = identify_rotation(trace_run(replace(run, poses=poses)))[0]["law.wrap_error"]
+    found = identify_rotation(trace_run(replace(run, poses=poses), PHASES))[0]["law.wrap_error"]
     assert found.certainty == certainty
 
 
@@ -218,6 +221,6 @@ def test_what_a_drive_leaves_is_noise_up_to_a_whiteness_of_a_half(
         xy_m=run.poses.xy_m + noise[:, :2],
         heading_rad=run.poses.heading_rad + noise[:, 2],
     )
-    drive = drive_plant(trace_run(replace(run, poses=poses)), BUILT)
+    drive = drive_plant(trace_run(replace(run, poses=poses), PHASES), BUILT)
     assert drive is not None
     assert drive.explains == explains

@@ -11,7 +11,7 @@ from tests.explain.families import make_family
 from tests.explain.scoring import judge, list_truth, score
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, Identification, identify_run
-from turtlelog.explain.law import identify_rotation, identify_translation
+from turtlelog.explain.law import PHASES, identify_rotation, identify_translation
 from turtlelog.explain.stretches import mark_breaks
 from turtlelog.explain.trace import trace_run
 from turtlelog.run import Run
@@ -44,7 +44,7 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
 def test_an_interval_of_a_gain_holds_the_truth_in_95_of_100_logs(family: str) -> None:
     said: Counter[str] = Counter()
     for log in make_family(family, 21, 60):
-        trace, truth = mark_breaks(trace_run(log.to_run())), list_truth(log)
+        trace, truth = mark_breaks(trace_run(log.to_run(), PHASES)), list_truth(log)
         for found in (identify_rotation(trace)[0], identify_translation(trace)[0]):
             for key in found.keys() & {"law.kp_angular", "law.kp_linear"}:
                 said[judge(found[key], truth[key])] += 1

@@ -1,22 +1,47 @@
 """Of a law that is not the sequential proportional one nothing is claimed."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from turtlelog.explain import Certainty, Identification, identify_run
+from tests.strange_law import KIND, simulate_strange
+from turtlelog.errors import ExplainError, ScenarioError
+from turtlelog.explain import (
+    Certainty,
+    Identification,
+    attribute_run,
+    find_mechanisms,
+    identify_run,
+    simulate_without,
+    write_sentences,
+)
+from turtlelog.explain.hypothesis import find_dead_times
 from turtlelog.explain.identification import LAW_KEYS
+from turtlelog.loops import Declaration
+from turtlelog.measure import DeadTime, measure_run
 from turtlelog.run import Run
-from turtlelog.scenario import build_scenario, nest_parameters
+from turtlelog.scenario import build_scenario, get_preset, nest_parameters, override_scenario
 from turtlelog.simulate import simulate_run
 
-PID = "tests/explain/other_laws.py:SequentialPid"
+OTHERS = "tests/explain/other_laws.py"
+PID = f"{OTHERS}:SequentialPid"
 TURN_AND_DRIVE = "examples/turn_and_drive.py:TurnAndDrive"
+
+READING = """
+from turtlelog.laws import SequentialP
+
+
+class Law(SequentialP):
+    pass
+"""
 
 
 def simulate_law(kind: str, **parameters: Any) -> Run:
-    values = {"law.kind": kind, **{f"law.{key}": value for key, value in parameters.items()}}
+    loop = {"loop.transport_delay_ticks": parameters.pop("transport_delay_ticks", 0)}
+    own = {f"law.{key}": value for key, value in parameters.items()}
+    values = {"law.kind": kind, **own, **loop}
     return simulate_run(build_scenario(nest_parameters(values), trust_law=True))
 
 
@@ -25,8 +50,14 @@ def forget(run: Run) -> Run:
     return replace(run, parameters={}, scenario_is_complete=False)
 
 
+def forget_scenario(run: Run) -> Run:
+    """Return a run that names its law, and not its whole scenario."""
+    return replace(run, scenario_is_complete=False)
+
+
 def list_claims(found: Identification) -> list[str]:
-    return [key for key in LAW_KEYS if found.findings[key].certainty is not Certainty.UNKNOWN]
+    keys = [key for key in LAW_KEYS if key.startswith("law.")]
+    return [key for key in keys if found.findings[key].certainty is not Certainty.UNKNOWN]
 
 
 @pytest.mark.parametrize("forgotten", [False, True], ids=["named", "unnamed"])
@@ -49,7 +80,166 @@ def test_nothing_is_claimed_of_another_law(
     assert found.notes
 
 
-def test_another_law_leaves_the_dead_time_standing() -> None:
+def test_another_law_leaves_the_dead_times_standing_by_loop() -> None:
     found = identify_run(simulate_law(TURN_AND_DRIVE))
-    assert found.findings["dead_time.translate"].value == 0
+    assert found.findings["dead_time.align"].value == 0
+    assert found.findings["dead_time.approach"].value == 0
+    assert "dead_time.translate" not in found.findings
     assert found.scenario is None
+
+
+def test_without_loops_dead_times_are_told_by_phase() -> None:
+    run = simulate_law(TURN_AND_DRIVE, transport_delay_ticks=3)
+    bare = replace(run, declaration=Declaration(phases={"run": ()}))
+    assert identify_run(bare).findings["dead_time.run"].value == 3
+    still = replace(bare, samples=replace(run.samples, turn_rate_rad_s=0.0 * run.samples.speed_m_s))
+    found = find_dead_times(still)["run"]
+    assert isinstance(found, DeadTime)  # that of the speed
+    assert found.ticks == 3
+
+
+def test_the_delay_of_another_law_is_named() -> None:
+    run = simulate_law(TURN_AND_DRIVE, kp_angular=12.0, transport_delay_ticks=6)
+    found = attribute_run(run, metric="run.turn_rate_total_variation", trust_law=True)
+    assert (found.as_logged, found.without_all) == pytest.approx((6.435, 1.034), abs=1e-3)
+    assert found.as_logged == found.as_built
+    assert [share.mechanism for share in found.shares] == ["delay"]
+    text = " ".join(write_sentences(found))
+    assert "Delay adds 5.4 rad/s; without delay it would be 1.034 rad/s." in text
+    assert "kp" not in text.lower()
+    assert "tolerance" not in text
+
+
+def test_the_mechanisms_of_a_law_take_part() -> None:
+    run = simulate_strange(loop__transport_delay_ticks=6)
+    found = attribute_run(run, metric="run.duration", trust_law=True)
+    assert found.players == ("delay", "hesitation")
+    assert found.effects == ("queue", "delay", "hesitation")
+    shares = {share.mechanism: share for share in found.shares}
+    assert shares["hesitation"].meaning == "no stop between the phases"
+    alone = measure_run(simulate_strange(loop__transport_delay_ticks=6, law__hesitates_ticks=0))
+    assert shares["hesitation"].alone == alone["run.duration"].value
+    assert found.grain.reason == "one sample period"
+
+
+def test_an_ending_names_the_phase_of_another_law() -> None:
+    run = simulate_strange(max_duration_s=8.3, limits__turn_rate_rad_s=0.05)
+    (share,) = (
+        one
+        for one in attribute_run(run, metric="run.duration", trust_law=True).others
+        if one.mechanism == "saturation"
+    )
+    assert share.ending == "phase one ends within 8.3 s"
+
+
+def test_what_a_trusted_law_reproduces_tells_the_loop() -> None:
+    run = simulate_strange(loop__start_backlog=4, loop__queue_policy="one-per-tick")
+    found = identify_run(run, trust_law=True)
+    assert (found.law, found.is_recorded) == (KIND, True)
+    assert found.notes[-1] == f"the recorded scenario reproduces all {len(run.samples)} samples"
+    assert found.resimulation is not None
+    assert found.resimulation.is_exact
+    values = {"loop.start_backlog": 4, "loop.queue_policy": "one-per-tick", "dead_time.a": 3,
+              "dead_time.b": 6, "stop_reason": "arrived"}  # fmt: skip
+    for key, value in values.items():
+        assert (found.findings[key].value, found.findings[key].certainty) == (value, "exact")
+    assert list_claims(found) == []
+    assert found.tried["loop.queue_policy"] == ("newest", "one-per-tick")
+
+
+def test_an_untrusted_law_is_not_run(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    law = tmp_path / "law.py"
+    law.write_text(f"import pathlib\npathlib.Path({str(mark)!r}).touch()\n{READING}")
+    run = simulate_law(f"{law}:Law")
+    mark.unlink()
+    law.write_text(law.read_text() + "\n")  # edited: it would be loaded again
+    found = identify_run(run)
+    assert found.scenario is None
+    assert "is not tested, as the code of its law is not trusted" in found.notes[-1]
+    with pytest.raises(ScenarioError, match="--trust-law"):
+        attribute_run(run)
+    assert not mark.exists()
+    assert attribute_run(run, trust_law=True).as_built is not None
+    assert mark.exists()
+
+
+def test_without_its_law_the_settings_that_move_the_plant_are_fitted() -> None:
+    run = simulate_law(TURN_AND_DRIVE, transport_delay_ticks=6)
+    findings = identify_run(run).findings
+    delay = findings["loop.transport_delay_ticks"]
+    assert (delay.value, delay.certainty) == (6, "fitted")
+    assert delay.evidence.endswith("the plant driven with the log's commands")
+    assert findings["loop.pose_queue"].value is None
+    assert findings["stop_reason"].value is None
+
+
+@pytest.mark.parametrize(("off", "reproduces"), [(9e-10, True), (1.1e-9, False)])
+def test_a_recorded_scenario_must_reproduce_every_sample(off: float, *, reproduces: bool) -> None:
+    run = simulate_strange()
+    speed = run.samples.speed_m_s.copy()
+    speed[300] += off
+    changed = replace(run, samples=replace(run.samples, speed_m_s=speed))
+    found = identify_run(changed, trust_law=True)
+    assert (found.scenario is not None) == reproduces
+    if reproduces:
+        return
+    assert found.notes[-1].startswith(
+        "the recorded scenario reproduces the first 300 samples and departs at "
+    )
+    with pytest.raises(ExplainError, match=r"departs at .* nothing is claimed of the law"):
+        attribute_run(changed, trust_law=True)
+
+
+def test_a_run_that_was_cut_is_simulated_as_far_as_it_goes() -> None:
+    run = replace(simulate_strange(max_duration_s=5.0), stop_reason="interrupted")
+    run = replace(run, parameters={**run.parameters, "max_duration_s": 60.0})
+    found = identify_run(run, trust_law=True)
+    assert found.build_scenario().max_duration_s == 4.992
+    assert found.findings["stop_reason"].evidence == "the run was cut"
+
+
+def test_sampling_is_not_offered_where_a_law_does_not_say_what_counts_samples() -> None:
+    run = simulate_law(f"{OTHERS}:Silent", gain_a=4.0)
+    found = attribute_run(run, trust_law=True)
+    assert "sampling" not in {share.mechanism for share in found.others}
+    assert write_sentences(found)[-1] == (
+        f"Sampling is not taken out, as the law {OTHERS}:Silent does not say which of its"
+        " parameters count samples (counts_samples)."
+    )
+    with pytest.raises(ExplainError, match="sampling is not taken out"):
+        attribute_run(run, mechanisms=["sampling"], trust_law=True)
+    with pytest.raises(ExplainError, match=r"expected queue, delay, .*hesitation, found 'luck'"):
+        attribute_run(run, mechanisms=["luck"], trust_law=True)
+
+
+def test_parameters_that_count_samples_last_as_long_on_a_finer_clock() -> None:
+    values = {"law.kind": f"{OTHERS}:Counting", "law.samples": 50}
+    scenario = override_scenario(get_preset("textbook"), values)
+    coarse, fine = simulate_run(scenario), simulate_without(scenario, ["sampling"])
+    assert (len(coarse.samples), len(fine.samples)) == (50, 400)
+    assert fine.parameters["law.samples"] == 50
+
+
+def test_two_mechanisms_of_one_name_are_refused() -> None:
+    scenario = override_scenario(get_preset("textbook"), {"law.kind": f"{OTHERS}:Clashing"})
+    with pytest.raises(ExplainError, match=r"expected a name that no other mechanism has.*'delay'"):
+        find_mechanisms(scenario)
+
+
+def test_the_recorded_scenario_of_the_sequential_law_stands_where_none_is_found() -> None:
+    values = {"loop.transport_delay_ticks": 45, "law.kp_linear": 0.5, "law.kp_angular": 0.5}
+    run = simulate_run(override_scenario(get_preset("textbook"), values))
+    found = identify_run(run)
+    assert found.is_recorded
+    assert found.notes[0].startswith("the recorded scenario reproduces all ")
+    shares = attribute_run(run, metric="rotate.overshoot", identified=found).shares
+    assert [share.mechanism for share in shares] == ["delay"]
+    assert identify_run(forget_scenario(run)).is_recorded is False
+
+
+@pytest.mark.parametrize(("limit", "clipped"), [(0.967, True), (0.968, False)])
+def test_a_limit_is_known_where_a_law_wanted_more(limit: float, *, clipped: bool) -> None:
+    run = simulate_strange(limits__speed_m_s=limit, law__gain_b=0.17)
+    finding = identify_run(run).findings["limits.speed_m_s"]  # 0.9679 m/s was wanted
+    assert finding.value == (limit if clipped else None)

@@ -79,7 +79,8 @@ class Controller:
                 break
             computed += (sample,)
             if sample.decision.blocks_ticks > 0:
-                self._blocked = tick + sample.decision.blocks_ticks, sample
+                blocks_steps = sample.decision.blocks_ticks * self._steps_per_tick
+                self._blocked = tick + blocks_steps, sample
                 break
             published += (sample,)
             if sample.decision.stop_reason is not None:
