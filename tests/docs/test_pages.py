@@ -26,11 +26,21 @@ def find_blocks(language: str) -> list[object]:
 
 
 def find_consoles() -> list[object]:
+    """Return the commands of each page, and the files that its Python blocks name first."""
+    texts = {page: page.read_text("utf-8") for page in PAGES}
     blocks = {
-        page: re.findall(r"^```console\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
-        for page in PAGES
+        page: re.findall(r"^```console\n(.*?)^```$", text, re.M | re.S)
+        for page, text in texts.items()
     }
-    return [pytest.param("".join(found), id=page.stem) for page, found in blocks.items() if found]
+    files = {
+        page: dict(re.findall(r"^```python\n# (\w+\.py)\n(.*?)^```$", text, re.M | re.S))
+        for page, text in texts.items()
+    }
+    return [
+        pytest.param("".join(found), files[page], id=page.stem)
+        for page, found in blocks.items()
+        if found
+    ]
 
 
 def run_python(*words: str, folder: Path) -> str:
@@ -54,8 +64,12 @@ def test_python_blocks_run_as_they_stand(code: str, tmp_path: Path) -> None:
     assert [line.partition(":")[0] for line in promised] == printed.splitlines()
 
 
-@pytest.mark.parametrize("block", find_consoles())
-def test_console_blocks_print_what_they_show(block: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("block", "files"), find_consoles())
+def test_console_blocks_print_what_they_show(
+    block: str, files: dict[str, str], tmp_path: Path
+) -> None:
+    for name, text in files.items():
+        (tmp_path / name).write_text(f"# {name}\n{text}", encoding="utf-8")
     for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
         assert shown.strip() != "...", f"{command}: expected some of its output, found none"
         printed = run_python("-m", "turtlelog", *shlex.split(command), folder=tmp_path)

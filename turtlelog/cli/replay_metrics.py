@@ -75,4 +75,7 @@ def _subtract(was: "Mapping[str, Metric]", now: "Mapping[str, Metric]", name: st
 
 
 def _list_ids(was: "Measured", now: "Measured") -> list[str]:
-    return list(dict.fromkeys([*was, *now]))
+    """Return the ids of both: the end, then loop by loop, then the whole run."""
+    names = dict.fromkeys([*was, *now])
+    ranks = {"final": 0, "run": 2}
+    return sorted(names, key=lambda name: ranks.get(name.partition(".")[0], 1))
