@@ -115,6 +115,9 @@ REFUSED = [
     "replay run.mcap --set law.kp_linear=3",
     "replay run.mcap --law --set law.kp_linear=3 --json",
     "replay run.mcap --expect-equal -o again.mcap",
+    "explain run.mcap",
+    "explain run.mcap --metric run.duration --json",
+    "explain run.mcap --scenario found.toml --rrd explained.rrd",
 ]
 """What would run the recorded law, and says so in one line."""
 
@@ -138,7 +141,6 @@ ANSWERED = [
 """What answers without the law."""
 
 OTHER = [
-    "explain run.mcap --scenario found.toml --rrd explained.rrd",
     "run run.mcap",
     "scenario run.mcap",
     "import run.mcap",

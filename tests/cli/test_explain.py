@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -135,7 +136,7 @@ def test_a_bag_of_poses_and_commands_tells_little(call: Call) -> None:
     [
         (["--metric", "luck"], "metric 'luck': expected an id such as"),
         (["--metric", "final.postion_error"], "expected one like final.position_error"),
-        (["--mechanisms", "queue,luck"], "mechanism: expected queue, pause"),
+        (["--mechanisms", "queue,luck"], "mechanism: expected queue, delay"),
         (["--mechanisms", "queue,queue"], "mechanisms: expected different ones"),
         (["--rrd", "why.txt"], "expected a name that ends in .rrd"),
         (["--scenario", "found.txt"], "expected a name that ends in .toml"),
@@ -149,30 +150,58 @@ def test_bad_usage_is_one_line(call: Call, kp10: Path, words: list[str], line: s
     assert line in answer.err
 
 
-def test_a_scenario_that_is_not_identified_is_not_written(call: Call, tmp_path: Path) -> None:
-    path = tmp_path / "turn.mcap"
-    values = {"law.kind": "examples/turn_and_drive.py:TurnAndDrive"}
+@pytest.fixture
+def turn(tmp_path: Path) -> Path:
+    """A recording of the example's law, with a gain and a delay that do not go together."""
+    values = {"law.kind": "examples/turn_and_drive.py:TurnAndDrive", "law.kp_angular": 12.0,
+              "loop.transport_delay_ticks": 6}  # fmt: skip
     scenario = tl.override_scenario(tl.load_scenario("textbook"), values)
-    tl.write_recording(tl.simulate_run(scenario), path)
-    answer = call("explain", path, "--scenario", tmp_path / "found.toml")
+    tl.write_recording(tl.simulate_run(scenario), tmp_path / "turn.mcap")
+    return tmp_path / "turn.mcap"
+
+
+@pytest.fixture
+def no_scenario(turn: Path, tmp_path: Path) -> Path:
+    """The same, without the rest of its scenario."""
+    run = replace(tl.read_recording(turn), scenario_is_complete=False)
+    tl.write_recording(run, tmp_path / "part.mcap")
+    return tmp_path / "part.mcap"
+
+
+def test_a_scenario_that_is_not_identified_is_not_written(
+    call: Call, no_scenario: Path, tmp_path: Path
+) -> None:
+    answer = call("explain", no_scenario, "--scenario", tmp_path / "found.toml")
     assert answer.code == 2
-    assert "textbook: expected a run of the sequential law" in answer.err
-    drawn = call("explain", path, "--rrd", tmp_path / "why.rrd")
+    assert "textbook: expected a run of the law sequential-p, or one that its own" in answer.err
+    drawn = call("explain", no_scenario, "--rrd", tmp_path / "why.rrd")
     assert (drawn.code, (tmp_path / "why.rrd").exists()) == (2, False)
     assert "why.rrd: expected shares to draw, found none: No metric is explained" in drawn.err
 
 
-def test_nothing_is_said_of_a_law_that_is_another(call: Call, tmp_path: Path) -> None:
-    path = tmp_path / "turn.mcap"
-    values = {"law.kind": "examples/turn_and_drive.py:TurnAndDrive"}
-    scenario = tl.override_scenario(tl.load_scenario("textbook"), values)
-    tl.write_recording(tl.simulate_run(scenario), path)
-    answer = call("explain", path, "--json").json
+def test_nothing_is_said_of_a_law_that_is_another(call: Call, no_scenario: Path) -> None:
+    answer = call("explain", no_scenario, "--json").json
     assert answer["identified"]["gains"] == {"angular": None, "linear": None}
-    assert answer["identified"]["limits"] == {"speed": None, "turn_rate": None}
     assert answer["identified"]["projection"] is None
-    assert answer["identified"]["dead_time_ticks"] == {"rotate": None, "translate": 0}
+    assert answer["identified"]["dead_time_ticks"] == {"align": 6, "approach": 6}
     assert answer["reasons"]["law.kp_linear"] == answer["notes"][0]
     assert "examples/turn_and_drive.py:TurnAndDrive" in answer["notes"][0]
     assert (answer["resimulation"], answer["attribution"]) == (None, None)
-    assert "no command that turns" not in call("explain", path).out
+    text = call("explain", no_scenario).out
+    assert "no command that turns" not in text
+    assert "dead time of align" in text
+
+
+def test_another_law_is_explained_with_trust_only(call: Call, turn: Path) -> None:
+    words = ("explain", turn, "--metric", "run.turn_rate_total_variation")
+    refused = call(*words)
+    assert (refused.code, refused.out, refused.err.count("\n")) == (2, "", 1)
+    assert "--trust-law" in refused.err
+    found = call(*words, "--trust-law", "--json").json
+    assert found["attribution"]["as_logged"] == pytest.approx(6.435, abs=1e-3)
+    assert found["attribution"]["without_all"] == pytest.approx(1.034, abs=1e-3)
+    assert [share["mechanism"] for share in found["attribution"]["shares"]] == ["delay"]
+    assert found["identified"]["gains"] == {"angular": None, "linear": None}
+    text = " ".join(call(*words, "--trust-law").out.split())
+    assert not [word for word in ("Kp", "heading tolerance", "position tolerance", "projection") if word in text]
+    assert "Delay adds 5.4 rad/s; without delay it would be 1.034 rad/s." in text

@@ -341,6 +341,7 @@ def test_a_finer_clock_comes_nearer_to_the_ideal_loop() -> None:
         rotating = run.samples.phase == run.phase_names.index("rotate")
         time_s = run.samples.time_ns[rotating] / 1e9
         heading = run.poses.heading_rad[run.samples.pose_sequence[rotating]]
-        ideal = run.samples.bearing_rad[0] * (1.0 - np.exp(-10.0 * time_s))
+        assert run.goal_line is not None
+        ideal = run.goal_line.bearing_rad * (1.0 - np.exp(-10.0 * time_s))
         errors.append(float(np.abs(heading - ideal).max()))
     assert errors[1] < 0.2 * errors[0]

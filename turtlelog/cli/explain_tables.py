@@ -91,14 +91,15 @@ def format_attribution(found: "Attribution") -> str:
 
 
 def _list_rows(found: "Identification") -> list[tuple[str, str, str]]:
-    """Return the rows, with one for the dead time of each loop."""
+    """Return the rows, with one for the dead time of each loop, and none of an unknown law."""
     from turtlelog.explain import describe_loop_name
 
     keys = [key for key in found.findings if key.startswith(_DEAD_TIME)]
     names = [describe_loop_name(found.law, key.removeprefix(_DEAD_TIME)) for key in keys]
     rows = [(f"dead time {name}", key, "ticks") for name, key in zip(names, keys, strict=True)]
     after = [key for _, key, _ in _ROWS].index("lost_commands")
-    return [*_ROWS[:after], *rows, *_ROWS[after:]]
+    rows = [*_ROWS[:after], *rows, *_ROWS[after:]]
+    return [row for row in rows if found.tells_law or not row[1].startswith("law.")]
 
 
 def _format_finding(name: str, finding: "Finding", unit: str) -> list[tuple[str, ...]]:

@@ -126,7 +126,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         reason: Why they are not, in one clause.
         trust_law: Whether the law that it names may run.
     """
-    kind = str(run.parameters.get("law.kind", DEFAULT_LAW))
+    kind = str(run.parameters.get("law.kind", ""))
     trace = mark_breaks(trace_run(run))
     motion = space_out(trace)
     dead_times = find_dead_times(motion)

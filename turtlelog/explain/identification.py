@@ -57,7 +57,8 @@ class Identification:
         scenario: The identified scenario, or the recorded one; None where too little is known for
             one, or where the recorded one does not reproduce the run.
         is_recorded: Whether it is the recorded scenario, which reproduces every sample.
-        law: Kind of the law, as recorded, else that whose parameters are identified.
+        law: Kind of the law, as recorded, else that whose parameters are identified; empty where
+            the run names none, and has other loops.
         notes: What else is worth a sentence.
         tried: By key of the loop's settings, the values that were tried; what is exact or fitted is
             so among these.
@@ -71,6 +72,11 @@ class Identification:
     law: str = DEFAULT_LAW
     notes: tuple[str, ...] = ()
     tried: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    @property
+    def tells_law(self) -> bool:
+        """Whether the law is one whose parameters its commands tell."""
+        return self.law == DEFAULT_LAW
 
     def build_scenario(self) -> Scenario:
         """Return the identified scenario; what does not show has the value that was assumed.
