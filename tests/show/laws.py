@@ -1,6 +1,5 @@
 """Runs of laws of every kind: no goal, no loop, one phase or eight, references that move."""
 
-import math
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -15,14 +14,14 @@ EXAMPLE: Final = f"{Path(__file__).parents[2] / 'examples' / 'turn_and_drive.py'
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameters:
+class Gains:
     gain: float = 2.0
 
 
 class _Plain:
-    Parameters = Parameters
+    Parameters = Gains
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: Gains) -> None:
         self.gain = parameters.gain
         self.count = 0
 
@@ -34,7 +33,7 @@ class OpenLoop(_Plain):
     """Drives a curve without a goal or a loop."""
 
     @classmethod
-    def declare(cls, parameters: Parameters, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Gains, goal: Goal | None, path: None) -> Declaration:
         return Declaration(uses_goal=False)
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
@@ -49,7 +48,7 @@ class EightPhases(_Plain):
     names = ("sim", "wall", "c", "d", "e", "f", "g", "h")
 
     @classmethod
-    def declare(cls, parameters: Parameters, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Gains, goal: Goal | None, path: None) -> Declaration:
         loop = ControlLoop(name="creep", signal="distance", command="speed", reference="zero")
         phases = dict.fromkeys(cls.names, ("creep",))
         return Declaration(loops=(loop,), phases=phases, states=("left", "seen", "worn", "old"))
@@ -72,7 +71,7 @@ class Follower(_Plain):
     """Follows a pose that goes ahead of it along the axes, by two loops of one command."""
 
     @classmethod
-    def declare(cls, parameters: Parameters, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Gains, goal: Goal | None, path: None) -> Declaration:
         loops = (
             ControlLoop(name="near", signal="distance", command="speed", reference="recorded"),
             ControlLoop(
@@ -107,9 +106,7 @@ class Follower(_Plain):
         )
 
 
-LAWS: Final = {
-    name: f"{Path(__file__)}:{name}" for name in ("OpenLoop", "EightPhases", "Follower")
-}
+LAWS: Final = {name: f"{Path(__file__)}:{name}" for name in ("OpenLoop", "EightPhases", "Follower")}
 
 
 @cache
@@ -130,7 +127,3 @@ def forget_loops(run: tl.Run) -> tl.Run:
     phases = dict.fromkeys(declared.phases, ())
     samples = replace(run.samples, states=None)
     return replace(run, declaration=Declaration(phases=phases), samples=samples)
-
-
-def is_turned(value_deg: float, other_deg: float) -> bool:
-    return math.isclose(math.remainder(value_deg - other_deg, 360.0), 0.0, abs_tol=1e-9)

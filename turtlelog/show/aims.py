@@ -82,8 +82,12 @@ class LoopStep:
 
 
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:
-    """Return the loops that control a signal, as declared."""
-    return [loop for loop in run.declaration.loops if loop.signal == signal]
+    """Return the loops that control a signal, as declared.
+
+    A loop of the distance to a recorded reference does not control the distance to the goal.
+    """
+    loops = [loop for loop in run.declaration.loops if loop.signal == signal]
+    return [loop for loop in loops if not (loop.moves and signal == "distance")]
 
 
 def list_levels(run: Run, signal: str) -> list[Level]:
@@ -120,7 +124,9 @@ def list_aims(run: Run, signal: str) -> list[Aim]:
 def read_distance_to_reference(run: Run) -> Values | None:
     """Return what a loop of the distance to a recorded reference controls, at each sample [m]."""
     xy_m = run.samples.reference_xy_m
-    if xy_m is None or not any(loop.moves for loop in list_loops(run, "distance")):
+    if xy_m is None or not any(
+        loop.moves and loop.signal == "distance" for loop in run.declaration.loops
+    ):
         return None
     away_m = xy_m - run.poses.xy_m[run.samples.pose_sequence]
     return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))

@@ -37,7 +37,9 @@ def test_the_trace_is_the_path_in_the_colours_of_its_phases(run_rrd: Path) -> No
     colors = read_static(run_rrd, "/plane/path", "LineStrips2D:colors")
     before = [palette.START] if RUN.start_ns > RUN.poses.time_ns[0] else []
     hues = {"rotate": (86, 180, 233), "pause": (213, 94, 0), "translate": (0, 158, 115)}
-    expected = palette.pack_colors([*before, *(hues[span.phase] for span in RUN.find_phase_spans())])
+    expected = palette.pack_colors(
+        [*before, *(hues[span.phase] for span in RUN.find_phase_spans())]
+    )
     assert colors == expected.tolist()
 
 

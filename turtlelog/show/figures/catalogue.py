@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.run import Run
+from turtlelog.show.aims import list_loops
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
 from turtlelog.show.commanded import Command
 from turtlelog.show.figures import series
@@ -105,8 +106,8 @@ class Panel:
         return find_lacks(runs, self.needs)
 
     def _is_of(self, run: Run) -> bool:
-        loops = run.declaration.loops
-        return any(loop.signal == self.loop for loop in loops) or (self.is_usual and not loops)
+        is_unknown = self.is_usual and not run.declaration.loops
+        return is_unknown or bool(list_loops(run, self.loop))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
