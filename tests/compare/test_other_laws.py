@@ -173,3 +173,52 @@ def test_metrics_of_one_id_and_two_units_are_not_compared() -> None:
     assert [str(row[-2]).rpartition(" ")[2] for row in table.rows] == ["m", "deg"]
     assert "b.rms_error is not compared" in " ".join(table.notes)
     assert tl.mark_metric(summaries, "b.rms_error") == {}
+
+
+def declare(run: Run, *loops: ControlLoop) -> Run:
+    """Return the run as of a law with other loops, that all act in both of its phases."""
+    names = tuple(loop.name for loop in loops)
+    declared = Declaration(loops=loops, phases={"one": names, "two": names}, states=("memory",))
+    return dataclasses.replace(run, declaration=declared)
+
+
+TURNING = ControlLoop(
+    name="align", signal="heading", command="turn_rate", reference="bearing_now", gain="law.gain_a"
+)
+CROSSING = ControlLoop(
+    name="cross", signal="cross_track", command="turn_rate", reference="zero", gain="law.gain_b"
+)
+
+
+def test_table_1_has_theorys_columns_where_they_hold_for_a_loop() -> None:
+    theory = ["Kp", "tau", "4 tau"]
+    assert read_titles(tl.tabulate_table1([declare(ONE, TURNING)]))[1:4] == theory
+    for loops in ((), (CROSSING,)):
+        titles = read_titles(tl.tabulate_table1([declare(ONE, *loops)]))
+        assert titles == ["run", "heading", "position"]
+    (row,) = tl.tabulate_table1([declare(ONE, TURNING)]).rows
+    assert row[1:4] == (4.0, 0.25, 1.0)
+
+
+def test_several_loops_that_turn_have_an_overshoot_and_a_gain_each() -> None:
+    run = declare(ONE, TURNING, CROSSING)
+    titles = ["ts align", "ts cross", "overshoot align", "overshoot cross"]
+    assert read_titles(tl.tabulate_whole_runs([run]))[3:7] == titles
+    columns = tl.tabulate_runs([tl.summarise_run(run)]).columns[1:3]
+    found = [(column.title, column.unit) for column in columns]
+    assert found == [("Kp align", "1/s"), ("Kp cross", "rad/(m s)")]
+    one = declare(ONE, CROSSING)
+    column = tl.tabulate_runs([tl.summarise_run(one)]).columns[1]
+    assert (column.title, column.unit) == ("Kp", "rad/(m s)")
+
+
+def test_a_law_without_loops_has_no_columns_of_any() -> None:
+    run = declare(ONE)
+    ends = ("final.heading_error", "final.position_error", "run.duration")
+    assert tl.list_usual_metrics(run.declaration) == ends
+    assert read_titles(tl.tabulate_runs([tl.summarise_run(run)]))[:2] == [
+        "run",
+        "final.heading_error",
+    ]
+    titles = read_titles(tl.tabulate_whole_runs([run]))
+    assert titles == ["run", "heading", "position", "length"]
