@@ -203,5 +203,6 @@ def test_another_law_is_explained_with_trust_only(call: Call, turn: Path) -> Non
     assert [share["mechanism"] for share in found["attribution"]["shares"]] == ["delay"]
     assert found["identified"]["gains"] == {"angular": None, "linear": None}
     text = " ".join(call(*words, "--trust-law").out.split())
-    assert not [word for word in ("Kp", "heading tolerance", "position tolerance", "projection") if word in text]
+    other = ("Kp", "heading tolerance", "position tolerance", "projection")
+    assert not [word for word in other if word in text]
     assert "Delay adds 5.4 rad/s; without delay it would be 1.034 rad/s." in text
