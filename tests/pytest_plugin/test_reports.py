@@ -8,9 +8,9 @@ import pytest
 from matplotlib.image import imread
 
 import turtlelog as tl
-from tests.sequential import METRICS
 from tests.check.artifact_files import read_mark
 from tests.pytest_plugin.conftest import run
+from tests.sequential import METRICS
 
 ROOT = Path(__file__).parents[2]
 BODY = """
