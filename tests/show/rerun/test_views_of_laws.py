@@ -39,13 +39,6 @@ def write(kind: str) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def mixed_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("mixed") / "mixed.rrd"
-    write_comparison_rrd([KP10, *map(simulate_law, KINDS)], path)
-    return path
-
-
 def read_curve(path: Path, entity: str) -> NDArray[np.float64]:
     return np.array(read_rows(path, entity, "Scalars:scalars"), dtype=np.float64)
 
@@ -58,9 +51,9 @@ def test_runs_of_every_law_make_sound_recordings(kind: str) -> None:
         assert loop not in text
 
 
-def test_runs_of_laws_of_all_kinds_stand_beside_each_other(mixed_rrd: Path) -> None:
-    verify(mixed_rrd)
-    views = read_layout(mixed_rrd)
+def test_runs_of_laws_of_all_kinds_stand_beside_each_other(laws_rrd: Path) -> None:
+    verify(laws_rrd)
+    views = read_layout(laws_rrd)
     assert {"State memory", "State left", "Heading [deg]", "Distance [m]"} <= set(views)
     assert views["State memory"] == ["/runs/strange/state/memory"]
 
@@ -203,11 +196,11 @@ def test_the_view_that_opens_is_of_what_a_loop_controls() -> None:
     assert views["Distance [m]"][:2] == ["/reference/distance", "/distance"]
 
 
-def test_each_later_phase_is_the_zero_of_a_timeline(mixed_rrd: Path) -> None:
+def test_each_later_phase_is_the_zero_of_a_timeline(laws_rrd: Path) -> None:
     of_eight = {f"{phase}_time" for phase in "cdefgh"} | {"phase.wall_time"}
     names = {"sim_time", "translate_time", "two_time", "follow_time", *of_eight}
-    assert list_timelines(mixed_rrd) == names
-    times_ns = read_times(mixed_rrd, "/runs/strange/heading_deg", "two_time")
+    assert list_timelines(laws_rrd) == names
+    times_ns = read_times(laws_rrd, "/runs/strange/heading_deg", "two_time")
     two = next(span for span in STRANGE.find_phase_spans() if span.phase == "two")
     np.testing.assert_array_equal(times_ns + two.start_ns, STRANGE.poses.time_ns)
 
@@ -223,8 +216,8 @@ def test_no_phase_takes_the_name_of_another_timeline(phase: str) -> None:
     assert name_phase_timeline(f"{phase}2") == f"{phase}2_time"
 
 
-def test_tables_have_rows_of_the_loops_that_the_runs_have(mixed_rrd: Path) -> None:
-    text = read_static(mixed_rrd, "/documents/Metrics", "TextDocument:text")[0]
+def test_tables_have_rows_of_the_loops_that_the_runs_have(laws_rrd: Path) -> None:
+    text = read_static(laws_rrd, "/documents/Metrics", "TextDocument:text")[0]
     rows = [row.split(" | ") for row in text.splitlines() if row.startswith("| ")]
     groups = list(dict.fromkeys(row[0].removeprefix("| ").partition(".")[0] for row in rows[2:]))
     assert set(groups) == {"rotate", "translate", "a", "b", "align", "approach", "creep"} | {
@@ -237,16 +230,16 @@ def test_tables_have_rows_of_the_loops_that_the_runs_have(mixed_rrd: Path) -> No
     assert {cells[name] for name in KINDS} == {"-"}
 
 
-def test_a_metric_that_some_laws_do_not_have_is_nan_for_them(mixed_rrd: Path) -> None:
-    names = read_static(mixed_rrd, "/__properties/runs", "name")
-    overshoot = read_static(mixed_rrd, "/__properties/metrics", "rotate.overshoot")
+def test_a_metric_that_some_laws_do_not_have_is_nan_for_them(laws_rrd: Path) -> None:
+    names = read_static(laws_rrd, "/__properties/runs", "name")
+    overshoot = read_static(laws_rrd, "/__properties/metrics", "rotate.overshoot")
     known = dict(zip(names, overshoot, strict=True))
     assert known["paper-kp10"] == measure_run(KP10)["rotate.overshoot"].value
     assert all(np.isnan(known[kind]) for kind in KINDS)
 
 
 def test_an_explanation_is_of_a_metric_that_the_law_has(tmp_path: Path) -> None:
-    without = {"hesitation": simulate_law("strange", law__hesitates_ticks=0)}
+    without = {"hesitation": simulate_law("strange", **{"law.hesitates_ticks": 0})}
     path, metric = tmp_path / "why.rrd", "b.settling_time"
     write_explanation_rrd(STRANGE, without, {"hesitation": 0.2}, path, metric=metric)
     verify(path)
