@@ -1,5 +1,6 @@
 """Recordings of runs of other laws: what they declare is shown, and nothing else."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -12,6 +13,7 @@ from tests.show.laws import KINDS, forget_loops, simulate_law
 from tests.show.rerun.rrds import (
     list_entities,
     list_timelines,
+    read_blueprint_parts,
     read_layout,
     read_rows,
     read_static,
@@ -19,16 +21,21 @@ from tests.show.rerun.rrds import (
     simulate_preset,
     verify,
 )
+from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics, measure_run
+from turtlelog.run import Run
 from turtlelog.show import write_comparison_rrd, write_explanation_rrd, write_run_rrd
 from turtlelog.show.rerun import palette
-from turtlelog.show.rerun.clock import name_phase_timeline
+from turtlelog.show.rerun.clock import build_compared_clock, name_phase_timeline
+from turtlelog.show.rerun.surroundings import find_plane_bounds
 
 STRANGE, EXAMPLE = simulate_law("strange"), simulate_law("example")
 FOLLOWER = simulate_law("Follower")
 assert FOLLOWER.samples.reference_xy_m is not None
 REFERENCE_XY_M = FOLLOWER.samples.reference_xy_m
 KP10 = simulate_preset("paper-kp10")
+TABS = 1
+"""Rerun's number of a container of tabs."""
 
 
 @cache
@@ -254,3 +261,42 @@ def test_loops_that_begin_together_share_a_bar_of_dead_time(tmp_path: Path) -> N
     write_explanation_rrd(late, {"delay": EXAMPLE}, {"delay": 0.1}, tmp_path / "why.rrd")
     times_ns = read_times(tmp_path / "why.rrd", "/runs/recorded/dead_time")
     assert times_ns.tolist() == [0, 48_000_000]
+
+
+def name_phases(count: int) -> Run:
+    """Return a run that passes through so many phases."""
+    run = simulate_law("OpenLoop")
+    phase = np.minimum(np.arange(len(run.samples)) // 5, count - 1)
+    declaration = Declaration(phases={f"p{number}": () for number in range(count)}, uses_goal=False)
+    return replace(run, declaration=declaration, samples=replace(run.samples, phase=phase))
+
+
+@pytest.mark.parametrize(("phases", "timelines"), [(1, 0), (2, 1), (9, 8), (10, 8)])
+def test_up_to_eight_later_phases_have_a_timeline(phases: int, timelines: int) -> None:
+    starts_ns = build_compared_clock(name_phases(phases)).starts_ns
+    assert list(starts_ns) == [f"p{number}_time" for number in range(1, 1 + timelines)]
+
+
+@pytest.mark.parametrize(("count", "tabs"), [(0, 0), (3, 0), (4, 1)])
+def test_up_to_three_states_stand_beside_each_other(count: int, tabs: int, tmp_path: Path) -> None:
+    run = simulate_law("OpenLoop")
+    declaration = replace(run.declaration, states=tuple("abcd"[:count]))
+    states = np.zeros((len(run.samples), count)) if count else None
+    samples = replace(run.samples, states=states)
+    found = []
+    for name, drawn in (
+        ("with", replace(run, declaration=declaration, samples=samples)),
+        ("without", run),
+    ):
+        write_run_rrd(drawn, tmp_path / f"{name}.rrd")
+        kinds = read_blueprint_parts(tmp_path / f"{name}.rrd", "ContainerBlueprint:container_kind")
+        found.append(kinds.count(TABS))
+    assert found[0] - found[1] == tabs
+
+
+def test_the_plane_holds_what_the_law_asks_for() -> None:
+    away_m = REFERENCE_XY_M + np.array([20.0, 0.0])
+    run = replace(FOLLOWER, samples=replace(FOLLOWER.samples, reference_xy_m=away_m))
+    bounds = find_plane_bounds([run])
+    assert bounds.center_xy_m[0] + bounds.half_size_m > np.nanmax(away_m[:, 0])
+    assert find_plane_bounds([FOLLOWER]).half_size_m < bounds.half_size_m
