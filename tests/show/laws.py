@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import turtlelog as tl
-from tests.strange_law import simulate_strange
+from tests.strange_law import KIND as STRANGE
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
 
@@ -112,10 +112,15 @@ LAWS: Final = {name: f"{Path(__file__)}:{name}" for name in ("OpenLoop", "EightP
 @cache
 def simulate_law(kind: str, **changes: Any) -> tl.Run:
     """Return a run of one of these laws, of the example or of the strange one, named after it."""
+    return tl.simulate_run(build_scenario(kind, **changes))
+
+
+def build_scenario(kind: str, **changes: Any) -> tl.Scenario:
+    known = {**LAWS, "example": EXAMPLE, "strange": STRANGE}
+    values = {"law.kind": known[kind], "name": kind, **changes}
     if kind == "strange":
-        return simulate_strange(**changes)
-    values = {"law.kind": {**LAWS, "example": EXAMPLE}[kind], "name": kind, **changes}
-    return tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), values))
+        values.setdefault("law.gain_a", 4.0)
+    return tl.override_scenario(tl.load_scenario("textbook"), values)
 
 
 KINDS: Final = ("strange", "example", *LAWS)

@@ -174,6 +174,8 @@ def test_what_is_left_out_of_other_laws_is_told_with_the_reason() -> None:
         "left out heading-error: expected a heading to aim at, found none",
         "left out position-error: expected a goal, found none",
     )
+    lines = list_left_out([simulate_law("OpenLoop")])
+    assert "left out table1.tex: expected a gain or a goal, found none" in lines
     assert list_left_out([KP4, STRANGE], ["panel", "world-velocity"]) == (
         "left strange out of world-velocity: expected gain times error, found none",
     )

@@ -2,6 +2,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.show.laws import KINDS, simulate_law
 from tests.show.rerun.rrds import simulate_preset
 from turtlelog.scenario import PAPER_RUNS
 from turtlelog.show import (
@@ -37,6 +38,29 @@ def explanation_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_explanation_rrd(
         simulate_preset("paper-kp10"), without, shares, path, documents={"Notes": "# Notes"}
     )
+    return path
+
+
+@pytest.fixture(scope="session")
+def follower_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("follower") / "follower.rrd"
+    write_run_rrd(simulate_law("Follower"), path, documents=DOCUMENTS)
+    return path
+
+
+@pytest.fixture(scope="session")
+def strange_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("strange") / "strange.rrd"
+    write_run_rrd(simulate_law("strange"), path, documents=DOCUMENTS)
+    return path
+
+
+@pytest.fixture(scope="session")
+def laws_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Several laws beside each other."""
+    path = tmp_path_factory.mktemp("laws") / "laws.rrd"
+    runs = [simulate_preset("paper-kp10"), *map(simulate_law, KINDS)]
+    write_comparison_rrd(runs, path)
     return path
 
 

@@ -7,6 +7,7 @@ from tests.show.rerun.rrds import list_entities, read_blueprint_parts, read_layo
 from turtlelog.show.rerun.drawing import name_document
 
 SCENES = ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"]
+SCENES += ["follower_rrd", "laws_rrd"]
 
 
 @pytest.fixture(params=SCENES)

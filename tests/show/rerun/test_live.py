@@ -4,10 +4,12 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import turtlelog as tl
 from tests.log.live import start_recording
+from tests.show.laws import build_scenario, simulate_law
 from tests.show.rerun.headless import start_headless
 from tests.show.rerun.rrds import list_entities, read_rows, read_times, simulate_preset
 from turtlelog.errors import LogError, ShowError
@@ -25,9 +27,9 @@ def read_arrays(path: Path) -> list[object]:
     return [run.poses.xy_m.tolist(), run.samples.speed_m_s.tolist(), run.stop_reason, run.events]
 
 
-def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> None:
-    grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"
-    stream, scenario = GrowingStream("turtlelog"), tl.load_scenario("paper-kp10")
+def grow(scenario: tl.Scenario, grown: Path) -> None:
+    """Draw a run again and again while it grows."""
+    stream = GrowingStream("turtlelog")
     stream.save(grown)
     scene, collector = scene_live.LiveScene(stream), RunCollector(scenario)
     ticks = list(iterate_ticks(scenario))
@@ -36,11 +38,34 @@ def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> 
         scene.update(collector.build_run())
     scene.finish(collector.build_run())
     stream.disconnect()
+
+
+def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> None:
+    grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"
+    grow(tl.load_scenario("paper-kp10"), grown)
     tl.write_run_rrd(simulate_preset("paper-kp10"), once)
     for entity, component in ROWS.items():
         assert read_times(grown, entity).tolist() == read_times(once, entity).tolist(), entity
         assert read_rows(grown, entity, component) == read_rows(once, entity, component), entity
     assert list_entities(grown) == list_entities(once)
+
+
+@pytest.mark.parametrize("kind", ["strange", "Follower", "EightPhases", "OpenLoop"])
+def test_a_run_of_any_law_drawn_while_it_grows_is_its_file(kind: str, tmp_path: Path) -> None:
+    grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"
+    grow(build_scenario(kind), grown)
+    tl.write_run_rrd(simulate_law(kind), once)
+    assert list_entities(grown) == list_entities(once)
+    moving = {"/heading_deg/reference", "/position/reference", "/state/memory", "/heading_deg"}
+    for entity in moving & list_entities(once):
+        drawn, whole = (
+            np.array(read_rows(rrd, entity, "Scalars:scalars")) for rrd in (grown, once)
+        )
+        np.testing.assert_array_equal(drawn, whole)
+    if "/plane/reference_pose" in list_entities(once):
+        component = "Arrows2D:origins"
+        rows = [read_rows(rrd, "/plane/reference_pose", component) for rrd in (grown, once)]
+        assert rows[0] == rows[1]
 
 
 ROWS = {

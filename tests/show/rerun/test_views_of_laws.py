@@ -1,5 +1,6 @@
 """Recordings of runs of other laws: what they declare is shown, and nothing else."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -12,6 +13,7 @@ from tests.show.laws import KINDS, forget_loops, simulate_law
 from tests.show.rerun.rrds import (
     list_entities,
     list_timelines,
+    read_blueprint_parts,
     read_layout,
     read_rows,
     read_static,
@@ -19,16 +21,21 @@ from tests.show.rerun.rrds import (
     simulate_preset,
     verify,
 )
+from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics, measure_run
+from turtlelog.run import Run
 from turtlelog.show import write_comparison_rrd, write_explanation_rrd, write_run_rrd
 from turtlelog.show.rerun import palette
-from turtlelog.show.rerun.clock import name_phase_timeline
+from turtlelog.show.rerun.clock import build_compared_clock, name_phase_timeline
+from turtlelog.show.rerun.surroundings import find_plane_bounds
 
 STRANGE, EXAMPLE = simulate_law("strange"), simulate_law("example")
 FOLLOWER = simulate_law("Follower")
 assert FOLLOWER.samples.reference_xy_m is not None
 REFERENCE_XY_M = FOLLOWER.samples.reference_xy_m
 KP10 = simulate_preset("paper-kp10")
+TABS = 1
+"""Rerun's number of a container of tabs."""
 
 
 @cache
@@ -36,13 +43,6 @@ def write(kind: str) -> Path:
     """Write a run of a law; the tests only read."""
     path = Path(mkdtemp()) / f"{kind}.rrd"
     write_run_rrd(simulate_law(kind), path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def mixed_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("mixed") / "mixed.rrd"
-    write_comparison_rrd([KP10, *map(simulate_law, KINDS)], path)
     return path
 
 
@@ -58,9 +58,9 @@ def test_runs_of_every_law_make_sound_recordings(kind: str) -> None:
         assert loop not in text
 
 
-def test_runs_of_laws_of_all_kinds_stand_beside_each_other(mixed_rrd: Path) -> None:
-    verify(mixed_rrd)
-    views = read_layout(mixed_rrd)
+def test_runs_of_laws_of_all_kinds_stand_beside_each_other(laws_rrd: Path) -> None:
+    verify(laws_rrd)
+    views = read_layout(laws_rrd)
     assert {"State memory", "State left", "Heading [deg]", "Distance [m]"} <= set(views)
     assert views["State memory"] == ["/runs/strange/state/memory"]
 
@@ -203,11 +203,11 @@ def test_the_view_that_opens_is_of_what_a_loop_controls() -> None:
     assert views["Distance [m]"][:2] == ["/reference/distance", "/distance"]
 
 
-def test_each_later_phase_is_the_zero_of_a_timeline(mixed_rrd: Path) -> None:
+def test_each_later_phase_is_the_zero_of_a_timeline(laws_rrd: Path) -> None:
     of_eight = {f"{phase}_time" for phase in "cdefgh"} | {"phase.wall_time"}
     names = {"sim_time", "translate_time", "two_time", "follow_time", *of_eight}
-    assert list_timelines(mixed_rrd) == names
-    times_ns = read_times(mixed_rrd, "/runs/strange/heading_deg", "two_time")
+    assert list_timelines(laws_rrd) == names
+    times_ns = read_times(laws_rrd, "/runs/strange/heading_deg", "two_time")
     two = next(span for span in STRANGE.find_phase_spans() if span.phase == "two")
     np.testing.assert_array_equal(times_ns + two.start_ns, STRANGE.poses.time_ns)
 
@@ -223,8 +223,8 @@ def test_no_phase_takes_the_name_of_another_timeline(phase: str) -> None:
     assert name_phase_timeline(f"{phase}2") == f"{phase}2_time"
 
 
-def test_tables_have_rows_of_the_loops_that_the_runs_have(mixed_rrd: Path) -> None:
-    text = read_static(mixed_rrd, "/documents/Metrics", "TextDocument:text")[0]
+def test_tables_have_rows_of_the_loops_that_the_runs_have(laws_rrd: Path) -> None:
+    text = read_static(laws_rrd, "/documents/Metrics", "TextDocument:text")[0]
     rows = [row.split(" | ") for row in text.splitlines() if row.startswith("| ")]
     groups = list(dict.fromkeys(row[0].removeprefix("| ").partition(".")[0] for row in rows[2:]))
     assert set(groups) == {"rotate", "translate", "a", "b", "align", "approach", "creep"} | {
@@ -237,16 +237,16 @@ def test_tables_have_rows_of_the_loops_that_the_runs_have(mixed_rrd: Path) -> No
     assert {cells[name] for name in KINDS} == {"-"}
 
 
-def test_a_metric_that_some_laws_do_not_have_is_nan_for_them(mixed_rrd: Path) -> None:
-    names = read_static(mixed_rrd, "/__properties/runs", "name")
-    overshoot = read_static(mixed_rrd, "/__properties/metrics", "rotate.overshoot")
+def test_a_metric_that_some_laws_do_not_have_is_nan_for_them(laws_rrd: Path) -> None:
+    names = read_static(laws_rrd, "/__properties/runs", "name")
+    overshoot = read_static(laws_rrd, "/__properties/metrics", "rotate.overshoot")
     known = dict(zip(names, overshoot, strict=True))
     assert known["paper-kp10"] == measure_run(KP10)["rotate.overshoot"].value
     assert all(np.isnan(known[kind]) for kind in KINDS)
 
 
 def test_an_explanation_is_of_a_metric_that_the_law_has(tmp_path: Path) -> None:
-    without = {"hesitation": simulate_law("strange", law__hesitates_ticks=0)}
+    without = {"hesitation": simulate_law("strange", **{"law.hesitates_ticks": 0})}
     path, metric = tmp_path / "why.rrd", "b.settling_time"
     write_explanation_rrd(STRANGE, without, {"hesitation": 0.2}, path, metric=metric)
     verify(path)
@@ -261,3 +261,42 @@ def test_loops_that_begin_together_share_a_bar_of_dead_time(tmp_path: Path) -> N
     write_explanation_rrd(late, {"delay": EXAMPLE}, {"delay": 0.1}, tmp_path / "why.rrd")
     times_ns = read_times(tmp_path / "why.rrd", "/runs/recorded/dead_time")
     assert times_ns.tolist() == [0, 48_000_000]
+
+
+def name_phases(count: int) -> Run:
+    """Return a run that passes through so many phases."""
+    run = simulate_law("OpenLoop")
+    phase = np.minimum(np.arange(len(run.samples)) // 5, count - 1)
+    declaration = Declaration(phases={f"p{number}": () for number in range(count)}, uses_goal=False)
+    return replace(run, declaration=declaration, samples=replace(run.samples, phase=phase))
+
+
+@pytest.mark.parametrize(("phases", "timelines"), [(1, 0), (2, 1), (9, 8), (10, 8)])
+def test_up_to_eight_later_phases_have_a_timeline(phases: int, timelines: int) -> None:
+    starts_ns = build_compared_clock(name_phases(phases)).starts_ns
+    assert list(starts_ns) == [f"p{number}_time" for number in range(1, 1 + timelines)]
+
+
+@pytest.mark.parametrize(("count", "tabs"), [(0, 0), (3, 0), (4, 1)])
+def test_up_to_three_states_stand_beside_each_other(count: int, tabs: int, tmp_path: Path) -> None:
+    run = simulate_law("OpenLoop")
+    declaration = replace(run.declaration, states=tuple("abcd"[:count]))
+    states = np.zeros((len(run.samples), count)) if count else None
+    samples = replace(run.samples, states=states)
+    found = []
+    for name, drawn in (
+        ("with", replace(run, declaration=declaration, samples=samples)),
+        ("without", run),
+    ):
+        write_run_rrd(drawn, tmp_path / f"{name}.rrd")
+        kinds = read_blueprint_parts(tmp_path / f"{name}.rrd", "ContainerBlueprint:container_kind")
+        found.append(kinds.count(TABS))
+    assert found[0] - found[1] == tabs
+
+
+def test_the_plane_holds_what_the_law_asks_for() -> None:
+    away_m = REFERENCE_XY_M + np.array([20.0, 0.0])
+    run = replace(FOLLOWER, samples=replace(FOLLOWER.samples, reference_xy_m=away_m))
+    bounds = find_plane_bounds([run])
+    assert bounds.center_xy_m[0] + bounds.half_size_m > np.nanmax(away_m[:, 0])
+    assert find_plane_bounds([FOLLOWER]).half_size_m < bounds.half_size_m

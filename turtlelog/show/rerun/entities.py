@@ -77,6 +77,25 @@ PLOTS: Final[Mapping[str, str]] = MappingProxyType(
 """The plot of each signal that a loop can control."""
 
 
+TITLES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        HEADING: "Heading [deg]",
+        HEADING_ERROR: "Heading error [deg]",
+        HEADING_ERROR_LOG: "log₁₀ heading error [deg]",
+        TURN_RATE: "Turn rate [rad/s]",
+        POSITION: "Position [m]",
+        POSITION_ERROR: "Position error [m]",
+        ALONG_TRACK: "Along-track [m]",
+        CROSS_TRACK: "Cross-track [m]",
+        DISTANCE: "Distance [m]",
+        DISTANCE_LOG: "log₁₀ distance [m]",
+        SPEED: "Speed [m/s]",
+        WORLD_VELOCITY: "World velocity [m/s]",
+    }
+)
+"""Titles of plots."""
+
+
 def join_path(*parts: str) -> str:
     """Return an entity path from parts that are escaped already; empty ones are left out."""
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))

@@ -20,7 +20,7 @@ def write_comparison_rrd(
 ) -> None:
     """Write one recording of several runs over each other; time zero is each one's first sample.
 
-    On the timeline `translate_time` it is the start of each one's translation.
+    On the timeline of a later phase, as `translate_time`, it is the start of that phase in each.
 
     Args:
         runs: At least one; each keeps its colour in every view, in the order of `order_by_gain`.

@@ -1,7 +1,6 @@
 """The views of a layout, one by one."""
 
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Sequence
 from typing import Final
 
 import rerun as rr
@@ -14,24 +13,6 @@ from turtlelog.show.rerun.drawing import name_document
 from turtlelog.show.rerun.entities import TIMELINE, join_path
 from turtlelog.show.rerun.legend import arrange_names, choose_names
 from turtlelog.show.rerun.surroundings import Bounds
-
-_TITLES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        entities.HEADING: "Heading [deg]",
-        entities.HEADING_ERROR: "Heading error [deg]",
-        entities.HEADING_ERROR_LOG: "log₁₀ heading error [deg]",
-        entities.TURN_RATE: "Turn rate [rad/s]",
-        entities.POSITION: "Position [m]",
-        entities.POSITION_ERROR: "Position error [m]",
-        entities.ALONG_TRACK: "Along-track [m]",
-        entities.CROSS_TRACK: "Cross-track [m]",
-        entities.DISTANCE: "Distance [m]",
-        entities.DISTANCE_LOG: "log₁₀ distance [m]",
-        entities.SPEED: "Speed [m/s]",
-        entities.WORLD_VELOCITY: "World velocity [m/s]",
-    }
-)
-
 
 WHOLE_TIME: Final = rr.TimeRange(
     start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
@@ -103,7 +84,7 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None) -> rrb.V
 
 
 def _name_plot(plot: str) -> str:
-    return _TITLES.get(plot) or f"State {plot.partition('/')[2]}"
+    return entities.TITLES.get(plot) or f"State {plot.partition('/')[2]}"
 
 
 def view_phases(content: Content) -> rrb.View:
