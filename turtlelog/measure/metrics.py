@@ -3,6 +3,7 @@
 import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from types import MappingProxyType
@@ -165,12 +166,18 @@ def measure_run(
     with np.errstate(all="ignore"):
         return {
             name: (
-                _measure(context, name, kinds[name])
-                if name in kinds
-                else miss_metric(run.declaration, name)
+                _measure(context, name, kinds[name]) if name in kinds else _miss_metric(run, name)
             )
             for name in names
         }
+
+
+def _miss_metric(run: Run, name: str) -> Metric:
+    missing = miss_metric(run.declaration, name)
+    if len(run.samples) or run.declaration.loops:
+        return missing
+    reason = "no samples of a controller were read"
+    return replace(missing, status=Status.ABSENT, reason=reason)
 
 
 def miss_metric(declaration: Declaration, name: str) -> Metric:
