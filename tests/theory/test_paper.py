@@ -13,10 +13,13 @@ RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 def test_clipping_explains_the_measured_settling_times_to_a_third_of_a_second(kp: int) -> None:
     run = tl.read_recording(RECORDINGS / f"kp{kp}.mcap")
     metrics = tl.measure_run(run)
-    steps = {"translate": run.samples.distance_m[0], "rotate": run.samples.bearing_rad[0]}
-    for phase, step in steps.items():
-        clipped_s = tl.compute_saturated_settling_time(kp, step=float(step), limit=1.0)
-        assert metrics[f"{phase}.settling_time"].value == pytest.approx(clipped_s, abs=0.3)
+    line = run.goal_line
+    assert line is not None
+    assert line.length_m is not None
+    steps = {"translate": line.length_m, "rotate": line.bearing_rad}
+    for loop, step in steps.items():
+        clipped_s = tl.compute_saturated_settling_time(kp, step=step, limit=1.0)
+        assert metrics[f"{loop}.settling_time"].value == pytest.approx(clipped_s, abs=0.3)
 
 
 @pytest.mark.parametrize("kp", [1, 2, 4, 10])
@@ -24,4 +27,6 @@ def test_no_gain_translates_faster_than_the_limit_allows(kp: int) -> None:
     run = tl.read_recording(RECORDINGS / f"kp{kp}.mcap")
     settling_time_s = tl.measure_run(run)["translate.settling_time"].value
     assert settling_time_s is not None
-    assert settling_time_s > 0.98 * run.samples.distance_m[0] > tl.compute_settling_time(kp)
+    assert run.goal_line is not None
+    assert run.goal_line.length_m is not None
+    assert settling_time_s > 0.98 * run.goal_line.length_m > tl.compute_settling_time(kp)
