@@ -203,6 +203,21 @@ def test_view_writes_a_recording_of_it(call: Call, strange: Path, tmp_path: Path
     assert all((tmp_path / f"{name}.rrd").stat().st_size > 10_000 for name in ("both", "one"))
 
 
+def test_view_takes_a_picture_from_the_start_of_a_phase(
+    call: Call, strange: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.mcap"
+    tl.write_recording(simulate_strange(law__gain_b=2.0, name="faster"), other)
+    words = ("--at", "1", "--snapshot", tmp_path / "two.png", "--size", "800x500")
+    answer = call("view", strange, other, "--timeline", "two_time", *words)
+    if "expected a graphics adapter" in answer.err:
+        pytest.skip("the viewer has no graphics adapter here")
+    assert answer.code == 0
+    assert (tmp_path / "two.png").stat().st_size > 10_000
+    answer = call("view", strange, other, "--timeline", "rotate_time", *words)
+    assert (answer.code, "timeline: expected" in answer.err) == (2, True)
+
+
 def test_what_came_before_a_law_failed_is_recorded(call: Call, tmp_path: Path) -> None:
     law = tmp_path / "plain.py"
     law.write_text(PLAIN.replace("return", "if time_ns > 300_000_000: 1 / 0\n        return"))

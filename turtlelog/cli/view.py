@@ -7,7 +7,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -30,14 +30,14 @@ class PictureOptions:
     Attributes:
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
         at: Time of the picture, from the first sample [s]; otherwise the end.
-        timeline: What --at tells: sim_time, or of several runs also translate_time, from the start
-            of each one's translation.
+        timeline: What --at tells: sim_time, or of several runs also PHASE_time, from the start of a
+            later phase of each, as translate_time.
         size: Width and height of the picture [pixels].
     """
 
     snapshot: Path | None = None
     at: float | None = None
-    timeline: Literal["sim_time", "translate_time"] = "sim_time"
+    timeline: str = "sim_time"
     size: str = "1600x900"
 
 
