@@ -13,7 +13,7 @@ import turtlelog as tl
 from turtlelog.check import load_spec
 from turtlelog.check.reference import load_reference
 from turtlelog.errors import TurtlelogError
-from turtlelog.measure.path_file import read_reference_path
+from turtlelog.measure.path import read_reference_path
 from turtlelog.scenario import override_scenario, parse_assignments, read_scenario
 from turtlelog.text_files import MOST_BYTES, parse_toml, read_text_file
 

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from turtlelog.measure.command import (
+from turtlelog.measure.response import compute_hold_times
+from turtlelog.measure.table.commands import (
     compute_effort,
-    compute_hold_times,
     compute_total_variation,
     count_reversals,
     find_largest_jump,

@@ -13,7 +13,7 @@ from turtlelog.measure.metrics import (
     miss_metric,
     suggest_metrics,
 )
-from turtlelog.measure.path_file import read_reference_path
+from turtlelog.measure.path import read_reference_path
 from turtlelog.measure.references import read_heading_reference, read_reference
 from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch

@@ -1,6 +1,7 @@
 """One run on its way through the table of metrics: what several of them need is computed once."""
 
 from collections.abc import Callable, Hashable
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Final, TypeVar, cast
 
@@ -8,15 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.loops import ControlLoop
-from turtlelog.measure.beginning import take_beginning
 from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.path import compute_path_distances, compute_path_length
 from turtlelog.measure.references import read_heading_reference
-from turtlelog.measure.response import Response, find_response
+from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import Signal, read_signal
-from turtlelog.run import Run
+from turtlelog.run import PoseColumns, Run, SampleColumns
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
@@ -124,3 +124,37 @@ class RunContext:
 
     def _find_dead_time(self, loop: ControlLoop) -> DeadTime | Missing:
         return find_dead_time(take_beginning(self.run, loop, _MOST_SAMPLES), loop)
+
+
+_EARLIER_SAMPLES: Final = 1000
+"""Samples before the stretch that are kept: more than can still wait in any queue."""
+
+_Columns = TypeVar("_Columns", PoseColumns, SampleColumns)
+
+
+def take_beginning(run: Run, loop: ControlLoop, most_samples: int) -> Run:
+    """Return a run with no more than that many samples of a loop, and few before it.
+
+    A run that is no longer than that comes back as it is.
+    """
+    samples = run.samples
+    if len(samples) <= most_samples:
+        return run
+    stretch = find_loop_samples(run, loop)
+    first = 0 if stretch is None else stretch.start
+    rows = slice(max(first - _EARLIER_SAMPLES, 0), first + most_samples)
+    read = samples.pose_sequence[rows]
+    poses = slice(int(read.min()), int(read.max()) + 1)
+    kept = _slice(samples, rows)
+    return replace(
+        run,
+        poses=_slice(run.poses, poses),
+        samples=replace(kept, pose_sequence=np.asarray(read - poses.start)),
+    )
+
+
+def _slice(columns: _Columns, rows: slice) -> _Columns:
+    values = {field.name: getattr(columns, field.name) for field in fields(columns)}
+    return replace(
+        columns, **{name: found[rows] for name, found in values.items() if found is not None}
+    )

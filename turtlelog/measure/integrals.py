@@ -64,3 +64,10 @@ def compute_rms(step_s: Values, values: Values) -> float:
 def _sum_products(step_s: Values, first: Values, second: Values) -> float:
     # Nothing is laid out in memory on the way: long signals are measured at the speed of reading.
     return float(np.einsum("i,i,i->", step_s, first, second))
+
+
+def find_largest(deviation: Values) -> tuple[float, int]:
+    """Return the largest magnitude [unit], and its row."""
+    low, high = int(deviation.argmin()), int(deviation.argmax())
+    row = low if -deviation[low] > deviation[high] else high
+    return abs(float(deviation[row])), row

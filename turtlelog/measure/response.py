@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
 from turtlelog.loops import PAUSE, ControlLoop
-from turtlelog.measure.command import compute_hold_times
 from turtlelog.measure.integrals import fold_at_zero
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.references import read_controlled_distance, read_reference
@@ -235,3 +234,8 @@ def _turn_towards(loop: ControlLoop, value: float, measured: float) -> float:
     if loop.signal != "heading":
         return value
     return value + float(np.round((measured - value) / (2.0 * np.pi))) * 2.0 * np.pi
+
+
+def compute_hold_times(time_s: Values, end_s: float) -> Values:
+    """Return how long each value holds [s], shape (n,)."""
+    return np.diff(time_s, append=max(end_s, float(time_s[-1])))

@@ -1,4 +1,10 @@
-"""The metrics of a run's timing."""
+"""Metrics of sampling times and of the sequence numbers that go with them.
+
+A period is the time from one row to the next, `np.diff(time_s)`, shape (n - 1,). Rows of a burst
+share one time: their periods are 0 and count as such, and the silence before a burst is one long
+period. So the mean is the length over the count whatever happens in between, the median is what
+the loop mostly does, and the percentiles show pause and burst at either end.
+"""
 
 from collections.abc import Callable
 from typing import Final, Literal
@@ -6,7 +12,6 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure import timing
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import run_metric
@@ -67,14 +72,14 @@ def _pick(percent: int) -> Callable[[RunContext], Result]:
         if not len(periods_s):
             return Missing(status=Status.TOO_SHORT, reason="1 sample")
         ordered_s = context.recall("ordered periods", lambda: np.sort(periods_s))
-        return Found(timing.find_percentile(ordered_s, percent))
+        return Found(find_percentile(ordered_s, percent))
 
     return compute
 
 
 def _count_missing(context: RunContext) -> Result:
     sequence = context.run.samples.sequence
-    return Found(float(timing.count_missing(sequence))) if len(sequence) else _NO_SAMPLES
+    return Found(float(count_missing(sequence))) if len(sequence) else _NO_SAMPLES
 
 
 def _read_note(name: str) -> Callable[[RunContext], Result]:
@@ -90,10 +95,54 @@ def _read_note(name: str) -> Callable[[RunContext], Result]:
     return read
 
 
+def compute_rate(periods_s: Values) -> float | None:
+    """Return rows per second over the whole length [Hz]; None where no time passes."""
+    length_s = float(periods_s.sum())
+    return len(periods_s) / length_s if length_s > 0.0 else None
+
+
+def compute_spread(periods_s: Values) -> float:
+    """Return the standard deviation of the periods around their mean [s]."""
+    # From the first period on, so that equal ones leave exactly 0.
+    return float((periods_s - periods_s[0]).std())
+
+
+def compute_jitter(periods_s: Values) -> float | None:
+    """Return the root mean square of the change from one period to the next [s].
+
+    The cycle-to-cycle jitter (JEDEC JESD65B), as RMS: unlike the standard deviation it does not see
+    a slow drift of the rate. None for less than two periods.
+    """
+    changes = np.diff(periods_s)
+    return float(np.sqrt(np.mean(changes * changes))) if len(changes) else None
+
+
+def find_percentile(ordered_s: Values, percent: int) -> float:
+    """Return the shortest period than which so many percent are no longer [s]; 50: the median.
+
+    Args:
+        ordered_s: In rising order, at least one.
+        percent: From 1 to 100.
+    """
+    if percent == 50:
+        return float(np.median(ordered_s))
+    return float(ordered_s[-(-len(ordered_s) * percent // 100) - 1])
+
+
+def count_burst_rows(periods_s: Values) -> int:
+    """Return how many rows share their time with the row before."""
+    return int(np.count_nonzero(periods_s == 0.0))
+
+
+def count_missing(sequence: NDArray[np.int64]) -> int:
+    """Return how many numbers are missing between the first and the last; they increase by 1."""
+    return int(sequence[-1] - sequence[0]) + 1 - len(sequence) if len(sequence) else 0
+
+
 _PERCENTS: Final = (50, 95, 99)
 
 run_metric("run.sample_rate", "Hz", "Samples per second, from the first to the last.", better=None)(
-    _on_periods("sample", timing.compute_rate)
+    _on_periods("sample", compute_rate)
 )
 
 run_metric("run.sample_period_mean", "s", "Mean time from one sample to the next.", better=None)(
@@ -101,7 +150,7 @@ run_metric("run.sample_period_mean", "s", "Mean time from one sample to the next
 )
 
 run_metric("run.sample_period_std", "s", "Standard deviation of that time.")(
-    _on_periods("sample", timing.compute_spread)
+    _on_periods("sample", compute_spread)
 )
 
 for _percent in _PERCENTS:
@@ -114,7 +163,7 @@ for _percent in _PERCENTS:
 
 run_metric(
     "run.sample_jitter", "s", "Root mean square of the change from one such time to the next."
-)(_on_periods("sample", timing.compute_jitter, fewest=2))
+)(_on_periods("sample", compute_jitter, fewest=2))
 
 run_metric("run.largest_gap", "s", "Longest time without a sample.", grows=True)(
     _find_largest_gap("sample")
@@ -122,7 +171,7 @@ run_metric("run.largest_gap", "s", "Longest time without a sample.", grows=True)
 
 run_metric(
     "run.burst_samples", "1", "Samples that share their time with the one before.", grows=True
-)(_on_periods("sample", lambda periods_s: float(timing.count_burst_rows(periods_s)), fewest=0))
+)(_on_periods("sample", lambda periods_s: float(count_burst_rows(periods_s)), fewest=0))
 
 run_metric(
     "run.dropped_samples",
@@ -132,11 +181,11 @@ run_metric(
 )(_count_missing)
 
 run_metric("run.pose_rate", "Hz", "Poses per second, from the first to the last.", better=None)(
-    _on_periods("pose", timing.compute_rate)
+    _on_periods("pose", compute_rate)
 )
 
 run_metric("run.pose_period_std", "s", "Standard deviation of the time from one pose to the next.")(
-    _on_periods("pose", timing.compute_spread)
+    _on_periods("pose", compute_spread)
 )
 
 run_metric("run.largest_pose_gap", "s", "Longest time without a pose.", grows=True)(

@@ -1,15 +1,24 @@
-"""Command metrics: from commands as they hold to a value or the reason for none."""
+"""Metrics of a command that holds from one row to the next, and their algorithms.
+
+`time_s` and `values` have shape (n,), n >= 1, times not decreasing; the last value holds until
+`end_s`. Commands of a burst share one time: all but the last of them hold for no time. They count
+where commands are counted (variation, jumps, reversals) and not where time is (effort, saturation,
+slew rate).
+"""
 
 from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from turtlelog.measure import command
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import CommandStretch, Response
+
+Values = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 OfCommands = Callable[[CommandStretch], Result]
 
@@ -39,9 +48,9 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="all commands share o
 @_command_metric(
     "effort", "{command}^2/s", "Integral of the square of the {command} as it holds.", grows=True
 )
-def compute_effort(commands: CommandStretch) -> Result:
-    """See `command.compute_effort`."""
-    return Found(command.compute_effort(commands.held_s, commands.values))
+def measure_effort(commands: CommandStretch) -> Result:
+    """See `compute_effort`."""
+    return Found(compute_effort(commands.held_s, commands.values))
 
 
 @_command_metric(
@@ -50,9 +59,9 @@ def compute_effort(commands: CommandStretch) -> Result:
     "Sum of the magnitudes of all changes of the {command}.",
     grows=True,
 )
-def compute_total_variation(commands: CommandStretch) -> Result:
-    """See `command.compute_total_variation`."""
-    return Found(command.compute_total_variation(commands.values))
+def measure_total_variation(commands: CommandStretch) -> Result:
+    """See `compute_total_variation`."""
+    return Found(compute_total_variation(commands.values))
 
 
 @_command_metric(
@@ -61,9 +70,9 @@ def compute_total_variation(commands: CommandStretch) -> Result:
     "Largest change of the {command} from one sample to the next.",
     grows=True,
 )
-def compute_largest_jump(commands: CommandStretch) -> Result:
-    """See `command.find_largest_jump`."""
-    jump, row = command.find_largest_jump(commands.values)
+def measure_largest_jump(commands: CommandStretch) -> Result:
+    """See `find_largest_jump`."""
+    jump, row = find_largest_jump(commands.values)
     return Found(jump, float(commands.time_s[row]))
 
 
@@ -73,22 +82,22 @@ def compute_largest_jump(commands: CommandStretch) -> Result:
     "Largest such change over the time that it took, bursts as one.",
     grows=True,
 )
-def compute_largest_slew_rate(commands: CommandStretch) -> Result:
-    """See `command.find_largest_slew_rate`."""
-    found = command.find_largest_slew_rate(commands.time_s, commands.values)
+def measure_largest_slew_rate(commands: CommandStretch) -> Result:
+    """See `find_largest_slew_rate`."""
+    found = find_largest_slew_rate(commands.time_s, commands.values)
     return _ONE_TIME if found is None else Found(found[0], float(commands.time_s[found[1]]))
 
 
 @_command_metric("reversals", "1", "How often the {command} changes its sign.", grows=True)
-def compute_reversals(commands: CommandStretch) -> Result:
-    """See `command.count_reversals`."""
-    return Found(float(command.count_reversals(commands.values)))
+def measure_reversals(commands: CommandStretch) -> Result:
+    """See `count_reversals`."""
+    return Found(float(count_reversals(commands.values)))
 
 
 @_command_metric(
     "largest_wanted", "{command}/s", "Largest {command} that the law asked for.", grows=True
 )
-def compute_largest_wanted(commands: CommandStretch) -> Result:
+def measure_largest_wanted(commands: CommandStretch) -> Result:
     """The largest magnitude before clipping."""
     wanted = commands.wanted
     if wanted is None:
@@ -103,7 +112,7 @@ def compute_largest_wanted(commands: CommandStretch) -> Result:
     "Share of the samples whose {command} stands at its limit.",
     needs_whole=False,
 )
-def compute_saturated_share(commands: CommandStretch) -> Result:
+def measure_saturated_share(commands: CommandStretch) -> Result:
     """By samples; taken at the first that is saturated."""
     saturated = commands.is_saturated
     if saturated is None:
@@ -117,7 +126,7 @@ def compute_saturated_share(commands: CommandStretch) -> Result:
     "Share of the time during which the {command} stands at its limit.",
     needs_whole=False,
 )
-def compute_saturated_time_share(commands: CommandStretch) -> Result:
+def measure_saturated_time_share(commands: CommandStretch) -> Result:
     """By time, under hold; taken at the first that is saturated."""
     saturated = commands.is_saturated
     if saturated is None:
@@ -136,12 +145,12 @@ def compute_saturated_time_share(commands: CommandStretch) -> Result:
     "Longest time for which the {command} stands at its limit without a break.",
     grows=True,
 )
-def compute_longest_saturation(commands: CommandStretch) -> Result:
-    """See `command.find_longest_held`; taken at its start."""
+def measure_longest_saturation(commands: CommandStretch) -> Result:
+    """See `find_longest_held`; taken at its start."""
     saturated = commands.is_saturated
     if saturated is None:
         return _NO_LIMIT
-    found = command.find_longest_held(commands.held_s, saturated)
+    found = find_longest_held(commands.held_s, saturated)
     if found is None:
         return Found(0.0)
     return Found(found[0], float(commands.time_s[found[1]]))
@@ -152,3 +161,64 @@ def _tell_first(commands: CommandStretch) -> float | None:
     if saturated is None or not saturated.any():
         return None
     return float(commands.time_s[saturated.argmax()])
+
+
+def compute_effort(held_s: Values, values: Values) -> float:
+    """Return the integral of the squared command [unit^2 s]: the energy of the input signal.
+
+    The input's term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore, Optimal
+    Control). `held_s`: how long each value holds [s].
+    """
+    return float(np.einsum("i,i,i->", held_s, values, values))
+
+
+def compute_total_variation(values: Values) -> float:
+    """Return the sum of all changes' magnitudes [unit]: how much the command moves.
+
+    TV of S. Skogestad, "Simple analytic rules for model reduction and PID controller tuning",
+    J. Process Control 13 (2003).
+    """
+    return float(np.abs(np.diff(values)).sum())
+
+
+def find_largest_jump(values: Values) -> tuple[float, int]:
+    """Return the largest magnitude of a change [unit], and the row that it leads to."""
+    if len(values) < 2:
+        return 0.0, 0
+    changes = np.abs(np.diff(values))
+    row = int(changes.argmax())
+    return float(changes[row]), row + 1
+
+
+def find_largest_slew_rate(time_s: Values, values: Values) -> tuple[float, int] | None:
+    """Return the largest change per time between held values [unit/s], and the row it leads to.
+
+    A change counts over the time from the row before. None where no two rows differ in time.
+    """
+    step_s, rows = np.diff(time_s), np.arange(len(time_s))
+    if not step_s.all():
+        rows = np.append(np.flatnonzero(step_s), len(values) - 1)
+        values, step_s = values[rows], np.diff(time_s[rows])
+    if not len(step_s):
+        return None
+    rates = np.abs(np.diff(values)) / step_s
+    row = int(rates.argmax())
+    return float(rates[row]), int(rows[row + 1])
+
+
+def find_longest_held(held_s: Values, mask: Mask) -> tuple[float, int] | None:
+    """Return the longest time for which `mask` holds without a break [s], and its first row."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    starts, ends = edges[::2], edges[1::2]
+    if not len(starts):
+        return None
+    until_s = np.concatenate([[0.0], np.cumsum(held_s)])
+    lengths_s = until_s[ends] - until_s[starts]
+    longest = int(lengths_s.argmax())
+    return float(lengths_s[longest]), int(starts[longest])
+
+
+def count_reversals(values: Values) -> int:
+    """Return how often the command changes its sign; zeros in between do not count."""
+    turning = values[values != 0.0] > 0.0
+    return int(np.count_nonzero(turning[1:] != turning[:-1]))

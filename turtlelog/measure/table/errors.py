@@ -2,7 +2,7 @@
 
 from turtlelog.measure import integrals
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.deviation import find_largest
+from turtlelog.measure.integrals import find_largest
 from turtlelog.measure.metric import Found, Result
 from turtlelog.measure.registry import has_step, loop_metric
 from turtlelog.measure.response import Response

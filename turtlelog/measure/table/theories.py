@@ -1,20 +1,37 @@
-"""Metrics of a loop against theory: from its response to a value or the reason for none."""
+"""Metrics of how far a response is from theory: ideal, sampled, sampled with dead time.
+
+All three are the loop of an integrator under proportional feedback with the gain of the run, from
+the response's own initial value to its reference, with no limit on the command:
+
+- ideal: dy/dt = Kp (r - y), so y = r + (y0 - r) exp(-Kp t);
+- sampled: the command holds for a period T: y[k+1] = y[k] + Kp T (r - y[k]);
+- delayed: it is answered d samples late: y[k+1] = y[k] + Kp T (r - y[k-d]), at rest before.
+
+Between samples a sampled loop moves along a line, for the command holds. The deviation is measured
+minus theory, and the line through its values at the response's own times.
+"""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.loops import ControlLoop
-from turtlelog.measure import deviation
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.integrals import compute_rms
+from turtlelog.measure.integrals import compute_rms, find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response
 from turtlelog.measure.settings import MOST_TICKS
+from turtlelog.theory import compute_sampled_step_response, compute_step_response
 from turtlelog.theory.responses import LARGEST_DEVIATION
+
+Values = NDArray[np.float64]
+
+_ROUNDING: Final = 1e-9
+"""More than adding the reference to a response can change, as a share of it."""
 
 THEORIES: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -67,23 +84,23 @@ def _deviate_by(theory: str, figure: str) -> Callable[[RunContext, Response], Re
             return found
         if figure == "rms":
             return Found(compute_rms(response.step_s, found))
-        largest, row = deviation.find_largest(found)
+        largest, row = find_largest(found)
         return Found(largest, response.start_s + float(response.time_s[row]))
 
     return compute
 
 
-def _deviate(theory: str, context: RunContext, response: Response) -> deviation.Values | Missing:
+def _deviate(theory: str, context: RunContext, response: Response) -> Values | Missing:
     predicted = _predict(theory, context, response)
     return predicted if isinstance(predicted, Missing) else response.values - predicted
 
 
-def _predict(theory: str, context: RunContext, response: Response) -> deviation.Values | Missing:
+def _predict(theory: str, context: RunContext, response: Response) -> Values | Missing:
     kp = _find_gain(context, response.loop)
     if kp is None:
         return _NO_GAIN
     if theory == "ideal":
-        return deviation.compute_ideal_response(
+        return compute_ideal_response(
             response.time_s, kp=kp, initial=response.initial, reference=response.reference
         )
     period_s = context.loop_period_s
@@ -94,7 +111,7 @@ def _predict(theory: str, context: RunContext, response: Response) -> deviation.
     dead_time = _find_dead_time_samples(theory, context, response, period_s)
     if isinstance(dead_time, Missing):
         return dead_time
-    predicted = deviation.compute_sampled_response(
+    predicted = compute_sampled_response(
         response.time_s,
         kp=kp,
         period_s=period_s,
@@ -125,6 +142,43 @@ def _find_dead_time_samples(
     if isinstance(ticks, Missing) or context.tick_s is None:
         return ticks if isinstance(ticks, Missing) else _ONE_TIME
     return min(round(ticks * context.tick_s / period_s), MOST_TICKS)
+
+
+def compute_ideal_response(
+    time_s: Values, *, kp: float, initial: float, reference: float
+) -> Values:
+    """Return the ideal loop at times from the start of the phase, shape (n,)."""
+    return compute_step_response(kp, time_s, initial=initial, reference=reference)
+
+
+def compute_sampled_response(
+    time_s: Values,
+    *,
+    kp: float,
+    period_s: float,
+    dead_time_ticks: int,
+    initial: float,
+    reference: float,
+) -> Values | None:
+    """Return the sampled loop at times from the start of the phase, shape (n,).
+
+    Its samples are at 0, T, 2 T ... from there; `dead_time_ticks` counts in them. None where the
+    loop is unstable, and goes beyond `LARGEST_DEVIATION` before the last of the times.
+    """
+    count = int(np.ceil(time_s[-1] / period_s)) + 2
+    values = compute_sampled_step_response(
+        kp,
+        count,
+        period_s=period_s,
+        dead_time_ticks=dead_time_ticks,
+        initial=initial,
+        reference=reference,
+    )
+    # Where theory stops an unstable loop, what follows is no response of that loop.
+    furthest = np.abs(values[:-1] - reference).max()
+    if furthest > (1.0 - _ROUNDING) * LARGEST_DEVIATION * abs(reference - initial) > 0.0:
+        return None
+    return np.interp(time_s, np.arange(count) * period_s, values)
 
 
 for _theory, _described in THEORIES.items():

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import integrals, path, step
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.deviation import find_largest
+from turtlelog.measure.integrals import find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric, run_metric
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
 from turtlelog.measure.table.commands import (
-    compute_effort,
-    compute_largest_jump,
-    compute_largest_slew_rate,
-    compute_reversals,
-    compute_total_variation,
+    measure_effort,
+    measure_largest_jump,
+    measure_largest_slew_rate,
+    measure_reversals,
+    measure_total_variation,
 )
 from turtlelog.measure.table.steps import require_hold
 
@@ -180,28 +180,28 @@ def _enter_command_metrics(name: str, column: str, unit: str, square: str) -> No
         (
             "effort",
             square,
-            compute_effort,
+            measure_effort,
             "Integral of the square of the published {} as it holds.",
         ),
         (
             "total_variation",
             unit,
-            compute_total_variation,
+            measure_total_variation,
             "Sum of the magnitudes of all changes of the published {}.",
         ),
         (
             "largest_jump",
             unit,
-            compute_largest_jump,
+            measure_largest_jump,
             "Largest change from one published {} to the next.",
         ),
         (
             "largest_slew_rate",
             f"{unit}^2",
-            compute_largest_slew_rate,
+            measure_largest_slew_rate,
             "Largest change of the published {} over the time that it took.",
         ),
-        ("reversals", "1", compute_reversals, "How often the published {} changes its sign."),
+        ("reversals", "1", measure_reversals, "How often the published {} changes its sign."),
     ):
         run_metric(f"run.{name}_{figure}", of_what, meaning.format(words), grows=True)(
             _on_commands(column, compute)
