@@ -99,7 +99,7 @@ def find_dead_time(run: Run, loop: ControlLoop | str) -> DeadTime | Missing:
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:
         return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {loop.name}")
-    predicted, sure = map(np.array, zip(*map(motion.predict, _CANDIDATES), strict=True))
+    predicted, sure = motion.predict(_CANDIDATES)
     # Of a step of several ticks the first to move may have moved in some of them only.
     first = int(moves.argmax()) + (motion.step_ticks > 1)
     return _choose(motion, motion.moved - predicted, sure, first)

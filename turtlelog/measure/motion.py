@@ -59,17 +59,27 @@ class LoopMotion:
     apart: float
     command: Values
 
-    def predict(self, dead_time_ticks: int) -> tuple[Values, NDArray[np.bool_]]:
-        """Return what each step moves if commands take that long [rad or m], and if that is sure.
+    def predict(self, dead_times_ticks: range) -> tuple[Values, NDArray[np.bool_]]:
+        """Return what each step moves for each dead time [rad or m], and if that is sure.
 
-        Both have shape (n,). The last command is held, 0 before the first; but where samples are
-        further apart than usual, others may have been lost between them.
+        Both have shape (dead times, n). The last command is held, 0 before the first; but where
+        samples are further apart than usual, others may have been lost between them.
         """
-        answered = self.tick[:, None] + np.arange(self.step_ticks) - dead_time_ticks
-        latest = np.searchsorted(self.sample_tick, answered, side="right") - 1
+        inside = self.tick[:, None] + np.arange(self.step_ticks)
+        answered = inside - np.array(dead_times_ticks)[:, None, None]
+        latest = self._find_latest(answered)
         is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < self.apart)
         command = np.where(latest >= 0, self.command[latest], 0.0)
-        return command.sum(axis=1) * self.tick_s, np.asarray(is_sure.all(axis=1))
+        return command.sum(axis=2) * self.tick_s, np.asarray(is_sure.all(axis=2))
+
+    def _find_latest(self, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the last sample that read a pose of each tick or before, -1 where none did."""
+        first, last = int(ticks.min()), int(ticks.max())
+        if last - first > ticks.size:  # gaps make ticks far apart: no table of all of them
+            return np.searchsorted(self.sample_tick, ticks, side="right") - 1
+        every = np.arange(first, last + 1)
+        latest = np.searchsorted(self.sample_tick, every, side="right") - 1
+        return np.asarray(latest[ticks - first])
 
 
 def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
