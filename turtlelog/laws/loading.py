@@ -169,6 +169,9 @@ def _require_law(law: object, kind: str) -> None:
     if not is_dataclass or not parameters.__dataclass_params__.frozen:
         found = "one that is not frozen" if is_dataclass else repr(parameters)[:60]
         raise LawError(f"{kind}: expected Parameters to be a frozen dataclass, found {found}")
+    if "kind" in {field.name for field in dataclasses.fields(parameters)}:
+        taken = "kind, which names the law"
+        raise LawError(f"{kind}: expected another name of a parameter than {taken}")
     _require_call(law.reset, ("self", "start", "goal", "path"), f"{kind}: reset")  # type: ignore[attr-defined]
     _require_call(law.step, ("self", "time_ns", "pose"), f"{kind}: step")  # type: ignore[attr-defined]
 
