@@ -40,6 +40,13 @@ def test_loop_that_cannot_be_is_refused(changes: dict[str, Any], line: str) -> N
     [
         ({"phases": {}}, "phases: expected 1 to 250, found 0"),
         ({"phases": {f"p{n}": () for n in range(251)}}, "phases: expected 1 to 250, found 251"),
+        ({"phases": ["one"]}, r"phases: expected names of loops by phase, found \['one'\]"),
+        ({"phases": {"one": "a"}}, "phase one: expected a tuple, found 'a'"),
+        ({"phases": {"one": ("a", "a")}}, "phase one: expected each name once, found 'a' twice"),
+        ({"loops": make_loop()}, "loops: expected a tuple, found ControlLoop"),
+        ({"loops": ("a",)}, "loops: expected a ControlLoop, found 'a'"),
+        ({"states": "ab"}, "states: expected a tuple, found 'ab'"),
+        ({"uses_goal": "no"}, "uses_goal: expected True or False, found 'no'"),
         ({"phases": {"one\n": ()}}, "phase: expected a name of letters"),
         ({"phases": {"one": ("b",)}}, "phase one: loop: expected one of a, found 'b'"),
         ({"loops": (make_loop(), make_loop())}, "loops: expected each name once, found 'a' twice"),

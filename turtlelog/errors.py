@@ -21,7 +21,11 @@ class TurtlelogError(Exception):
 
 def describe_error(err: BaseException) -> str:
     """Return an error of somebody else's in one line, with its kind."""
-    return f"{type(err).__name__}: {' '.join(str(err).split())}".removesuffix(": ")
+    try:
+        text = " ".join(str(err).split())
+    except Exception:  # what an error says is its own code
+        text = ""
+    return f"{type(err).__name__}: {text}".removesuffix(": ")
 
 
 def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:

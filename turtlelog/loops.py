@@ -137,17 +137,31 @@ class Declaration:
     uses_goal: bool = True
 
     def __post_init__(self) -> None:
-        phases = {name: tuple(loops) for name, loops in self.phases.items()}
+        if not isinstance(self.phases, Mapping):
+            expected = "names of loops by phase"
+            raise RunError(f"phases: expected {expected}, found {self.phases!r:.60}")
+        if not isinstance(self.uses_goal, bool):
+            raise RunError(f"uses_goal: expected True or False, found {self.uses_goal!r:.60}")
+        phases = {
+            name: _list_entries(f"phase {name}", loops) for name, loops in self.phases.items()
+        }
         object.__setattr__(self, "phases", MappingProxyType(phases))
-        object.__setattr__(self, "loops", tuple(self.loops))
-        object.__setattr__(self, "states", tuple(self.states))
+        object.__setattr__(self, "loops", _list_entries("loops", self.loops))
+        object.__setattr__(self, "states", _list_entries("states", self.states))
+        for loop in self.loops:
+            if not isinstance(loop, ControlLoop):
+                raise RunError(f"loops: expected a ControlLoop, found {loop!r:.60}")
+        self._require_names()
+
+    def _require_names(self) -> None:
         names = [loop.name for loop in self.loops]
         _require_distinct("loops", names)
         _require_distinct("states", self.states)
-        if not 0 < len(phases) <= _MOST_PHASES:
-            raise RunError(f"phases: expected 1 to {_MOST_PHASES}, found {len(phases)}")
-        for phase, loops in phases.items():
+        if not 0 < len(self.phases) <= _MOST_PHASES:
+            raise RunError(f"phases: expected 1 to {_MOST_PHASES}, found {len(self.phases)}")
+        for phase, loops in self.phases.items():
             _require_name("phase", phase)
+            _require_distinct(f"phase {phase}", loops)
             for loop in loops:
                 _require_one_of(f"phase {phase}: loop", loop, tuple(names))
         for state in self.states:
@@ -212,6 +226,13 @@ def _rebuild(
     uses_goal: bool,  # noqa: FBT001
 ) -> Declaration:
     return Declaration(loops=loops, phases=phases, states=states, uses_goal=uses_goal)
+
+
+def _list_entries(place: str, entries: Any) -> tuple[Any, ...]:
+    """Return what stands in a list or tuple; a text is none, though it has letters."""
+    if not isinstance(entries, list | tuple):
+        raise RunError(f"{place}: expected a tuple, found {entries!r:.60}")
+    return tuple(entries)
 
 
 def _require_name(what: str, name: object) -> None:

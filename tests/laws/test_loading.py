@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from turtlelog.errors import LawError
-from turtlelog.laws import LAWS, SequentialP, find_law
+from turtlelog.laws import LAWS, SequentialP, declare_law, find_law
 
 LAW_TEXT = """
 from dataclasses import dataclass
@@ -166,3 +166,22 @@ def test_parameters_are_a_frozen_dataclass(tmp_path: Path, parameters: str) -> N
     line = f"{path}:Steady: expected Parameters to be a frozen dataclass"
     with pytest.raises(LawError, match=rf"\A{re.escape(line)}[^\n]*\Z"):
         find_law(f"{path}:Steady")
+
+
+@pytest.mark.parametrize("phases", ['{"one": (), "two": ()}', '{"three": ()}'])
+def test_law_that_declares_something_else_each_time_is_refused(tmp_path: Path, phases: str) -> None:
+    declare = f"""
+    asked = []
+
+    @classmethod
+    def declare(cls, parameters, goal, path):
+        from turtlelog.loops import Declaration
+
+        cls.asked.append(goal)
+        one_way = {{"two": (), "one": ()}}
+        return Declaration(phases={phases} if len(cls.asked) % 2 else one_way)
+"""
+    law = find_law(f"{write_law(tmp_path, LAW_TEXT + declare)}:Steady")
+    expected = "the same Declaration for the same parameters"
+    with pytest.raises(LawError, match=f"Steady.declare: expected {expected}"):
+        declare_law(law, law.Parameters(), None)

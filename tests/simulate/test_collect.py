@@ -53,6 +53,36 @@ class Failing:
         return Decision(**values)
 """
 
+COUNTING_TEXT = """
+from dataclasses import dataclass
+
+from turtlelog.laws import Decision
+from turtlelog.loops import Declaration
+
+
+@dataclass(frozen=True)
+class Nothing:
+    pass
+
+
+class Counting:
+    Parameters = Nothing
+
+    @classmethod
+    def declare(cls, parameters, goal, path):
+        return Declaration(states=("count",))
+
+    def __init__(self, parameters):
+        self.states = [0.0]
+
+    def reset(self, start, goal, path):
+        self.states[0] = 0.0
+
+    def step(self, time_ns, pose):
+        self.states[0] += 1.0
+        return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, states=self.states)
+"""
+
 
 def make_scenario(folder: Path, failure: str = "pass") -> Scenario:
     path = folder / "failing.py"
@@ -181,6 +211,19 @@ def test_what_a_law_prints_goes_to_stderr(
         "values['phase'] = 7",
         "values['phase'] = []",
         "values['blocks_ticks'] = 'long'",
+        "values['blocks_ticks'] = 1.5",
+        "values['blocks_ticks'] = 2**31",
+        "values['stop_reason'] = ''",
+        "values['stop_reason'] = 'two\\nlines'",
+        "values['stop_reason'] = 'a\\udc80'",
+        "values['speed_m_s'] = __import__('numpy').array([0.5])",
+        "values['speed_m_s'] = 10**400",
+        "values['speed_m_s'] = '0.5'",
+        "values['states'] = 1.0",
+        "values |= dict(error_x_m=1.3e308, error_y_m=-1.3e308)",
+        "raise BaseException('strange')",
+        "raise GeneratorExit",
+        "raise type('Mute', (Exception,), {'__str__': lambda self: 1 / 0})",
         "raise ValueError('two\\nlines')",
         "raise ValueError",
     ],
@@ -190,6 +233,33 @@ def test_law_that_answers_nonsense_is_named_in_one_line(tmp_path: Path, failure:
     line = re.escape(f"law {scenario.law.kind}, sample 2: ")
     with pytest.raises(SimulationError, match=rf"\A{line}[^\n]*[^\s:]\Z"):
         simulate_run(scenario)
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        "__import__('decimal').Decimal('0.5')",
+        "__import__('fractions').Fraction(1, 2)",
+        "__import__('numpy').float32(0.5)",
+        "__import__('numpy').array(0.5)",
+    ],
+)
+def test_a_command_is_a_number_of_any_kind(tmp_path: Path, number: str) -> None:
+    as_float = "values |= dict(speed_m_s=0.5, turn_rate_rad_s=0.1)"
+    plain = simulate_run(make_scenario(tmp_path, as_float))
+    run = simulate_run(make_scenario(tmp_path, f"{as_float}; values['speed_m_s'] = {number}"))
+    for name, values in list_arrays(plain).items():
+        assert list_arrays(run)[name].tobytes() == values.tobytes(), name
+
+
+def test_states_that_the_law_goes_on_changing_are_kept_as_they_were(tmp_path: Path) -> None:
+    path = tmp_path / "counting.py"
+    path.write_text(COUNTING_TEXT, encoding="utf-8")
+    values = {"law.kind": f"{path}:Counting", "max_duration_s": 0.1, "loop.start_backlog": 4}
+    run = simulate_run(override_scenario(get_preset("textbook"), values))
+    assert run.samples.time_ns[3] == run.samples.time_ns[0]  # the backlog is answered at once
+    assert run.samples.states is not None
+    assert run.samples.states[:, 0].tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
 
 
 def test_law_that_cannot_be_made_is_named(tmp_path: Path) -> None:

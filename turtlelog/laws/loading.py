@@ -52,12 +52,18 @@ def declare_law(law: type[Law], parameters: object, goal: Goal | None) -> Declar
         return Declaration()
     try:
         with print_to_stderr():
-            declared = declare(parameters, goal, None)
-    except (Exception, SystemExit) as err:
+            # Twice: who records a run asks again, and reads its samples by the answer.
+            declared, again = declare(parameters, goal, None), declare(parameters, goal, None)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as err:
         raise LawError(f"{law.__name__}.declare: {describe_law_error(err, law)}") from err
     if not isinstance(declared, Declaration):
         found = type(declared).__name__
         raise LawError(f"{law.__name__}.declare: expected a Declaration, found {found}")
+    if declared != again or [*declared.phases] != [*again.phases]:
+        expected = "the same Declaration for the same parameters"
+        raise LawError(f"{law.__name__}.declare: expected {expected}, found another each time")
     return declared
 
 
@@ -124,7 +130,9 @@ def _load_module(place: str) -> ModuleType:
             if place.endswith(".py"):
                 return _run_file(Path(place))
             return importlib.import_module(place)
-    except (Exception, SystemExit) as err:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as err:
         reason = describe_error(err)
         if isinstance(err, ImportError) and "'Phase'" in reason:
             reason = f"{reason}: a law names its phases itself now, as text: {_PROTOCOL}"
@@ -161,6 +169,9 @@ def _require_law(law: object, kind: str) -> None:
     if not is_dataclass or not parameters.__dataclass_params__.frozen:
         found = "one that is not frozen" if is_dataclass else repr(parameters)[:60]
         raise LawError(f"{kind}: expected Parameters to be a frozen dataclass, found {found}")
+    if "kind" in {field.name for field in dataclasses.fields(parameters)}:
+        taken = "kind, which names the law"
+        raise LawError(f"{kind}: expected another name of a parameter than {taken}")
     _require_call(law.reset, ("self", "start", "goal", "path"), f"{kind}: reset")  # type: ignore[attr-defined]
     _require_call(law.step, ("self", "time_ns", "pose"), f"{kind}: step")  # type: ignore[attr-defined]
 

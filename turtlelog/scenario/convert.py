@@ -4,12 +4,21 @@ import dataclasses
 import math
 import re
 from collections.abc import Iterator, Mapping
+from datetime import date, time
 from typing import Any, get_type_hints
 
 import msgspec
 
-from turtlelog.errors import LawError, ScenarioError, suggest_names
-from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS, find_law, require_law_name
+from turtlelog.errors import LawError, ScenarioError, describe_error, suggest_names
+from turtlelog.laws import (
+    ABSENT_BY_DEFAULT,
+    LAWS,
+    Law,
+    describe_law_error,
+    find_law,
+    print_to_stderr,
+    require_law_name,
+)
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
@@ -93,10 +102,41 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
         law = find_law(choice.kind)
     except LawError as err:
         raise ScenarioError(f"{table.sources[0]}: law.kind: {err}") from err
-    source = ", ".join(table.sources)
-    _require_sound(table.values, law.Parameters, "law.", source)
-    parameters = _convert(table.values, law.Parameters, "law.", source)
+    parameters = _build_parameters(table, law)
     return LawChoice(kind=choice.kind, parameters=parameters)
+
+
+def _build_parameters(table: LawTable, law: type[Law]) -> Any:
+    """Return a law's parameters, which a scenario file can hold; their defaults may be anything."""
+    kind, source = law.Parameters, ", ".join(table.sources)
+    try:
+        with print_to_stderr():
+            _require_sound(table.values, kind, "law.", source)
+            parameters = _convert(table.values, kind, "law.", source)
+            if law not in LAWS.values():
+                written = _drop_none(_drop_absent(dataclasses.asdict(parameters), parameters))
+                written = _write_value(written, f"{source}: law")
+                _require_sound(written, kind, "law.", source)
+                _convert(written, kind, "law.", source)
+    except (ScenarioError, KeyboardInterrupt):
+        raise
+    except BaseException as err:  # what the law's own code raises
+        raise ScenarioError(f"{source}: law: {describe_law_error(err, law)}") from err
+    return parameters
+
+
+def _write_value(value: Any, place: str) -> Any:
+    """Return a value as a file gives it back."""
+    if isinstance(value, Mapping):
+        return {key: _write_value(entry, f"{place}.{key}") for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_write_value(entry, place) for entry in value]
+    if isinstance(value, float):
+        return float(value)
+    if isinstance(value, bool | int | str | date | time):
+        return value
+    expected = "a number, text, true or false, a date, a list or a table"
+    raise ScenarioError(f"{place}: expected {expected}, found {describe_value(value)}")
 
 
 def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
@@ -216,13 +256,15 @@ def _require_law_name(kind: str, source: str) -> None:
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:
     """Refuse unknown keys and nan or inf, which msgspec lets pass."""
     hints = get_type_hints(kind)
+    unlimited = {one.name for one in dataclasses.fields(kind) if one.default == math.inf}
     for key, value in table.items():
         place = f"{prefix}{name_key(key)}"
         if key not in hints:
             raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(hints))}")
         if isinstance(value, Mapping) and dataclasses.is_dataclass(hints[key]):
             _require_sound(value, hints[key], f"{place}.", source)
-        infinite = isinstance(value, float) and math.isinf(value) and place not in _INFINITE_KEYS
+        may_be_infinite = place in _INFINITE_KEYS or key in unlimited
+        infinite = isinstance(value, float) and math.isinf(value) and not may_be_infinite
         if isinstance(value, float) and (math.isnan(value) or infinite):
             raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
 
@@ -232,14 +274,27 @@ def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as err:
-        place, missing = _PLACE.search(str(err)), _MISSING.match(str(err))
+        place = _PLACE.search(str(err))
+        path = f"{prefix}{place[1]}" if place else prefix.rstrip(".")
+        if err.__cause__ is not None:  # a dataclass that judges its values itself
+            raise ScenarioError(f"{source}: {path}: {describe_error(err.__cause__)}") from err
+        missing = _MISSING.match(str(err))
         keys = (place[1].split(".") if place else []) + ([missing[1]] if missing else [])
-        value: Any = table
-        hint: Any = kind
-        for key in keys:
-            value = value.get(key) if isinstance(value, Mapping) else None
-            hint = get_type_hints(hint, include_extras=True)[key]
+        try:
+            hint, value = _find_value(table, kind, keys)
+        except (KeyError, TypeError):  # within a list, or one of several types
+            found = str(err).removesuffix(place[0] if place else "").replace("`", "")
+            found = found[:1].lower() + found[1:].replace(", got ", ", found ")
+            raise ScenarioError(f"{source}: {path}: {found}") from err
         raise ScenarioError(
             f"{source}: {prefix}{'.'.join(keys)}: expected {describe_type(hint)},"
             f" found {describe_value(value)}"
         ) from err
+
+
+def _find_value(table: Any, kind: Any, keys: list[str]) -> tuple[Any, Any]:
+    """Return what should stand at a place of nested tables, and what does."""
+    for key in keys:
+        table = table.get(key) if isinstance(table, Mapping) else None
+        kind = get_type_hints(kind, include_extras=True)[key]
+    return kind, table

@@ -1,5 +1,6 @@
 """Types and values of scenario files in words, for error lines."""
 
+import dataclasses
 import types
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -18,7 +19,10 @@ def describe_type(hint: Any) -> str:
         return " or ".join(map(str, args))
     if origin in {Union, types.UnionType}:
         return " or ".join(describe_type(arg) for arg in args if arg is not type(None))
-    return _WORDS.get(hint, "a table")
+    if origin in {tuple, list}:
+        return f"a list of {len(args)}" if origin is tuple and Ellipsis not in args else "a list"
+    is_table = origin is not None or dataclasses.is_dataclass(hint) or hint is dict
+    return _WORDS.get(hint, "a table" if is_table else str(getattr(hint, "__name__", hint)))
 
 
 def describe_value(value: Any, *, longest: int = 60) -> str:

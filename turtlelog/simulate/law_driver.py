@@ -1,13 +1,11 @@
 """A law at work: it reads poses one by one, and its decisions become samples."""
 
 import sys
-from math import atan2, copysign, hypot, isfinite, isinf
-from operator import index
+from math import copysign, hypot, isfinite, isinf
 from typing import Final
 
 import msgspec
 
-from turtlelog.angles import wrap_angle
 from turtlelog.errors import SimulationError, TurtlelogError
 from turtlelog.laws import (
     LAWS,
@@ -22,11 +20,10 @@ from turtlelog.laws import (
 )
 from turtlelog.loops import Declaration
 from turtlelog.scenario import LawChoice, Scenario, resolve_law
+from turtlelog.simulate.answers import complete_decision
 
 _LARGEST: Final = 3.4e38
 """Applied velocities are published as 32-bit floats."""
-
-_NO_GOAL: Final = float("nan")
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
@@ -132,7 +129,9 @@ class LawDriver:
                 self._reset(pose)
             decision = self._step(time_ns, pose)
             phase = self._judge(decision)
-        except (Exception, SystemExit) as err:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as err:
             reason = describe_law_error(err, type(self._law))
             raise SimulationError(f"law {self._kind}, sample {sequence}: {reason}") from err
         speed, turn_rate = decision.speed_m_s, decision.turn_rate_rad_s
@@ -149,57 +148,20 @@ class LawDriver:
             self._law.reset(pose, self._goal, None)
 
     def _step_of_others(self, time_ns: int, pose: Pose) -> Decision:
-        """Return the decision of a law that may print, and may leave something out."""
+        """Return the decision of a law that may print, complete and in plain numbers."""
         stdout, sys.stdout = sys.stdout, sys.stderr
         try:
             decision = self._law.step(time_ns, pose)
         finally:
             sys.stdout = stdout
-        if not isinstance(decision, Decision):
-            raise SimulationError(f"expected a Decision, found {decision!r:.60}")
-        if (
-            decision.heading_error_rad is None
-            or decision.bearing_rad is None
-            or decision.error_x_m is None
-            or decision.error_y_m is None
-            or decision.phase is None
-        ):
-            return self._complete(decision, pose)
-        return decision
-
-    def _complete(self, found: Decision, pose: Pose) -> Decision:
-        """Return a decision with what it leaves out; without a goal its errors are NaN."""
-        goal = self._goal
-        ahead_m = _NO_GOAL if goal is None else goal.x_m - pose.x_m
-        left_m = _NO_GOAL if goal is None else goal.y_m - pose.y_m
-        bearing_rad = atan2(left_m, ahead_m)
-        turn_rad = _NO_GOAL if goal is None else wrap_angle(bearing_rad - pose.heading_rad)
-        # Built anew: msgspec's replace takes three times as long.
-        return Decision(
-            speed_m_s=found.speed_m_s,
-            turn_rate_rad_s=found.turn_rate_rad_s,
-            phase=self._first_phase if found.phase is None else found.phase,
-            bearing_rad=bearing_rad if found.bearing_rad is None else found.bearing_rad,
-            heading_error_rad=(
-                turn_rad if found.heading_error_rad is None else found.heading_error_rad
-            ),
-            error_x_m=ahead_m if found.error_x_m is None else found.error_x_m,
-            error_y_m=left_m if found.error_y_m is None else found.error_y_m,
-            world_v_x_m_s=found.world_v_x_m_s,
-            world_v_y_m_s=found.world_v_y_m_s,
-            states=found.states,
-            reference=found.reference,
-            blocks_ticks=found.blocks_ticks,
-            ends_phase=found.ends_phase,
-            stop_reason=found.stop_reason,
-        )
+        return complete_decision(decision, pose, self._goal, self._first_phase)
 
     def _judge(self, decision: Decision) -> int:
         """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
         speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
-        # A sum of numbers is finite where all of them are.
+        # A sum of magnitudes is finite only where all of them are, and so is the distance.
         errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
-        errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
+        errors += abs(decision.error_x_m) + abs(decision.error_y_m)  # type: ignore[arg-type,operator]
         if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
             raise SimulationError(
                 f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
@@ -207,7 +169,7 @@ class LawDriver:
         world = isinf(decision.world_v_x_m_s) or isinf(decision.world_v_y_m_s)
         if world or (not isfinite(errors) and self._goal is not None):
             raise SimulationError(f"expected finite numbers, found {decision}")
-        number = self._phases.get(phase)  # type: ignore[arg-type]
+        number = self._phases.get(phase) if isinstance(phase, str) else None
         if number is None:
             known = ", ".join(self.declaration.phases)
             raise SimulationError(f"expected a phase of {known}, found {phase!r}")
@@ -229,12 +191,9 @@ class LawDriver:
     def _require_more(self, decision: Decision) -> None:
         self._require_states(decision.states)
         self._require_reference(decision)
-        if index(decision.blocks_ticks) < 0:
-            raise SimulationError(f"expected blocks_ticks >= 0, found {decision.blocks_ticks}")
-        if decision.stop_reason is not None and not isinstance(decision.stop_reason, str):
-            raise SimulationError(
-                f"expected a stop_reason in words, found {decision.stop_reason!r}"
-            )
+        reason = decision.stop_reason
+        if reason is not None and not (isinstance(reason, str) and reason and reason.isprintable()):
+            raise SimulationError(f"expected a stop_reason in words, found {reason!r:.60}")
 
     def _require_states(self, states: tuple[float, ...]) -> None:
         names = self.declaration.states
@@ -274,9 +233,9 @@ def build_law(choice: LawChoice) -> Law:
     try:
         with print_to_stderr():
             return law(choice.parameters)
-    except TurtlelogError:
+    except (TurtlelogError, KeyboardInterrupt):
         raise
-    except (Exception, SystemExit) as err:
+    except BaseException as err:
         raise SimulationError(f"law {choice.kind}: {describe_law_error(err, law)}") from err
 
 
