@@ -102,6 +102,8 @@ def search_loop(
     known: Settings,
     hints: Hints,
     dead_times: Sequence[DeadTime | Missing],
+    *,
+    recorded: Guess | None = None,
 ) -> Fits:
     """Return the settings of the loop that reproduce a log, with `known` for all others.
 
@@ -115,9 +117,13 @@ def search_loop(
         known: Values by key of the scenario.
         hints: What time stamps and pose numbers say.
         dead_times: Of the loops, in the order in which they act; at least one.
+        recorded: Settings that are known to reproduce the log, and tried first.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
+    if recorded is not None:
+        others = [[guess for guess in tier if guess != recorded] for tier in tiers]
+        tiers = [[recorded, *_list_neighbours(recorded)], *others]
     found = search.find_in_tiers(tiers)
     if found is None:
         likeliest = search.find_likeliest(next(filter(None, tiers)))
@@ -251,6 +257,9 @@ class _Search:
         least = min((self.contradict_clock(guess) for guess, _ in driven), default=(False, False))
         agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
         drives = [drive for _, drive in agreeing]
+        hidden = {
+            key for key in _DEPTHS if any(self._is_deeper_alike(*one, key) for one in agreeing)
+        }
         return Fits(
             guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
             scenarios=(),
@@ -260,7 +269,12 @@ class _Search:
             tried=self._tried,
             ranges=self._list_ranges(),
             is_driven=True,
+            hidden=frozenset(hidden),
         )
+
+    def _is_deeper_alike(self, guess: Guess, drive: Drive, key: str) -> bool:
+        deeper = drive_plant(self._trace, {**guess, key: guess[key] + 1})
+        return deeper is not None and np.array_equal(deeper.left, drive.left)
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
         """Return the settings that reproduce every sample from a start that is no 32-bit float.
@@ -365,6 +379,19 @@ def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float
     """Return the nearest pose at which a scenario may start."""
     x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
     return x_m, y_m, wrap_angle(pose[2])
+
+
+def _list_neighbours(guess: Guess) -> list[Guess]:
+    """Return the settings that differ from one in a single value, by one step."""
+    counts = {"loop.start_backlog": 1, **dict.fromkeys(_DEPTHS, 1), "loop.transport_delay_ticks": 0}
+    near = [
+        {**guess, key: guess[key] + step}
+        for key, least in counts.items()
+        for step in (-1, 1)
+        if guess[key] + step >= least
+    ]
+    policies = {"newest": "one-per-tick", "one-per-tick": "newest"}
+    return [*near, {**guess, "loop.queue_policy": policies[guess["loop.queue_policy"]]}]
 
 
 def _pause(guess: Guess, ticks: int | None) -> Guess:
