@@ -145,6 +145,7 @@ class _Search:
 
     Attributes:
         to_rounding: Whether samples need to be reproduced to rounding only.
+        is_driven: Whether no law is asked: then the poses that were answered count as well.
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
@@ -157,7 +158,7 @@ class _Search:
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = self._simulated = 0
         self._values: dict[str, set[Any]] = {}
-        self.to_rounding = False
+        self.to_rounding = self.is_driven = False
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
         """Return the scenario of a guess."""
@@ -252,6 +253,7 @@ class _Search:
 
     def drive_only(self, queues: Sequence[Guess]) -> Fits:
         """Return the settings with which the log's commands move the plant as logged, by no law."""
+        self.is_driven = True
         self._note_values(queues, self._pauses)
         driven = self._drive(queues, self._pauses, rows=None)
         least = min((self.contradict_clock(guess) for guess, _ in driven), default=(False, False))
@@ -273,7 +275,7 @@ class _Search:
         )
 
     def _is_deeper_alike(self, guess: Guess, drive: Drive, key: str) -> bool:
-        deeper = drive_plant(self._trace, {**guess, key: guess[key] + 1})
+        deeper = drive_plant(self._trace, {**guess, key: guess[key] + 1}, reads_alike=True)
         return deeper is not None and np.array_equal(deeper.left, drive.left)
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
@@ -306,7 +308,11 @@ class _Search:
             _pause(guess, pause) for pause, guess in product(pauses, [_unpause(g) for g in guesses])
         ][: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
         self._tried += len(tried)
-        found = [(guess, drive_plant(self._trace, guess, rows=rows)) for guess in tried]
+        alike = self.is_driven
+        found = [
+            (guess, drive_plant(self._trace, guess, rows=rows, reads_alike=alike))
+            for guess in tried
+        ]
         driven = [(guess, drive) for guess, drive in found if drive is not None]
         if not driven:
             return []
