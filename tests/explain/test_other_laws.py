@@ -1,11 +1,13 @@
 """Of a law that is not the sequential proportional one nothing is claimed."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from tests.explain.loop_family import count_true, make_loop_logs
 from tests.strange_law import KIND, simulate_strange
 from turtlelog.errors import ExplainError, ScenarioError
 from turtlelog.explain import (
@@ -17,7 +19,7 @@ from turtlelog.explain import (
     simulate_without,
     write_sentences,
 )
-from turtlelog.explain.hypothesis import find_dead_times
+from turtlelog.explain.hypothesis import find_dead_times, require_noise
 from turtlelog.explain.identification import LAW_KEYS
 from turtlelog.loops import Declaration
 from turtlelog.measure import DeadTime, measure_run
@@ -27,6 +29,7 @@ from turtlelog.simulate import simulate_run
 
 OTHERS = "tests/explain/other_laws.py"
 PID = f"{OTHERS}:SequentialPid"
+WEAVING = f"{OTHERS}:Weaving"
 TURN_AND_DRIVE = "examples/turn_and_drive.py:TurnAndDrive"
 
 READING = """
@@ -243,3 +246,89 @@ def test_a_limit_is_known_where_a_law_wanted_more(limit: float, *, clipped: bool
     run = simulate_strange(limits__speed_m_s=limit, law__gain_b=0.17)
     finding = identify_run(run).findings["limits.speed_m_s"]  # 0.9679 m/s was wanted
     assert finding.value == (limit if clipped else None)
+
+
+UNUSUAL = {"start_backlog": 10, "pose_queue": 2, "command_queue": 4, "transport_delay_ticks": 5}
+
+
+def simulate_loop(kind: str, **loop: Any) -> Run:
+    values = {"law.kind": kind, **{key.replace("__", "."): value for key, value in loop.items()}}
+    return simulate_run(build_scenario(nest_parameters(values), trust_law=True))
+
+
+@pytest.mark.parametrize("trusts", [True, False], ids=["trusted", "not trusted"])
+def test_unusual_queues_are_not_told_as_others(*, trusts: bool) -> None:
+    loop = {f"loop__{key}": value for key, value in UNUSUAL.items()}
+    run = simulate_loop(WEAVING, **loop, loop__queue_policy="newest")
+    findings = identify_run(run, trust_law=trusts).findings
+    for key in ("loop.start_backlog", "loop.transport_delay_ticks", "loop.pose_queue"):
+        finding = findings[key]
+        assert finding.value == UNUSUAL[key.removeprefix("loop.")]
+        assert finding.certainty == ("exact" if trusts else "fitted")
+    policy = findings["loop.queue_policy"]
+    assert "newest" in (policy.candidates or (policy.value,))
+    assert findings["loop.command_queue"].evidence == "a deeper queue gives the same run"
+
+
+def test_recorded_settings_that_reproduce_a_law_with_naps_are_found() -> None:
+    run = simulate_loop(WEAVING, law__nap_ticks=12, loop__queue_policy="one-per-tick")
+    found = identify_run(run, trust_law=True)
+    delay, policy = (
+        found.findings[f"loop.{key}"] for key in ("transport_delay_ticks", "queue_policy")
+    )
+    assert (delay.value, delay.certainty) == (0, "exact")
+    assert (policy.value, policy.certainty) == ("one-per-tick", "exact")
+    assert found.findings["lost_commands"].value is not None
+    dead_time = found.findings["dead_time.control"]
+    assert dead_time.value is None
+    assert dead_time.evidence.startswith("no one dead time explains the motion")
+
+
+@pytest.mark.parametrize(
+    ("whiteness", "claims"), [(0.51, True), (0.49, False), (1.49, True), (1.51, False)]
+)
+def test_a_dead_time_is_told_where_it_leaves_noise(whiteness: float, *, claims: bool) -> None:
+    found = DeadTime(
+        ticks=3, residual=1e-3, margin=2.0, rows=99, is_exact=False, whiteness=whiteness
+    )
+    assert (require_noise(found) is found) == claims
+
+
+def test_of_a_law_that_is_not_deterministic_nothing_is_claimed() -> None:
+    found = identify_run(simulate_loop(f"{OTHERS}:Tiring"), trust_law=True)
+    assert (found.scenario, found.resimulation) == (None, None)
+    assert "its law is not deterministic" in found.notes[-1]
+
+
+def test_where_the_first_samples_are_lost_the_start_backlog_is_open() -> None:
+    run = simulate_strange(loop__start_backlog=3, loop__transport_delay_ticks=3)
+    kept = {
+        name: column[5:]
+        for name, column in vars_of(run.samples).items()
+        if isinstance(column, np.ndarray)
+    }
+    found = identify_run(replace(run, samples=replace(run.samples, **kept)), trust_law=True)
+    backlog = found.findings["loop.start_backlog"]
+    assert 3 in (backlog.candidates or (backlog.value,))
+
+
+def vars_of(columns: Any) -> dict[str, Any]:
+    return {field.name: getattr(columns, field.name) for field in fields(columns)}
+
+
+def test_what_reproduces_to_rounding_is_not_said_to_be_bit_for_bit() -> None:
+    run = simulate_loop(WEAVING)
+    changed = replace(run, parameters={**run.parameters, "law.gain": 2.0 + 1e-12})
+    assert (
+        identify_run(changed, trust_law=True)
+        .notes[-1]
+        .endswith("samples to rounding, not bit for bit")
+    )
+
+
+@pytest.mark.parametrize("is_usual", [True, False], ids=["usual queues", "other queues"])
+def test_what_is_said_of_the_loops_of_other_laws_is_true(*, is_usual: bool) -> None:
+    said = count_true(make_loop_logs(5, 18, is_usual=is_usual))
+    assert {key for key in said if key[1].endswith(" false")} == set()
+    assert sum(count for (_, how), count in said.items() if how == "fitted true") > 40
+    assert sum(count for (_, how), count in said.items() if how == "exact true") > 15

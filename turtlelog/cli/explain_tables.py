@@ -127,7 +127,8 @@ def _format_value(value: Any, unit: str, digits: int = 6) -> str:
 def _format_resimulation(found: "Identification") -> str:
     again = found.resimulation
     if again is None:
-        return "Nothing was simulated again.\n"
+        tried = f"{_format_tried(found)}\n" if found.tried else ""
+        return f"Nothing was simulated again.\n{tried}"
     error = again.max_abs_error
     return (
         f"Simulated again: {again.samples} samples, largest differences x {error.x_m:.3g} m,"

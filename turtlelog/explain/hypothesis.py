@@ -5,7 +5,7 @@ stands for nothing; dead times, limits and queues come from poses, commands and 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -20,7 +20,10 @@ from turtlelog.explain.identification import (
     Identification,
 )
 from turtlelog.explain.loop import read_hints
+from turtlelog.explain.open_loop import WHITE
 from turtlelog.explain.resimulation import (
+    CLOSE,
+    CLOSE_COMMAND,
     Resimulation,
     compare_samples,
     count_equal,
@@ -34,7 +37,7 @@ from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.trace import Trace, Values, trace_run
 from turtlelog.laws import LAWS
 from turtlelog.loops import PAUSE, RESERVED, ControlLoop
-from turtlelog.measure import DeadTime, Missing, find_dead_time
+from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.scenario import (
     DEFAULT_LAW,
@@ -50,6 +53,14 @@ LONGEST_S: Final = 3600.0
 
 _COMMANDS: Final = (("turn_rate", "heading", "goal_bearing"), ("speed", "along_track", "zero"))
 """What may act in a phase without loops, with a signal and a reference that it goes with."""
+
+
+_NOT_DETERMINISTIC: Final = (
+    "the recorded scenario reproduces every sample once, and not when it is simulated again:"
+    " its law is not deterministic, and nothing is claimed of it"
+)
+
+_UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,11 +112,16 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
         again = simulate_run(scenario)
     except SimulationError as err:
         return RecordedScenario(reach=f"the recorded scenario cannot be simulated again: {err}")
+    resimulation = compare_samples(trace, again)
+    error = max(astuple(resimulation.max_abs_error))
+    if error >= CLOSE or resimulation.max_command_error >= CLOSE_COMMAND:
+        return RecordedScenario(reach=_NOT_DETERMINISTIC)
+    rounding = " to rounding, not bit for bit" if error or resimulation.max_command_error else ""
     return RecordedScenario(
         scenario=scenario,
         run=again,
-        resimulation=compare_samples(trace, again),
-        reach=f"the recorded scenario reproduces all {len(trace)} samples",
+        resimulation=resimulation,
+        reach=f"the recorded scenario reproduces all {len(trace)} samples{rounding}",
     )
 
 
@@ -129,9 +145,11 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     kind = str(run.parameters.get("law.kind", ""))
     trace = mark_breaks(trace_run(run))
     motion = space_out(trace)
-    dead_times = find_dead_times(motion)
+    dead_times = {name: require_noise(one) for name, one in find_dead_times(motion).items()}
     recorded = _check_if_allowed(run, trace, kind, trust_law=trust_law)
     fits = _fit_loop(trace, recorded, [*dead_times.values()])
+    if recorded.scenario is not None and fits.is_driven:
+        recorded = RecordedScenario(reach=_NOT_DETERMINISTIC)
     findings = {
         **{key: miss(reason) for key in (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")},
         **{
@@ -174,15 +192,31 @@ def _fit_loop(
     scenario = recorded.scenario
     if scenario is not None:
         known = flatten_scenario(scenario)
+        # Only what explains every step rules other settings out.
+        sure = [
+            one if isinstance(one, DeadTime) and one.is_exact else _UNSURE for one in dead_times
+        ]
         fits = search_loop(
             trace,
             {key: known[key] for key in known if key not in {"name", "max_duration_s"}},
             hints,
-            dead_times,
+            sure,
+            recorded={key: known[key] for key in LOOP_KEYS if key.startswith("loop.")},
         )
         if fits.is_exact or fits.is_close:
             return fits
     return drive_loop(trace, hints, dead_times)
+
+
+def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
+    """Return a dead time, or none where what it leaves is no noise: it is not the same throughout.
+
+    So it is where a law blocks now and then: commands wait for as long as it does.
+    """
+    if isinstance(found, Missing) or abs(found.whiteness - 1.0) < WHITE:
+        return found
+    reason = f"no one dead time explains the motion; {found.ticks} ticks are the nearest"
+    return Missing(status=Status.UNDETERMINED, reason=reason)
 
 
 def find_dead_times(run: Run) -> dict[str, DeadTime | Missing]:

@@ -75,7 +75,9 @@ def _count_leading(holds: Any) -> int:
 def _list_backlogs(trace: Trace, answered: int) -> tuple[int, ...]:
     if trace.has_ticks and trace.has_exact_clock:
         waited_ns = trace.time_ns[0] - trace.run.poses.time_ns[0]
-        return (int(waited_ns) // (TICK_NS * trace.period_ticks) + 1,)
+        latest = int(waited_ns) // (TICK_NS * trace.period_ticks) + 1
+        # Where the first samples are lost, the controller began at any earlier pose.
+        return tuple(range(1 if trace.number[0] else latest, latest + 1))
     if answered >= _DEFAULTS.pose_queue:
         return tuple(range(answered - 1, answered + 3))
     # The pose after the burst may have been there just in time.
@@ -109,10 +111,14 @@ def agrees_with_clock(pause_ticks: int, hints: Hints, trace: Trace) -> bool:
 
 
 def _find_pose_queue(trace: Trace, burst: int) -> int | None:
-    if not trace.has_ticks:
+    if not (trace.has_ticks and trace.has_exact_clock):
         return None
     read = trace.run.samples.pose_sequence
-    if trace.shows_pause and trace.has_exact_clock:
+    # The first pose answered is the oldest that the queue kept of those that waited.
+    lost = int(read[0]) // trace.period_ticks
+    if lost and int(trace.number[0]) == 0:
+        return _list_backlogs(trace, 1)[-1] - lost
+    if trace.shows_pause:
         first = trace.rotating
         # A burst that the log's end cuts off does not show how many poses waited.
         is_whole = first + burst < len(trace)

@@ -10,9 +10,11 @@ from itertools import product
 from typing import Any, ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.explain.numbers import find_quantile, widen_for_runs
+from turtlelog.explain.resimulation import number_poses
 from turtlelog.explain.stretches import list_breaks
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.laws import Decision, Goal, Pose
@@ -23,7 +25,7 @@ from turtlelog.simulate import iterate_ticks
 _UNKNOWN_TICKS: Final = 20
 """Ticks after missing rows in which commands that nobody logged may still be acting."""
 
-_WHITE: Final = 0.5
+WHITE: Final = 0.5
 """How far from 1 the whiteness of noise may be: a wrong setting leaves a curve, below 0.1."""
 
 FLOOR: Final = 1e-7
@@ -126,10 +128,15 @@ class Drive:
         return float((self.rows * weights * np.log(np.array(self.noise))).sum())
 
 
-def drive_plant(trace: Trace, guess: Any, *, rows: int | None = None) -> Drive | None:
-    """Drive the plant with the commands of the first `rows` samples; None where it cannot be."""
+def drive_plant(
+    trace: Trace, guess: Any, *, rows: int | None = None, reads_alike: bool = False
+) -> Drive | None:
+    """Drive the plant with the commands of the first `rows` samples; None where it cannot be.
+
+    With `reads_alike` the samples must also read the poses that they read in the log.
+    """
     count = len(trace) if rows is None else rows
-    driven = _drive(trace, guess, int(trace.number[count - 1]) + 1)
+    driven = _drive(trace, guess, int(trace.number[count - 1]) + 1, reads_alike=reads_alike)
     if driven is None:
         return None
     read = driven[trace.number[:count]]
@@ -152,7 +159,7 @@ def join_starts(drives: list[Drive]) -> Drive:
     return replace(best, reach=_as_pose(np.max(edges, axis=0).tolist()))
 
 
-def _drive(trace: Trace, guess: Any, samples: int) -> Values | None:
+def _drive(trace: Trace, guess: Any, samples: int, *, reads_alike: bool) -> Values | None:
     """Return the pose that each sample would read, in double precision, shape (samples, 3)."""
     values = dict(guess)
     pause = int(values.pop("law.pause_ticks", 0))
@@ -182,11 +189,19 @@ def _drive(trace: Trace, guess: Any, samples: int) -> Values | None:
     for tick in iterate_ticks(scenario):
         poses.append((tick.pose.x_m, tick.pose.y_m, tick.pose.heading_rad))
         read += [sample.pose_sequence for sample in tick.computed]
-    if len(read) != samples:
+    if len(read) != samples or (reads_alike and not _reads_as_logged(trace, np.array(read))):
         return None
     driven = np.array(poses)[read]
     driven[:, :2] = first_xy_m + smaller * (driven[:, :2] - start_xy_m)
     return driven
+
+
+def _reads_as_logged(trace: Trace, read: NDArray[np.int64]) -> bool:
+    """Return whether the samples read the poses that they read in the log, where that is known."""
+    if not (trace.has_ticks and trace.has_exact_clock):
+        return True
+    known = trace.number < len(read)
+    return np.array_equal(read[trace.number[known]], number_poses(trace)[known])
 
 
 def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | None:
@@ -220,7 +235,7 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
     quantile = find_quantile(int(kept.sum()) - 2)
     reach = quantile * np.sqrt(np.diag(spread)) * widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
-    is_noise = np.abs(whiteness - 1.0) < _WHITE
+    is_noise = np.abs(whiteness - 1.0) < WHITE
     is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
     return Drive(
         rows=int(kept.sum()),

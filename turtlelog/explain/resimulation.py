@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,12 @@ from turtlelog.replay import PoseError
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import CommandQueue, Sample, iterate_ticks
+
+CLOSE: Final = 1e-6
+"""Poses of one scenario differ by less between platforms [m, rad]."""
+
+CLOSE_COMMAND: Final = 1e-9
+"""Commands of one scenario differ by less between platforms [m/s, rad/s]."""
 
 Row = tuple[Any, ...]
 """What is compared of a sample."""
@@ -48,7 +54,7 @@ def list_rows(trace: Trace) -> list[Row | None]:
         np.array(trace.run.phase_names)[samples.phase],
     ]
     if trace.has_ticks:
-        columns.append(_number_poses(trace))
+        columns.append(number_poses(trace))
     if trace.has_exact_clock and trace.has_ticks:
         columns.append(trace.time_ns - trace.run.poses.time_ns[0])
     rows: list[Row | None] = [None] * (int(trace.number[-1]) + 1)
@@ -58,7 +64,7 @@ def list_rows(trace: Trace) -> list[Row | None]:
     return rows
 
 
-def _number_poses(trace: Trace) -> NDArray[np.int64]:
+def number_poses(trace: Trace) -> NDArray[np.int64]:
     """Return the number of the pose that each sample read; poses may be lost as well."""
     poses, read = trace.run.poses, trace.run.samples.pose_sequence
     return (poses.time_ns[read] - poses.time_ns[0]) // TICK_NS if trace.has_exact_clock else read
@@ -86,7 +92,8 @@ def _agrees(again: Row, recorded: Row) -> bool:
     x, y, heading, *commands = (
         abs(left - right) for left, right in zip(again[:5], recorded[:5], strict=True)
     )
-    return max(x, y, heading) < 1e-6 and max(commands) < 1e-9 and again[5:] == recorded[5:]
+    is_close = max(x, y, heading) < CLOSE and max(commands) < CLOSE_COMMAND
+    return is_close and again[5:] == recorded[5:]
 
 
 def _describe(sample: Sample) -> Row:

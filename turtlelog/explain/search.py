@@ -102,6 +102,8 @@ def search_loop(
     known: Settings,
     hints: Hints,
     dead_times: Sequence[DeadTime | Missing],
+    *,
+    recorded: Guess | None = None,
 ) -> Fits:
     """Return the settings of the loop that reproduce a log, with `known` for all others.
 
@@ -115,9 +117,13 @@ def search_loop(
         known: Values by key of the scenario.
         hints: What time stamps and pose numbers say.
         dead_times: Of the loops, in the order in which they act; at least one.
+        recorded: Settings that are known to reproduce the log, and tried first.
     """
     search = _Search(trace, known, hints)
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
+    if recorded is not None:
+        others = [[guess for guess in tier if guess != recorded] for tier in tiers]
+        tiers = [[recorded, *_list_neighbours(recorded)], *others]
     found = search.find_in_tiers(tiers)
     if found is None:
         likeliest = search.find_likeliest(next(filter(None, tiers)))
@@ -139,6 +145,7 @@ class _Search:
 
     Attributes:
         to_rounding: Whether samples need to be reproduced to rounding only.
+        is_driven: Whether no law is asked: then the poses that were answered count as well.
     """
 
     def __init__(self, trace: Trace, known: Settings, hints: Hints) -> None:
@@ -151,7 +158,7 @@ class _Search:
         self._most_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9 + _SPARE_S
         self._tried = self._simulated = 0
         self._values: dict[str, set[Any]] = {}
-        self.to_rounding = False
+        self.to_rounding = self.is_driven = False
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
         """Return the scenario of a guess."""
@@ -246,11 +253,15 @@ class _Search:
 
     def drive_only(self, queues: Sequence[Guess]) -> Fits:
         """Return the settings with which the log's commands move the plant as logged, by no law."""
+        self.is_driven = True
         self._note_values(queues, self._pauses)
         driven = self._drive(queues, self._pauses, rows=None)
         least = min((self.contradict_clock(guess) for guess, _ in driven), default=(False, False))
         agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
         drives = [drive for _, drive in agreeing]
+        hidden = {
+            key for key in _DEPTHS if any(self._is_deeper_alike(*one, key) for one in agreeing)
+        }
         return Fits(
             guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
             scenarios=(),
@@ -260,7 +271,12 @@ class _Search:
             tried=self._tried,
             ranges=self._list_ranges(),
             is_driven=True,
+            hidden=frozenset(hidden),
         )
+
+    def _is_deeper_alike(self, guess: Guess, drive: Drive, key: str) -> bool:
+        deeper = drive_plant(self._trace, {**guess, key: guess[key] + 1}, reads_alike=True)
+        return deeper is not None and np.array_equal(deeper.left, drive.left)
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
         """Return the settings that reproduce every sample from a start that is no 32-bit float.
@@ -292,7 +308,11 @@ class _Search:
             _pause(guess, pause) for pause, guess in product(pauses, [_unpause(g) for g in guesses])
         ][: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
         self._tried += len(tried)
-        found = [(guess, drive_plant(self._trace, guess, rows=rows)) for guess in tried]
+        alike = self.is_driven
+        found = [
+            (guess, drive_plant(self._trace, guess, rows=rows, reads_alike=alike))
+            for guess in tried
+        ]
         driven = [(guess, drive) for guess, drive in found if drive is not None]
         if not driven:
             return []
@@ -365,6 +385,19 @@ def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float
     """Return the nearest pose at which a scenario may start."""
     x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
     return x_m, y_m, wrap_angle(pose[2])
+
+
+def _list_neighbours(guess: Guess) -> list[Guess]:
+    """Return the settings that differ from one in a single value, by one step."""
+    counts = {"loop.start_backlog": 1, **dict.fromkeys(_DEPTHS, 1), "loop.transport_delay_ticks": 0}
+    near = [
+        {**guess, key: guess[key] + step}
+        for key, least in counts.items()
+        for step in (-1, 1)
+        if guess[key] + step >= least
+    ]
+    policies = {"newest": "one-per-tick", "one-per-tick": "newest"}
+    return [*near, {**guess, "loop.queue_policy": policies[guess["loop.queue_policy"]]}]
 
 
 def _pause(guess: Guess, ticks: int | None) -> Guess:

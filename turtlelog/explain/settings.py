@@ -104,8 +104,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     values, chosen = fits.list_values(key), fits.guesses[0][key]
     is_reproduced = fits.is_exact or fits.is_close
     if not (is_reproduced or fits.is_fitted):
-        reason = f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
-        return miss(reason, chosen)
+        return miss(_write_none(fits, chosen), chosen)
     if key in fits.hidden:
         return miss("a deeper queue gives the same run", chosen)
     if len(values) > 1:
@@ -116,23 +115,30 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
             evidence=f"each {how}",
             candidates=values,
         )
+    also = "; so does a command queue of 1" if chosen == "newest" else ""
     if fits.is_exact:
         if key == "loop.period_ticks":
             return find_exactly(chosen, _PERIOD)
-        also = "; so does a command queue of 1" if chosen == "newest" else ""
         return find_exactly(chosen, f"reproduces all {len(trace)} samples{also}")
     evidence = f"likeliest of {fits.tried} settings; none is exact"
     if fits.is_driven:
         evidence = f"likeliest of {fits.tried} settings, the plant driven with the log's commands"
+        also = also.replace("so does", "as likely is")
     if fits.is_close:
         evidence = f"reproduces all {len(trace)} samples to rounding, none bit for bit"
     is_number = isinstance(chosen, int)
     return Finding(
         value=chosen,
         certainty=Certainty.FITTED,
-        evidence=evidence,
+        evidence=evidence + also,
         interval=(chosen, chosen) if is_number else None,
     )
+
+
+def _write_none(fits: Fits, chosen: Any) -> str:
+    if fits.is_driven and fits.drive is None:
+        return f"none of {fits.tried} settings answers the poses that were answered"
+    return f"none of {fits.tried} settings explains the motion; {chosen} is the nearest one's"
 
 
 def _describe_lost(fits: Fits) -> Finding:

@@ -64,6 +64,9 @@ class DeadTime:
         rows: Steps compared.
         is_exact: Whether every one of them is explained to the rounding of the poses.
         changes: Where it changed within the stretch, in order.
+        whiteness: Of what is left of the way where there is noise: the mean square of its changes
+            by twice its mean square, 1 for noise, near 0 for a curve. 1 where every step is
+            explained, or nothing but rounding is left.
     """
 
     ticks: int
@@ -72,6 +75,7 @@ class DeadTime:
     rows: int
     is_exact: bool
     changes: tuple[DeadTimeChange, ...] = ()
+    whiteness: float = 1.0
 
 
 def find_dead_time(run: Run, loop: ControlLoop | str) -> DeadTime | Missing:
@@ -198,9 +202,19 @@ def _fit_least_squares(motion: LoopMotion, errors: Values) -> DeadTime | Missing
     if len(rows) * np.log(margin) < CERTAIN:
         reason = f"noise: dead times of {best} and {second} ticks fit alike"
         return Missing(status=Status.UNDETERMINED, reason=reason)
+    is_rounding = bool(size[best] <= motion.rounding.max())
     return DeadTime(
-        ticks=best, residual=float(size[best]), margin=margin, rows=len(rows), is_exact=False
+        ticks=best,
+        residual=float(size[best]),
+        margin=margin,
+        rows=len(rows),
+        is_exact=False,
+        whiteness=1.0 if is_rounding else _measure_whiteness(left[best]),
     )
+
+
+def _measure_whiteness(left: Values) -> float:
+    return float(np.mean(np.diff(left) ** 2) / (2.0 * np.mean(left**2)))
 
 
 def _find_after_gaps(motion: LoopMotion) -> NDArray[np.bool_]:
