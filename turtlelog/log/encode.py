@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.log.engine.layout import name_parts
-from turtlelog.log.engine.schema import TEXT, Field
+from turtlelog.log.engine.message_types import TEXT, Field
 
 CODES: Final = MappingProxyType(
     {"?": "?", "f4": "f", "f8": "d"}

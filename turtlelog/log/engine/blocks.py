@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
-from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.gather import gather_bytes
+from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 from turtlelog.log.engine.stretches import MESSAGE_HEAD, Stretch, take_apart

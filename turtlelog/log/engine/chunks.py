@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import LARGEST_CHUNK
 from turtlelog.log.engine.unpack import unpack_chunk
 

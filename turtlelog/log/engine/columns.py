@@ -10,17 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.layout import Column
-from turtlelog.log.engine.rows import (
-    LOG_TIME,
-    PUBLISH_TIME,
-    SEQUENCE,
-    Rows,
-    RowStore,
-    join_rows,
-    make_empty_rows,
-)
 from turtlelog.log.engine.selection import (
     Piece,
     Selection,
@@ -29,6 +19,16 @@ from turtlelog.log.engine.selection import (
     select_topics,
 )
 from turtlelog.log.engine.source import Source
+from turtlelog.log.engine.topic_columns import (
+    LOG_TIME,
+    PUBLISH_TIME,
+    SEQUENCE,
+    Rows,
+    RowStore,
+    join_rows,
+    make_empty_rows,
+)
+from turtlelog.log.error_boundary import name_file, open_file
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 

@@ -7,7 +7,7 @@ from typing import BinaryIO
 
 from mcap.records import Channel, Schema
 
-from turtlelog.log.engine.ends import DamageError, read_summary
+from turtlelog.log.engine.integrity import DamageError, read_summary
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.summary import parse_summary
 

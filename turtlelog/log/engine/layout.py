@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.log.engine.schema import TEXT, Field
+from turtlelog.log.engine.message_types import TEXT, Field
 
 Column = NDArray[Any]
 

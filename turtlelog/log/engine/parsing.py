@@ -20,8 +20,8 @@ from mcap.records import (
 )
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.integrity import DamageError
 
 Rare = TypeVar("Rare")
 

@@ -8,10 +8,10 @@ from typing import Any, Final
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
-from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.stretches import MESSAGE_HEAD
+from turtlelog.log.error_boundary import name_file, open_file
 
 _HEAD: Final = struct.Struct("<QHIQQ")  # length, channel, sequence, log and publish time
 _LONE: Final = (Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT)

@@ -10,10 +10,10 @@ import numpy as np
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
-from turtlelog.log.engine.ends import DamageError
-from turtlelog.log.engine.rows import LOG_TIME, Rows, read_rows, select_rows
-from turtlelog.log.engine.schema import TEXT, Field
+from turtlelog.log.engine.integrity import DamageError
+from turtlelog.log.engine.message_types import TEXT, Field
 from turtlelog.log.engine.source import EVER, Source
+from turtlelog.log.engine.topic_columns import LOG_TIME, Rows, read_rows, select_rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

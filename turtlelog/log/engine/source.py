@@ -11,8 +11,8 @@ from mcap.records import Statistics
 
 from turtlelog.log.engine.blocks import Block, build_indexed_block, build_walked_block
 from turtlelog.log.engine.catalogue import Catalogue
-from turtlelog.log.engine.ends import DamageError, Ends, check_data, check_start, read_ends
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.integrity import DamageError, Ends, check_data, check_start, read_ends
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import Place, read_record
 from turtlelog.log.engine.summary import ChunkEntry, find_lone_records, parse_summary

@@ -11,8 +11,8 @@ from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statis
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.ends import DamageError, Ends, SummaryBytes
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.integrity import DamageError, Ends, SummaryBytes
 from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 

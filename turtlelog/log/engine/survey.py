@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked
 from turtlelog.log.engine.catalogue import Catalogue
-from turtlelog.log.engine.ends import DamageError, UnfinishedError
 from turtlelog.log.engine.gather import gather_bytes
+from turtlelog.log.engine.integrity import DamageError, UnfinishedError
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.source import Source, walk_through
 from turtlelog.log.engine.stretches import HEADING, MESSAGE_HEAD

@@ -14,7 +14,6 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.ends import START_SIZE, find_wrong_start
 from turtlelog.log.engine.framing import (
     RECORD,
     SUMMARY_ONLY,
@@ -24,6 +23,7 @@ from turtlelog.log.engine.framing import (
     is_record_start,
     measure_record,
 )
+from turtlelog.log.engine.integrity import START_SIZE, find_wrong_start
 from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
 from turtlelog.log.engine.resync import find_next_record
 from turtlelog.log.engine.unpack import unpack_chunk

@@ -8,7 +8,7 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
-from turtlelog.log.atomic import replace_when_complete
+from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.exporters.folder import create_folder
 from turtlelog.log.exporters.tables import TABLES, Table, tabulate_run
 from turtlelog.run import Run

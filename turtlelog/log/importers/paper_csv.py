@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.importers.base import NUMBERS, PaperLog, build_columns
+from turtlelog.log.importers.paper_log import NUMBERS, PaperLog, build_columns
 
 _HEADINGS: Final = MappingProxyType(
     {name: name for name in (*NUMBERS, "state")} | {"error_angle": "error_angle_rad"}

@@ -13,13 +13,13 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
 from turtlelog.log.engine.columns import TopicColumns, build_columns
 from turtlelog.log.engine.ending import read_ending
-from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.layout import lay_out
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.rows import Rows, make_empty_rows
-from turtlelog.log.engine.schema import parse_schema
+from turtlelog.log.engine.message_types import parse_schema
 from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
 from turtlelog.log.engine.source import Source, walk_blocks
+from turtlelog.log.engine.topic_columns import Rows, make_empty_rows
 from turtlelog.log.engine.walk import Damage
 from turtlelog.log.recording.declaration import list_topics
 from turtlelog.log.recording.head import HEAD, Head, parse_head

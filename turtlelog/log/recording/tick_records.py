@@ -13,7 +13,7 @@ from turtlelog.log.channels import describe_topics
 from turtlelog.log.container import ChunkRows
 from turtlelog.log.encode import CODES, encode_fields
 from turtlelog.log.recording.declaration import define_types, list_topics
-from turtlelog.log.recording.messages import describe_event, describe_pose
+from turtlelog.log.recording.run_writer import describe_event, describe_pose
 from turtlelog.log.recording.schemas import SCHEMAS
 from turtlelog.log.recording.topics import (
     COMMAND,

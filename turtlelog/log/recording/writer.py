@@ -6,14 +6,14 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.atomic import replace_when_complete
 from turtlelog.log.channels import describe_topics
-from turtlelog.log.chunks import ChannelRecords, cut_chunks
+from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.container import McapFile, pack_chunk
 from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.interleaving import ChannelRecords, cut_chunks
 from turtlelog.log.recording.declaration import define_types
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
-from turtlelog.log.recording.messages import build_messages
+from turtlelog.log.recording.run_writer import build_messages
 from turtlelog.log.recording.schemas import SCHEMAS
 from turtlelog.log.records import encode_records
 from turtlelog.run import Run

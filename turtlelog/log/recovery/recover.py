@@ -10,12 +10,12 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.atomic import replace_when_complete
-from turtlelog.log.border import name_file, open_file
+from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.engine.ending import Ending, read_ending
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.stretches import take_apart
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.recording.recovery_note import RECOVERY, Loss, format_recovery
 from turtlelog.log.recovery.numbering import Numbering
 from turtlelog.log.recovery.rewriting import Rewriter

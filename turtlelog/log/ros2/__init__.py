@@ -8,7 +8,7 @@ from turtlelog.log.ros2.bag_metadata import (
     format_bag_metadata,
     parse_bag_metadata,
 )
-from turtlelog.log.ros2.reader import read_bag
+from turtlelog.log.ros2.bag_reader import read_bag
 
 __all__ = [
     "METADATA_FILE",

@@ -4,7 +4,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file
+from turtlelog.log.error_boundary import name_file
 from turtlelog.log.ros2.bag_metadata import BagMetadata, parse_bag_metadata
 
 METADATA_FILE: Final = "metadata.yaml"

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.importers.base import NUMBERS, PaperLog, build_columns, require_number
+from turtlelog.log.importers.paper_log import NUMBERS, PaperLog, build_columns, require_number
 
 _PARAMETERS: Final = MappingProxyType(
     {

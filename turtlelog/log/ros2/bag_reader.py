@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file
 from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
+from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
 from turtlelog.log.recording.topics import CONTROL, GOAL, LAW_STATE, REFERENCE64
+from turtlelog.log.ros2.bag_columns import Rows, order_rows, separate_times
 from turtlelog.log.ros2.bag_folder import list_bag_files
 from turtlelog.log.ros2.columns_of_types import (
     Fields,
@@ -21,7 +22,6 @@ from turtlelog.log.ros2.columns_of_types import (
     extract_poses,
     wrap_far_headings,
 )
-from turtlelog.log.ros2.rows import Rows, order_rows, separate_times
 from turtlelog.log.ros2.topic_choice import (
     ChosenTopic,
     choose_command_topic,
