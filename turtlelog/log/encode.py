@@ -5,8 +5,7 @@ from struct import Struct
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.log.engine.layout import name_parts
-from turtlelog.log.engine.message_types import TEXT, Field
+from turtlelog.log.engine.message_types import TEXT, Field, name_parts
 
 CODES: Final = MappingProxyType(
     {"?": "?", "f4": "f", "f8": "d"}

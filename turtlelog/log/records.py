@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.encode import encode_fields
-from turtlelog.log.engine.columns import TopicColumns
-from turtlelog.log.engine.layout import Column, Layout, lay_out, name_parts
-from turtlelog.log.engine.message_types import Field, parse_schema
+from turtlelog.log.engine.message_types import (
+    Column,
+    Field,
+    Layout,
+    lay_out,
+    name_parts,
+    parse_schema,
+)
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""

@@ -10,16 +10,14 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import walk_blocks
 from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
-from turtlelog.log.engine.columns import TopicColumns, build_columns
-from turtlelog.log.engine.ending import read_ending
 from turtlelog.log.engine.integrity import DamageError
-from turtlelog.log.engine.layout import lay_out
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.message_types import parse_schema
-from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
-from turtlelog.log.engine.source import Source, walk_blocks
-from turtlelog.log.engine.topic_columns import Rows, make_empty_rows
+from turtlelog.log.engine.message_types import lay_out, parse_schema
+from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
+from turtlelog.log.engine.summary import salvage_summary
+from turtlelog.log.engine.topic_columns import Rows, TopicColumns, build_columns, make_empty_rows
 from turtlelog.log.engine.walk import Damage
 from turtlelog.log.recording.declaration import list_topics
 from turtlelog.log.recording.head import HEAD, Head, parse_head
@@ -98,7 +96,7 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
-    ending = read_ending(stream)
+    ending = salvage_summary(stream)
     catalogue.add((*ending.schemas.values(), *ending.channels.values()), 0)
     for block in walk_blocks(stream, catalogue, allowance, damages=damages):
         found += _keep_notes(block.rest)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Damage
 from turtlelog.log.recording.contents import Contents
 from turtlelog.log.recording.topics import (

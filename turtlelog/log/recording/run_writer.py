@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns
-from turtlelog.log.engine.layout import Column
+from turtlelog.log.engine.message_types import Column
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.declaration import name_state_type
 from turtlelog.log.recording.topics import (
     COMMAND,

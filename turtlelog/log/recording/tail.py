@@ -13,7 +13,7 @@ from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.integrity import check_start
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.selection import Selection, read_piece
+from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import Rows
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import name_file, open_file

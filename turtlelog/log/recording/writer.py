@@ -9,7 +9,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.channels import describe_topics
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.container import McapFile, pack_chunk
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.interleaving import ChannelRecords, cut_chunks
 from turtlelog.log.recording.declaration import define_types
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file

@@ -15,7 +15,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.container import LIBRARY, ChunkRows, McapFile, pack_chunk
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, NOTES, Allowance
-from turtlelog.log.engine.stretches import Stretch
+from turtlelog.log.engine.parsing import RecordStretch
 from turtlelog.log.recovery.numbering import Numbering
 from turtlelog.log.recovery.single_records import parse_record
 
@@ -48,7 +48,7 @@ class Rewriter:
         # What each id meant last, by kind: some writers say it again in every chunk.
         self._last: dict[int, dict[bytes, bytes]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
 
-    def take_stretch(self, stretch: Stretch, byte: int, *, is_checked: bool) -> list[str]:
+    def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
         """Write records that stand at a byte of the source; return what is wrong with them.
 
         A later description of an id holds from there on.
@@ -59,7 +59,7 @@ class Rewriter:
         def add_before(place: int) -> None:
             nonlocal first
             after = int(np.searchsorted(stretch.starts, place))
-            self._add_messages(stretch, slice(first, after), byte, is_checked)
+            self._add_messages(stretch, slice(first, after), byte, is_checked=is_checked)
             first = after
 
         for place, opcode, end in stretch.others:
@@ -74,7 +74,7 @@ class Rewriter:
             if len(faults) == _MOST_FAULTS:
                 break
         try:
-            self._add_messages(stretch, slice(first, None), byte, is_checked)
+            self._add_messages(stretch, slice(first, None), byte, is_checked=is_checked)
         except LogError as err:
             faults.append(str(err))
         return faults
@@ -126,7 +126,9 @@ class Rewriter:
             self._file.begin(profile=header.profile, library=header.library)
             self._is_begun = True
 
-    def _add_messages(self, stretch: Stretch, rows: slice, byte: int, is_checked: bool) -> None:  # noqa: FBT001
+    def _add_messages(
+        self, stretch: RecordStretch, rows: slice, byte: int, *, is_checked: bool
+    ) -> None:
         for starts, heads in stretch.iterate_rows(rows):
             ends = starts + heads["length"].astype(np.int64) + RECORD.size
             unknown = self._note_unknown(heads["channel"], byte)

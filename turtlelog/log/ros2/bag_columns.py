@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 Values = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rows:
-    """Rows in order of time.
+class OrderedRows:
+    """OrderedRows in order of time.
 
     Attributes:
         time_ns: As in the file [ns], shape (n,), not decreasing.
         columns: By name, each of shape (n,).
-        late: Rows that stood behind a later one.
-        duplicates: Rows that were there twice, to the last bit, and were dropped.
+        late: OrderedRows that stood behind a later one.
+        duplicates: OrderedRows that were there twice, to the last bit, and were dropped.
     """
 
     time_ns: NDArray[np.int64]
@@ -29,7 +29,9 @@ class Rows:
     duplicates: int
 
 
-def order_rows(found: Sequence[TopicColumns], tables: Sequence[Mapping[str, Values]]) -> Rows:
+def order_rows(
+    found: Sequence[TopicColumns], tables: Sequence[Mapping[str, Values]]
+) -> OrderedRows:
     """Return a topic's rows in several files as one table, sorted by time, each row once.
 
     Args:
@@ -47,7 +49,7 @@ def order_rows(found: Sequence[TopicColumns], tables: Sequence[Mapping[str, Valu
     order = np.argsort(time_ns, kind="stable")
     contents = [column[order] for column in (*stamps, *columns.values())]
     kept = order[~_find_duplicates(time_ns[order], contents)]
-    return Rows(
+    return OrderedRows(
         time_ns=time_ns[kept],
         columns={name: column[kept] for name, column in columns.items()},
         late=late,
@@ -58,7 +60,7 @@ def order_rows(found: Sequence[TopicColumns], tables: Sequence[Mapping[str, Valu
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     """Return strictly increasing times, and how many had to move: by 1 ns behind the one before.
 
-    Rows of one time are as many ticks; to drop one would lose a step of the motion.
+    OrderedRows of one time are as many ticks; to drop one would lose a step of the motion.
     """
     rows = np.arange(len(time_ns))
     moved = np.maximum.accumulate(time_ns - rows) + rows

@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
+from turtlelog.log.engine.columns import read_flat_columns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
 from turtlelog.log.recording.topics import CONTROL, GOAL, LAW_STATE, REFERENCE64
-from turtlelog.log.ros2.bag_columns import Rows, order_rows, separate_times
+from turtlelog.log.ros2.bag_columns import OrderedRows, order_rows, separate_times
 from turtlelog.log.ros2.bag_folder import list_bag_files
 from turtlelog.log.ros2.columns_of_types import (
     Fields,
@@ -45,7 +46,7 @@ def read_bag(
 ) -> Run:
     """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
 
-    Times count from the first pose or command. Rows are sorted by time and exact duplicates
+    Times count from the first pose or command. OrderedRows are sorted by time and exact duplicates
     dropped; of several poses of one time the later ones move on by 1 ns each. The run's notes count
     all of it.
 
@@ -151,7 +152,7 @@ def _build_run(
 
 def _order(
     found: _Found, choice: ChosenTopic, extract: Callable[[str, Fields], dict[str, Values]]
-) -> Rows:
+) -> OrderedRows:
     """Return the rows of a topic from all files."""
     messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
     tables = []
@@ -170,7 +171,7 @@ def _order(
     return order_rows(messages, tables)
 
 
-def _build_commands(rows: Rows | None, start_ns: int) -> CommandColumns:
+def _build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
     none = np.zeros(0)
     columns = rows.columns if rows else dict.fromkeys(("speed", "lateral_speed", "turn_rate"), none)
     return CommandColumns(
