@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, BinaryIO, Final
 
@@ -19,11 +19,16 @@ from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_
 from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import Rows, TopicColumns, build_columns, make_empty_rows
 from turtlelog.log.engine.walk import Damage
-from turtlelog.log.recording.declaration import list_topics
 from turtlelog.log.recording.head import HEAD, Head, parse_head
-from turtlelog.log.recording.recovery_note import describe_recovery
-from turtlelog.log.recording.schemas import SCHEMAS, define_states
-from turtlelog.log.recording.topics import LAW_STATE, TOPIC_NAMES, Topic
+from turtlelog.log.recording.losses import describe_recovery, reconcile_topics
+from turtlelog.log.recording.topics import (
+    LAW_STATE,
+    SCHEMAS,
+    TOPIC_NAMES,
+    Topic,
+    define_states,
+    list_topics,
+)
 
 _OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
 
@@ -66,6 +71,12 @@ def read_contents(stream: BinaryIO) -> Contents:
     if source.index is not None:  # last: it names no place
         source.check_data()
     return contents
+
+
+def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
+    """Return contents whose rows belong together, and a clause on what that took."""
+    topics, dropped = reconcile_topics(contents.topics, contents.head.declaration)
+    return replace(contents, topics=topics), dropped
 
 
 def _read_source(source: Source) -> Contents:

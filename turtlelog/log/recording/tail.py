@@ -9,6 +9,7 @@ from typing import Any, Self
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
+from turtlelog.log.complete_files import is_live
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.integrity import check_start
@@ -17,9 +18,7 @@ from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import Rows
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.live_lock import is_live
-from turtlelog.log.recording.contents import build_contents
-from turtlelog.log.recording.losses import reconcile_contents
+from turtlelog.log.recording.contents import build_contents, reconcile_contents
 from turtlelog.log.recording.reader import build_run
 from turtlelog.log.recording.topics import POSE
 from turtlelog.run import Run
