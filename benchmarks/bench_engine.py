@@ -27,7 +27,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from turtlelog.log import read_columns, recover_recording
-from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.topics import SCHEMAS
 
 MESSAGES = 1_000_000
 PART = 40_000  # messages that the row-by-row readers are measured on

@@ -13,10 +13,10 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.interleaving import write_columns
 from turtlelog.log.recording.recorder import Recorder
-from turtlelog.log.recording.schemas import SCHEMAS
-from turtlelog.log.recording.writer import write_columns
+from turtlelog.log.recording.topics import SCHEMAS
 from turtlelog.simulate import iterate_ticks
 
 ROWS = 333_000  # on each of three topics

@@ -9,8 +9,8 @@ from typing import Final, Protocol
 import msgspec
 
 from turtlelog.errors import SimulationError
+from turtlelog.log.interrupts import StopRequest, catch_stop
 from turtlelog.log.recording.recorder import INTERRUPTED
-from turtlelog.log.signals import StopRequest, catch_stop
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Event, Run
 from turtlelog.scenario import Scenario, resolve_scenario

@@ -9,7 +9,7 @@ from typing import Any, Final
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
-from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.topics import SCHEMAS
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 POSE: Final = "turtlesim/msg/Pose"

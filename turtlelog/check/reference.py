@@ -12,7 +12,7 @@ from typing import Any
 
 from turtlelog.errors import CheckError
 from turtlelog.log import read_run, replace_when_complete, write_recording
-from turtlelog.log.border import name_file, open_file
+from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.measure import Metric, Status, find_metric_kind, measure_run
 from turtlelog.run import Run
 

@@ -125,7 +125,7 @@ def _draw(
 
 
 def _write_scenario(found: "Identification", path: Path) -> None:
-    from turtlelog.log.atomic import replace_when_complete
+    from turtlelog.log.complete_files import replace_when_complete
 
     text = tl.format_scenario(found.build_scenario())
     with replace_when_complete(path) as temporary:

@@ -159,7 +159,7 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
 def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
     if not live.realtime and url is None:
         return _simulate(scenario)
-    from turtlelog.log.signals import hold_stop, interrupt_on_quit
+    from turtlelog.log.interrupts import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())

@@ -8,10 +8,10 @@ from typing import Final
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file, open_file
+from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, read_info
-from turtlelog.log.recording.partial import PartialRecordingWarning
+from turtlelog.log.recording.losses import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_recording
 from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info

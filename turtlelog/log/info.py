@@ -8,11 +8,10 @@ from typing import Any
 
 from mcap.records import Attachment, Metadata
 
-from turtlelog.log.border import name_file, open_file
 from turtlelog.log.engine.survey import Survey, survey_file
+from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
-from turtlelog.log.recording.partial import describe_damages
-from turtlelog.log.recording.recovery_note import describe_recovery
+from turtlelog.log.recording.losses import describe_damages, describe_recovery
 from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables

@@ -4,17 +4,25 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final
+from struct import Struct
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.encode import encode_fields
-from turtlelog.log.engine.columns import TopicColumns
-from turtlelog.log.engine.layout import Column, Layout, lay_out, name_parts
-from turtlelog.log.engine.schema import Field, parse_schema
+from turtlelog.log.engine.message_types import (
+    TEXT,
+    Column,
+    Field,
+    Layout,
+    lay_out,
+    name_parts,
+    parse_schema,
+)
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""
@@ -30,6 +38,15 @@ _HEAD_ROW: Final = np.dtype(
 )
 UNCOUNTED: Final = 9
 """Bytes at the front of a record that its length does not count."""
+
+CODES: Final = MappingProxyType(
+    {"?": "?", "f4": "f", "f8": "d"}
+    | {"i1": "b", "i2": "h", "i4": "i", "i8": "q"}
+    | {"u1": "B", "u2": "H", "u4": "I", "u8": "Q"}
+)
+"""How `struct` names the numbers that a field may hold, little-endian."""
+
+_PACKERS: Final = MappingProxyType({kind: Struct(f"<{code}") for kind, code in CODES.items()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,3 +188,59 @@ def _name_fields(fields: tuple[Field, ...], prefix: str) -> Iterator[str]:
         else:
             for part in name_parts(field):
                 yield from _name_fields(field.kind, f"{prefix}{part}.")
+
+
+def encode_fields(fields: tuple[Field, ...], values: Mapping[str, Any]) -> bytes:
+    """Return the bytes of one message behind its encapsulation.
+
+    Args:
+        fields: Of the message type.
+        values: By dotted name, as a row of `TopicColumns`; one left out is 0 or empty.
+
+    Raises:
+        struct.error, TypeError, ValueError: Where a value is not of its field's kind.
+    """
+    body = bytearray()
+    _append_fields(body, fields, values, "")
+    return bytes(body)
+
+
+def _append_fields(
+    body: bytearray, fields: tuple[Field, ...], values: Mapping[str, Any], prefix: str
+) -> None:
+    for field in fields:
+        if not isinstance(field.kind, str) and not field.is_sequence:
+            for part in name_parts(field):
+                _append_fields(body, field.kind, values, f"{prefix}{part}.")
+            continue
+        value = values.get(prefix + field.name)
+        if field.is_sequence or field.length is not None:
+            _append_items(body, field, value)
+        else:
+            _append_item(body, field.kind, value)
+    if not fields:  # ROS gives a type without fields one byte
+        body.append(0)
+
+
+def _append_items(body: bytearray, field: Field, items: Any) -> None:
+    if items is None:
+        items = [None] * (field.length or 0)
+    if field.is_sequence:
+        _append_item(body, "u4", len(items))
+    elif len(items) != field.length:
+        raise ValueError(f"{field.name}: {len(items)} values instead of {field.length}")
+    for item in items:
+        _append_item(body, field.kind, item)
+
+
+def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> None:
+    if not isinstance(kind, str):
+        _append_fields(body, kind, value, "")
+    elif kind == TEXT:
+        text = ("" if value is None else value).encode() + b"\x00"
+        _append_item(body, "u4", len(text))
+        body += text
+    else:
+        packer = _PACKERS[kind]
+        body += bytes(-len(body) % packer.size)
+        body += packer.pack(0 if value is None else value)

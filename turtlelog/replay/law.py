@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import ReplayError
 from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.topics import CONTROL
-from turtlelog.log.ros2.reader import NOT_READ
+from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.difference import (
     Difference,

@@ -13,14 +13,8 @@ from tests.log.runs import STRANGE, make_run, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import read_info, read_recording, write_recording
-from turtlelog.log.recording.declaration import (
-    declare_format1,
-    define_types,
-    format_declaration,
-    name_state_type,
-    parse_declaration,
-)
-from turtlelog.log.recording.type_hashes import find_type_hash
+from turtlelog.log.recording.head import declare_format1, format_declaration, parse_declaration
+from turtlelog.log.recording.topics import define_types, find_type_hash, name_state_type
 from turtlelog.loops import ControlLoop, Declaration
 
 ENTRY: dict[str, Any] = json.loads(format_declaration(STRANGE))

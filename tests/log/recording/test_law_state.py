@@ -33,9 +33,15 @@ from turtlelog.log import (
     write_columns,
     write_recording,
 )
-from turtlelog.log.recording.declaration import define_types
 from turtlelog.log.recording.head import HEAD, describe_run, format_head
-from turtlelog.log.recording.topics import CONTROL, LAW_STATE, POSE, REFERENCE, REFERENCE64
+from turtlelog.log.recording.topics import (
+    CONTROL,
+    LAW_STATE,
+    POSE,
+    REFERENCE,
+    REFERENCE64,
+    define_types,
+)
 from turtlelog.run import Run
 from turtlelog.simulate import Tick, iterate_ticks, simulate_run
 

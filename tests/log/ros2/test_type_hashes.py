@@ -2,8 +2,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from tests.log.runs import find_shared
-from turtlelog.log.recording.schemas import SCHEMAS
-from turtlelog.log.recording.type_hashes import TYPE_HASHES
+from turtlelog.log.recording.topics import SCHEMAS, TYPE_HASHES
 
 
 @pytest.mark.parametrize("name", SCHEMAS)

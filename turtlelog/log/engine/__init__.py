@@ -1,6 +1,6 @@
 """Files as columns: chunks walked, gathered and written by the thousand, not message by message."""
 
-from turtlelog.log.engine.columns import TopicColumns, iter_columns, read_columns
-from turtlelog.log.engine.raw import RawContents, read_raw
+from turtlelog.log.engine.columns import RawContents, iter_columns, read_columns, read_raw
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 __all__ = ["RawContents", "TopicColumns", "iter_columns", "read_columns", "read_raw"]

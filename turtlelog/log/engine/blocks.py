@@ -6,24 +6,33 @@ Otherwise the headers of the records are walked one by one.
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, BinaryIO, Final, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.catalogue import Catalogue
 from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
-from turtlelog.log.engine.ends import DamageError
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.gather import gather_bytes
+from turtlelog.log.engine.integrity import DamageError, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
-from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
-from turtlelog.log.engine.stretches import MESSAGE_HEAD, Stretch, take_apart
+from turtlelog.log.engine.parsing import (
+    MESSAGE_HEAD,
+    Place,
+    RecordStretch,
+    gather_bytes,
+    iterate_places,
+    parse_record,
+    take_apart,
+)
 from turtlelog.log.engine.summary import ChunkEntry
+from turtlelog.log.engine.walk import Damage, Section, walk_sections
 
+T = TypeVar("T")
 Offsets = NDArray[np.int64]
 
 _HEADING: Final = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
@@ -102,7 +111,56 @@ def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk
     return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
 
 
-def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> Stretch:
+def walk_blocks(
+    stream: BinaryIO,
+    catalogue: Catalogue,
+    allowance: Allowance,
+    *,
+    damages: list[Damage] | None = None,
+) -> Iterator[Block]:
+    """Yield everything in a file as blocks, in its order, and fill the catalogue meanwhile.
+
+    Raises:
+        DamageError: Where something is damaged and there is no list that takes the damage.
+    """
+
+    def build(section: Section) -> Block:
+        block = build_walked_block(
+            section.data, section.start, allowance, is_chunk=section.is_chunk
+        )
+        catalogue.add(block.rest, block.byte)
+        return block
+
+    yield from walk_through(stream, build, damages=damages)
+
+
+def walk_through(
+    stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Damage] | None = None
+) -> Iterator[T]:
+    """Yield what `work` makes of every section of a file, in its order.
+
+    Raises:
+        DamageError: Where something is damaged and there is no list that takes the damage.
+    """
+    check_start(stream)
+    for section in walk_sections(stream):
+        if isinstance(section, Damage):
+            if damages is None:
+                raise DamageError(f"byte {section.start}: {section.reason}")
+            damages.append(section)
+            continue
+        try:
+            found = work(section)
+        except DamageError as err:
+            if damages is None:
+                raise
+            end = section.start + len(section.data)
+            damages.append(Damage(start=section.start, end=end, reason=str(err)))
+            continue
+        yield found
+
+
+def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool) -> RecordStretch:
     """Return where records stand that must make sense from the first to the last.
 
     Raises:
@@ -122,7 +180,7 @@ def take_walked(data: bytes, byte: int, allowance: Allowance, *, is_chunk: bool)
     return stretch
 
 
-def parse_others(stretch: Stretch, byte: int) -> tuple[Any, ...]:
+def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
     """Return the records of a stretch beside its messages.
 
     Raises:

@@ -8,10 +8,16 @@ from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.ends import DamageError
-from turtlelog.log.engine.layout import Layout, lay_out
+from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import FIELDS, Allowance
-from turtlelog.log.engine.schema import LONGEST_TEXT, Field, count_fields, parse_schema
+from turtlelog.log.engine.message_types import (
+    LONGEST_TEXT,
+    Field,
+    Layout,
+    count_fields,
+    lay_out,
+    parse_schema,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

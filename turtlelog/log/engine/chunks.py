@@ -1,17 +1,26 @@
-"""The bytes of a chunk record -> what it holds, unpacked and checked."""
+"""The bytes of a chunk record -> what it holds, unpacked in bounded memory and checked."""
 
 import struct
 import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from io import SEEK_END, BytesIO
 from typing import Final
 
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.ends import DamageError
+from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import LARGEST_CHUNK
-from turtlelog.log.engine.unpack import unpack_chunk
 
 _HEAD: Final = struct.Struct("<QQQII")  # start, end, uncompressed size, crc, length of the name
 _SIZE: Final = struct.Struct("<Q")
+
+SPARE: Final = 2**25
+"""Bytes that may be allocated on the word of a header alone."""
+
+_STEP: Final = 2**22  # bytes unpacked at a time, where the header may lie
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,3 +96,79 @@ def open_chunk(head: ChunkHead, body: bytes | memoryview, byte: int) -> bytes:
             f"byte {byte}: chunk: expected checksum {head.crc:#010x}, found {found:#010x}"
         )
     return data
+
+
+def unpack_chunk(
+    compression: str,
+    packed: bytes | memoryview,
+    size: int,
+    *,
+    largest: int = LARGEST_CHUNK,
+    spend: Callable[[int], None] = lambda _: None,
+) -> bytes:
+    """Return the bytes of a chunk that claims to unpack to `size`; the claim is not trusted.
+
+    What comes may be longer or shorter than claimed: the checksum decides.
+
+    Args:
+        compression: `zstd`, `lz4` or empty.
+        packed: The compressed bytes.
+        size: The claim.
+        largest: What no chunk may exceed [bytes].
+        spend: Called with bytes as they come, of damaged streams too; may refuse them.
+
+    Raises:
+        LogError: One clause, where the stream is damaged, holds far more than it claims, or more
+            than `largest`.
+    """
+    limit = min(max(size, SPARE), largest)
+    try:
+        match compression:
+            case "":
+                return bytes(packed)
+            case "zstd":
+                return _unpack_zstd(packed, size, limit, spend)
+            case "lz4":
+                return _join(_iterate_lz4(packed, size), limit, spend)
+    except LogError:
+        raise
+    except Exception as err:  # the libraries raise ZstdError, RuntimeError, MemoryError and more
+        raise LogError(f"expected sound {compression} data, found {describe_error(err)}") from err
+    raise LogError(f"expected the compression zstd, lz4 or none, found {compression[:20]!r}")
+
+
+def _unpack_zstd(
+    packed: bytes | memoryview, size: int, limit: int, spend: Callable[[int], None]
+) -> bytes:
+    promised = zstandard.frame_content_size(packed)  # -1: not said
+    # Two headers that agree are believed: one alone may be damaged.
+    if promised in {-1, size} and size <= (limit if promised == size else SPARE):
+        spend(size)
+        return zstandard.ZstdDecompressor().decompress(packed, size)
+    # A window is allocated on the word of the frame's header; a sound one is within the chunk.
+    unpacker = zstandard.ZstdDecompressor(max_window_size=limit).stream_reader(packed)
+    return _join(iter(lambda: unpacker.read(_STEP), b""), limit, spend)
+
+
+def _iterate_lz4(packed: bytes | memoryview, size: int) -> Iterator[bytes]:
+    unpacker = lz4.frame.LZ4FrameDecompressor()
+    yield unpacker.decompress(packed, max_length=min(max(size, 1), SPARE))
+    while not unpacker.eof:
+        if unpacker.needs_input:
+            raise LogError("expected sound lz4 data, found the end of the chunk within it")
+        yield unpacker.decompress(b"", max_length=_STEP)
+
+
+def _join(pieces: Iterator[bytes], limit: int, spend: Callable[[int], None]) -> bytes:
+    first = next(pieces, b"")
+    spend(len(first))
+    data = BytesIO(first)  # takes bytes over, and hands them over, without a copy
+    data.seek(0, SEEK_END)
+    for piece in pieces:
+        spend(len(piece))
+        data.write(piece)
+        if data.tell() > limit:
+            break
+    if data.tell() > limit:
+        raise LogError(f"expected up to {limit} bytes in a chunk, found more")
+    return data.getvalue()

@@ -1,62 +1,39 @@
-"""File -> columns, topic by topic: the one way in which messages are read."""
+"""File -> columns, topic by topic: the one way to read messages. And raw records."""
 
+import struct
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file, open_file
-from turtlelog.log.engine.layout import Column
-from turtlelog.log.engine.rows import (
-    LOG_TIME,
-    PUBLISH_TIME,
-    SEQUENCE,
-    Rows,
-    RowStore,
-    join_rows,
-    make_empty_rows,
-)
-from turtlelog.log.engine.selection import (
+from turtlelog.log.engine.blocks import Block
+from turtlelog.log.engine.parsing import MESSAGE_HEAD
+from turtlelog.log.engine.source import (
     Piece,
     Selection,
+    Source,
     count_rows,
     iterate_pieces,
     select_topics,
 )
-from turtlelog.log.engine.source import Source
+from turtlelog.log.engine.topic_columns import (
+    LOG_TIME,
+    Rows,
+    RowStore,
+    TopicColumns,
+    build_columns,
+    make_empty_rows,
+)
+from turtlelog.log.error_boundary import name_file, open_file
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TopicColumns:
-    """The messages of one topic, as columns in order of log time; equal times as in the file.
-
-    Attributes:
-        topic: Its name.
-        type: Of its messages, as its schema calls it.
-        log_time_ns: When each was recorded [ns], shape (n,).
-        publish_time_ns: When each was published [ns], shape (n,).
-        sequence: Number that the publisher gave each, shape (n,).
-        fields: By dotted name in the order of the schema. A fixed array of k numbers has shape
-            (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a list,
-            one of messages a list of dictionaries by dotted name, each in a column of objects.
-    """
-
-    topic: str
-    type: str
-    log_time_ns: NDArray[np.int64]
-    publish_time_ns: NDArray[np.int64]
-    sequence: NDArray[np.uint32]
-    fields: Mapping[str, Column]
-
-    def __len__(self) -> int:
-        return len(self.log_time_ns)
+_HEAD: Final = struct.Struct("<QHIQQ")  # length, channel, sequence, log and publish time
+_LONE: Final = (Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT)
 
 
 def read_columns(
@@ -143,27 +120,73 @@ def collect_columns(source: Source, selection: Selection) -> Mapping[str, TopicC
     return build_columns(parts, source.catalogue.types)
 
 
-def build_columns(
-    parts: Mapping[str, list[Rows]], types: Mapping[str, str]
-) -> Mapping[str, TopicColumns]:
-    """Return rows of topics as columns, in order of the topics' names; `types` says theirs."""
-    topics = {}
-    for topic in sorted(parts):
-        rows = join_rows(parts[topic])
-        topics[topic] = TopicColumns(
-            topic=topic,
-            type=types[topic],
-            log_time_ns=rows.pop(LOG_TIME),
-            publish_time_ns=rows.pop(PUBLISH_TIME),
-            sequence=rows.pop(SEQUENCE),
-            fields=MappingProxyType(rows),
-        )
-    return MappingProxyType(topics)
-
-
 def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> bool:
     """Return whether a topic would have too many rows with this piece."""
     return any(
         sum(len(part[LOG_TIME]) for part in batch.get(topic, [])) + len(found[LOG_TIME]) > most_rows
         for topic, found in piece.rows.items()
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawContents:
+    """All records of a file that carry something.
+
+    Attributes:
+        header: Profile and library.
+        schemas: By id.
+        channels: By id.
+        messages: In the order of the file.
+        metadata: In the order of the file.
+        attachments: In the order of the file.
+    """
+
+    header: Header
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    messages: tuple[Message, ...]
+    metadata: tuple[Metadata, ...]
+    attachments: tuple[Attachment, ...]
+
+
+def read_raw(path: str | Path) -> RawContents:
+    """Return the records of an MCAP file, every checksum checked, through its index if it has one.
+
+    Raises:
+        LogError: One line with the file and the place, where it is no MCAP or is damaged.
+    """
+    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
+        source = Source(stream)
+        source.check_data()
+        messages: list[Message] = []
+        found: list[Any] = []
+        if source.index is not None:
+            found += source.read_lone(_LONE)
+        for block, of_block in source.map_blocks(lambda block: (block, _list_messages(block))):
+            messages += of_block
+            found += block.rest
+    headers = [record for record in found if isinstance(record, Header)]
+    return RawContents(
+        header=headers[0] if headers else Header(profile="", library=""),
+        schemas=dict(source.catalogue.schemas),
+        channels=dict(source.catalogue.channels),
+        messages=tuple(messages),
+        metadata=tuple(record for record in found if isinstance(record, Metadata)),
+        attachments=tuple(record for record in found if isinstance(record, Attachment)),
+    )
+
+
+def _list_messages(block: Block) -> list[Message]:
+    starts = sorted(start for found in block.offsets.values() for start in found.tolist())
+    return [_read_message(block.data, start) for start in starts]
+
+
+def _read_message(data: bytes, start: int) -> Message:
+    length, channel, sequence, log_time, publish_time = _HEAD.unpack_from(data, start + 1)
+    return Message(
+        channel_id=channel,
+        sequence=sequence,
+        log_time=log_time,
+        publish_time=publish_time,
+        data=data[start + MESSAGE_HEAD : start + 9 + length],
     )

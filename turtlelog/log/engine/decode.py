@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.gather import gather_bytes
-from turtlelog.log.engine.layout import Column, name_parts
-from turtlelog.log.engine.schema import TEXT, Field
+from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
+from turtlelog.log.engine.parsing import gather_bytes
 
 Order = Literal["<", ">"]
 Places = NDArray[np.int64]

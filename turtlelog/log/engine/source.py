@@ -1,22 +1,25 @@
-"""A file -> its blocks, through its index where that tells all, else record by record."""
+"""A file -> the messages asked for, piece by piece: through its index, else record by record."""
 
 import os
-from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, BinaryIO, Final, TypeVar
 
+import numpy as np
 from mcap.records import Statistics
 
-from turtlelog.log.engine.blocks import Block, build_indexed_block, build_walked_block
-from turtlelog.log.engine.catalogue import Catalogue
-from turtlelog.log.engine.ends import DamageError, Ends, check_data, check_start, read_ends
+from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import Block, Offsets, build_indexed_block, walk_blocks
+from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.integrity import DamageError, Ends, check_data, read_ends
 from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.message_types import TEXT, Field
 from turtlelog.log.engine.parsing import Place, read_record
 from turtlelog.log.engine.summary import ChunkEntry, find_lone_records, parse_summary
-from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.engine.topic_columns import LOG_TIME, Rows, read_rows, select_rows
 
 T = TypeVar("T")
 
@@ -121,53 +124,171 @@ class Source:
             yield entry, self._stream.read(entry.length + entry.index_length)
 
 
-def walk_blocks(
-    stream: BinaryIO,
-    catalogue: Catalogue,
-    allowance: Allowance,
-    *,
-    damages: list[Damage] | None = None,
-) -> Iterator[Block]:
-    """Yield everything in a file as blocks, in its order, and fill the catalogue meanwhile.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Selection:
+    """Which messages are asked for.
 
-    Raises:
-        DamageError: Where something is damaged and there is no list that takes the damage.
+    Attributes:
+        topics: By name; None for all that can be understood.
+        start_ns: Least log time.
+        end_ns: The log time before which they end.
+        is_lenient: Whether topics may be missing or not understood; then all chunks are read and
+            checked.
+        is_flat: Whether fields must be numbers and texts, not sequences of texts or messages: those
+            take some hundred times the memory of their bytes.
     """
 
-    def build(section: Section) -> Block:
-        block = build_walked_block(
-            section.data, section.start, allowance, is_chunk=section.is_chunk
-        )
-        catalogue.add(block.rest, block.byte)
-        return block
+    topics: frozenset[str] | None = None
+    start_ns: int = 0
+    end_ns: int = EVER
+    is_lenient: bool = False
+    is_flat: bool = False
 
-    yield from walk_through(stream, build, damages=damages)
+    @property
+    def is_ever(self) -> bool:
+        """Whether no message is left out for its time."""
+        return self.start_ns <= 0 and self.end_ns >= EVER
+
+    def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
+        """Return the plans of the topics asked for, as far as they are known so far.
+
+        Raises:
+            LogError: Where one that is asked for by name cannot be understood.
+        """
+        plans = {}
+        for topic in sorted(catalogue.topics):
+            plan = self.choose_plan(catalogue, topic)
+            if plan is not None:
+                plans[topic] = plan
+        return plans
+
+    def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
+        """Return the plan of a topic, None where it is not asked for.
+
+        Raises:
+            LogError: Where it is asked for by name and cannot be understood.
+        """
+        if self.topics is not None and topic not in self.topics:
+            return None
+        plan = catalogue.find_plan(topic)
+        if plan.reason and self.topics is not None and not self.is_lenient:
+            raise LogError(f"topic {topic}: not understood: {plan.reason}")
+        if self.is_flat and (name := _find_list(plan.fields)) is not None:
+            expected = "fields of numbers and texts"
+            raise LogError(f"topic {topic}: expected {expected}, found the sequence {name}")
+        return None if plan.reason else plan
+
+    def require_topics(self, catalogue: Catalogue) -> None:
+        """Check that every topic asked for by name is there.
+
+        Raises:
+            LogError: Where one is not.
+        """
+        missing = (self.topics or frozenset()).difference(catalogue.topics)
+        for topic in () if self.is_lenient else sorted(missing):
+            raise LogError(f"topic {topic}: expected it in the file, found no such topic")
 
 
-def walk_through(
-    stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Damage] | None = None
-) -> Iterator[T]:
-    """Yield what `work` makes of every section of a file, in its order.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """Some messages that stand together.
+
+    Attributes:
+        rows: By topic, as far as they are asked for.
+        size: Bytes that they were read from.
+        counts: Messages by channel, asked for or not.
+        rest: The other records among them, at the first piece of a block.
+    """
+
+    rows: Mapping[str, Rows]
+    size: int
+    counts: Mapping[int, int]
+    rest: tuple[Any, ...] = ()
+
+
+def select_topics(
+    topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
+) -> Selection:
+    """Return a selection; None takes all."""
+    names = [topics] if isinstance(topics, str) else topics
+    return Selection(
+        topics=None if names is None else frozenset(names),
+        start_ns=0 if start_ns is None else start_ns,
+        end_ns=EVER if end_ns is None else end_ns,
+    )
+
+
+def iterate_pieces(
+    source: Source, selection: Selection, most_rows: int | None = None
+) -> Iterator[Piece]:
+    """Yield the messages asked for, in the order of the file; of a topic up to so many at once.
 
     Raises:
-        DamageError: Where something is damaged and there is no list that takes the damage.
+        LogError: Where a topic asked for is not there or not understood.
+        DamageError: Where something read is damaged, or more or less than the statistics say.
     """
-    check_start(stream)
-    for section in walk_sections(stream):
-        if isinstance(section, Damage):
-            if damages is None:
-                raise DamageError(f"byte {section.start}: {section.reason}")
-            damages.append(section)
+    catalogue, channels = source.catalogue, None
+    if source.index is not None:
+        selection.require_topics(catalogue)
+        plans = selection.choose_plans(catalogue)
+        known = catalogue.channels.values()
+        if not selection.is_lenient:
+            channels = {channel.id for channel in known if channel.topic in plans}
+    counts: Counter[int] = Counter()
+
+    def read(block: Block) -> list[Piece]:
+        parts = _split(block.offsets, most_rows)
+        pieces = [read_piece(catalogue, selection, block, offsets) for offsets in parts]
+        return [replace(pieces[0], rest=block.rest), *pieces[1:]]
+
+    for pieces in source.map_blocks(read, channels, selection.start_ns, selection.end_ns):
+        for piece in pieces:
+            counts.update(piece.counts)
+            yield piece
+    selection.require_topics(catalogue)
+    selection.choose_plans(catalogue)
+    if selection.is_ever:
+        _check_counts(source, counts, channels)
+
+
+def count_rows(source: Source, selection: Selection) -> Mapping[str, int]:
+    """Return how many rows of each topic the statistics promise, none where they do not tell.
+
+    No more than the message indexes have room for: no one is believed who promises billions.
+    """
+    if source.index is None or source.statistics is None or not selection.is_ever:
+        return {}
+    room = sum(entry.index_length for entry in source.index.chunks) // 16
+    counts: Counter[str] = Counter()
+    for number, count in source.statistics.channel_message_counts.items():
+        if number in source.catalogue:
+            counts[source.catalogue.channels[number].topic] += min(count, room)
+    return counts
+
+
+def read_piece(
+    catalogue: Catalogue, selection: Selection, block: Block, offsets: Mapping[int, Offsets]
+) -> Piece:
+    """Return those of the messages at some places of a block that are asked for.
+
+    Raises:
+        LogError: Where one is not of its topic's type.
+    """
+    found = {}
+    for topic, channels in catalogue.group_channels(offsets, block.byte).items():
+        starts = _merge([offsets[channel] for channel in channels])
+        plan = selection.choose_plan(catalogue, topic)
+        if plan is None or not len(starts):
             continue
-        try:
-            found = work(section)
-        except DamageError as err:
-            if damages is None:
-                raise
-            end = section.start + len(section.data)
-            damages.append(Damage(start=section.start, end=end, reason=str(err)))
-            continue
-        yield found
+        rows = read_rows(plan, block, starts)
+        if not selection.is_ever:
+            times = rows[LOG_TIME]
+            rows = select_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
+        if len(rows[LOG_TIME]):
+            found[topic] = rows
+    counts = {channel: len(starts) for channel, starts in offsets.items()}
+    share = sum(counts.values()) / max(sum(map(len, block.offsets.values())), 1)
+    return Piece(rows=found, size=int(len(block.data) * share), counts=counts)
 
 
 def _map_ahead(
@@ -191,3 +312,45 @@ def _map_ahead(
         finally:
             for _, future in waiting:
                 future.cancel()
+
+
+def _find_list(fields: tuple[Field, ...]) -> str | None:
+    """Return the name of a sequence of texts or messages."""
+    for field in fields:
+        is_plain = isinstance(field.kind, str) and field.kind != TEXT
+        if not is_plain and (field.is_sequence or (field.length and field.kind == TEXT)):
+            return field.name
+        if not isinstance(field.kind, str) and (found := _find_list(field.kind)) is not None:
+            return f"{field.name}.{found}"
+    return None
+
+
+def _merge(offsets: list[Offsets]) -> Offsets:
+    return offsets[0] if len(offsets) == 1 else np.sort(np.concatenate(offsets))
+
+
+def _split(
+    offsets: Mapping[int, Offsets], most_rows: int | None
+) -> Sequence[Mapping[int, Offsets]]:
+    """Return the messages of a block in stretches of up to so many of a channel."""
+    if most_rows is None or max(map(len, offsets.values()), default=0) <= most_rows:
+        return [offsets]
+    borders = np.unique(np.concatenate([found[most_rows::most_rows] for found in offsets.values()]))
+    stretches: Sequence[dict[int, Offsets]] = [{} for _ in range(len(borders) + 1)]
+    for channel, of in offsets.items():
+        for stretch, part in zip(
+            stretches, np.split(of, np.searchsorted(of, borders)), strict=True
+        ):
+            if len(part):
+                stretch[channel] = part
+    return stretches
+
+
+def _check_counts(source: Source, counts: Counter[int], channels: Collection[int] | None) -> None:
+    statistics = source.statistics
+    for channel, expected in statistics.channel_message_counts.items() if statistics else ():
+        if (channels is None or channel in channels) and counts[channel] != expected:
+            raise DamageError(
+                f"byte {source.ends.summary.start}: channel {channel}: expected {expected} messages"
+                f" as the statistics say, found {counts[channel]}"
+            )

@@ -1,8 +1,9 @@
-"""The summary of a file: what is where, without reading it."""
+"""The summary of a file: what is where, without reading it, whether its data are sound or not."""
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from io import SEEK_END
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -11,8 +12,8 @@ from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statis
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.ends import DamageError, Ends, SummaryBytes
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.integrity import DamageError, Ends, SummaryBytes, read_summary
 from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 
@@ -65,7 +66,7 @@ class ChunkEntry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
+class FileSummary:
     """What stands in the summary section.
 
     Attributes:
@@ -83,7 +84,7 @@ class Summary:
     named: Mapping[int, tuple[int, str]]
 
 
-def parse_summary(section: SummaryBytes, allowance: Allowance) -> Summary:
+def parse_summary(section: SummaryBytes, allowance: Allowance) -> FileSummary:
     """Return what the summary section says.
 
     Raises:
@@ -110,7 +111,7 @@ def parse_summary(section: SummaryBytes, allowance: Allowance) -> Summary:
             named[found.offset] = Opcode.METADATA, found.name
         elif isinstance(found, AttachmentIndex):
             named[found.offset] = Opcode.ATTACHMENT, found.name
-    return Summary(
+    return FileSummary(
         schemas=tuple(schemas),
         channels=tuple(channels),
         chunks=tuple(sorted(chunks, key=lambda entry: entry.start)),
@@ -129,7 +130,7 @@ def _spend(allowance: Allowance, opcode: int, byte: int) -> None:
 
 
 def find_lone_records(
-    stream: BinaryIO, ends: Ends, summary: Summary, allowance: Allowance
+    stream: BinaryIO, ends: Ends, summary: FileSummary, allowance: Allowance
 ) -> tuple[Place, ...] | None:
     """Return the records that stand between the chunks; None where the index does not tell all.
 
@@ -200,4 +201,37 @@ def _parse_entry(data: bytes, place: Place, byte: int) -> ChunkEntry:
         end_ns=end_ns,
         channels=frozenset(offsets["channel"].tolist()),
         size=size,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SalvagedSummary:
+    """What a summary says.
+
+    Attributes:
+        schemas: By id.
+        channels: By id.
+        counts: Messages by channel; None where there are no statistics.
+        is_sound: Whether the file ends as it should, with a summary that agrees with its
+            checksum or no summary at all.
+    """
+
+    schemas: Mapping[int, Schema] = field(default_factory=dict)
+    channels: Mapping[int, Channel] = field(default_factory=dict)
+    counts: Mapping[int, int] | None = None
+    is_sound: bool = False
+
+
+def salvage_summary(stream: BinaryIO) -> SalvagedSummary:
+    """Return what the summary says; nothing where there is none, or its checksum fails."""
+    try:
+        summary = parse_summary(read_summary(stream), Allowance(stream.seek(0, SEEK_END)))
+    except DamageError:
+        return SalvagedSummary()
+    statistics = summary.statistics
+    return SalvagedSummary(
+        schemas={schema.id: schema for schema in summary.schemas},
+        channels={channel.id: channel for channel in summary.channels},
+        counts=None if statistics is None else dict(statistics.channel_message_counts),
+        is_sound=True,
     )

@@ -10,13 +10,12 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
-from turtlelog.log.engine.blocks import Block, parse_others, take_walked
+from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.catalogue import Catalogue
-from turtlelog.log.engine.ends import DamageError, UnfinishedError
-from turtlelog.log.engine.gather import gather_bytes
+from turtlelog.log.engine.integrity import DamageError, UnfinishedError
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.source import Source, walk_through
-from turtlelog.log.engine.stretches import HEADING, MESSAGE_HEAD
+from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
+from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.walk import Damage, Section
 
 _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)

@@ -14,19 +14,19 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.ends import START_SIZE, find_wrong_start
+from turtlelog.log.engine.chunks import unpack_chunk
 from turtlelog.log.engine.framing import (
     RECORD,
     SUMMARY_ONLY,
     FileWindow,
+    find_next_record,
     find_record_end,
     is_padding,
     is_record_start,
     measure_record,
 )
+from turtlelog.log.engine.integrity import START_SIZE, find_wrong_start
 from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
-from turtlelog.log.engine.resync import find_next_record
-from turtlelog.log.engine.unpack import unpack_chunk
 
 _CHUNK: Final = struct.Struct("<BQQQQII")  # ... start, end, size unpacked, crc, length of the name
 _BATCH: Final = 2**20  # bytes of lone records handed on together

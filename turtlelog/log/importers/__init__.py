@@ -8,10 +8,9 @@ from typing import Final
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file, open_file
-from turtlelog.log.importers.base import PaperLog, build_run
-from turtlelog.log.importers.paper_csv import parse_paper_csv
-from turtlelog.log.importers.paper_json import parse_paper_json
+from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.importers.paper_layouts import parse_paper_csv, parse_paper_json
+from turtlelog.log.importers.paper_log import PaperLog, build_run
 from turtlelog.run import Run
 
 __all__ = ["import_log"]

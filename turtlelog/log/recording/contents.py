@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, BinaryIO, Final
 
@@ -10,22 +10,25 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import walk_blocks
 from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
-from turtlelog.log.engine.columns import TopicColumns, build_columns
-from turtlelog.log.engine.ending import read_ending
-from turtlelog.log.engine.ends import DamageError
-from turtlelog.log.engine.layout import lay_out
+from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.rows import Rows, make_empty_rows
-from turtlelog.log.engine.schema import parse_schema
-from turtlelog.log.engine.selection import Selection, iterate_pieces, read_piece
-from turtlelog.log.engine.source import Source, walk_blocks
+from turtlelog.log.engine.message_types import lay_out, parse_schema
+from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
+from turtlelog.log.engine.summary import salvage_summary
+from turtlelog.log.engine.topic_columns import Rows, TopicColumns, build_columns, make_empty_rows
 from turtlelog.log.engine.walk import Damage
-from turtlelog.log.recording.declaration import list_topics
 from turtlelog.log.recording.head import HEAD, Head, parse_head
-from turtlelog.log.recording.recovery_note import describe_recovery
-from turtlelog.log.recording.schemas import SCHEMAS, define_states
-from turtlelog.log.recording.topics import LAW_STATE, TOPIC_NAMES, Topic
+from turtlelog.log.recording.losses import describe_recovery, reconcile_topics
+from turtlelog.log.recording.topics import (
+    LAW_STATE,
+    SCHEMAS,
+    TOPIC_NAMES,
+    Topic,
+    define_states,
+    list_topics,
+)
 
 _OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
 
@@ -70,6 +73,12 @@ def read_contents(stream: BinaryIO) -> Contents:
     return contents
 
 
+def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
+    """Return contents whose rows belong together, and a clause on what that took."""
+    topics, dropped = reconcile_topics(contents.topics, contents.head.declaration)
+    return replace(contents, topics=topics), dropped
+
+
 def _read_source(source: Source) -> Contents:
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
@@ -98,7 +107,7 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
-    ending = read_ending(stream)
+    ending = salvage_summary(stream)
     catalogue.add((*ending.schemas.values(), *ending.channels.values()), 0)
     for block in walk_blocks(stream, catalogue, allowance, damages=damages):
         found += _keep_notes(block.rest)

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file, open_file
-from turtlelog.log.engine.columns import TopicColumns
-from turtlelog.log.engine.ends import DamageError
-from turtlelog.log.engine.layout import Column
+from turtlelog.log.engine.integrity import DamageError
+from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.survey import survey_file
-from turtlelog.log.recording.contents import Contents, read_contents, salvage_contents
-from turtlelog.log.recording.declaration import declare_format1
-from turtlelog.log.recording.head import MAY_BE_ABSENT, Head, parse_scenario_file
-from turtlelog.log.recording.partial import (
-    PartialRecordingWarning,
-    describe_damages,
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.recording.contents import (
+    Contents,
+    read_contents,
     reconcile_contents,
+    salvage_contents,
 )
+from turtlelog.log.recording.head import MAY_BE_ABSENT, Head, declare_format1, parse_scenario_file
+from turtlelog.log.recording.losses import PartialRecordingWarning, describe_damages
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,

@@ -12,11 +12,11 @@ from types import MappingProxyType, TracebackType
 from typing import BinaryIO, Final, Self
 
 from turtlelog.errors import LogError
+from turtlelog.log.complete_files import mark_live
 from turtlelog.log.container import McapFile, pack_chunk
-from turtlelog.log.live_lock import mark_live
+from turtlelog.log.interrupts import exit_on_terminate, hold_stop
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
-from turtlelog.log.signals import exit_on_terminate, hold_stop
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick, declare_scenario
 

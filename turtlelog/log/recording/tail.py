@@ -9,17 +9,16 @@ from typing import Any, Self
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from turtlelog.log.border import name_file, open_file
+from turtlelog.log.complete_files import is_live
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.catalogue import Catalogue
-from turtlelog.log.engine.ends import check_start
+from turtlelog.log.engine.integrity import check_start
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.rows import Rows
-from turtlelog.log.engine.selection import Selection, read_piece
+from turtlelog.log.engine.source import Selection, read_piece
+from turtlelog.log.engine.topic_columns import Rows
 from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.live_lock import is_live
-from turtlelog.log.recording.contents import build_contents
-from turtlelog.log.recording.partial import reconcile_contents
+from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.recording.contents import build_contents, reconcile_contents
 from turtlelog.log.recording.reader import build_run
 from turtlelog.log.recording.topics import POSE
 from turtlelog.run import Run

@@ -9,12 +9,8 @@ from typing import Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from turtlelog.log.channels import describe_topics
 from turtlelog.log.container import ChunkRows
-from turtlelog.log.encode import CODES, encode_fields
-from turtlelog.log.recording.declaration import define_types, list_topics
-from turtlelog.log.recording.messages import describe_event, describe_pose
-from turtlelog.log.recording.schemas import SCHEMAS
+from turtlelog.log.recording.run_writer import describe_event, describe_pose
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
@@ -26,9 +22,13 @@ from turtlelog.log.recording.topics import (
     POSE64,
     REFERENCE,
     REFERENCE64,
+    SCHEMAS,
     Topic,
+    define_types,
+    describe_topics,
+    list_topics,
 )
-from turtlelog.log.records import ENCAPSULATION, HEAD, UNCOUNTED, read_type
+from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, encode_fields, read_type
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario

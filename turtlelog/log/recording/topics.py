@@ -1,7 +1,18 @@
-"""The topics of a recording; no other file names one."""
+"""The topics of a recording, text and hash of their types, the records that describe them."""
 
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
+from types import MappingProxyType
 from typing import Final
+
+from mcap.records import Channel, Schema
+
+from turtlelog.errors import LogError
+from turtlelog.loops import Declaration
+from turtlelog.scenario import DEFAULT_LAW
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,3 +72,228 @@ TOPIC_NAMES: Final = frozenset(
     }
 )
 """Names of all that a recording may hold."""
+
+_SEPARATOR: Final = "=" * 80
+
+_TIME: Final = "int32 sec\nuint32 nanosec\n"
+_HEADER: Final = "builtin_interfaces/Time stamp\nstring frame_id\n"
+_XYZ: Final = "float64 x\nfloat64 y\nfloat64 z\n"
+_QUATERNION: Final = "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
+
+_TURTLESIM_POSE: Final = """\
+float32 x
+float32 y
+float32 theta
+float32 linear_velocity
+float32 angular_velocity
+"""
+
+_LOG: Final = """\
+byte DEBUG=10
+byte INFO=20
+byte WARN=30
+byte ERROR=40
+byte FATAL=50
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+"""
+
+_CONTROL_SAMPLE: Final = """\
+# One callback of the controller. NaN: not recorded.
+
+# Number of the sample, and of the pose that it read, from 0.
+uint32 sequence
+uint32 pose_sequence
+# Phase in which the command was computed: its place, from 0, among the phases of the declaration
+# in the metadata record turtlelog, then pause and done where these are not among them.
+uint8 phase
+# Goal bearing, and bearing minus heading [rad].
+float64 bearing
+float64 heading_error
+# Goal minus position in the world frame [m].
+float64 error_x
+float64 error_y
+float64 distance
+# Command before clipping [m/s, rad/s].
+float64 wanted_speed
+float64 wanted_turn_rate
+# Command as published [m/s, rad/s].
+float64 speed
+float64 turn_rate
+# Gain times error before projection, world frame [m/s].
+float64 world_v_x
+float64 world_v_y
+"""
+
+
+_STATES: Final = """\
+# Numbers of the law's own, one message per sample: that of the same sequence number, which both
+# messages carry, on /turtle1/control.
+"""
+
+TYPE_HASHES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        name: f"RIHS01_{digest}"
+        for name, digest in {
+            "geometry_msgs/msg/Pose2D": (
+                "d68efa5b46e70f7b16ca23085474fdac5a44b638783ec42f661da64da4724ccc"
+            ),
+            "geometry_msgs/msg/PoseStamped": (
+                "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"
+            ),
+            "geometry_msgs/msg/Twist": (
+                "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
+            ),
+            "rcl_interfaces/msg/Log": (
+                "e28ce254ca8abc06abf92773b74602cdbf116ed34fbaf294fb9f81da9f318eac"
+            ),
+            "std_msgs/msg/String": (
+                "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+            ),
+            "turtlelog_msgs/msg/ControlSample": (
+                "53260607615135d6bf11cc8adaf06aa06e43587b77f3f4c4e3b507e39c602cb9"
+            ),
+            "turtlesim/msg/Pose": (
+                "739beba26bcba6920404ba722b7b8321348512f92ea5be235c47251940dd8aa9"
+            ),
+        }.items()
+    }
+)
+"""Hash by message type, for every key of `SCHEMAS`: its texts and these change together.
+
+RIHS01 is the SHA-256 of a type's description (REP 2011): ROS 2 compares it with the hash of the
+type it has installed.
+"""
+
+_FLOAT64: Final = MappingProxyType(
+    {"type_id": 11, "capacity": 0, "string_capacity": 0, "nested_type_name": ""}
+)
+"""How a type's description names the type of a field (REP 2011)."""
+
+_PACKAGE: Final = "turtlelog_msgs/msg"
+_LONGEST_TYPE: Final = 60
+"""Letters of a type's name; a class may be called anything."""
+
+
+def define_states(names: Iterable[str]) -> str:
+    """Return the `ros2msg` text of the type that holds a law's states."""
+    return _STATES + "".join(f"# The law's state {name}.\nfloat64 {name}\n" for name in names)
+
+
+def _join(text: str, **dependencies: str) -> str:
+    parts = [text]
+    for name, definition in dependencies.items():
+        parts.append(f"{_SEPARATOR}\nMSG: {name.replace('__', '/')}\n{definition}")
+    return "".join(parts)
+
+
+SCHEMAS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "geometry_msgs/msg/PoseStamped": _join(
+            "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
+            std_msgs__Header=_HEADER,
+            builtin_interfaces__Time=_TIME,
+            geometry_msgs__Pose="geometry_msgs/Point position\n"
+            "geometry_msgs/Quaternion orientation\n",
+            geometry_msgs__Point=_XYZ,
+            geometry_msgs__Quaternion=_QUATERNION,
+        ),
+        "turtlesim/msg/Pose": _TURTLESIM_POSE,
+        "geometry_msgs/msg/Pose2D": "float64 x\nfloat64 y\nfloat64 theta\n",
+        "turtlelog_msgs/msg/ControlSample": _CONTROL_SAMPLE,
+        "geometry_msgs/msg/Twist": _join(
+            "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
+            geometry_msgs__Vector3=_XYZ,
+        ),
+        "std_msgs/msg/String": "string data\n",
+        "rcl_interfaces/msg/Log": _join(_LOG, builtin_interfaces__Time=_TIME),
+    }
+)
+"""Definition by message type; dependencies follow a line of 80 equals signs."""
+
+
+def find_type_hash(kind: str, definition: str) -> str | None:
+    """Return the hash of a type of ours, None of one that somebody else has defined."""
+    if definition == SCHEMAS.get(kind):
+        return TYPE_HASHES[kind]
+    # What a law's states are called is known to its definition alone.
+    states = re.findall(r"^float64 (\w+)$", definition, flags=re.MULTILINE)
+    return _hash_states(kind, states) if definition == define_states(states) else None
+
+
+def _hash_states(kind: str, names: list[str]) -> str:
+    fields = [{"name": name, "type": dict(_FLOAT64)} for name in names]
+    description = {
+        "type_description": {"type_name": kind, "fields": fields},
+        "referenced_type_descriptions": [],
+    }
+    return f"RIHS01_{sha256(json.dumps(description).encode()).hexdigest()}"
+
+
+def list_topics(declaration: Declaration | None, kind: object = DEFAULT_LAW) -> tuple[Topic, ...]:
+    """Return the topics of a recording in the order in which messages of one time stand.
+
+    Args:
+        declaration: None where there is none, as in format 1.
+        kind: The law's name, which the type of its states is called after.
+    """
+    if declaration is None:
+        return (*BEFORE_STATES, *AFTER_SAMPLES)
+    states = (Topic(LAW_STATE, name_state_type(kind)),) if declaration.states else ()
+    references = (REFERENCE, REFERENCE64) if declaration.has_reference else ()
+    return (*BEFORE_STATES, *states, *references, *AFTER_SAMPLES)
+
+
+def define_types(declaration: Declaration, kind: object = DEFAULT_LAW) -> Mapping[str, str]:
+    """Return the `ros2msg` text of every type that a recording may hold."""
+    if not declaration.states:
+        return SCHEMAS
+    return {**SCHEMAS, name_state_type(kind): define_states(declaration.states)}
+
+
+def name_state_type(kind: object) -> str:
+    """Return the type of a law's states: `file.py:TurnAndDrive` gives `TurnAndDriveState`."""
+    words = re.findall(r"[A-Za-z0-9]+", str(kind).rpartition(":")[2])
+    name = "".join(word[0].upper() + word[1:] for word in words)[:_LONGEST_TYPE]
+    return f"{_PACKAGE}/{name if name[:1].isalpha() else f'Law{name}'}State"
+
+
+def describe_topics(
+    topics: Sequence[tuple[str, str]], definitions: Mapping[str, str]
+) -> list[tuple[Schema, Channel]]:
+    """Return schema and channel of topics, given by name and type, numbered from 1.
+
+    Raises:
+        LogError: Where the `ros2msg` text of a type is not among the definitions.
+    """
+    schemas: dict[str, Schema] = {}
+    pairs = []
+    for number, (topic, kind) in enumerate(topics, start=1):
+        if kind not in definitions:
+            raise LogError(f"topic {topic}: expected a definition of {kind}, found none")
+        if kind not in schemas:
+            data = definitions[kind].encode()
+            schemas[kind] = Schema(id=len(schemas) + 1, name=kind, encoding="ros2msg", data=data)
+        channel = Channel(
+            id=number,
+            topic=topic,
+            message_encoding="cdr",
+            schema_id=schemas[kind].id,
+            metadata=_describe_type(kind, definitions[kind]),
+        )
+        pairs.append((schemas[kind], channel))
+    return pairs
+
+
+def _describe_type(kind: str, definition: str) -> dict[str, str]:
+    # Without the QoS entry some versions of rosbag2 refuse the channel.
+    metadata = {"offered_qos_profiles": ""}
+    # A hash holds for one text: nobody knows that of a type that somebody else has defined.
+    if (type_hash := find_type_hash(kind, definition)) is not None:
+        metadata["topic_type_hash"] = type_hash
+    return metadata

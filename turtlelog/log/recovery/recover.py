@@ -10,15 +10,14 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
-from turtlelog.log.atomic import replace_when_complete
-from turtlelog.log.border import name_file, open_file
-from turtlelog.log.engine.ending import Ending, read_ending
+from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
-from turtlelog.log.engine.stretches import take_apart
+from turtlelog.log.engine.parsing import take_apart
+from turtlelog.log.engine.summary import SalvagedSummary, salvage_summary
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
-from turtlelog.log.recording.recovery_note import RECOVERY, Loss, format_recovery
-from turtlelog.log.recovery.numbering import Numbering
-from turtlelog.log.recovery.rewriting import Rewriter
+from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.recording.losses import RECOVERY, Loss, format_recovery
+from turtlelog.log.recovery.rewriting import Numbering, Rewriter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +67,7 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     with name_file(source, expected="an MCAP file"), open_file(source) as stream:
         if target.exists() and source.samefile(target):
             raise LogError(f"expected another file to write to, found the same: {target}")
-        ending = read_ending(stream)
+        ending = salvage_summary(stream)
     with replace_when_complete(target) as temporary, temporary.open("wb") as output:
         copied = _copy_records(source, output, ending, ending.schemas, ending.channels)
         if copied.is_described_late:
@@ -132,7 +131,7 @@ class _Copied:
 def _copy_records(
     source: Path,
     output: BinaryIO,
-    ending: Ending,
+    ending: SalvagedSummary,
     schemas: Mapping[int, Schema],
     channels: Mapping[int, Channel],
 ) -> _Copied:
@@ -175,7 +174,7 @@ def _walk(path: Path) -> Iterator[Section | Damage]:
         yield from walk_sections(stream)
 
 
-def _build_report(file: str, copied: _Copied, ending: Ending) -> RecoveryReport:
+def _build_report(file: str, copied: _Copied, ending: SalvagedSummary) -> RecoveryReport:
     rewriter, span_ns = copied.rewriter, copied.rewriter.span_ns
     lost = [*copied.lost, *(_describe_unknown(rewriter, number) for number in rewriter.unknown)]
     missing = _count_missing(copied, ending, is_whole=not lost)
@@ -198,7 +197,9 @@ def _build_report(file: str, copied: _Copied, ending: Ending) -> RecoveryReport:
     )
 
 
-def _count_missing(copied: _Copied, ending: Ending, *, is_whole: bool) -> dict[str, int] | None:
+def _count_missing(
+    copied: _Copied, ending: SalvagedSummary, *, is_whole: bool
+) -> dict[str, int] | None:
     if ending.counts is None:
         return {} if is_whole and copied.is_vouched else None
     channels, expected = copied.rewriter.numbering.first_channels, Counter[str]()

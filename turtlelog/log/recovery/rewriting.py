@@ -2,11 +2,13 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from hashlib import blake2b
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, TypeVar
 
 import numpy as np
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
@@ -15,14 +17,112 @@ from turtlelog.errors import LogError
 from turtlelog.log.container import LIBRARY, ChunkRows, McapFile, pack_chunk
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, NOTES, Allowance
-from turtlelog.log.engine.stretches import Stretch
-from turtlelog.log.recovery.numbering import Numbering
-from turtlelog.log.recovery.single_records import parse_record
+from turtlelog.log.engine.parsing import RecordStretch, parse_body
 
 _CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
 _MOST_FAULTS: Final = 100  # that are told of one stretch
 
 Numbers = NDArray[np.int64]
+
+_MOST_IDS: Final = 2**16 - 1
+
+Pair = tuple[Schema | None, Channel]
+"""A channel, and its schema if it has one."""
+
+Described = TypeVar("Described", Header, Schema, Channel, Metadata, Attachment)
+
+
+class Numbering:
+    """Ids of one file -> ids of another. They stay as they are, unless one means two things.
+
+    Attributes:
+        schemas: By id there, as it is meant at this place of the file; with the id here.
+        channels: By id there: the channel with its schema, both with the ids here.
+        first_schemas: By id there, the first of each as it stands there.
+        first_channels: The same.
+    """
+
+    def __init__(
+        self,
+        schemas: Mapping[int, Schema],
+        channels: Mapping[int, Channel],
+        allowance: Allowance,
+    ) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Pair] = {}
+        self.first_schemas: dict[int, Schema] = {}
+        self.first_channels: dict[int, Channel] = {}
+        self._allowance = allowance
+        self._taken_schemas = _Ids(least=1)
+        self._taken_channels = _Ids(least=0)
+        self._known_schemas: dict[object, Schema] = {}
+        self._known_channels: dict[object, Pair] = {}
+        self._awaited: set[int] = set()
+        for schema in schemas.values():
+            self.add_schema(schema)
+        for channel in channels.values():
+            self.add_channel(channel)
+
+    def add_schema(self, schema: Schema) -> None:
+        """Let an id mean a schema from here on."""
+        self.first_schemas.setdefault(schema.id, schema)
+        key = (schema.id, schema.name, schema.encoding, schema.data)
+        if key not in self._known_schemas:
+            self._allowance.spend_description(schema)
+            number = self._taken_schemas.choose(schema.id)
+            is_same = number == schema.id
+            self._known_schemas[key] = schema if is_same else replace(schema, id=number)
+        self.schemas[schema.id] = self._known_schemas[key]
+
+    def add_channel(self, channel: Channel) -> None:
+        """Let an id mean a channel from here on."""
+        self.first_channels.setdefault(channel.id, channel)
+        if channel.schema_id and channel.schema_id not in self.schemas:
+            self._awaited.add(channel.schema_id)
+        self.channels[channel.id] = self._number(channel)
+
+    def is_news(self, channel: Channel) -> bool:
+        """Return whether an id that has a meaning would get another."""
+        known = self.channels.get(channel.id)
+        return known is not None and known != self._number(channel)
+
+    @property
+    def has_late_schemas(self) -> bool:
+        """Whether a schema came after a channel that needs it."""
+        return not self._awaited.isdisjoint(self.schemas)
+
+    def _number(self, channel: Channel) -> Pair:
+        schema = self.schemas.get(channel.schema_id)
+        schema_id = 0 if schema is None else schema.id
+        entries = tuple(sorted(channel.metadata.items()))
+        key = (channel.id, channel.topic, channel.message_encoding, schema_id, entries)
+        if key not in self._known_channels:
+            self._allowance.spend_description(channel)
+            number = self._taken_channels.choose(channel.id)
+            is_same = (number, schema_id) == (channel.id, channel.schema_id)
+            numbered = channel if is_same else replace(channel, id=number, schema_id=schema_id)
+            self._known_channels[key] = schema, numbered
+        return self._known_channels[key]
+
+
+class _Ids:
+    """Ids that are taken."""
+
+    def __init__(self, *, least: int) -> None:
+        self._least, self._greatest = least, _MOST_IDS
+        self._taken: set[int] = set()
+
+    def choose(self, wanted: int) -> int:
+        """Take the id as it is, or the greatest free one: the least may be wanted later."""
+        number = wanted
+        if wanted < self._least or wanted in self._taken:
+            while self._greatest in self._taken:
+                self._greatest -= 1
+            number = self._greatest
+        if number < 1 and number != wanted:
+            raise LogError(f"expected up to {_MOST_IDS} schemas and channels, found more")
+        self._taken.add(number)
+        return number
 
 
 class Rewriter:
@@ -48,7 +148,7 @@ class Rewriter:
         # What each id meant last, by kind: some writers say it again in every chunk.
         self._last: dict[int, dict[bytes, bytes]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
 
-    def take_stretch(self, stretch: Stretch, byte: int, *, is_checked: bool) -> list[str]:
+    def take_stretch(self, stretch: RecordStretch, byte: int, *, is_checked: bool) -> list[str]:
         """Write records that stand at a byte of the source; return what is wrong with them.
 
         A later description of an id holds from there on.
@@ -59,7 +159,7 @@ class Rewriter:
         def add_before(place: int) -> None:
             nonlocal first
             after = int(np.searchsorted(stretch.starts, place))
-            self._add_messages(stretch, slice(first, after), byte, is_checked)
+            self._add_messages(stretch, slice(first, after), byte, is_checked=is_checked)
             first = after
 
         for place, opcode, end in stretch.others:
@@ -74,7 +174,7 @@ class Rewriter:
             if len(faults) == _MOST_FAULTS:
                 break
         try:
-            self._add_messages(stretch, slice(first, None), byte, is_checked)
+            self._add_messages(stretch, slice(first, None), byte, is_checked=is_checked)
         except LogError as err:
             faults.append(str(err))
         return faults
@@ -95,10 +195,10 @@ class Rewriter:
         if known.get(body[:2]) == digest:
             return
         if opcode == Opcode.SCHEMA:
-            self.numbering.add_schema(parse_record(Schema, body))
+            self.numbering.add_schema(parse_exact_record(Schema, body))
             self._last[Opcode.CHANNEL].clear()  # they may mean something else now
         else:
-            channel = parse_record(Channel, body)
+            channel = parse_exact_record(Channel, body)
             if self.numbering.is_news(channel):
                 self._allowance.spend(CHANGES)
                 flush()
@@ -107,15 +207,15 @@ class Rewriter:
 
     def _take_record(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.HEADER:
-            self._begin(parse_record(Header, body))
+            self._begin(parse_exact_record(Header, body))
         elif opcode == Opcode.METADATA:
             self._allowance.spend(NOTES)
-            metadata = parse_record(Metadata, body)
+            metadata = parse_exact_record(Metadata, body)
             self._begin()
             self._file.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.ATTACHMENT:
             self._allowance.spend(NOTES)
-            attachment = parse_record(Attachment, body)
+            attachment = parse_exact_record(Attachment, body)
             self._begin()
             self._file.add_attachment_record(attachment)
 
@@ -126,7 +226,9 @@ class Rewriter:
             self._file.begin(profile=header.profile, library=header.library)
             self._is_begun = True
 
-    def _add_messages(self, stretch: Stretch, rows: slice, byte: int, is_checked: bool) -> None:  # noqa: FBT001
+    def _add_messages(
+        self, stretch: RecordStretch, rows: slice, byte: int, *, is_checked: bool
+    ) -> None:
         for starts, heads in stretch.iterate_rows(rows):
             ends = starts + heads["length"].astype(np.int64) + RECORD.size
             unknown = self._note_unknown(heads["channel"], byte)
@@ -206,3 +308,33 @@ def _rename(records: bytearray, places: Numbers, numbers: Numbers) -> None:
     array = np.frombuffer(records, np.uint8)
     array[places + _CHANNEL] = numbers & 0xFF
     array[places + _CHANNEL + 1] = numbers >> 8
+
+
+def parse_exact_record(kind: type[Described], body: bytes) -> Described:
+    """Return a record whose lengths agree; bytes that a later version appended are ignored.
+
+    Raises:
+        LogError: One clause, where they do not.
+    """
+    record, size = parse_body(kind, body)
+    if isinstance(record, Channel | Schema):
+        if size != _measure(record):
+            raise LogError(f"expected a sound {kind.__name__} record, found an entry twice")
+        return record
+    builder = RecordBuilder()
+    record.write(builder)
+    # A table that claims to be shorter than it is would lose entries without a word.
+    written: bytes = builder.end()[RECORD.size :]  # type: ignore[no-untyped-call]
+    if kind is not Attachment and not body.startswith(written):
+        raise LogError(f"expected a sound {kind.__name__} record, found lengths that disagree")
+    return record
+
+
+def _measure(record: Channel | Schema) -> int:
+    """Return the bytes that it takes if its entries are all."""
+    if isinstance(record, Schema):
+        texts = [record.name.encode(), record.encoding.encode(), record.data]
+        return 2 + sum(4 + len(found) for found in texts)
+    texts = [record.topic.encode(), record.message_encoding.encode()]
+    texts += [found.encode() for entry in record.metadata.items() for found in entry]
+    return 4 + 4 + sum(4 + len(found) for found in texts)

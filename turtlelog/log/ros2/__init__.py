@@ -1,14 +1,13 @@
 """Bags that ROS 2 or another recorder wrote -> Run, and what makes a folder a bag."""
 
-from turtlelog.log.ros2.bag_folder import METADATA_FILE, list_bag_files
-from turtlelog.log.ros2.bag_info import read_bag_info
+from turtlelog.log.ros2.bag_folder import METADATA_FILE, list_bag_files, read_bag_info
 from turtlelog.log.ros2.bag_metadata import (
     BagMetadata,
     BagTopic,
     format_bag_metadata,
     parse_bag_metadata,
 )
-from turtlelog.log.ros2.reader import read_bag
+from turtlelog.log.ros2.bag_reader import read_bag
 
 __all__ = [
     "METADATA_FILE",

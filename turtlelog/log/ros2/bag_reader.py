@@ -1,7 +1,8 @@
-"""Bag -> Run."""
+"""Bag -> Run: which of its topics, and what they hold."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -9,24 +10,22 @@ from typing import Final
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.border import name_file
-from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
+from turtlelog.log.engine.columns import read_flat_columns
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
 from turtlelog.log.recording.topics import CONTROL, GOAL, LAW_STATE, REFERENCE64
-from turtlelog.log.ros2.bag_folder import list_bag_files
-from turtlelog.log.ros2.columns_of_types import (
+from turtlelog.log.ros2.bag_columns import (
     Fields,
+    OrderedRows,
     Values,
     extract_commands,
     extract_poses,
+    order_rows,
+    separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.ros2.rows import Rows, order_rows, separate_times
-from turtlelog.log.ros2.topic_choice import (
-    ChosenTopic,
-    choose_command_topic,
-    choose_pose_topic,
-)
+from turtlelog.log.ros2.bag_folder import list_bag_files
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -39,13 +38,32 @@ _NEVER_IN_BAGS: Final = (
 _Found = Sequence[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
 
+POSE_TYPES: Final = (
+    "turtlesim/msg/Pose",
+    "turtlesim_msgs/msg/Pose",
+    "nav_msgs/msg/Odometry",
+    "geometry_msgs/msg/PoseStamped",
+)
+COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
+_TURTLE: Final = re.compile(r"/turtle\d+/pose")
+_TURTLE_COMMANDS: Final = re.compile(r"/turtle\d+/cmd_vel")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChosenTopic:
+    """A topic and the type of its messages."""
+
+    topic: str
+    type: str
+
 
 def read_bag(
     path: str | Path, *, pose_topic: str | None = None, command_topic: str | None = None
 ) -> Run:
     """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
 
-    Times count from the first pose or command. Rows are sorted by time and exact duplicates
+    Times count from the first pose or command. OrderedRows are sorted by time and exact duplicates
     dropped; of several poses of one time the later ones move on by 1 ns each. The run's notes count
     all of it.
 
@@ -151,7 +169,7 @@ def _build_run(
 
 def _order(
     found: _Found, choice: ChosenTopic, extract: Callable[[str, Fields], dict[str, Values]]
-) -> Rows:
+) -> OrderedRows:
     """Return the rows of a topic from all files."""
     messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
     tables = []
@@ -170,7 +188,7 @@ def _order(
     return order_rows(messages, tables)
 
 
-def _build_commands(rows: Rows | None, start_ns: int) -> CommandColumns:
+def _build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
     none = np.zeros(0)
     columns = rows.columns if rows else dict.fromkeys(("speed", "lateral_speed", "turn_rate"), none)
     return CommandColumns(
@@ -201,3 +219,73 @@ def _format_time(time_ns: int) -> str:
         return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
     except (OverflowError, OSError, ValueError):
         return f"{time_ns} ns"
+
+
+def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> ChosenTopic:
+    """Return the topic that was asked for, or else the one that can be meant.
+
+    Raises:
+        LogError: Where there is none, or several.
+    """
+    present = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return _find_asked(present, asked, POSE_TYPES, "pose_topic")
+    fitting = _list_fitting(present, POSE_TYPES)
+    turtles = [topic for topic in fitting if _TURTLE.fullmatch(topic.topic)]
+    chosen = turtles or fitting
+    if not chosen:
+        found = ", ".join(f"{topic.topic} ({topic.type})" for topic in present) or "no messages"
+        raise LogError(f"expected poses ({', '.join(POSE_TYPES)}), found {_shorten(found)}")
+    return _require_one(chosen, "pose_topic", "--pose-topic")
+
+
+def choose_command_topic(
+    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
+) -> ChosenTopic | None:
+    """Return the topic that was asked for, or the one that can be meant; None where there is none.
+
+    The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others.
+
+    Raises:
+        LogError: Where there are several.
+    """
+    present = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return _find_asked(present, asked, COMMAND_TYPES, "command_topic")
+    fitting = _list_fitting(present, COMMAND_TYPES)
+    neighbour = f"{pose_topic.rpartition('/')[0]}/cmd_vel"
+    if _TURTLE.fullmatch(pose_topic):
+        # The commands of another turtle drove another turtle.
+        fitting = [topic for topic in fitting if not _TURTLE_COMMANDS.fullmatch(topic.topic)] + [
+            topic for topic in fitting if topic.topic == neighbour
+        ]
+    chosen = [topic for topic in fitting if topic.topic == neighbour] or fitting
+    return _require_one(chosen, "command_topic", "--command-topic") if chosen else None
+
+
+def _find_asked(
+    present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
+) -> ChosenTopic:
+    for topic in present:
+        if topic.topic == asked and topic.type in types:
+            return ChosenTopic(topic=topic.topic, type=topic.type)
+    found = next((f"{topic.type}" for topic in present if topic.topic == asked), None)
+    if found is None:
+        names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
+        raise LogError(f"{name}: expected a topic with messages, found {asked} among {names}")
+    raise LogError(f"{name} {asked}: expected {' or '.join(types)}, found {found}")
+
+
+def _list_fitting(present: Collection[TopicInfo], types: tuple[str, ...]) -> list[TopicInfo]:
+    return [topic for topic in present if topic.type in types]
+
+
+def _require_one(chosen: list[TopicInfo], name: str, option: str) -> ChosenTopic:
+    if len(chosen) > 1:
+        names = ", ".join(topic.topic for topic in chosen)
+        raise LogError(f"{name}: expected one topic, found {names}: choose with {option}")
+    return ChosenTopic(topic=chosen[0].topic, type=chosen[0].type)
+
+
+def _shorten(text: str) -> str:
+    return text if len(text) <= 300 else f"{text[:297]}..."

@@ -1,16 +1,18 @@
-"""Run -> messages, topic by topic."""
+"""Run -> messages, topic by topic -> file."""
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns
-from turtlelog.log.engine.layout import Column
-from turtlelog.log.recording.declaration import name_state_type
+from turtlelog.log.engine.message_types import Column
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.interleaving import name_write_error, write_columns
+from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
@@ -24,6 +26,8 @@ from turtlelog.log.recording.topics import (
     REFERENCE64,
     VELOCITY64,
     Topic,
+    define_types,
+    name_state_type,
 )
 from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Event, PoseColumns, Run, SampleColumns
@@ -33,6 +37,23 @@ Values = dict[str, Any]
 
 _INFO: Final = 20
 _WARN: Final = 30
+
+
+def write_recording(run: Run, path: str | Path) -> None:
+    """Write a run as an MCAP file; the same run gives the same bytes.
+
+    Raises:
+        LogError: Where the place cannot be written, or the run holds what a recording cannot.
+    """
+    try:
+        topics = build_messages(run)
+        head, scenario = format_head(describe_run(run)), format_scenario_file(run)
+    except (LogError, UnicodeEncodeError) as err:
+        raise name_write_error(path, err) from err
+    definitions = define_types(run.declaration, run.parameters.get("law.kind", DEFAULT_LAW))
+    write_columns(
+        topics, path, definitions=definitions, metadata={HEAD: head}, attachments=scenario
+    )
 
 
 def build_messages(run: Run) -> tuple[TopicColumns, ...]:

@@ -1,15 +1,24 @@
-"""The records of many channels -> chunks in order of time, scattered by the thousand."""
+"""The columns of topics -> one file: their records in order of time, in chunks."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from turtlelog.log.container import ChunkRows
-from turtlelog.log.records import Records
+from turtlelog.errors import LogError
+from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.container import ChunkRows, McapFile, pack_chunk
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.recording.topics import SCHEMAS, describe_topics
+from turtlelog.log.records import Records, encode_records
+
+_NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})
+_NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
 
 CHUNK_BYTES: Final = 2**20
 """What a chunk of a file that is written at once may hold, schemas and channels not counted."""
@@ -35,6 +44,43 @@ class _Placed:
     ends_in_data: Numbers
 
 
+def write_columns(
+    topics: Sequence[TopicColumns],
+    path: str | Path,
+    *,
+    definitions: Mapping[str, str] = SCHEMAS,
+    metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
+    attachments: Mapping[str, bytes] = _NO_FILES,
+) -> None:
+    """Write topics as an MCAP file in order of log time; the same columns give the same bytes.
+
+    Args:
+        topics: As `read_columns` returns them; a field left out is 0 or empty. Messages of one
+            time stand in the order of the topics.
+        path: The file, replaced when all is written.
+        definitions: The `ros2msg` text of every message type that occurs.
+        metadata: Metadata records by name.
+        attachments: Attached files by name.
+
+    Raises:
+        LogError: Where the place cannot be written, or a column does not fit its type.
+    """
+    try:
+        channels = list(_encode_topics(topics, definitions))
+        with replace_when_complete(path) as temporary, temporary.open("wb") as stream:
+            file = McapFile(stream)
+            file.begin()
+            for name, entries in metadata.items():
+                file.add_metadata(name, entries)
+            for name, data in attachments.items():
+                file.add_attachment(name, data)
+            for rows in cut_chunks(channels):
+                file.add_chunk(pack_chunk(rows))
+            file.finish()
+    except (LogError, UnicodeEncodeError) as err:
+        raise name_write_error(path, err) from err
+
+
 def cut_chunks(
     channels: Sequence[ChannelRecords], *, chunk_bytes: int = CHUNK_BYTES
 ) -> Iterator[ChunkRows]:
@@ -57,6 +103,31 @@ def cut_chunks(
     for first, last in _find_borders(ends, chunk_bytes):
         start = int(ends[first - 1]) if first else 0
         yield _fill_chunk(placed, start, int(ends[last]), (int(times[first]), int(times[last])))
+
+
+def name_write_error(path: str | Path, err: Exception) -> LogError:
+    """Return an error of what cannot be written, with the file's name."""
+    if isinstance(err, UnicodeEncodeError):
+        return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
+    # What cannot be written is named already.
+    text = str(err)
+    return LogError(text if text.startswith(f"{path}: ") else f"{path}: {text}")
+
+
+def _encode_topics(
+    topics: Sequence[TopicColumns], definitions: Mapping[str, str]
+) -> Iterator[ChannelRecords]:
+    names = [columns.topic for columns in topics]
+    for name in names:
+        if names.count(name) > 1:
+            raise LogError(f"topic {name}: expected once, found {names.count(name)} times")
+    channels = describe_topics([(columns.topic, columns.type) for columns in topics], definitions)
+    for columns, (schema, channel) in zip(topics, channels, strict=True):
+        try:
+            records = encode_records(columns, definitions[columns.type], channel.id)
+        except LogError as err:
+            raise LogError(f"topic {columns.topic}: {err}") from err
+        yield ChannelRecords(schema=schema, channel=channel, records=records)
 
 
 def _split(channels: Sequence[ChannelRecords], starts: Numbers) -> Iterator[_Placed]:

@@ -1,16 +1,19 @@
-"""Recordings of which something is lost: which rows still belong together."""
+"""What is lost of a recording: notes of it, a recovered file's record, rows that still match."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any, Final
 
+import msgspec
 import numpy as np
+from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Damage
-from turtlelog.log.recording.contents import Contents
+from turtlelog.log.recording.head import CHECKSUM, sum_up
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,
@@ -22,19 +25,26 @@ from turtlelog.log.recording.topics import (
 )
 from turtlelog.loops import Declaration
 
+RECOVERY: Final = "turtlelog_recovery"
+"""Name of the metadata record that tells a recovered file from one that was always whole."""
+
+_NOTE: Final = "recovered"
+
 
 class PartialRecordingWarning(UserWarning):
     """Part of a recording could not be read, and the caller asked for the rest."""
 
 
-def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
-    """Return contents whose rows belong together, and a clause on what that took; empty if nothing.
+def reconcile_topics(
+    topics: Mapping[str, TopicColumns], declaration: Declaration | None
+) -> tuple[Mapping[str, TopicColumns], str]:
+    """Return topics whose rows belong together, and a clause on what that took; empty if nothing.
 
     The poses of a recording are numbered from 0, and a sample names the number of its own. Poses
     of which a column is lost, and samples whose pose, states or reference is, are dropped; the rest
     are numbered anew.
     """
-    topics = dict(contents.topics)
+    topics = dict(topics)
     pose_topics = [
         name
         for name in (POSE.name, POSE64.name, VELOCITY64.name)
@@ -43,7 +53,7 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     numbers = _intersect({name: topics[name] for name in pose_topics})
     for name in pose_topics:
         topics[name] = _take(topics[name], np.isin(topics[name].sequence, numbers))
-    samples, declaration = topics[CONTROL.name], contents.head.declaration
+    samples = topics[CONTROL.name]
     read = samples.fields["pose_sequence"]
     kept = _take(samples, np.isin(read, numbers))
     if declaration is not None:
@@ -51,7 +61,7 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
     fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
     topics[CONTROL.name] = replace(kept, fields=fields)
-    return replace(contents, topics=topics), _describe_dropped(len(samples) - len(kept))
+    return topics, _describe_dropped(len(samples) - len(kept))
 
 
 def _take_described(
@@ -111,3 +121,68 @@ def _describe_dropped(samples: int) -> str:
     if not samples:
         return ""
     return f"; {samples} samples without their pose, states or reference are dropped"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loss:
+    """A stretch of a file that could not be recovered.
+
+    Attributes:
+        start: First byte in the file.
+        end: Byte after the last one; where it equals `start`, something is missing there.
+        reason: One clause: what was expected, what was found.
+    """
+
+    start: int
+    end: int
+    reason: str
+
+
+def format_recovery(
+    lost: Sequence[Loss], missing: Mapping[str, int] | None, unchecked: Mapping[str, int]
+) -> dict[str, str]:
+    """Return the metadata record: each entry as JSON, and the checksum of all."""
+    entries = {"lost": lost, "missing": missing, "unchecked": unchecked}
+    record = {name: msgspec.json.encode(value).decode() for name, value in entries.items()}
+    return {**record, CHECKSUM: sum_up(record)}
+
+
+def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
+    """Return the note `recovered` for a file with these records; none where it was always whole.
+
+    Raises:
+        LogError: Where the record is not as it was written.
+    """
+    found = [
+        record.metadata
+        for record in records
+        if isinstance(record, Metadata) and record.name == RECOVERY
+    ]
+    if not found:
+        return {}
+    losses = "; ".join(dict.fromkeys(map(_describe, found)))
+    return {_NOTE: f"from a damaged or unfinished file: {losses}"}
+
+
+def _describe(record: Mapping[str, str]) -> str:
+    if record.get(CHECKSUM) != sum_up(record):
+        raise LogError(f"metadata {RECOVERY}: expected its checksum, found another: it is damaged")
+    lost = _decode(record, "lost", tuple[Loss, ...])
+    missing = _decode(record, "missing", dict[str, int] | None)
+    if missing is None:
+        count = "nobody knows how many messages are lost"
+    elif missing:
+        count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
+    else:
+        count = "no message is lost"
+    places = [f"byte {loss.start}: {loss.reason}" for loss in lost[:1]]
+    if len(lost) > 1:
+        places.append("1 more place" if len(lost) == 2 else f"{len(lost) - 1} more places")
+    return f"{count} ({', and '.join(places)})" if places else count
+
+
+def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
+    try:
+        return msgspec.json.decode(record[key], type=kind)
+    except (KeyError, msgspec.MsgspecError) as err:
+        raise LogError(f"metadata {RECOVERY}: {key}: expected its JSON, found {err}") from err

@@ -1,14 +1,17 @@
-"""Files that are either complete or not there."""
+"""Files and folders that are complete or not there; which file is being recorded live."""
 
 import os
 import secrets
+import shutil
 import stat
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import UnsupportedOperation
 from pathlib import Path
+from typing import BinaryIO
 
 from turtlelog.errors import LogError
-from turtlelog.log.live_lock import is_live
 
 
 @contextmanager
@@ -69,3 +72,69 @@ def _refuse_live(path: Path) -> None:
         raise LogError(
             f"{path}: expected a file that may be replaced, found a live recording of it"
         )
+
+
+@contextmanager
+def create_folder(path: str | Path) -> Iterator[Path]:
+    """Yield a temporary folder beside `path` to write into; it is renamed when the block ends well.
+
+    A folder that is there is refused, as `ros2 bag` refuses it: what else it holds is not ours to
+    remove. An empty one is taken.
+
+    Raises:
+        LogError: Where there is something, or the place cannot be written, in one line.
+    """
+    path = Path(path)
+    is_empty = path.is_dir() and not any(path.iterdir())
+    if (path.exists() or path.is_symlink()) and not is_empty:
+        kind = "a folder with files" if path.is_dir() else "a file"
+        raise LogError(f"{path}: expected the name of a new folder, found {kind}")
+    # An absolute path has a name also where it was given as "." or "run/..".
+    target = path.resolve()
+    temporary = target.with_name(f".turtlelog-{secrets.token_hex(6)}.part")
+    try:
+        temporary.mkdir()
+        yield temporary
+        if is_empty:
+            target.rmdir()
+        temporary.rename(target)
+    except OSError as err:
+        raise LogError(
+            f"{path}: expected a place that can be written, found: {err.strerror or err}"
+        ) from err
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+if sys.platform == "win32":
+    # There nobody can replace a file that is open.
+    def mark_live(stream: BinaryIO) -> None:
+        """Do nothing."""
+
+    def is_live(path: Path) -> bool:  # noqa: ARG001
+        """Return False: the system itself refuses."""
+        return False
+
+else:
+    import fcntl
+
+    def mark_live(stream: BinaryIO) -> None:
+        """Lock a file for as long as it is open, so that `is_live` tells; where it can be locked.
+
+        The lock hinders no reader, and nobody who does not ask.
+        """
+        try:
+            fcntl.flock(stream.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (UnsupportedOperation, OSError):
+            return  # no file, or a file system without locks
+
+    def is_live(path: Path) -> bool:
+        """Return whether somebody records to the file that has this name, if any."""
+        try:
+            with path.open("rb") as stream:
+                fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return False

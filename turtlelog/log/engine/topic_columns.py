@@ -1,6 +1,8 @@
-"""The messages of one topic in a block -> columns."""
+"""The messages of a topic, block by block -> rows -> its columns."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -10,8 +12,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.catalogue import TopicPlan
 from turtlelog.log.engine.decode import Order, decode_messages
-from turtlelog.log.engine.gather import gather_bytes
-from turtlelog.log.engine.layout import (
+from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,
     LITTLE_ENDIAN,
@@ -20,7 +21,7 @@ from turtlelog.log.engine.layout import (
     Layout,
     split_rows,
 )
-from turtlelog.log.engine.stretches import MESSAGE_HEAD
+from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_bytes
 
 Rows = dict[str, Column]
 
@@ -40,6 +41,32 @@ MESSAGE_HEADER: Final = np.dtype(
 
 _PADDING: Final = 4  # some middlewares fill a message up to a multiple of this [bytes]
 _LENGTH: Final = 22  # bytes of a message record that its length counts, before its data
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TopicColumns:
+    """The messages of one topic, as columns in order of log time; equal times as in the file.
+
+    Attributes:
+        topic: Its name.
+        type: Of its messages, as its schema calls it.
+        log_time_ns: When each was recorded [ns], shape (n,).
+        publish_time_ns: When each was published [ns], shape (n,).
+        sequence: Number that the publisher gave each, shape (n,).
+        fields: By dotted name in the order of the schema. A fixed array of k numbers has shape
+            (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a list,
+            one of messages a list of dictionaries by dotted name, each in a column of objects.
+    """
+
+    topic: str
+    type: str
+    log_time_ns: NDArray[np.int64]
+    publish_time_ns: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    fields: Mapping[str, Column]
+
+    def __len__(self) -> int:
+        return len(self.log_time_ns)
 
 
 def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
@@ -109,6 +136,24 @@ def join_rows(parts: list[Rows]) -> Rows:
     if len(times) > 1 and (times[1:] < times[:-1]).any():
         rows = select_rows(rows, np.argsort(times, kind="stable"))
     return rows
+
+
+def build_columns(
+    parts: Mapping[str, list[Rows]], types: Mapping[str, str]
+) -> Mapping[str, TopicColumns]:
+    """Return rows of topics as columns, in order of the topics' names; `types` says theirs."""
+    topics = {}
+    for topic in sorted(parts):
+        rows = join_rows(parts[topic])
+        topics[topic] = TopicColumns(
+            topic=topic,
+            type=types[topic],
+            log_time_ns=rows.pop(LOG_TIME),
+            publish_time_ns=rows.pop(PUBLISH_TIME),
+            sequence=rows.pop(SEQUENCE),
+            fields=MappingProxyType(rows),
+        )
+    return MappingProxyType(topics)
 
 
 def _read_fixed(layout: Layout, block: Block, starts: Offsets) -> Rows:

@@ -9,7 +9,7 @@ from tests.log.runs import assert_same, simulate_preset, simulate_short_run
 from turtlelog.errors import LogError
 from turtlelog.log import read_recording
 from turtlelog.log.exporters import export_rosbag2
-from turtlelog.log.recording.type_hashes import TYPE_HASHES
+from turtlelog.log.recording.topics import TYPE_HASHES
 from turtlelog.run import Event, Run
 
 

@@ -1,0 +1,224 @@
+"""Run -> files for other programs: rosbag2 folders, CSV and Parquet tables."""
+
+import csv
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap.summary import Summary
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError
+from turtlelog.escapes import guard_cell
+from turtlelog.log.complete_files import create_folder, replace_when_complete
+from turtlelog.log.recording.run_writer import write_recording
+from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
+from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+
+_LONGEST_NAME: Final = 255  # bytes; what file systems take
+
+_DEFAULT_TABLE: Final = "poses"
+
+Table = Mapping[str, NDArray[Any]]
+"""Columns by name, all of one length: float64, int64, or text as objects."""
+
+_Write = Callable[[Table, Path], None]
+
+_PAIRS: Final = MappingProxyType(
+    {
+        "xy_m": ("x_m", "y_m"),
+        "error_xy_m": ("error_x_m", "error_y_m"),
+        "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
+        "reference_xy_m": ("reference_x_m", "reference_y_m"),
+    }
+)
+"""What the two columns of a pair are called."""
+
+_SAMPLES: Final = (
+    *("time_ns", "sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
+    *("error_xy_m", "distance_m", "speed_m_s", "turn_rate_rad_s", "world_velocity_m_s"),
+    *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "reference_xy_m", "reference_heading_rad"),
+)
+"""Columns of samples in order, the law's states apart."""
+
+TABLES: Final[Mapping[str, Callable[[Run], Table]]] = MappingProxyType(
+    {
+        "poses": lambda run: _flatten(run.poses),
+        "commands": lambda run: _flatten(run.commands),
+        "samples": lambda run: _tabulate_samples(run),
+        "events": lambda run: _tabulate_events(run.events),
+    }
+)
+"""How each table of a run is made, by its name."""
+
+
+def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
+    """Write a run as a rosbag2 folder, which `ros2 bag` and all that builds on it open.
+
+    Its one file is a recording as `write_recording` writes it, named as ROS 2 names the first file
+    of a bag: `turtlelog` reads the folder back as the same run.
+
+    Raises:
+        LogError: Where the folder exists or cannot be written, or the run holds what a recording
+            cannot.
+    """
+    path = Path(path)
+    name = f"{path.resolve().name}_0.mcap"
+    if len(name.encode(errors="replace")) > _LONGEST_NAME:
+        raise LogError(f"{path}: expected a shorter name")
+    if not name.isprintable():
+        # Its metadata.yaml holds the name, in UTF-8 and on one line.
+        raise LogError(f"{path}: expected a name of printable characters, found {name!a}")
+    with create_folder(path) as folder:
+        try:
+            write_recording(run, folder / name)
+        except LogError as err:
+            # The temporary folder's name would mean nothing to anybody.
+            raise LogError(f"{path}: {str(err).removeprefix(f'{folder / name}: ')}") from err
+        text = _describe(folder / name)
+        (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
+    return path / name, path / METADATA_FILE
+
+
+def _describe(recording: Path) -> str:
+    with recording.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    if summary is None or summary.statistics is None:
+        raise LogError(f"{recording}: expected a summary with statistics, found none")
+    statistics = summary.statistics
+    return format_bag_metadata(
+        recording.name,
+        _list_topics(summary),
+        start_ns=statistics.message_start_time,
+        duration_ns=statistics.message_end_time - statistics.message_start_time,
+    )
+
+
+def _list_topics(summary: Summary) -> list[BagTopic]:
+    counts = summary.statistics.channel_message_counts if summary.statistics else {}
+    return [
+        BagTopic(
+            name=channel.topic,
+            type=summary.schemas[channel.schema_id].name,
+            type_hash=channel.metadata["topic_type_hash"],
+            count=counts.get(number, 0),
+        )
+        for number, channel in sorted(summary.channels.items())
+    ]
+
+
+def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
+    """Write the tables of a run as CSV and return the files; numbers read back to the last bit.
+
+    Args:
+        run: What to write.
+        path: A name that ends in .csv is a file for one table, and replaces one that is there;
+            any other is a new folder with a file per table.
+        table: Which one (`poses`, `commands`, `samples`, `events`); a file holds `poses` and a
+            folder all of them unless this is given.
+
+    Raises:
+        LogError: Where the place cannot be written, a folder exists, or there is no such table.
+    """
+    return _export(run, Path(path), ".csv", table, _write_csv)
+
+
+def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
+    """Write the tables of a run as Parquet and return the files; as `export_csv`, with types.
+
+    Raises:
+        LogError: Where the place cannot be written, a folder exists, or there is no such table.
+    """
+    return _export(run, Path(path), ".parquet", table, _write_parquet)
+
+
+def _export(
+    run: Run, path: Path, suffix: str, table: str | None, write: _Write
+) -> tuple[Path, ...]:
+    if table is not None and table not in TABLES:
+        raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")
+    if path.suffix.lower() == suffix:
+        with replace_when_complete(path) as temporary, _name_place(path):
+            write(TABLES[table or _DEFAULT_TABLE](run), temporary)
+        return (path,)
+    names = tuple(TABLES) if table is None else (table,)
+    tables = tabulate_run(run)
+    with create_folder(path) as folder, _name_place(path):
+        for name in names:
+            write(tables[name], folder / f"{name}{suffix}")
+    return tuple(path / f"{name}{suffix}" for name in names)
+
+
+@contextmanager
+def _name_place(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except UnicodeEncodeError as err:
+        raise LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}") from err
+
+
+def _write_csv(table: Table, path: Path) -> None:
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        # One line end on every platform: the same run gives the same bytes.
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(table)
+        columns = (map(guard_cell, column.tolist()) for column in table.values())
+        writer.writerows(zip(*columns, strict=True))
+
+
+def _write_parquet(table: Table, path: Path) -> None:
+    # Comes with rerun-sdk and takes a second to load.
+    import pyarrow as pa  # type: ignore[import-untyped]
+    from pyarrow import parquet
+
+    kinds = {"f": pa.float64(), "i": pa.int64(), "O": pa.string()}
+    columns = {
+        name: pa.array(values, type=kinds[values.dtype.kind]) for name, values in table.items()
+    }
+    with path.open("wb") as stream:
+        parquet.write_table(pa.table(columns), stream, compression="zstd")
+
+
+def tabulate_run(run: Run) -> Mapping[str, Table]:
+    """Return the tables of a run by name; a column that was not recorded is left out."""
+    return {name: tabulate(run) for name, tabulate in TABLES.items()}
+
+
+def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
+    table: dict[str, NDArray[Any]] = {}
+    names = [column.name for column in fields(columns)]
+    for name in _SAMPLES if isinstance(columns, SampleColumns) else names:
+        values = getattr(columns, name)
+        if values is None:
+            continue
+        if name in _PAIRS:
+            table |= zip(_PAIRS[name], values.T, strict=True)
+        else:
+            table[name] = values
+    return table
+
+
+def _tabulate_samples(run: Run) -> Table:
+    """Return the samples with the names of their phases, and a column for each state of the law.
+
+    A state that is called like another column has `state_` in front.
+    """
+    labels = np.array(run.phase_names, dtype=object)
+    table = dict(_flatten(run.samples)) | {"phase": labels[run.samples.phase]}
+    states = () if run.samples.states is None else run.samples.states.T
+    for name, values in zip(run.declaration.states, states, strict=True):
+        table[name if name not in table else f"state_{name}"] = values
+    return table
+
+
+def _tabulate_events(events: tuple[Event, ...]) -> Table:
+    return {
+        "time_ns": np.array([event.time_ns for event in events], dtype=np.int64),
+        "kind": np.array([event.kind for event in events], dtype=object),
+        "text": np.array([event.text for event in events], dtype=object),
+    }
