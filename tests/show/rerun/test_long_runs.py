@@ -16,8 +16,8 @@ from tests.show.rerun.rrds import (
     simulate_preset,
     verify,
 )
-from turtlelog.show import write_run_rrd
-from turtlelog.show.rerun import palette, run_stream
+from turtlelog.show import palette, write_run_rrd
+from turtlelog.show.rerun import run_stream
 from turtlelog.show.run_colors import Color, choose_run_colors
 
 RUN = simulate_preset("paper-kp10")

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
+from turtlelog.show import palette
 from turtlelog.show.aims import list_limit_keys
 from turtlelog.show.commanded import Command, read_commanded
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.series import Series
 from turtlelog.show.run_colors import Color
 

@@ -13,7 +13,7 @@ from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.corners import Corners
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.series import Reference, Series
-from turtlelog.show.rerun.surroundings import Bounds, find_plane_bounds
+from turtlelog.show.rerun.world import Bounds, find_plane_bounds
 
 _HEADROOM = 1.25
 _ROOM = 0.08

@@ -7,7 +7,8 @@ import rerun as rr
 
 from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show import palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.run_stream import RunStream
 
 

@@ -8,11 +8,12 @@ import rerun as rr
 
 from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Run
-from turtlelog.show.rerun import entities, palette
-from turtlelog.show.rerun.clock import Times, build_index
+from turtlelog.show import palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.run_stream import RunStream, Values
 from turtlelog.show.rerun.series import Reference, Series
+from turtlelog.show.rerun.timelines import Times, build_index
 
 _REFERENCE_WIDTH: Final = 1.0  # [points]
 

@@ -9,8 +9,8 @@ from turtlelog.errors import ShowError
 from turtlelog.log import RecordingTail
 from turtlelog.run import Run
 from turtlelog.show.rerun.connection import require_viewer
+from turtlelog.show.rerun.live_scene import LiveScene, connect_scene
 from turtlelog.show.rerun.live_viewer import open_window
-from turtlelog.show.rerun.scene_live import LiveScene, connect_scene
 from turtlelog.show.rerun.viewer import require_recordings
 
 _POLL_S: Final = 0.1

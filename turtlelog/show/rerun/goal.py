@@ -7,6 +7,7 @@ import numpy as np
 import rerun as rr
 
 from turtlelog.run import Run
+from turtlelog.show import palette
 from turtlelog.show.close_up import (
     CloseUp,
     Label,
@@ -15,7 +16,7 @@ from turtlelog.show.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.run_colors import Color
 

@@ -15,7 +15,7 @@ from turtlelog.show.rerun.connection import (
     require_viewer,
     wait_for_viewer,
 )
-from turtlelog.show.rerun.scene_live import LiveScene, connect_scene
+from turtlelog.show.rerun.live_scene import LiveScene, connect_scene
 from turtlelog.show.rerun.viewer import ViewerProcess, start_viewer
 from turtlelog.simulate import RunCollector, Tick
 

@@ -10,9 +10,10 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show import palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.run_stream import RunStream, Values, choose_trace_rows
-from turtlelog.show.rerun.surroundings import UPWARD
+from turtlelog.show.rerun.world import UPWARD
 from turtlelog.show.run_colors import Color, choose_run_colors
 
 _SPEED_LEVELS: Final = 16

@@ -8,8 +8,8 @@ import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.run import Run
-from turtlelog.show.rerun.clock import Clock, Times, build_index
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.timelines import Clock, Times, build_index
 from turtlelog.show.thinning import choose_rows
 
 Values = NDArray[np.float64]

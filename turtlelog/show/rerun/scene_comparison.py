@@ -8,9 +8,9 @@ from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.documents import describe_runs
+from turtlelog.show.rerun.comparison_scene import build_overlay, draw_overlay
 from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.layout import build_comparison_layout
-from turtlelog.show.rerun.overlay import build_overlay, draw_overlay
 from turtlelog.show.rerun.recording import open_recording
 from turtlelog.show.rerun.run_stream import add_thinning
 

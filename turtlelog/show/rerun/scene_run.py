@@ -8,8 +8,8 @@ from turtlelog.show.documents import describe_run
 from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.run_scene import build_single, draw_single
 from turtlelog.show.rerun.run_stream import add_thinning
-from turtlelog.show.rerun.single import build_single, draw_single
 
 
 def write_run_rrd(

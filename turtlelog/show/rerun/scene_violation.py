@@ -14,8 +14,8 @@ from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.run_scene import build_single, draw_single
 from turtlelog.show.rerun.run_stream import add_thinning
-from turtlelog.show.rerun.single import build_single, draw_single
 from turtlelog.show.run_colors import Color
 
 _RADIUS = 6.0

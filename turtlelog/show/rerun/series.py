@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show import palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.run_colors import Color
 
 LINE_WIDTH: Final = 1.5

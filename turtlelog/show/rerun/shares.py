@@ -7,10 +7,11 @@ import rerun as rr
 
 from turtlelog.compare import Column, Table
 from turtlelog.measure import Metric
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show import palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.run_colors import Color
-from turtlelog.show.tables import format_markdown
+from turtlelog.show.table_formats import format_markdown
 
 _BAR_WIDTH: Final = 0.8
 _LEGEND_SHARE: Final = 0.35

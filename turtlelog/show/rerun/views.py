@@ -6,13 +6,14 @@ from typing import Final
 import rerun as rr
 import rerun.blueprint as rrb
 
+from turtlelog.show import palette
 from turtlelog.show.close_up import CloseUp
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.drawing import name_document
 from turtlelog.show.rerun.entities import TIMELINE, join_path
 from turtlelog.show.rerun.legend import arrange_names, choose_names
-from turtlelog.show.rerun.surroundings import Bounds
+from turtlelog.show.rerun.world import Bounds
 
 WHOLE_TIME: Final = rr.TimeRange(
     start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()

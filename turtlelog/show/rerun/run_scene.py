@@ -8,20 +8,21 @@ import rerun as rr
 
 from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
-from turtlelog.show.rerun import drawing, entities, palette, plane
-from turtlelog.show.rerun.clock import build_run_clock, read_span
+from turtlelog.show import palette
+from turtlelog.show.rerun import drawing, entities, plane
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
 from turtlelog.show.rerun.corners import choose_corners
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.goal import draw_close_up
 from turtlelog.show.rerun.layout import RUN_LEGENDS
 from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks
+from turtlelog.show.rerun.plots import list_references, list_series
 from turtlelog.show.rerun.properties import send_run_properties
 from turtlelog.show.rerun.responses import list_responses
 from turtlelog.show.rerun.run_stream import RunStream
 from turtlelog.show.rerun.series import Reference, Series
-from turtlelog.show.rerun.signals import list_references, list_series
-from turtlelog.show.rerun.surroundings import draw_surroundings
+from turtlelog.show.rerun.timelines import build_run_clock, read_span
+from turtlelog.show.rerun.world import draw_surroundings
 
 _EVENT_LINES: Final = f"{entities.LINES}/event"
 

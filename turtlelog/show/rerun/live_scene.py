@@ -10,23 +10,24 @@ import rerun.blueprint as rrb
 
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
+from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
-from turtlelog.show.rerun import drawing, entities, palette, plane
-from turtlelog.show.rerun.clock import build_run_clock, read_span
+from turtlelog.show.rerun import drawing, entities, plane
 from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE
 from turtlelog.show.rerun.growing_stream import GrowingStream
 from turtlelog.show.rerun.layout import build_run_layout
+from turtlelog.show.rerun.plots import list_references, list_series
 from turtlelog.show.rerun.recording import (
     abandon_stream,
     require_enabled,
     strict_mode,
 )
+from turtlelog.show.rerun.run_scene import build_single, draw_single
 from turtlelog.show.rerun.run_stream import RunStream, add_thinning
 from turtlelog.show.rerun.series import Reference
-from turtlelog.show.rerun.signals import list_references, list_series
-from turtlelog.show.rerun.single import build_single, draw_single
-from turtlelog.show.rerun.surroundings import draw_surroundings
+from turtlelog.show.rerun.timelines import build_run_clock, read_span
+from turtlelog.show.rerun.world import draw_surroundings
 
 _FLUSH_S: Final = 5.0
 _HEADROOM: Final = 1.25

@@ -8,16 +8,16 @@ import rerun as rr
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show.rerun import drawing, plane
-from turtlelog.show.rerun.clock import Clock, build_compared_clock, read_span
 from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
 from turtlelog.show.rerun.goal import draw_close_up
 from turtlelog.show.rerun.legend import draw_legend
+from turtlelog.show.rerun.plots import list_compared_series, list_references
 from turtlelog.show.rerun.properties import send_comparison_properties
 from turtlelog.show.rerun.run_stream import RunStream
 from turtlelog.show.rerun.series import Reference, Series
-from turtlelog.show.rerun.signals import list_compared_series, list_references
-from turtlelog.show.rerun.surroundings import draw_surroundings
+from turtlelog.show.rerun.timelines import Clock, build_compared_clock, read_span
+from turtlelog.show.rerun.world import draw_surroundings
 from turtlelog.show.run_colors import Color, choose_run_colors
 
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
+from turtlelog.show import palette
 from turtlelog.show.aims import REFERENCE, list_aims, list_levels, read_distance_to_reference
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.commands import find_limits, list_commands
 from turtlelog.show.rerun.series import LINE_WIDTH, Reference, Series
 from turtlelog.show.run_colors import Color

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
+from turtlelog.show import palette
 from turtlelog.show.close_up import find_tolerance
-from turtlelog.show.rerun import entities, palette
+from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.run_colors import Color
 

@@ -9,13 +9,14 @@ from turtlelog.errors import ShowError
 from turtlelog.loops import PAUSE
 from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run
-from turtlelog.show.rerun import drawing, entities, palette
+from turtlelog.show import palette
+from turtlelog.show.rerun import drawing, entities
+from turtlelog.show.rerun.comparison_scene import build_overlay, draw_overlay
 from turtlelog.show.rerun.content import find_largest
 from turtlelog.show.rerun.dead_times import draw_dead_times, list_dead_times
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.layout import build_explanation_layout
 from turtlelog.show.rerun.marks import draw_lines
-from turtlelog.show.rerun.overlay import build_overlay, draw_overlay
 from turtlelog.show.rerun.recording import open_recording
 from turtlelog.show.rerun.run_stream import add_thinning
 from turtlelog.show.rerun.shares import draw_shares, tabulate_shares
