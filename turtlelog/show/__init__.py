@@ -13,12 +13,10 @@ if TYPE_CHECKING:
         write_figures,
         write_tables,
     )
+    from turtlelog.show.rerun.comparison_scene import write_comparison_rrd
     from turtlelog.show.rerun.explanation_scene import write_explanation_rrd
-    from turtlelog.show.rerun.following import follow_recording
-    from turtlelog.show.rerun.live_viewer import LiveViewer, open_window
-    from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
-    from turtlelog.show.rerun.scene_run import write_run_rrd
-    from turtlelog.show.rerun.scene_violation import write_violation_rrd
+    from turtlelog.show.rerun.live_viewer import LiveViewer, follow_recording, open_window
+    from turtlelog.show.rerun.run_scene import write_run_rrd, write_violation_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.rerun.viewer import open_viewer
     from turtlelog.show.rerun.web import serve_recordings
@@ -62,16 +60,16 @@ _MODULES: Final = {
     "ViewReport": "rerun.snapshot",
     "describe_run": "documents",
     "describe_runs": "documents",
-    "follow_recording": "rerun.following",
+    "follow_recording": "rerun.live_viewer",
     "format_table": "table_formats",
     "open_viewer": "rerun.viewer",
     "open_window": "rerun.live_viewer",
     "serve_recordings": "rerun.web",
-    "write_comparison_rrd": "rerun.scene_comparison",
+    "write_comparison_rrd": "rerun.comparison_scene",
     "write_explanation_rrd": "rerun.explanation_scene",
-    "write_run_rrd": "rerun.scene_run",
+    "write_run_rrd": "rerun.run_scene",
     "write_snapshot": "rerun.snapshot",
-    "write_violation_rrd": "rerun.scene_violation",
+    "write_violation_rrd": "rerun.run_scene",
 }
 
 

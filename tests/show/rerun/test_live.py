@@ -14,7 +14,7 @@ from tests.show.rerun.headless import start_headless
 from tests.show.rerun.rrds import list_entities, read_rows, read_times, simulate_preset
 from turtlelog.errors import LogError, ShowError
 from turtlelog.show.rerun import live_scene
-from turtlelog.show.rerun.growing_stream import GrowingStream
+from turtlelog.show.rerun.live_scene import GrowingStream
 from turtlelog.simulate import RunCollector, Tick, iterate_ticks
 
 pytestmark = pytest.mark.realtime

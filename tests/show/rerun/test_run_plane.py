@@ -13,7 +13,7 @@ from tests.show.rerun.rrds import (
     simulate_preset,
 )
 from turtlelog.show import palette, write_run_rrd
-from turtlelog.show.run_colors import choose_run_colors
+from turtlelog.show.palette import choose_run_colors
 
 RUN = simulate_preset("paper-kp10")
 

@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.run import Run
-from turtlelog.show.aims import list_loops
+from turtlelog.show.aims import Command, list_loops
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
-from turtlelog.show.commanded import Command
 from turtlelog.show.figures import over_time
 from turtlelog.show.figures.curves import read_applied, read_command, read_curve
 from turtlelog.show.figures.ideal_loop import (
@@ -21,7 +20,7 @@ from turtlelog.show.figures.ideal_loop import (
     draw_step_responses,
     find_gains,
 )
-from turtlelog.show.figures.legend import label_runs
+from turtlelog.show.figures.page import label_runs
 from turtlelog.show.figures.paths import draw_plane
 
 DrawFigure = Callable[[Figure, Sequence[Run]], None]

@@ -1,27 +1,33 @@
 """A run beside what it would have been without one mechanism or another, as a Rerun recording."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+import rerun as rr
+
+from turtlelog.compare import Column, Table
 from turtlelog.errors import ShowError
 from turtlelog.loops import PAUSE
-from turtlelog.measure import list_metrics, measure_run
+from turtlelog.measure import Metric, find_first_stretch, list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette
+from turtlelog.show.palette import Color
 from turtlelog.show.rerun import drawing, entities
 from turtlelog.show.rerun.comparison_scene import build_overlay, draw_overlay
 from turtlelog.show.rerun.content import find_largest
-from turtlelog.show.rerun.dead_times import draw_dead_times, list_dead_times
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.layout import build_explanation_layout
 from turtlelog.show.rerun.marks import draw_lines
 from turtlelog.show.rerun.recording import open_recording
-from turtlelog.show.rerun.run_stream import add_thinning
-from turtlelog.show.rerun.shares import draw_shares, tabulate_shares
+from turtlelog.show.rerun.timelines import RunStream, add_thinning
+from turtlelog.show.table_formats import format_markdown
 
 _RECORDED: Final = "recorded"
+
+_BAR_WIDTH: Final = 0.8
+_LEGEND_SHARE: Final = 0.35
 
 
 def write_explanation_rrd(
@@ -82,7 +88,87 @@ def write_explanation_rrd(
         drawing.draw_documents(stream, texts)
 
 
+def draw_shares(
+    stream: rr.RecordingStream, shares: Mapping[str, float], colors: Mapping[str, Color]
+) -> None:
+    """Draw a bar per mechanism, in the colour of the run without it where there is one."""
+    for number, (mechanism, share) in enumerate(shares.items(), start=1):
+        # After the last bar, one of no height makes room for the legend.
+        places = [number] if number < len(shares) else [number, number * (1.0 + _LEGEND_SHARE)]
+        bar = rr.BarChart(
+            [share, 0.0][: len(places)],
+            abscissa=places,
+            widths=[_BAR_WIDTH] * len(places),
+            color=colors.get(mechanism, palette.REFERENCE),
+        )
+        entity = join_path(entities.SHARES, rr.escape_entity_path_part(mechanism))
+        stream.log(entity, bar, static=True)
+
+
+def tabulate_shares(
+    shares: Mapping[str, float], recorded: Metric, without: Mapping[str, Metric]
+) -> str:
+    """Return a Markdown table of each mechanism's share, and of the metric without it."""
+    table = Table(
+        title=f"{recorded.id}: {_format_metric(recorded)} as recorded",
+        columns=(
+            Column(title="mechanism"),
+            Column(title="share", unit=recorded.unit),
+            Column(title="without it alone", unit=recorded.unit),
+        ),
+        rows=tuple(
+            (
+                mechanism,
+                shares.get(mechanism),
+                without[mechanism].value if mechanism in without else None,
+            )
+            for mechanism in dict.fromkeys([*shares, *without])
+        ),
+    )
+    return format_markdown(table)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeadSpan:
+    """From a loop's first sample until its command acts, in the run's own time [ns]."""
+
+    start_ns: int
+    end_ns: int
+
+
+def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[DeadSpan, ...]:
+    """Return the dead time at the start of each loop, where it is known, in order of time.
+
+    Of loops that begin together it is the longest.
+    """
+    ends_ns: dict[int, int] = {}
+    for loop in run.declaration.loops:
+        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
+        if stretch and metric is not None and metric.value:
+            start_ns = stretch[0].start_ns
+            end_ns = start_ns + round(metric.value * 1e9)
+            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
+    return tuple(DeadSpan(start_ns=start, end_ns=end) for start, end in sorted(ends_ns.items()))
+
+
+def draw_dead_times(run_stream: RunStream, spans: Sequence[DeadSpan]) -> None:
+    """Draw them as a bar of their own."""
+    if not spans:
+        return
+    style = rr.StateConfiguration(
+        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
+    )
+    run_stream.log(entities.DEAD_TIME, style)
+    times_ns = [time_ns for span in spans for time_ns in (span.start_ns, span.end_ns)]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans))
+    run_stream.send_few(entities.DEAD_TIME, times_ns, columns)
+
+
 def _list_pause_times(run: Run) -> list[int]:
     """Return where each pause starts and ends [ns]."""
     pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
     return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]
+
+
+def _format_metric(metric: Metric) -> str:
+    return metric.status.value if metric.value is None else f"{metric.value:.5g} {metric.unit}"
