@@ -19,8 +19,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from turtlelog.show.rerun.clock import build_index, build_run_clock
-from turtlelog.show.rerun.run_stream import CHUNK_ROWS, RunStream
+from turtlelog.show.rerun.timelines import CHUNK_ROWS, RunStream, build_index, build_run_clock
 
 LOGGED_ROWS = 2_000
 

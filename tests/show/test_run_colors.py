@@ -8,8 +8,7 @@ import turtlelog as tl
 from tests.show.rerun.rrds import read_static, simulate_preset
 from turtlelog.scenario import PAPER_RUNS
 from turtlelog.show.figures.page import choose_lines
-from turtlelog.show.rerun.palette import GROUND
-from turtlelog.show.run_colors import Color, choose_run_colors
+from turtlelog.show.palette import GROUND, Color, choose_run_colors
 
 LEAST_CONTRAST = 2.2
 """What the palette of Okabe and Ito gives its orange on white."""

@@ -13,16 +13,14 @@ if TYPE_CHECKING:
         write_figures,
         write_tables,
     )
-    from turtlelog.show.rerun.following import follow_recording
-    from turtlelog.show.rerun.live_viewer import LiveViewer, open_window
-    from turtlelog.show.rerun.scene_comparison import write_comparison_rrd
-    from turtlelog.show.rerun.scene_explanation import write_explanation_rrd
-    from turtlelog.show.rerun.scene_run import write_run_rrd
-    from turtlelog.show.rerun.scene_violation import write_violation_rrd
+    from turtlelog.show.rerun.comparison_scene import write_comparison_rrd
+    from turtlelog.show.rerun.explanation_scene import write_explanation_rrd
+    from turtlelog.show.rerun.live_viewer import LiveViewer, follow_recording, open_window
+    from turtlelog.show.rerun.run_scene import write_run_rrd, write_violation_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
     from turtlelog.show.rerun.viewer import open_viewer
     from turtlelog.show.rerun.web import serve_recordings
-    from turtlelog.show.tables import TABLE_FORMATS, format_table
+    from turtlelog.show.table_formats import TABLE_FORMATS, format_table
 
 __all__ = [
     "FIGURES",
@@ -56,22 +54,22 @@ _MODULES: Final = {
     "list_left_out": "figures",
     "write_figures": "figures",
     "write_tables": "figures",
-    "TABLE_FORMATS": "tables",
+    "TABLE_FORMATS": "table_formats",
     "LiveViewer": "rerun.live_viewer",
     "ShownView": "rerun.snapshot",
     "ViewReport": "rerun.snapshot",
     "describe_run": "documents",
     "describe_runs": "documents",
-    "follow_recording": "rerun.following",
-    "format_table": "tables",
+    "follow_recording": "rerun.live_viewer",
+    "format_table": "table_formats",
     "open_viewer": "rerun.viewer",
     "open_window": "rerun.live_viewer",
     "serve_recordings": "rerun.web",
-    "write_comparison_rrd": "rerun.scene_comparison",
-    "write_explanation_rrd": "rerun.scene_explanation",
-    "write_run_rrd": "rerun.scene_run",
+    "write_comparison_rrd": "rerun.comparison_scene",
+    "write_explanation_rrd": "rerun.explanation_scene",
+    "write_run_rrd": "rerun.run_scene",
     "write_snapshot": "rerun.snapshot",
-    "write_violation_rrd": "rerun.scene_violation",
+    "write_violation_rrd": "rerun.run_scene",
 }
 
 

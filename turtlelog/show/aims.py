@@ -1,9 +1,9 @@
-"""What the loops of a run aim at: levels that stand still, curves that move, theory's steps."""
+"""What the loops of a run aim at, what they were commanded, and theory's steps."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +30,17 @@ _LABELS: Final = MappingProxyType(
         "zero": "zero",
     }
 )
+
 _INTEGRATED: Final = frozenset(
     {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
 )
 """Signals with the commands that they integrate: of such loops theory has the response."""
+
+_LIMITS: Final = MappingProxyType(
+    {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
+)
+
+Command = Literal["speed", "turn_rate"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,9 +189,19 @@ def find_end_of_turn(run: Run) -> int | None:
     return None
 
 
-_LIMITS: Final = MappingProxyType(
-    {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
-)
+def read_commanded(
+    run: Run, command: Command
+) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+    """Return times [ns] and values as commanded; None where the run holds no commands.
+
+    Args:
+        run: Whose commands.
+        command: `speed` [m/s] or `turn_rate` [rad/s].
+    """
+    table = run.samples if len(run.samples) else run.commands
+    if not len(table):
+        return None
+    return table.time_ns, table.speed_m_s if command == "speed" else table.turn_rate_rad_s
 
 
 def _read_recorded(run: Run, signal: str) -> Aim | None:

@@ -18,7 +18,7 @@ from turtlelog.escapes import escape_markdown
 from turtlelog.loops import PAUSE
 from turtlelog.measure import Metric, find_first_stretch, list_essential_metrics, measure_run
 from turtlelog.run import Parameter, Run
-from turtlelog.show.tables import format_markdown
+from turtlelog.show.table_formats import format_markdown
 
 _HEADS: Final[Mapping[str, str]] = {"final": "At the end", "run": "The whole run"}
 

@@ -3,14 +3,6 @@
 python-control is loaded by the functions that say so, and by nothing else.
 """
 
-from turtlelog.theory.closed_loop import (
-    compute_closed_loop_response,
-    compute_exact_settling_time,
-    compute_root_locus,
-    compute_saturated_settling_time,
-    compute_settling_time,
-    compute_time_constant,
-)
 from turtlelog.theory.plant import (
     PLANT,
     PLANT_INPUTS,
@@ -22,7 +14,16 @@ from turtlelog.theory.plant import (
     find_plant_final_value,
     judge_bibo,
 )
-from turtlelog.theory.responses import compute_sampled_step_response, compute_step_response
+from turtlelog.theory.responses import (
+    compute_closed_loop_response,
+    compute_exact_settling_time,
+    compute_root_locus,
+    compute_sampled_step_response,
+    compute_saturated_settling_time,
+    compute_settling_time,
+    compute_step_response,
+    compute_time_constant,
+)
 from turtlelog.theory.sampled_loop import (
     SampledLoop,
     analyse_sampled_loop,

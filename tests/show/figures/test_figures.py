@@ -20,8 +20,8 @@ from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
+from turtlelog.show.figures.ideal_loop import find_gains
 from turtlelog.show.figures.page import choose_lines
-from turtlelog.show.figures.theory import find_gains
 
 Columns = TypeVar("Columns", SampleColumns, CommandColumns)
 

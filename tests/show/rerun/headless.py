@@ -15,8 +15,13 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from turtlelog.show.rerun.connection import build_url, find_free_port, wait_for_viewer
-from turtlelog.show.rerun.viewer import ViewerProcess, start_viewer
+from turtlelog.show.rerun.viewer import (
+    ViewerProcess,
+    build_url,
+    find_free_port,
+    start_viewer,
+    wait_for_viewer,
+)
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient

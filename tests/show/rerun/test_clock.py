@@ -1,6 +1,6 @@
 import pytest
 
-from turtlelog.show.rerun.clock import parse_timestamp
+from turtlelog.show.rerun.timelines import parse_timestamp
 
 
 @pytest.mark.parametrize(

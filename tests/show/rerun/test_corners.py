@@ -2,9 +2,9 @@ import numpy as np
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from turtlelog.show.rerun.corners import choose_corners
+from turtlelog.show.rerun.content import choose_corners
 from turtlelog.show.rerun.marks import Mark
-from turtlelog.show.rerun.series import Series
+from turtlelog.show.rerun.plots import Series
 
 TIMES_NS = np.arange(100)
 RANGES = {"speed": (0.0, 1.0)}

@@ -13,8 +13,8 @@ from tests.show.laws import build_scenario, simulate_law
 from tests.show.rerun.headless import start_headless
 from tests.show.rerun.rrds import list_entities, read_rows, read_times, simulate_preset
 from turtlelog.errors import LogError, ShowError
-from turtlelog.show.rerun import scene_live
-from turtlelog.show.rerun.growing_stream import GrowingStream
+from turtlelog.show.rerun import live_scene
+from turtlelog.show.rerun.live_scene import GrowingStream
 from turtlelog.simulate import RunCollector, Tick, iterate_ticks
 
 pytestmark = pytest.mark.realtime
@@ -31,7 +31,7 @@ def grow(scenario: tl.Scenario, grown: Path) -> None:
     """Draw a run again and again while it grows."""
     stream = GrowingStream("turtlelog")
     stream.save(grown)
-    scene, collector = scene_live.LiveScene(stream), RunCollector(scenario)
+    scene, collector = live_scene.LiveScene(stream), RunCollector(scenario)
     ticks = list(iterate_ticks(scenario))
     for first in range(0, len(ticks), 37):
         collector.take(ticks[first : first + 37])
@@ -113,7 +113,7 @@ def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> N
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot stop a process for a while")
 def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_live, "_FLUSH_S", 0.5)
+    monkeypatch.setattr(live_scene, "_FLUSH_S", 0.5)
     # Long enough to fill what a connection takes without an answer, however few batches it makes.
     scenario = tl.override_scenario(SHORT, {"max_duration_s": 8.0})
     lags_s: list[float] = []

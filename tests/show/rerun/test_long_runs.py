@@ -16,15 +16,15 @@ from tests.show.rerun.rrds import (
     simulate_preset,
     verify,
 )
-from turtlelog.show import write_run_rrd
-from turtlelog.show.rerun import palette, run_stream
-from turtlelog.show.run_colors import Color, choose_run_colors
+from turtlelog.show import palette, write_run_rrd
+from turtlelog.show.palette import Color, choose_run_colors
+from turtlelog.show.rerun import timelines
 
 RUN = simulate_preset("paper-kp10")
 
 
 def test_long_tables_are_sent_in_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_stream, "CHUNK_ROWS", 100)
+    monkeypatch.setattr(timelines, "CHUNK_ROWS", 100)
     write_run_rrd(RUN, tmp_path / "run.rrd")
     assert count_chunks(tmp_path / "run.rrd", "/distance") == -(-len(RUN.poses) // 100)
     rows = np.array(read_rows(tmp_path / "run.rrd", "/distance", "Scalars:scalars"))[:, 0]
@@ -37,8 +37,8 @@ def test_what_is_too_long_is_thinned_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.rrd"
-    monkeypatch.setattr(run_stream, "MOST_ROWS", 500)
-    monkeypatch.setattr(run_stream, "THINNED_ROWS", 90)
+    monkeypatch.setattr(timelines, "MOST_ROWS", 500)
+    monkeypatch.setattr(timelines, "THINNED_ROWS", 90)
     write_run_rrd(RUN, path)
     verify(path)
     rows = np.array(read_rows(path, "/turn_rate/commanded", "Scalars:scalars"))[:, 0]
@@ -52,7 +52,7 @@ def test_what_is_too_long_is_thinned_and_says_so(
 def test_a_long_trace_is_thinned_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(run_stream, "TRACE_ROWS", 100)
+    monkeypatch.setattr(timelines, "TRACE_ROWS", 100)
     write_run_rrd(RUN, tmp_path / "run.rrd")
     trace = join_strips(tmp_path / "run.rrd", "/plane/path")
     assert len(trace) <= 101

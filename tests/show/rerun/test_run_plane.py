@@ -12,9 +12,8 @@ from tests.show.rerun.rrds import (
     read_times,
     simulate_preset,
 )
-from turtlelog.show import write_run_rrd
-from turtlelog.show.rerun import palette
-from turtlelog.show.run_colors import choose_run_colors
+from turtlelog.show import palette, write_run_rrd
+from turtlelog.show.palette import choose_run_colors
 
 RUN = simulate_preset("paper-kp10")
 

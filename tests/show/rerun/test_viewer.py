@@ -14,14 +14,13 @@ from rerun.experimental import ViewerClient
 
 from turtlelog.errors import ShowError
 from turtlelog.show import write_snapshot
-from turtlelog.show.rerun import connection, live_viewer, snapshot
-from turtlelog.show.rerun.connection import wait_for_viewer
-from turtlelog.show.rerun.viewer import ViewerProcess
+from turtlelog.show.rerun import live_viewer, snapshot, viewer
+from turtlelog.show.rerun.viewer import ViewerProcess, wait_for_viewer
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import time
-from turtlelog.show.rerun.connection import find_free_port, wait_for_viewer
+from turtlelog.show.rerun.viewer import find_free_port, wait_for_viewer
 from turtlelog.show.rerun.viewer import start_viewer
 
 port = find_free_port()
@@ -108,7 +107,7 @@ def test_a_viewer_that_answers_but_draws_nothing_is_none() -> None:
 
 @pytest.mark.usefixtures("answering")
 def test_a_viewer_that_lives_but_draws_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "_START_S", 0.3)
+    monkeypatch.setattr(viewer, "_START_S", 0.3)
     with pytest.raises(ConnectionError, match=r"no picture in 0\.3 s"):
         wait_for_viewer(cast("ViewerProcess", DyingViewer(looks=math.inf)), 9876)
 

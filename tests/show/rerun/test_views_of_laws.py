@@ -24,10 +24,9 @@ from tests.show.rerun.rrds import (
 from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run
-from turtlelog.show import write_comparison_rrd, write_explanation_rrd, write_run_rrd
-from turtlelog.show.rerun import palette
-from turtlelog.show.rerun.clock import build_compared_clock, name_phase_timeline
-from turtlelog.show.rerun.surroundings import find_plane_bounds
+from turtlelog.show import palette, write_comparison_rrd, write_explanation_rrd, write_run_rrd
+from turtlelog.show.rerun.timelines import build_compared_clock, name_phase_timeline
+from turtlelog.show.rerun.world import find_plane_bounds
 
 STRANGE, EXAMPLE = simulate_law("strange"), simulate_law("example")
 FOLLOWER = simulate_law("Follower")

@@ -1,12 +1,12 @@
 """Figures for print: the paper's, from any recordings, with matplotlib.
 
-`catalogue` names them, `theory`, `series` and `plane` draw them, `page` gives them their size and
-looks, `files` writes them.
+`catalogue` names them, `ideal_loop`, `over_time` and `paths` draw them, `page` gives them their
+size and looks, `writing` writes them.
 """
 
 from turtlelog.show.figures.catalogue import FIGURES, FigureKind, list_left_out
-from turtlelog.show.figures.files import FIGURE_FORMATS, draw_figure, write_figures, write_tables
 from turtlelog.show.figures.page import Page
+from turtlelog.show.figures.writing import FIGURE_FORMATS, draw_figure, write_figures, write_tables
 
 __all__ = [
     "FIGURES",

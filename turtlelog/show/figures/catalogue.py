@@ -10,22 +10,21 @@ from matplotlib.figure import Figure
 
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.run import Run
-from turtlelog.show.aims import list_loops
+from turtlelog.show.aims import Command, list_loops
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
-from turtlelog.show.commanded import Command
-from turtlelog.show.figures import series
+from turtlelog.show.figures import over_time
 from turtlelog.show.figures.curves import read_applied, read_command, read_curve
-from turtlelog.show.figures.legend import label_runs
-from turtlelog.show.figures.plane import draw_plane
-from turtlelog.show.figures.theory import (
+from turtlelog.show.figures.ideal_loop import (
     draw_plant_responses,
     draw_root_locus,
     draw_step_responses,
     find_gains,
 )
+from turtlelog.show.figures.page import label_runs
+from turtlelog.show.figures.paths import draw_plane
 
 DrawFigure = Callable[[Figure, Sequence[Run]], None]
-Arrange = Callable[[Figure, Sequence[Run], Sequence[series.Draw]], None]
+Arrange = Callable[[Figure, Sequence[Run], Sequence[over_time.Draw]], None]
 
 _MOST_NAMED: Final = 3
 """So many runs are named that a figure does not show; of more it is said how many."""
@@ -95,7 +94,7 @@ class Panel:
 
     name: str
     needs: str
-    draw: series.Draw
+    draw: over_time.Draw
     loop: str = ""
     is_usual: bool = True
 
@@ -130,7 +129,7 @@ class FigureKind:
     needs: str = "poses"
     draw: DrawFigure | None = None
     panels: tuple[Panel, ...] = ()
-    arrange: Arrange = series.draw_stack
+    arrange: Arrange = over_time.draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return what is missing to draw it, None where nothing is; theory needs no runs."""
@@ -217,18 +216,18 @@ def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Se
 
 
 def _signal(signal: str, label: str, needs: str, loop: str = "", *, is_usual: bool = True) -> Panel:
-    draw = partial(series.draw_signal, signal=signal, label=label)
+    draw = partial(over_time.draw_signal, signal=signal, label=label)
     name = signal.replace("_", " ")
     return Panel(name=name, needs=needs, draw=draw, loop=loop, is_usual=is_usual)
 
 
 def _magnitude(signal: str, label: str, needs: str, loop: str = "") -> Panel:
-    draw = partial(series.draw_error_magnitude, signal=signal, label=label)
+    draw = partial(over_time.draw_error_magnitude, signal=signal, label=label)
     return Panel(name=signal.replace("_", " "), needs=needs, draw=draw, loop=loop)
 
 
 def _command(command: Command, label: str) -> Panel:
-    draw = partial(series.draw_command, command=command, label=label)
+    draw = partial(over_time.draw_command, command=command, label=label)
     return Panel(name=label, needs=command, draw=draw)
 
 
@@ -295,7 +294,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
                 Panel(
                     name="wanted speed",
                     needs="wanted",
-                    draw=partial(series.draw_wanted, command="speed", label="wanted speed"),
+                    draw=partial(over_time.draw_wanted, command="speed", label="wanted speed"),
                 ),
             ),
         ),
@@ -336,7 +335,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
                 _command("turn_rate", "turn rate"),
                 _command("speed", "speed"),
             ),
-            arrange=series.draw_columns,
+            arrange=over_time.draw_columns,
             height=0.85,
         ),
     }

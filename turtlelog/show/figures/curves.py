@@ -11,8 +11,16 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show.aims import REFERENCE, Level, LoopStep, find_steps, list_aims, list_levels
-from turtlelog.show.commanded import Command, read_commanded
+from turtlelog.show.aims import (
+    REFERENCE,
+    Command,
+    Level,
+    LoopStep,
+    find_steps,
+    list_aims,
+    list_levels,
+    read_commanded,
+)
 from turtlelog.show.thinning import MOST_POINTS, choose_rows
 from turtlelog.theory import compute_step_response
 

@@ -1,15 +1,25 @@
-"""The printed page: how wide a figure is, its fonts and lines, and how runs are told apart."""
+"""The printed page: how wide a figure is, fonts and lines, the legend, how runs are told apart."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
+from matplotlib import rcParams
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.textpath import text_to_path
+
+from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
-from turtlelog.show.run_colors import FEW, choose_run_colors
+from turtlelog.run import Run
+from turtlelog.show.aims import BEARING_NOW, REFERENCE as AIMED
+from turtlelog.show.palette import FEW, choose_run_colors
 
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
+
 _NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
@@ -60,6 +70,17 @@ AIM: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """What a law, or the goal, asks for where that moves; in the colour of its run."""
 
+_MOST_LETTERS: Final = 28
+_NAMES: Final = frozenset(
+    {
+        *("goal", "goal bearing", "goal heading", "zero", "ideal", "limit", "start", "tolerance"),
+        *(AIMED, BEARING_NOW),
+    }
+)
+"""What figures name beside runs."""
+_LINE_HEIGHT: Final = 1.45
+_POINTS_PER_INCH: Final = 72.0
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
@@ -106,3 +127,62 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     if count <= len(FEW):
         return lines
     return [{**line, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
+
+
+def label_runs(runs: Sequence[Run]) -> list[str]:
+    """Return a name for each run that can be printed and is short, no two alike."""
+    labels = [_shorten(_clean(name)) for name in name_runs(runs)]
+    if len(set(labels)) < len(labels):
+        labels = [f"{number}: {label}" for number, label in enumerate(labels, start=1)]
+    return labels
+
+
+def add_legend(figure: Figure) -> None:
+    """Name what the panels show above them; the figure grows by the lines that this takes."""
+    named: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            named.setdefault(label, handle)
+    if len(named) < 2:
+        return
+    width, height = figure.get_size_inches()
+    columns = _count_columns(list(named), width * _POINTS_PER_INCH)
+    lines = ceil(len(named) / columns)
+    line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
+    figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
+    legend = figure.legend(
+        named.values(), named.keys(), loc="outside upper center", ncols=ceil(len(named) / lines)
+    )
+    for label, entry in zip(named, legend.legend_handles, strict=True):
+        if label in (IDEAL["label"], AIMED, BEARING_NOW) and entry is not None:
+            entry.set(color="0.35")  # for all runs, whatever the colour of the first
+
+
+def _count_columns(labels: Sequence[str], width_points: float) -> int:
+    """Return how many columns of the widest entry there is room for."""
+    size = rcParams["legend.fontsize"]
+    font = FontProperties(family=rcParams["font.family"], size=size)
+    widest = max(
+        text_to_path.get_text_width_height_descent(label, font, ismath=False)[0] for label in labels
+    )
+    around = ("handlelength", "handletextpad", "columnspacing")
+    entry_points = widest + size * sum(rcParams[f"legend.{name}"] for name in around)
+    return min(len(labels), max(1, int(width_points / entry_points)))
+
+
+def _clean(name: str) -> str:
+    """Return a name as matplotlib shows it letter by letter; `?` where its font has none."""
+    font = get_font(findfont(FontProperties(family=rcParams["font.family"])))
+    shown = "".join(
+        letter if font.get_char_index(ord(letter)) else "?" for letter in " ".join(name.split())
+    )
+    if shown in _NAMES:
+        return f"run {shown}"
+    # A name that begins with `_` would be left out.
+    return f" {shown}" if shown.startswith("_") else shown
+
+
+def _shorten(name: str) -> str:
+    half = _MOST_LETTERS // 2
+    short = name if len(name) <= _MOST_LETTERS else f"{name[:half]}…{name[1 - half :]}"
+    return short.replace("$", r"\$")

@@ -10,10 +10,11 @@ import rerun as rr
 from turtlelog.loops import PAUSE, ControlLoop, Declaration
 from turtlelog.measure import Metric
 from turtlelog.run import Run
-from turtlelog.show.rerun import entities, palette
-from turtlelog.show.rerun.run_stream import RunStream
-from turtlelog.show.rerun.series import Series
-from turtlelog.show.run_colors import Color
+from turtlelog.show import palette
+from turtlelog.show.palette import Color
+from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.plots import Series
+from turtlelog.show.rerun.timelines import RunStream
 
 Shape = Literal["Circle", "Diamond", "Right", "Up"]
 

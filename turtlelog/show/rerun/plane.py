@@ -10,10 +10,11 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
-from turtlelog.show.rerun import entities, palette
-from turtlelog.show.rerun.run_stream import RunStream, Values, choose_trace_rows
-from turtlelog.show.rerun.surroundings import UPWARD
-from turtlelog.show.run_colors import Color, choose_run_colors
+from turtlelog.show import palette
+from turtlelog.show.palette import Color, choose_run_colors
+from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.timelines import RunStream, Values, choose_trace_rows
+from turtlelog.show.rerun.world import UPWARD
 
 _SPEED_LEVELS: Final = 16
 _TRACE_RADIUS: Final = 1.0  # [points], as are the others

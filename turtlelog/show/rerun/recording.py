@@ -2,15 +2,18 @@
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.errors import ShowError
+from turtlelog.measure import Metric
+from turtlelog.run import Run
 from turtlelog.show.files import replace_file
 from turtlelog.show.rerun.entities import APPLICATION_ID
 
@@ -25,6 +28,11 @@ _PROBE: Final = bytes(2**20)
 _STRICT_LOCK: Final = threading.Lock()
 _BEFORE_STRICT: Final[list[bool]] = []
 """What the setting was, once for each block that is in strict mode."""
+
+RUN: Final = "run"
+RUNS: Final = "runs"
+SCENARIO: Final = "scenario"
+METRICS: Final = "metrics"
 
 
 @contextmanager
@@ -73,6 +81,86 @@ def abandon_stream(stream: rr.RecordingStream) -> None:
         rr.unregister_shutdown()
 
 
+@contextmanager
+def strict_mode() -> Iterator[None]:
+    """Make errors raise for a while: without it Rerun warns and drops the data.
+
+    The setting is one for all threads: the last to leave puts it back.
+    """
+    with _STRICT_LOCK:
+        _BEFORE_STRICT.append(_BEFORE_STRICT[0] if _BEFORE_STRICT else rr.strict_mode())
+        rr.set_strict_mode(True)
+    try:
+        yield
+    finally:
+        with _STRICT_LOCK:
+            before = _BEFORE_STRICT.pop()
+            if not _BEFORE_STRICT:
+                rr.set_strict_mode(before)
+
+
+def send_run_properties(
+    stream: rr.RecordingStream, run: Run, metrics: Mapping[str, Metric]
+) -> None:
+    """Store what a run is, its scenario, and its metrics, each under a name of its own."""
+    stream.send_property(
+        RUN, _Properties({key: [value] for key, value in _describe_run(run).items()})
+    )
+    parameters = {key: [value] for key, value in _flatten(run).items()}
+    if parameters:
+        stream.send_property(SCENARIO, _Properties(parameters))
+    values = {name: [_get_value(metric)] for name, metric in metrics.items()}
+    stream.send_property(METRICS, _Properties(values))
+
+
+def send_comparison_properties(
+    stream: rr.RecordingStream,
+    runs: Sequence[Run],
+    names: Sequence[str],
+    prefixes: Sequence[str],
+    metrics: Sequence[Mapping[str, Metric]],
+) -> None:
+    """Store the same of several runs, as lists in the order given.
+
+    A number that is not known, or that a run's law does not have, is NaN, a text empty.
+    """
+    described = [_describe_run(run) for run in runs]
+    of_runs = {key: [values[key] for values in described] for key in described[0]}
+    of_runs |= {"name": list(names), "entity": list(prefixes)}
+    stream.send_property(RUNS, _Properties(of_runs))
+    parameters = [_flatten(run) for run in runs]
+    keys = sorted({key for known in parameters for key in known})
+    if keys:
+        found = {key: _fill([known.get(key) for known in parameters]) for key in keys}
+        stream.send_property(SCENARIO, _Properties(found))
+    ids = dict.fromkeys(name for known in metrics for name in known)
+    values = {name: [_get_value(known.get(name)) for known in metrics] for name in ids}
+    stream.send_property(METRICS, _Properties(values))
+
+
+class _Properties(rr.AsComponents):
+    """Values by name. Rerun's own `AnyValues` would hold a name to one type in all of a process."""
+
+    def __init__(self, values: Mapping[str, list[Any]]) -> None:
+        self._values = values
+
+    def as_component_batches(self) -> list[rr.DescribedComponentBatch]:
+        return [
+            rr.DescribedComponentBatch(_Values(pa.array(values)), rr.ComponentDescriptor(name))
+            for name, values in self._values.items()
+        ]
+
+
+class _Values:
+    """An Arrow array as Rerun wants to be given it."""
+
+    def __init__(self, array: pa.Array) -> None:
+        self._array = array
+
+    def as_arrow_array(self) -> pa.Array:
+        return self._array
+
+
 def _await(call: Callable[[], None], part_path: Path, path: Path) -> None:
     """Call Rerun and wait, as long as its file grows: once the disk is full it may never return."""
     failures: list[Exception] = []
@@ -115,19 +203,29 @@ def _find_error(part_path: Path, path: Path, found: str) -> ShowError | OSError:
     return ShowError(f"{path}: expected Rerun to write the file, found: {found}")
 
 
-@contextmanager
-def strict_mode() -> Iterator[None]:
-    """Make errors raise for a while: without it Rerun warns and drops the data.
+def _describe_run(run: Run) -> dict[str, Any]:
+    return {
+        "name": run.name,
+        "source": run.source,
+        "stop_reason": run.stop_reason or "unknown",
+        "start_ns": run.start_ns,
+    }
 
-    The setting is one for all threads: the last to leave puts it back.
-    """
-    with _STRICT_LOCK:
-        _BEFORE_STRICT.append(_BEFORE_STRICT[0] if _BEFORE_STRICT else rr.strict_mode())
-        rr.set_strict_mode(True)
-    try:
-        yield
-    finally:
-        with _STRICT_LOCK:
-            before = _BEFORE_STRICT.pop()
-            if not _BEFORE_STRICT:
-                rr.set_strict_mode(before)
+
+def _flatten(run: Run) -> dict[str, float | str]:
+    """Return the scenario's numbers as floats, truths as 0 and 1, the rest as text."""
+    return {
+        key: float(value) if isinstance(value, bool | int | float) else str(value)
+        for key, value in run.parameters.items()
+    }
+
+
+def _fill(values: list[float | str | None]) -> list[float] | list[str]:
+    """Return one value per run in one type: text where one of them is text."""
+    if any(isinstance(value, str) for value in values):
+        return ["" if value is None else str(value) for value in values]
+    return [float("nan") if value is None else float(value) for value in values]
+
+
+def _get_value(metric: Metric | None) -> float:
+    return float("nan") if metric is None or metric.value is None else metric.value

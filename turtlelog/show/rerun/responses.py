@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import Metric, read_signal
 from turtlelog.run import Run
+from turtlelog.show import palette
 from turtlelog.show.aims import LoopStep, find_steps
-from turtlelog.show.rerun import entities, palette
-from turtlelog.show.rerun.series import Series
-from turtlelog.show.run_colors import Color
+from turtlelog.show.palette import Color
+from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.plots import Series
 from turtlelog.theory import compute_sampled_step_response, compute_step_response
 
 _WIDTH: Final = 1.0

@@ -11,9 +11,14 @@ from rerun.experimental import ViewerClient
 
 from turtlelog.errors import ShowError
 from turtlelog.show.files import replace_file
-from turtlelog.show.rerun.connection import find_free_port, wait_for_viewer
 from turtlelog.show.rerun.entities import TICKS, TIMELINE, WALL_TIMELINE
-from turtlelog.show.rerun.viewer import ViewerProcess, require_recordings, start_viewer
+from turtlelog.show.rerun.viewer import (
+    ViewerProcess,
+    find_free_port,
+    require_recordings,
+    start_viewer,
+    wait_for_viewer,
+)
 
 _LOAD_S: Final = 60.0
 _PICTURES: Final = 20

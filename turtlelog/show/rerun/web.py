@@ -15,8 +15,13 @@ from urllib.parse import quote, urlencode, urlsplit
 from urllib.request import ProxyHandler, build_opener
 
 from turtlelog.errors import ShowError
-from turtlelog.show.rerun.connection import LOCAL, find_free_port
-from turtlelog.show.rerun.viewer import ViewerProcess, require_recordings, start_viewer
+from turtlelog.show.rerun.viewer import (
+    LOCAL,
+    ViewerProcess,
+    find_free_port,
+    require_recordings,
+    start_viewer,
+)
 
 _KINDS: Final[Mapping[str, str]] = {
     "": "text/html; charset=utf-8",

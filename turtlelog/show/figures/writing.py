@@ -23,10 +23,9 @@ from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
 from turtlelog.show.figures.catalogue import FIGURES, FigureKind, has_table1
-from turtlelog.show.figures.legend import add_legend
-from turtlelog.show.figures.page import LOOKS, Page
+from turtlelog.show.figures.page import LOOKS, Page, add_legend
 from turtlelog.show.files import replace_together
-from turtlelog.show.tables import format_latex
+from turtlelog.show.table_formats import format_latex
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 

@@ -1,4 +1,4 @@
-"""The colours of what is no run of its own, told apart by colour-blind readers on dark ground."""
+"""Colours for colour-blind readers: of runs on screen and on paper, of all else on dark ground."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.loops import DONE, PAUSE
-from turtlelog.show.run_colors import Color, choose_run_colors
+
+Color = tuple[int, int, int]
+
+FEW: Final[tuple[Color, ...]] = (
+    (0, 114, 178),
+    (230, 159, 0),
+    (0, 165, 120),
+    (190, 112, 160),
+    (213, 94, 0),
+    (86, 180, 233),
+    (156, 154, 0),
+)
+"""After Okabe and Ito, for colour-blind readers.
+
+An olive stands for their yellow and black, of which one ground or the other swallows each; green
+and purple are a shade off, so that the first four differ in grey by at least 0.08 of white.
+"""
+
+_RAMP: Final[tuple[Color, ...]] = (
+    (94, 73, 190),
+    (32, 138, 204),
+    (12, 193, 160),
+    (108, 194, 92),
+    (188, 200, 42),
+    (250, 206, 60),
+)
+"""Rises in lightness from end to end, so that order can be read from it, also in grey."""
 
 _OKABE_ITO: Final[tuple[Color, ...]] = (
     (86, 180, 233),
@@ -31,9 +57,6 @@ REFERENCE: Final[Color] = (150, 150, 150)
 GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)
-
-MAIN: Final[Color] = choose_run_colors(1)[0]
-"""What a single run did."""
 
 SECOND: Final[Color] = _OKABE_ITO[2]
 """The other coordinate, or what the plant applied."""
@@ -60,6 +83,13 @@ NO_PHASE: Final = -1
 """Index of no phase: before the first sample."""
 
 
+def choose_run_colors(count: int) -> tuple[Color, ...]:
+    """Return one colour per run: distinct hues for a few, a ramp in the order given for many."""
+    if count <= len(FEW):
+        return FEW[:count]
+    return tuple(_mix_ramp(index / (count - 1)) for index in range(count))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseColors:
     """How a phase looks.
@@ -79,6 +109,7 @@ _OF_EVERY_LAW: Final[Mapping[str, PhaseColors]] = MappingProxyType(
         DONE: PhaseColors(trace=START, bar=(90, 90, 90)),
     }
 )
+
 
 _BY_ORDER: Final = (
     PhaseColors(trace=_OKABE_ITO[0], bar=(46, 96, 148)),
@@ -106,3 +137,18 @@ def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
     """Return opaque colours as Rerun takes them fastest, shape (n,)."""
     red, green, blue = np.array(colors, dtype=np.uint32).reshape(-1, 3).T
     return (red << 24 | green << 16 | blue << 8 | 255).astype(np.uint32)
+
+
+def _mix_ramp(share: float) -> Color:
+    place = share * (len(_RAMP) - 1)
+    low = min(int(place), len(_RAMP) - 2)
+    part = place - low
+    red, green, blue = (
+        round(first + part * (second - first))
+        for first, second in zip(_RAMP[low], _RAMP[low + 1], strict=True)
+    )
+    return red, green, blue
+
+
+MAIN: Final[Color] = choose_run_colors(1)[0]
+"""What a single run did."""

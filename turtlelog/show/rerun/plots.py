@@ -1,7 +1,7 @@
 """The curves of a run, and the levels beside them: what stands in which plot."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -9,11 +9,18 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show.aims import REFERENCE, list_aims, list_levels, read_distance_to_reference
-from turtlelog.show.rerun import entities, palette
-from turtlelog.show.rerun.commands import find_limits, list_commands
-from turtlelog.show.rerun.series import LINE_WIDTH, Reference, Series
-from turtlelog.show.run_colors import Color
+from turtlelog.show import palette
+from turtlelog.show.aims import (
+    REFERENCE,
+    Command,
+    list_aims,
+    list_levels,
+    list_limit_keys,
+    read_commanded,
+    read_distance_to_reference,
+)
+from turtlelog.show.palette import Color
+from turtlelog.show.rerun import entities
 
 _POSE_SIGNALS: Final = (
     (entities.HEADING, "heading", "heading"),
@@ -29,6 +36,60 @@ _LOGARITHMS: Final = (
     (entities.HEADING_ERROR, entities.HEADING_ERROR_LOG),
     (entities.DISTANCE, entities.DISTANCE_LOG),
 )
+
+LINE_WIDTH: Final = 1.5
+
+_COMMANDED_WIDTH: Final = 3.0
+_THIN_WIDTH: Final = 1.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Series:
+    """Curves that share their times and their plot.
+
+    Attributes:
+        entity: Entity path below the run's prefix; its first part names the plot, of a state of a
+            law its first two.
+        labels: Legend, one per curve.
+        colors: One per curve.
+        time_ns: The run's own time [ns], shape (n,), not decreasing.
+        values: One column per curve, shape (n, curves); NaN where there is nothing to draw.
+        width: Of the lines [points].
+        holds: Whether a value lasts until the next, rather than leading to it in a line.
+        is_main: Whether a comparison shows it too.
+        is_measured: Whether it is the run's own, so that the plot must have room for it.
+    """
+
+    entity: str
+    labels: tuple[str, ...]
+    colors: tuple[Color, ...] = (palette.MAIN,)
+    time_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    width: float = LINE_WIDTH
+    holds: bool = False
+    is_main: bool = True
+    is_measured: bool = True
+
+    @property
+    def plot(self) -> str:
+        """The plot it stands in: each state of a law has one of its own."""
+        parts = self.entity.split("/")
+        return "/".join(parts[: 1 + (parts[0] == entities.STATE)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reference:
+    """Level lines across a plot.
+
+    Attributes:
+        plot: Entity that the plot is named after.
+        labels: Legend, one per level.
+        levels: In the plot's unit.
+    """
+
+    plot: str
+    labels: tuple[str, ...]
+    levels: tuple[float, ...]
 
 
 def list_series(run: Run) -> tuple[Series, ...]:
@@ -90,6 +151,27 @@ def list_references(runs: Sequence[Run]) -> tuple[Reference, ...]:
         for plot, named in levels
         if named
     )
+
+
+def list_commands(run: Run, plot: str) -> Iterator[Series]:
+    """Yield what was wanted, commanded and applied; the thick one shows beneath the others."""
+    poses = run.poses
+    applied = poses.speed_m_s if plot == entities.SPEED else poses.turn_rate_rad_s
+    wanted = read_signal(run, f"wanted_{plot}")
+    if wanted is not None:
+        yield _build_command(plot, entities.WANTED, wanted.time_ns, wanted.values, palette.WANTED)
+    commanded = read_commanded(run, "speed" if plot == entities.SPEED else "turn_rate")
+    if commanded is not None:
+        yield _build_command(plot, entities.COMMANDED, *commanded, palette.MAIN)
+    if applied is not None:
+        yield _build_command(plot, entities.APPLIED, poses.time_ns, applied, palette.SECOND)
+
+
+def find_limits(runs: Sequence[Run], command: Command) -> set[float]:
+    """Return the limits of runs with both signs, none where they are infinite or not known."""
+    limits = {run.parameters.get(key) for run in runs for key in list_limit_keys(run, command)}
+    sizes = {float(limit) for limit in limits if isinstance(limit, int | float)}
+    return {sign * size for size in sizes if np.isfinite(size) for sign in (-1.0, 1.0)}
 
 
 def _list_levels(runs: Sequence[Run], signal: str) -> set[tuple[float, str]]:
@@ -230,3 +312,22 @@ def _list_logarithms(series: Iterable[Series]) -> Iterable[Series]:
         sizes = np.abs(curves.values)
         values = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
         yield replace(curves, entity=entity_of[curves.entity], values=values)
+
+
+def _build_command(
+    plot: str,
+    kind: str,
+    time_ns: NDArray[np.int64],
+    values: NDArray[np.float64],
+    color: Color,
+) -> Series:
+    return Series(
+        entity=f"{plot}/{kind}",
+        labels=(kind,),
+        colors=(color,),
+        time_ns=time_ns,
+        values=values[:, np.newaxis],
+        width=_COMMANDED_WIDTH if kind == entities.COMMANDED else _THIN_WIDTH,
+        holds=True,
+        is_main=kind == entities.COMMANDED,
+    )

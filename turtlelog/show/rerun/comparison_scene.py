@@ -1,24 +1,61 @@
-"""Runs over each other: what scenes of several runs share."""
+"""Several runs over each other as one Rerun recording."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import rerun as rr
 
-from turtlelog.measure import Metric
+from turtlelog.compare import name_runs, order_by_gain
+from turtlelog.errors import ShowError
+from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
+from turtlelog.show.documents import describe_runs
+from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import drawing, plane
-from turtlelog.show.rerun.clock import Clock, build_compared_clock, read_span
 from turtlelog.show.rerun.content import Content, describe_content
+from turtlelog.show.rerun.drawing import draw_documents, draw_legend
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
-from turtlelog.show.rerun.goal import draw_close_up
-from turtlelog.show.rerun.legend import draw_legend
-from turtlelog.show.rerun.properties import send_comparison_properties
-from turtlelog.show.rerun.run_stream import RunStream
-from turtlelog.show.rerun.series import Reference, Series
-from turtlelog.show.rerun.signals import list_compared_series, list_references
-from turtlelog.show.rerun.surroundings import draw_surroundings
-from turtlelog.show.run_colors import Color, choose_run_colors
+from turtlelog.show.rerun.layout import build_comparison_layout
+from turtlelog.show.rerun.plots import Reference, Series, list_compared_series, list_references
+from turtlelog.show.rerun.recording import open_recording, send_comparison_properties
+from turtlelog.show.rerun.timelines import (
+    Clock,
+    RunStream,
+    add_thinning,
+    build_compared_clock,
+    read_span,
+)
+from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
+
+
+def write_comparison_rrd(
+    runs: Sequence[Run], path: str | Path, *, documents: Mapping[str, str] | None = None
+) -> None:
+    """Write one recording of several runs over each other; time zero is each one's first sample.
+
+    On the timeline of a later phase, as `translate_time`, it is the start of that phase in each.
+
+    Args:
+        runs: At least one; each keeps its colour in every view, in the order of `order_by_gain`.
+        path: The .rrd file; replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs; `describe_runs` where None.
+
+    Raises:
+        ShowError: Where there is no run, or the file cannot be written.
+    """
+    if not runs:
+        raise ShowError(f"{path}: expected at least one run to compare, found none")
+    runs = order_by_gain(runs)
+    metrics, overlay = [measure_run(run) for run in runs], build_overlay(runs, name_runs(runs))
+    if documents is None:
+        documents = describe_runs(runs, metrics=metrics)
+    documents = add_thinning(documents, runs)
+    content = overlay.describe(documents)
+    layout = build_comparison_layout(content)
+    with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
+        draw_overlay(stream, overlay, content, metrics)
+        draw_documents(stream, documents)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,13 +106,6 @@ def build_overlay(runs: Sequence[Run], names: Sequence[str]) -> Overlay:
     )
 
 
-def _list_path_parts(names: Sequence[str]) -> list[str]:
-    """Return a part of an entity path per name, without spaces, which a path shows as escapes."""
-    plain = [name.replace(" ", "_") for name in names]
-    parts = plain if len(set(plain)) == len(plain) else names
-    return [rr.escape_entity_path_part(part) for part in parts]
-
-
 def draw_overlay(
     stream: rr.RecordingStream,
     overlay: Overlay,
@@ -110,3 +140,14 @@ def draw_overlay(
             is_small=content.shares_title is not None,
         )
     return streams
+
+
+def _name_recording(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) <= 4 else f"{names[0]} to {names[-1]}, {len(names)} runs"
+
+
+def _list_path_parts(names: Sequence[str]) -> list[str]:
+    """Return a part of an entity path per name, without spaces, which a path shows as escapes."""
+    plain = [name.replace(" ", "_") for name in names]
+    parts = plain if len(set(plain)) == len(plain) else names
+    return [rr.escape_entity_path_part(part) for part in parts]

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.run import Run
-from turtlelog.show.aims import list_limit_keys
-from turtlelog.show.commanded import Command
+from turtlelog.show.aims import Command, list_limit_keys
 from turtlelog.show.figures.curves import (
     compute_ideals,
     draw_curve,
@@ -23,8 +22,7 @@ from turtlelog.show.figures.curves import (
     read_command,
     read_curve,
 )
-from turtlelog.show.figures.legend import label_runs
-from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines
+from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
 
 _TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
 _AIMED = frozenset({"heading", "x", "y", "along_track"})

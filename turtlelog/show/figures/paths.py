@@ -22,8 +22,7 @@ from turtlelog.show.close_up import (
     list_ring_labels,
 )
 from turtlelog.show.figures.curves import draw_thinned
-from turtlelog.show.figures.legend import label_runs
-from turtlelog.show.figures.page import AIM, REFERENCE, choose_lines
+from turtlelog.show.figures.page import AIM, REFERENCE, choose_lines, label_runs
 
 Values = NDArray[np.float64]
 
