@@ -159,9 +159,9 @@ class LawDriver:
     def _judge(self, decision: Decision) -> int:
         """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
         speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
-        # A sum of magnitudes is finite only where all of them are, and so is the distance.
+        # A sum of numbers is finite where all of them are.
         errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
-        errors += abs(decision.error_x_m) + abs(decision.error_y_m)  # type: ignore[arg-type,operator]
+        errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
         if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
             raise SimulationError(
                 f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
@@ -169,7 +169,7 @@ class LawDriver:
         world = isinf(decision.world_v_x_m_s) or isinf(decision.world_v_y_m_s)
         if world or (not isfinite(errors) and self._goal is not None):
             raise SimulationError(f"expected finite numbers, found {decision}")
-        number = self._phases.get(phase) if isinstance(phase, str) else None
+        number = self._phases.get(phase)  # type: ignore[arg-type]
         if number is None:
             known = ", ".join(self.declaration.phases)
             raise SimulationError(f"expected a phase of {known}, found {phase!r}")
