@@ -16,8 +16,12 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.explain.families import FAMILIES, make_family
+from tests.explain.loop_family import count_true, make_loop_logs
 from tests.explain.scoring import score
 from turtlelog.explain import identify_run
+
+LOOPS = {"loops": True, "loops, other queues": False}
+"""Families of laws other than the sequential one: whether their queues have the usual depths."""
 
 
 def main() -> int:
@@ -25,13 +29,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--logs", type=int, default=40, help="logs of each family")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 1_000_000)
-    parser.add_argument("--only", choices=[*FAMILIES], action="append", help="one family")
+    parser.add_argument("--only", choices=[*FAMILIES, *LOOPS], action="append", help="one family")
     parser.add_argument("--show", action="store_true", help="print each finding that is not true")
     asked = parser.parse_args()
     print(f"seed {asked.seed}, {asked.logs} logs of each family")
     false_exact = 0
-    for family in asked.only or FAMILIES:
-        found = count_family(family, asked.seed, asked.logs, show=asked.show)
+    for family in asked.only or (*FAMILIES, *LOOPS):
+        if family in LOOPS:
+            found = count_loops(family, asked.seed, asked.logs)
+        else:
+            found = count_family(family, asked.seed, asked.logs, show=asked.show)
         print_family(found)
         false_exact += sum(amount for (_, said), amount in found.items() if said == "exact false")
     print(f"\nfalse exact: {false_exact}")
@@ -50,6 +57,13 @@ def count_family(family: str, seed: int, logs: int, *, show: bool) -> Counter[tu
             if show and said.endswith("false"):
                 print(f"  {key}: {found.findings[key]}\n    {log.truth}, {log.reason}")
     print(f"\n{family}: {FAMILIES[family].meaning} ({time.perf_counter() - began:.0f} s)")
+    return total
+
+
+def count_loops(family: str, seed: int, logs: int) -> Counter[tuple[str, str]]:
+    began = time.perf_counter()
+    total = count_true(make_loop_logs(seed, logs, is_usual=LOOPS[family]))
+    print(f"\n{family}: laws of other users ({time.perf_counter() - began:.0f} s)")
     return total
 
 

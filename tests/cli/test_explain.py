@@ -128,7 +128,7 @@ def test_a_bag_of_poses_and_commands_tells_little(call: Call) -> None:
     assert answer.json["identified"]["start_backlog"] is None
     assert answer.json["identified"]["lost_commands"] == 0
     assert answer.json["attribution"] is None
-    assert "no scenario to simulate" in call("explain", bag).out
+    assert "no scenario stands for this log" in call("explain", bag).out
 
 
 @pytest.mark.parametrize(
@@ -206,3 +206,15 @@ def test_another_law_is_explained_with_trust_only(call: Call, turn: Path) -> Non
     other = ("Kp", "heading tolerance", "position tolerance", "projection")
     assert not [word for word in other if word in text]
     assert "Delay adds 5.4 rad/s; without delay it would be 1.034 rad/s." in text
+
+
+def test_a_law_that_was_changed_is_said_to_depart(call: Call, turn: Path, tmp_path: Path) -> None:
+    run = tl.read_recording(turn)
+    changed = replace(run, parameters={**run.parameters, "law.kp_angular": 11.0})
+    tl.write_recording(changed, tmp_path / "changed.mcap")
+    text = " ".join(call("explain", tmp_path / "changed.mcap", "--trust-law").out.split())
+    assert "departs at 0.000 s: nothing is claimed of the law" not in text
+    assert "The recorded scenario reproduces the first " in text
+    assert "No simulation stands for this log. The plant was driven with its commands." in text
+    assert "Settings tried: start backlog 1, 7 poses; queue policy newest, one-per-tick" in text
+    assert text.endswith("No metric is explained: no scenario stands for this log.")

@@ -18,7 +18,7 @@ from turtlelog.errors import ExplainError
 if TYPE_CHECKING:
     from turtlelog import Attribution, Identification, Run
 
-_NOTHING: Final = "No metric is explained: there is no scenario to simulate."
+_NOTHING: Final = "No metric is explained: no scenario stands for this log."
 
 
 @Parameter(name="*")

@@ -42,6 +42,8 @@ _ROWS: Final = (
 _DEAD_TIME: Final = "dead_time."
 """Begins the key of a loop's dead time."""
 
+_DRIVEN: Final = "No simulation stands for this log. The plant was driven with its commands."
+
 _EVIDENCE_WIDTH: Final = 46
 
 _WIDTH: Final = 96
@@ -127,8 +129,9 @@ def _format_value(value: Any, unit: str, digits: int = 6) -> str:
 def _format_resimulation(found: "Identification") -> str:
     again = found.resimulation
     if again is None:
-        tried = f"{_format_tried(found)}\n" if found.tried else ""
-        return f"Nothing was simulated again.\n{tried}"
+        if not found.tried:
+            return "Nothing was simulated again.\n"
+        return f"{_DRIVEN}\n{_format_tried(found)}\n"
     error = again.max_abs_error
     return (
         f"Simulated again: {again.samples} samples, largest differences x {error.x_m:.3g} m,"
