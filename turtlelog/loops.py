@@ -219,6 +219,11 @@ class Mechanism:
     meaning: str
 
 
+def is_loop_name(text: str) -> bool:
+    """Return whether a loop of some law may have this name."""
+    return _NAME.fullmatch(text) is not None and text not in RESERVED
+
+
 def _rebuild(
     loops: tuple[ControlLoop, ...],
     phases: dict[str, tuple[str, ...]],

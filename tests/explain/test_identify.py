@@ -162,6 +162,12 @@ def test_a_run_cut_while_rotating_tells_what_it_can() -> None:
     assert found.resimulation.is_exact
 
 
+@pytest.mark.parametrize("reason", ["max_duration", "interrupted", "law_failed"])
+def test_a_run_whose_controller_did_not_come_to_its_end_was_cut(reason: str) -> None:
+    run = replace(simulate("paper-kp1", max_duration_s=15.0), stop_reason=reason)
+    assert identify_run(run).findings["stop_reason"].value == "cut"
+
+
 def test_another_kind_of_controller_is_told_from_the_sequential_one() -> None:
     values = {"law.kind": "examples/turn_and_drive.py:TurnAndDrive"}
     scenario = build_scenario(nest_parameters(values), trust_law=True)

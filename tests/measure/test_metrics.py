@@ -6,7 +6,9 @@ import pytest
 
 import turtlelog as tl
 from tests.sequential import ROTATE
-from turtlelog.measure import PAPER_WINDOW_S
+from turtlelog.errors import MeasureError
+from turtlelog.loops import Declaration
+from turtlelog.measure import PAPER_WINDOW_S, choose_metrics
 
 PAPER = Path(__file__).parents[2].parent / "shared" / "paper"
 
@@ -174,3 +176,19 @@ def test_every_metric_has_a_value_or_a_reason() -> None:
     for metric in measure("paper-kp1", max_duration_s=2.0).values():
         assert (metric.value is None) == (metric.status is not tl.Status.OK)
         assert bool(metric.reason) == (metric.value is None)
+
+
+@pytest.mark.parametrize("loop", ["a", "a-b", "a" * 60])
+def test_metric_of_a_loop_that_some_law_may_have_is_one(loop: str) -> None:
+    assert choose_metrics([f"{loop}.overshoot"], Declaration()) == (f"{loop}.overshoot",)
+
+
+@pytest.mark.parametrize("loop", ["é", "_a", "a" * 61, "final"])
+def test_metric_of_a_loop_that_no_law_may_have_is_none(loop: str) -> None:
+    with pytest.raises(MeasureError, match="expected"):
+        choose_metrics([f"{loop}.overshoot"], Declaration())
+
+
+def test_pattern_that_only_a_loop_called_run_could_match_is_refused() -> None:
+    with pytest.raises(MeasureError, match="expected"):
+        choose_metrics(["run.oversh*"], Declaration())

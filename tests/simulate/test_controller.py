@@ -38,6 +38,13 @@ class Script:
         return Decision(**(values | own))
 
 
+class Sparse(Script):
+    """Answers with a command alone."""
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        return Decision(speed_m_s=1.0, turn_rate_rad_s=0.0)
+
+
 def make_controller(law: Script, limits: Limits | None = None, **loop: Any) -> Controller:
     scenario = replace(Scenario(), loop=LoopSettings(**loop), limits=limits or Limits())
     return Controller(scenario, law)
@@ -68,6 +75,15 @@ def test_law_is_reset_once_with_the_first_pose_it_reads() -> None:
     law = Script()
     run_ticks(make_controller(law, start_backlog=3), range(5))
     assert law.resets == [(Pose(0.0, 0.0, 0.0), Goal(2.0, 10.0))]
+
+
+def test_what_a_law_leaves_out_is_filled_in_whether_or_not_it_is_built_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sample = answer_once(Sparse())
+    assert (sample.decision.error_x_m, sample.decision.error_y_m) == (1.0, 8.0)
+    monkeypatch.setattr("turtlelog.simulate.law_driver.LAWS", {"sparse": Sparse})
+    assert answer_once(Sparse()) == sample
 
 
 def test_start_backlog_is_answered_at_once() -> None:

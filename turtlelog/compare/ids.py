@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from turtlelog.errors import MeasureError
-from turtlelog.loops import NAME_PATTERN, RESERVED, STATE_PATTERN, Declaration
+from turtlelog.loops import NAME_PATTERN, RESERVED, STATE_PATTERN, Declaration, is_loop_name
 from turtlelog.measure import (
     ANY_LOOP,
     METRICS,
@@ -44,7 +44,7 @@ def list_ids_like(name: str) -> list[str]:
     loop = name.rpartition(".")[0]
     if loop in RESERVED:
         return [known for known in METRICS if not known.startswith(ANY_LOOP)]
-    if not re.fullmatch(NAME_PATTERN, loop):
+    if not is_loop_name(loop):
         return list(METRICS)
     return [known.replace(ANY_LOOP, loop) for known in METRICS]
 

@@ -43,9 +43,6 @@ _MOST_PHASES: Final = 6
 
 _UNEXPLAINED: Final = "an effect that is not simulated, or commands that the log does not hold"
 
-_CUT: Final = (None, "interrupted", "max_duration")
-"""Stop reasons of runs whose controller did not come to its end."""
-
 
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
@@ -122,7 +119,7 @@ def _identify_samples(run: Run) -> Identification:
     is_certain = all(
         fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
     )
-    ending = find_ending(trace, is_certain=is_certain, is_finished=run.stop_reason not in _CUT)
+    ending = find_ending(trace, is_certain=is_certain, is_finished=run.is_complete)
     findings |= ending.rules
     hints = read_hints(trace)
     known = {**_collect(findings), **read_start(trace)}

@@ -6,10 +6,11 @@ import importlib
 import inspect
 import sys
 import traceback
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, redirect_stdout
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Final
+from typing import Any, Final
 
 from turtlelog.errors import LawError, TurtlelogError, describe_error
 from turtlelog.laws.base import Goal, Law
@@ -18,7 +19,7 @@ from turtlelog.loops import Declaration, Mechanism
 
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
 
-LAWS: Final = MappingProxyType({"sequential-p": SequentialP})
+LAWS: Final[Mapping[str, type[Law]]] = MappingProxyType({"sequential-p": SequentialP})
 """The built-in laws by kind."""
 
 
@@ -158,13 +159,14 @@ def _run_file(path: Path) -> ModuleType:
     return module
 
 
-def _require_law(law: object, kind: str) -> None:
-    if not isinstance(law, type):
+def _require_law(law: Any, kind: str) -> None:
+    is_class = isinstance(law, type)
+    if not is_class:
         raise LawError(f"{kind}: expected a class, found an instance of {type(law).__name__}")
     missing = [name for name in ("Parameters", "reset", "step") if not hasattr(law, name)]
     if missing:
         raise LawError(f"{kind}: expected Parameters, reset and step, found no {missing[0]}")
-    parameters = law.Parameters  # type: ignore[attr-defined]
+    parameters = law.Parameters
     is_dataclass = isinstance(parameters, type) and dataclasses.is_dataclass(parameters)
     if not is_dataclass or not parameters.__dataclass_params__.frozen:
         found = "one that is not frozen" if is_dataclass else repr(parameters)[:60]
@@ -172,8 +174,8 @@ def _require_law(law: object, kind: str) -> None:
     if "kind" in {field.name for field in dataclasses.fields(parameters)}:
         taken = "kind, which names the law"
         raise LawError(f"{kind}: expected another name of a parameter than {taken}")
-    _require_call(law.reset, ("self", "start", "goal", "path"), f"{kind}: reset")  # type: ignore[attr-defined]
-    _require_call(law.step, ("self", "time_ns", "pose"), f"{kind}: step")  # type: ignore[attr-defined]
+    _require_call(law.reset, ("self", "start", "goal", "path"), f"{kind}: reset")
+    _require_call(law.step, ("self", "time_ns", "pose"), f"{kind}: step")
 
 
 def _require_call(method: object, names: tuple[str, ...], place: str) -> None:

@@ -14,7 +14,7 @@ from turtlelog.measure.metrics import (
     suggest_metrics,
 )
 from turtlelog.measure.path import read_reference_path
-from turtlelog.measure.references import read_heading_reference, read_reference
+from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
 from turtlelog.measure.settings import MeasureSettings
@@ -47,7 +47,6 @@ __all__ = [
     "list_signals",
     "measure_run",
     "miss_metric",
-    "read_heading_reference",
     "read_reference",
     "read_reference_path",
     "read_signal",

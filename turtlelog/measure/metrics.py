@@ -13,7 +13,7 @@ import numpy as np
 
 import turtlelog.measure.table  # noqa: F401  (enters every metric in the registry)
 from turtlelog.errors import MeasureError
-from turtlelog.loops import RESERVED, ControlLoop, Declaration
+from turtlelog.loops import RESERVED, ControlLoop, Declaration, is_loop_name
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Metric, Missing, Result, Status
 from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
@@ -82,8 +82,7 @@ def find_metric_kind(name: str) -> MetricKind | None:
     if name in RUN_METRICS:
         return RUN_METRICS[name]
     loop, _, plain = name.rpartition(".")
-    is_name = loop.replace("-", "_").isidentifier() and loop not in RESERVED
-    return METRICS.get(f"{ANY_LOOP}.{plain}") if is_name else None
+    return METRICS.get(f"{ANY_LOOP}.{plain}") if is_loop_name(loop) else None
 
 
 def choose_metrics(patterns: Collection[str], declaration: Declaration) -> tuple[str, ...]:
@@ -127,7 +126,7 @@ def _matches_any_loop(pattern: str) -> bool:
     loop, dot, plain = pattern.rpartition(".")
     if not dot or not any(sign in pattern for sign in "*?["):
         return False
-    is_loop = loop.replace("-", "_").isidentifier() or any(sign in loop for sign in "*?[")
+    is_loop = is_loop_name(loop) or any(sign in loop for sign in "*?[")
     return is_loop and any(fnmatchcase(name, plain) for name in LOOP_METRICS)
 
 

@@ -5,7 +5,7 @@ from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import LawDriver, Sample, build_law, declare_scenario
 from turtlelog.simulate.loop import Tick, iterate_ticks
 from turtlelog.simulate.queues import CommandQueue
-from turtlelog.simulate.sample_rows import SampleRows, list_extra_values
+from turtlelog.simulate.sample_rows import SampleRows
 
 __all__ = [
     "CommandQueue",
@@ -19,6 +19,5 @@ __all__ = [
     "collect_run",
     "declare_scenario",
     "iterate_ticks",
-    "list_extra_values",
     "simulate_run",
 ]

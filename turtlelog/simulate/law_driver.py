@@ -128,6 +128,14 @@ class LawDriver:
             if sequence == 0:
                 self._reset(pose)
             decision = self._step(time_ns, pose)
+            if (
+                decision.heading_error_rad is None
+                or decision.bearing_rad is None
+                or decision.error_x_m is None
+                or decision.error_y_m is None
+                or decision.phase is None
+            ):
+                decision = complete_decision(decision, pose, self._goal, self._first_phase)
             phase = self._judge(decision)
         except KeyboardInterrupt:
             raise

@@ -39,7 +39,7 @@ class SampleRows:
         """Take the next sample."""
         self._packed += self._pack(sample.time_ns, *sample.row)
         if self._extra is not None:
-            self._packed += self._extra.pack(*list_extra_values(sample, self._declaration))
+            self._packed += self._extra.pack(*_list_extra_values(sample, self._declaration))
 
     def build_columns(self) -> SampleColumns:
         """Return the columns of all samples so far."""
@@ -71,7 +71,7 @@ class SampleRows:
         )
 
 
-def list_extra_values(sample: Sample, declaration: Declaration) -> tuple[float, ...]:
+def _list_extra_values(sample: Sample, declaration: Declaration) -> tuple[float, ...]:
     """Return the states of a sample, and its reference pose where the law declares one."""
     states, reference = sample.decision.states, sample.decision.reference
     if not declaration.has_reference:
