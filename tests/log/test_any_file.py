@@ -1,13 +1,16 @@
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
 from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap, write_metadata
 from tests.log.runs import assert_same, find_shared, simulate_short_run
 from turtlelog.errors import LogError
-from turtlelog.log import write_recording
+from turtlelog.log import any_file, info, write_recording
 from turtlelog.log.any_file import read_run
+from turtlelog.log.error_boundary import open_file
 from turtlelog.log.exporters import export_rosbag2
+from turtlelog.log.recording import reader
 
 
 def test_a_recording_of_turtlelogs_is_read_whole(tmp_path: Path) -> None:
@@ -71,3 +74,17 @@ def test_a_damaged_recording_says_where(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(LogError, match=r"run\.mcap: .*expected the end of an MCAP file"):
         read_run(path)
+
+
+def test_a_recording_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, opened = tmp_path / "run.mcap", list[Path]()
+    write_recording(simulate_short_run(), path)
+
+    def count(place: Path) -> BinaryIO:
+        opened.append(place)
+        return open_file(place)
+
+    for module in (any_file, info, reader):
+        monkeypatch.setattr(module, "open_file", count)
+    read_run(path)
+    assert opened == [path]

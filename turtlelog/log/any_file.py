@@ -12,7 +12,7 @@ from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, read_info
 from turtlelog.log.recording.losses import PartialRecordingWarning
-from turtlelog.log.recording.reader import read_recording
+from turtlelog.log.recording.reader import read_if_own
 from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
 from turtlelog.run import Run
@@ -64,15 +64,15 @@ def read_run(
     path = Path(path)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
-    if not is_folder and not _is_mcap(path):
-        # What should be a recording is told so.
-        is_log = path.suffix.lower() in _LOG_SUFFIXES
-        return import_log(path) if is_log else read_recording(path)
+    if path.suffix.lower() in _LOG_SUFFIXES and not is_folder and not _is_mcap(path):
+        return import_log(path)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     is_usual = pose_topic in {None, POSE.name} and command_topic in {None, COMMAND.name}
-    own = _find_own_recording(path) if is_usual else None
-    if own is not None:
-        return read_recording(own, allow_partial=allow_partial)
+    # What should be a recording, and is no MCAP file, is told so.
+    if is_usual or not (is_folder or _is_mcap(path)):
+        own = _read_own(path, allow_partial=allow_partial)
+        if own is not None:
+            return own
     return read_bag(path, pose_topic=pose_topic, command_topic=command_topic)
 
 
@@ -116,14 +116,26 @@ def _is_mcap(path: Path) -> bool:
         return stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
 
 
-def _find_own_recording(path: Path) -> Path | None:
-    """Return the file that turtlelog wrote, or that is too damaged to say who did."""
+def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
+    """Return the run in a file or bag that turtlelog wrote, None in one that somebody else did.
+
+    Raises:
+        LogError: Also where the file is too damaged to say who did.
+    """
     files = list_bag_files(path)
     if len(files) != 1:
         return None
     try:
-        info = read_info(files[0])
+        return read_if_own(files[0], allow_partial=allow_partial)
     except LogError:
-        # Reading it says the same, or reads what can be read.
-        return files[0]
-    return files[0] if info.format_version is not None else None
+        if _is_mcap(files[0]) and _is_foreign(files[0]):
+            return None
+        raise
+
+
+def _is_foreign(path: Path) -> bool:
+    """Return whether a file that cannot be read as a recording still says that it is none."""
+    try:
+        return read_info(path).format_version is None
+    except LogError:
+        return False

@@ -3,7 +3,6 @@
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from struct import Struct
 from types import MappingProxyType
 from typing import Any, Final
@@ -18,9 +17,8 @@ from turtlelog.log.engine.message_types import (
     Column,
     Field,
     Layout,
-    lay_out,
     name_parts,
-    parse_schema,
+    read_type,
 )
 from turtlelog.log.engine.topic_columns import TopicColumns
 
@@ -64,13 +62,6 @@ class Records:
     sizes: NDArray[np.int64]
 
 
-@lru_cache(maxsize=256)
-def read_type(kind: str, definition: str) -> tuple[tuple[Field, ...], Layout | None]:
-    """Return the fields of a message type, and the layout of its records if they have one size."""
-    fields = parse_schema(kind, definition)
-    return fields, lay_out(fields)
-
-
 def encode_records(columns: TopicColumns, definition: str, channel: int) -> Records:
     """Return the messages of a topic as records in order of log time.
 
@@ -82,7 +73,8 @@ def encode_records(columns: TopicColumns, definition: str, channel: int) -> Reco
     Raises:
         LogError: Where a column is not one of the type, has another length, or does not fit.
     """
-    fields, layout = read_type(columns.type, definition)
+    kind = read_type(columns.type, definition)
+    fields, layout = kind.fields, kind.layout
     known = dict.fromkeys(_name_fields(fields, ""))
     for name in columns.fields:
         if name not in known:

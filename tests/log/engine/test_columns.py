@@ -1,4 +1,5 @@
 import struct
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from tests.log.engine.files import CODES, POINT, Row, pack, write_points, write_
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, iter_columns, read_columns
+from turtlelog.log.engine import source
 
 NUMBERS: dict[str, st.SearchStrategy[Any]] = {
     "bool": st.booleans(),
@@ -215,3 +217,20 @@ def test_other_peoples_files_are_read_as_far_as_understood(name: str, counts: An
     found = read_columns(find_shared("ros2", *name.split("/")))
     assert {topic: len(columns) for topic, columns in found.items()}.items() >= counts.items()
     assert bool(found) == bool(counts)
+
+
+@pytest.mark.parametrize(("rows", "pools"), [(1, 0), (2, 1)])
+def test_threads_are_started_for_more_than_one_chunk(
+    rows: int, pools: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = [Row(topic="/a", time_ns=row, data=pack([("uint8", 1)])) for row in range(rows)]
+    write_rows(tmp_path / "a.mcap", {"/a": ("test/msg/Kind", "uint8 a\n")}, data, chunk_size=1)
+    started: list[int] = []
+
+    def start(threads: int) -> ThreadPoolExecutor:
+        started.append(threads)
+        return ThreadPoolExecutor(threads)
+
+    monkeypatch.setattr(source, "ThreadPoolExecutor", start)
+    assert len(read_columns(tmp_path / "a.mcap")["/a"]) == rows
+    assert len(started) == pools

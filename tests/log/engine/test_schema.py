@@ -6,6 +6,8 @@ import pytest
 from tests.log.engine.files import CODES, Row, pack, write_rows
 from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, read_columns, read_info
+from turtlelog.log.engine import message_types
+from turtlelog.log.engine.message_types import MOST_KEPT_FIELDS, read_type
 
 LINE = "=" * 80 + "\n"
 
@@ -122,3 +124,20 @@ def test_types_nested_too_deeply_are_not_understood(tmp_path: Path) -> None:
     parts = [f"{LINE}MSG: test/T{number}\nT{number + 1} a\n" for number in range(2000)]
     with pytest.raises(LogError, match="not understood: schema test/T"):
         read_message(tmp_path, "T0 a\n" + "".join(parts), b"\0\1\0\0")
+
+
+@pytest.mark.parametrize(("more", "is_kept"), [(0, True), (1, False)])
+def test_types_of_usual_size_are_parsed_once(more: int, *, is_kept: bool) -> None:
+    text = "".join(f"float64 f{number}\n" for number in range(MOST_KEPT_FIELDS + more))
+    found = read_type("test/msg/Wide", text)
+    assert found.size == MOST_KEPT_FIELDS + more
+    assert (read_type("test/msg/Wide", text) is found) == is_kept
+    assert read_type("test/msg/Wide", f"int8 a\n{text}").size == found.size + 1
+
+
+def test_what_is_kept_of_types_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: dict[tuple[str, str], message_types.MessageType] = {}
+    monkeypatch.setattr(message_types, "_KEPT", kept)
+    for number in range(300):
+        read_type("test/msg/Kind", f"int8 a{number}\n")
+    assert len(kept) == 128

@@ -14,9 +14,7 @@ from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
     Field,
     Layout,
-    count_fields,
-    lay_out,
-    parse_schema,
+    read_type,
 )
 
 
@@ -172,11 +170,11 @@ def _parse(schema: Schema, allowance: Allowance) -> _Parsed:
     try:
         _check_length(schema)
         allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
-        fields = parse_schema(schema.name, schema.data.decode())
-        allowance.spend(FIELDS, count_fields(fields))
+        found = read_type(schema.name, schema.data.decode())
+        allowance.spend(FIELDS, found.size)
     except (LogError, UnicodeDecodeError) as err:
         return _Parsed(reason=str(err))
-    return _Parsed(fields=fields, layout=lay_out(fields))
+    return _Parsed(fields=found.fields, layout=found.layout)
 
 
 def _check_length(schema: Schema) -> None:

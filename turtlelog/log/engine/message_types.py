@@ -20,6 +20,11 @@ _DEEPEST: Final = 64
 LONGEST_TEXT: Final = 2**20
 """Bytes of a definition with all its types that is read; the longest known take a tenth."""
 
+MOST_KEPT_FIELDS: Final = 200
+"""Fields of a type that is kept for the next file, about 1 kB each; messages of ROS have fewer."""
+
+_MOST_KEPT: Final = 128  # types; so what is kept stays below 26 MB, whatever files hold
+
 _KINDS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "bool": "?",
@@ -101,6 +106,56 @@ class Field:
     kind: "str | tuple[Field, ...]"
     length: int | None = None
     is_sequence: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """The bytes of a message type of fixed size.
+
+    Attributes:
+        little: Record from the opcode to the last field, little-endian.
+        big: The same with big-endian fields.
+        size: Of the message, encapsulation included [bytes].
+        kinds: The type code of every field, by dotted name in order.
+    """
+
+    little: np.dtype[np.void]
+    big: np.dtype[np.void]
+    size: int
+    kinds: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MessageType:
+    """A type of messages.
+
+    Attributes:
+        fields: Of the type, nested ones within theirs.
+        layout: None where its messages differ in size.
+        size: Numbers, texts and sequences that the fields come to.
+    """
+
+    fields: tuple[Field, ...]
+    layout: Layout | None
+    size: int
+
+
+_KEPT: Final[dict[tuple[str, str], MessageType]] = {}
+
+
+def read_type(name: str, definition: str) -> MessageType:
+    """Return a message type; a usual one is parsed once in the life of the program.
+
+    Raises:
+        LogError: As `parse_schema`.
+    """
+    known = _KEPT.get((name, definition))
+    if known is None:
+        fields = parse_schema(name, definition)
+        known = MessageType(fields=fields, layout=lay_out(fields), size=count_fields(fields))
+        if known.size <= MOST_KEPT_FIELDS and len(_KEPT) < _MOST_KEPT:
+            _KEPT[name, definition] = known
+    return known
 
 
 def parse_schema(name: str, text: str) -> tuple[Field, ...]:
@@ -201,23 +256,6 @@ def _shorten(name: str, package: str = "") -> str:
     if before and before[-1] in {"msg", "srv", "action"}:
         before.pop()
     return f"{before[-1] if before else package}/{last}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
-    """The bytes of a message type of fixed size.
-
-    Attributes:
-        little: Record from the opcode to the last field, little-endian.
-        big: The same with big-endian fields.
-        size: Of the message, encapsulation included [bytes].
-        kinds: The type code of every field, by dotted name in order.
-    """
-
-    little: np.dtype[np.void]
-    big: np.dtype[np.void]
-    size: int
-    kinds: dict[str, str]
 
 
 def lay_out(fields: tuple[Field, ...]) -> Layout | None:

@@ -116,7 +116,9 @@ class Source:
             self.catalogue.check(block.rest, block.byte)
             return work(block)
 
-        yield from _map_ahead(build, self._read_chunks(wanted))
+        jobs = self._read_chunks(wanted)
+        # Threads cost more to start than one chunk takes.
+        yield from map(build, jobs) if len(wanted) <= 1 else _map_ahead(build, jobs)
 
     def _read_chunks(self, entries: Iterable[ChunkEntry]) -> Iterator[tuple[ChunkEntry, bytes]]:
         for entry in entries:

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, BinaryIO, Final
 
 from mcap.opcode import Opcode
@@ -14,7 +13,7 @@ from turtlelog.log.engine.blocks import walk_blocks
 from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
 from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.message_types import lay_out, parse_schema
+from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
 from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import Rows, TopicColumns, build_columns, make_empty_rows
@@ -53,11 +52,20 @@ class Contents:
     recovered: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_contents(stream: BinaryIO) -> Contents:
+class ForeignFileError(LogError):
+    """A file that turtlelog did not write."""
+
+
+def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents:
     """Return what a recording holds; every byte is checked by a checksum, where it has them.
+
+    Args:
+        stream: The file.
+        may_be_foreign: Do not look for damage that may have made it somebody else's.
 
     Raises:
         LogError: Where the file is no MCAP, or a topic of ours has another type.
+        ForeignFileError: Where it is somebody else's.
         DamageError: Where it was never finished, or is damaged.
     """
     source = Source(stream)
@@ -65,7 +73,9 @@ def read_contents(stream: BinaryIO) -> Contents:
         contents = _read_source(source)
     except DamageError:
         raise
-    except LogError:
+    except LogError as err:
+        if may_be_foreign and isinstance(err, ForeignFileError):
+            raise
         source.check_data()  # where a byte is wrong, that is the reason
         raise
     if source.index is not None:  # last: it names no place
@@ -158,7 +168,7 @@ def _find_head(records: Collection[Any]) -> Head:
     """Return the last one: a live recording says at its end how it ended."""
     heads = [found for found in records if isinstance(found, Metadata) and found.name == HEAD]
     if not heads:
-        raise LogError(
+        raise ForeignFileError(
             f"expected a metadata record {HEAD}, found none: not a recording by turtlelog"
         )
     return parse_head(heads[-1].metadata)
@@ -178,8 +188,7 @@ def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
         raise LogError(f"topic {topic}: expected {wanted}, found other fields")
 
 
-@lru_cache(maxsize=64)
 def _plan(topic: Topic, states: tuple[str, ...]) -> TopicPlan:
     definition = define_states(states) if states else SCHEMAS[topic.schema]
-    fields = parse_schema(topic.schema, definition)
-    return TopicPlan(topic=topic.name, type=topic.schema, fields=fields, layout=lay_out(fields))
+    kind = read_type(topic.schema, definition)
+    return TopicPlan(topic=topic.name, type=topic.schema, fields=kind.fields, layout=kind.layout)

@@ -17,6 +17,7 @@ from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.recording.contents import (
     Contents,
+    ForeignFileError,
     read_contents,
     reconcile_contents,
     salvage_contents,
@@ -56,9 +57,23 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
         LogError: One line with the file and the place, where it cannot be read, is no recording,
             is damaged, or was written by a newer turtlelog.
     """
+    return _read_file(path, allow_partial=allow_partial, may_be_foreign=False)
+
+
+def read_if_own(path: str | Path, *, allow_partial: bool = False) -> Run | None:
+    """Return the run in a recording as `read_recording` does; None where it is somebody else's."""
+    try:
+        return _read_file(path, allow_partial=allow_partial, may_be_foreign=True)
+    except LogError as err:
+        if isinstance(err.__cause__, ForeignFileError):
+            return None
+        raise
+
+
+def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -> Run:
     with name_file(path, expected="a turtlelog recording"), open_file(path) as stream:
         try:
-            return _build_whole_run(read_contents(stream))
+            return _build_whole_run(read_contents(stream, may_be_foreign=may_be_foreign))
         except DamageError as err:
             # Its frames hold what was unpacked: they go before the file is read once more.
             damage = str(err)
@@ -69,7 +84,7 @@ def read_recording(path: str | Path, *, allow_partial: bool = False) -> Run:
             run, lost = build_run(contents), describe_damages(contents.damages) + dropped
         except LogError as err:
             raise LogError(f"{damage}; in what it still holds: {err}") from err
-    warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=2)
+    warnings.warn(f"{path}: {lost}", PartialRecordingWarning, stacklevel=3)
     return replace(run, notes={**run.notes, "partial": lost})
 
 

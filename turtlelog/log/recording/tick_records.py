@@ -10,6 +10,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from turtlelog.log.container import ChunkRows
+from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.recording.run_writer import describe_event, describe_pose
 from turtlelog.log.recording.topics import (
     COMMAND,
@@ -28,7 +29,7 @@ from turtlelog.log.recording.topics import (
     describe_topics,
     list_topics,
 )
-from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, encode_fields, read_type
+from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, encode_fields
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario
@@ -51,7 +52,7 @@ _WORLD: Final = slice(12, 14)
 
 def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
     """Return what packs a whole record of a type of fixed size; CDR's gaps become zeros."""
-    _, layout = read_type(topic.schema, definitions[topic.schema])
+    layout = read_type(topic.schema, definitions[topic.schema]).layout
     if layout is None or layout.little.fields is None:
         raise TypeError(f"{topic.schema}: expected messages of one size")
     end, codes = HEAD.size, []
@@ -225,8 +226,8 @@ class TickRecords:
     ) -> None:
         """Add a message; without a number of its own it is numbered from 0."""
         messages = self._messages[topic.name]
-        fields, _ = read_type(topic.schema, SCHEMAS[topic.schema])
-        body = encode_fields(fields, values)
+        kind = read_type(topic.schema, SCHEMAS[topic.schema])
+        body = encode_fields(kind.fields, values)
         messages.entries += (time_ns, len(self._records))
         length = HEAD.size - UNCOUNTED + len(body)
         sequence = messages.count if number is None else number
