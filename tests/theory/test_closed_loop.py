@@ -1,4 +1,6 @@
 import math
+import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ from turtlelog.errors import TheoryError
 from turtlelog.theory import (
     compute_closed_loop_response,
     compute_exact_settling_time,
+    compute_plant_response,
     compute_root_locus,
     compute_saturated_settling_time,
     compute_settling_time,
@@ -63,3 +66,20 @@ def test_the_saturated_loop_settles_as_a_fine_simulation_does(kp: float, step: f
 def test_the_saturated_loop_needs_a_step_and_a_limit(changed: dict[str, float]) -> None:
     with pytest.raises(TheoryError, match="expected a number > 0"):
         compute_saturated_settling_time(1.0, **{"step": 1.0, "limit": 1.0, **changed})
+
+
+@pytest.mark.parametrize(
+    "compute",
+    [
+        lambda: compute_closed_loop_response(1.0, [0.0, 1.0]),
+        lambda: compute_root_locus([1.0]),
+        lambda: compute_plant_response("ramp", [0.0, 1.0]),
+    ],
+    ids=["step", "locus", "plant"],
+)
+def test_without_python_control_one_line_says_what_to_install(
+    compute: Callable[[], object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(TheoryError, match="python-control: expected `pip install control`"):
+        compute()

@@ -6,13 +6,14 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.loops import DONE, PAUSE, ControlLoop
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
-from turtlelog.run import PhaseSpan, Run
+from turtlelog.run import Run
+from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
@@ -30,7 +31,6 @@ _LABELS: Final = MappingProxyType(
         "zero": "zero",
     }
 )
-
 _INTEGRATED: Final = frozenset(
     {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
 )
@@ -78,14 +78,33 @@ class LoopStep:
     Attributes:
         loop: Which loop.
         kp: Its gain [1/s].
-        stretch: Where it acts first, its pause included.
-        reference: What it drives its signal to [rad or m].
+        start_ns: Where its first stretch begins, in the run's own time [ns].
+        end_ns: Where that ends, its pause included [ns].
+        initial: The signal when the stretch begins [deg or m].
+        reference: What it drives its signal to [deg or m]; a heading with the full turns of that
+            where the stretch ends.
     """
 
     loop: ControlLoop
     kp: float
-    stretch: tuple[PhaseSpan, ...]
+    start_ns: int
+    end_ns: int
+    initial: float
     reference: float
+
+    def respond(
+        self, time_s: ArrayLike, *, initial: float | None = None, target: float | None = None
+    ) -> Values:
+        """Return the ideal loop's response at times from the start of its stretch [s], shape (n,).
+
+        `initial` and `target` are those of another signal that the loop drives, in its own unit.
+        """
+        return compute_step_response(
+            self.kp,
+            time_s,
+            initial=self.initial if initial is None else initial,
+            reference=self.reference if target is None else target,
+        )
 
 
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:
@@ -139,18 +158,33 @@ def read_distance_to_reference(run: Run) -> Values | None:
     return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
 
 
-def find_steps(run: Run, signal: str) -> Iterator[LoopStep]:
+def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
     """Yield the step of each loop of a signal whose response theory knows, in declared order.
 
     The reference stands still, the signal integrates the command, and the gain is known.
     """
-    for loop in list_loops(run, signal):
+    signal = read_signal(run, signal_name)
+    for loop in list_loops(run, signal_name):
         if loop.moves or not has_response(loop):
             continue
-        kp, stretch = find_gain(run, loop), tuple(find_first_stretch(run, loop))
+        kp, stretch = find_gain(run, loop), find_first_stretch(run, loop)
         reference = read_reference(run, loop)
-        if kp is not None and stretch and isinstance(reference, float):
-            yield LoopStep(loop=loop, kp=kp, stretch=stretch, reference=reference)
+        if signal is None or kp is None or not stretch or not isinstance(reference, float):
+            continue
+        start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
+        rows = np.searchsorted(signal.time_ns, [start_ns, end_ns])
+        initial, last = signal.values[np.minimum(rows, len(signal.values) - 1)].tolist()
+        if signal.kind.unit == "rad":
+            reference += round((last - reference) / (2.0 * np.pi)) * 2.0 * np.pi
+            initial, reference = float(np.degrees(initial)), float(np.degrees(reference))
+        yield LoopStep(
+            loop=loop,
+            kp=kp,
+            start_ns=start_ns,
+            end_ns=end_ns,
+            initial=initial,
+            reference=reference,
+        )
 
 
 def has_response(loop: ControlLoop) -> bool:

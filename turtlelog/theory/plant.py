@@ -70,9 +70,7 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
     Raises:
         TheoryError: Where there is no such input, or times are not even.
     """
-    import control
-
-    times = require_even_times(time_s)
+    control, times = load_control(), require_even_times(time_s)
     _require_kind(kind)
     plant = control.tf(*PLANT)
     if kind == "impulse":
@@ -144,6 +142,19 @@ def judge_bibo(numerator: ArrayLike, denominator: ArrayLike) -> BiboVerdict:
         return BiboVerdict(stable=False, reason=reason)
     place = "on the imaginary axis" if (poles.real <= 0.0).all() else "in the right half plane"
     return BiboVerdict(stable=False, reason=f"it has a pole {place}: its own motion does not fade")
+
+
+def load_control() -> Any:
+    """Return python-control, which is loaded only where it is needed.
+
+    Raises:
+        TheoryError: Where it is not installed.
+    """
+    try:
+        import control
+    except ImportError as err:
+        raise TheoryError("python-control: expected `pip install control`, found none") from err
+    return control
 
 
 def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:

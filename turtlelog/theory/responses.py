@@ -16,7 +16,7 @@ from turtlelog.theory.inputs import (
     require_positive,
     require_times,
 )
-from turtlelog.theory.plant import PLANT, require_even_times
+from turtlelog.theory.plant import PLANT, load_control, require_even_times
 
 LARGEST_DEVIATION: Final = 1e9
 """Where the response of an unstable loop is stopped, in steps from the reference."""
@@ -78,8 +78,7 @@ def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.flo
     Raises:
         TheoryError: Where the gain is not a positive number, or times are not even.
     """
-    import control
-
+    control = load_control()
     kp, times = require_gain(kp), require_even_times(time_s)
     response = control.step_response(control.tf([kp], [1.0, kp]), times)
     return np.asarray(response.outputs, dtype=np.float64)
@@ -97,9 +96,7 @@ def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
     Raises:
         TheoryError: Where a gain is negative or no number.
     """
-    import control
-
-    gains = require_gains(kp)
+    control, gains = load_control(), require_gains(kp)
     loci = control.root_locus_map(control.tf(*PLANT), gains=gains).loci
     return np.asarray(loci, dtype=np.complex128).reshape(len(gains))
 

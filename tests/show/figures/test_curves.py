@@ -193,6 +193,16 @@ def test_the_ideal_response_is_that_of_the_same_gain(name: str, panel: int) -> N
     assert ideal[0] == pytest.approx(whole[-len(ideal)])
 
 
+def test_the_ideal_heading_turns_the_way_that_the_robot_turned() -> None:
+    # From 170 deg to a goal at -170 deg: the heading counts on to 190 deg.
+    changes = {"start.heading_rad": 2.96706, "start.x_m": 8.0, "start.y_m": 6.0}
+    goal = {"law.wrap_error": True, "goal.x_m": 8.0 - 3.939231, "goal.y_m": 6.0 - 0.6945927}
+    run = tl.simulate_run(override_scenario(get_preset("paper-kp4"), {**changes, **goal}))
+    ((_, ideal),) = find_lines(tl.draw_figure("heading", [run]).axes[0], "ideal")
+    assert heading(run)[-1] == pytest.approx(-170.0, abs=0.2)
+    assert (ideal[0], ideal[-1]) == pytest.approx((170.0, 190.0), abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("name", "panel", "label", "levels"),
     [

@@ -1,6 +1,7 @@
 """What figures show, read from their structure."""
 
 import re
+import sys
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache
@@ -429,3 +430,15 @@ def test_a_long_run_is_thinned_and_says_so() -> None:
         assert len(drawn) < 21_000
         assert drawn.max() == long.xy_m[:, 0 if name == "position" else 1].max()
         assert "over 20,000 points are\nthinned" in figure.get_supxlabel()
+
+
+def test_without_python_control_figures_of_theory_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    run = tl.simulate_run(get_preset("paper-kp10"))
+    theory = "plant, step-responses, root-locus"
+    assert f"left out {theory}: expected python-control, found none" in list_left_out([run])
+    with pytest.raises(ShowError, match="figure plant: expected python-control, found none"):
+        tl.write_figures([], tmp_path)
+    assert tl.draw_figure("heading", [run]).axes

@@ -22,7 +22,6 @@ from turtlelog.show.aims import (
     read_commanded,
 )
 from turtlelog.show.thinning import MOST_POINTS, choose_rows
-from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
@@ -135,12 +134,12 @@ def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
 
 def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) -> Curve | None:
     target = _find_target(run, signal_name, step)
-    start_s = (step.stretch[0].start_ns - run.start_ns) / 1e9
+    start_s = (step.start_ns - run.start_ns) / 1e9
     after = measured.time_s >= start_s
     if target is None or not after.any():
         return None
     time_s, initial = measured.time_s[after], float(measured.values[after][0])
-    values = compute_step_response(step.kp, time_s - start_s, initial=initial, reference=target)
+    values = step.respond(time_s - start_s, initial=initial, target=target)
     return Curve(time_s=time_s, values=values)
 
 
@@ -150,7 +149,7 @@ def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
         return 0.0
     if signal_name in ("x", "y"):
         return None if run.goal_xy_m is None else run.goal_xy_m["xy".index(signal_name)]
-    return float(np.degrees(step.reference)) if signal_name == "heading" else step.reference
+    return step.reference
 
 
 def list_targets(run: Run, signal_name: str) -> list[Level]:

@@ -9,7 +9,15 @@ from matplotlib.figure import Figure
 from turtlelog.run import Run
 from turtlelog.show.aims import find_gain, has_response
 from turtlelog.show.figures.page import REFERENCE, choose_lines
-from turtlelog.theory import compute_settling_time, compute_step_response
+from turtlelog.theory import (
+    PLANT_INPUTS,
+    compute_closed_loop_response,
+    compute_plant_response,
+    compute_root_locus,
+    compute_settling_time,
+    compute_step_response,
+    find_plant_final_value,
+)
 
 PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
 _LAST_S: Final = 5.0
@@ -18,14 +26,10 @@ _LAST_S: Final = 5.0
 def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
     """Draw the plant 1/s answering an impulse, a step and a ramp."""
     time_s = np.linspace(0.0, _LAST_S, 201)
-    responses = (
-        ("impulse", np.ones_like(time_s), "bounded"),
-        ("step", time_s, "unbounded"),
-        ("ramp", time_s**2 / 2.0, "unbounded"),
-    )
-    for axes, (name, values, end) in zip(figure.subplots(1, 3), responses, strict=True):
-        axes.plot(time_s, values, **choose_lines(1)[0])
-        axes.set(xlabel="time [s]", title=f"{name}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
+    for axes, kind in zip(figure.subplots(1, 3), PLANT_INPUTS, strict=True):
+        axes.plot(time_s, compute_plant_response(kind, time_s), **choose_lines(1)[0])
+        end = "unbounded" if find_plant_final_value(kind).value is None else "bounded"
+        axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
     figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
 
 
@@ -37,7 +41,8 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
     for gain, looks in zip(gains, choose_lines(len(gains)), strict=True):
-        axes.plot(time_s, compute_step_response(gain, time_s), label=f"Kp = {gain:g}", **looks)
+        values = compute_closed_loop_response(gain, time_s)
+        axes.plot(time_s, values, label=f"Kp = {gain:g}", **looks)
         settled_s = compute_settling_time(gain)
         level = compute_step_response(gain, np.array([settled_s]))
         label = "4 τ" if gain == gains[-1] else None
@@ -53,8 +58,11 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
     axes.plot([0.0, left], [0.0, 0.0], color="0.3", label="s = -Kp")
     axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
-    for gain, looks in zip(gains, choose_lines(len(gains)), strict=True):
-        axes.plot([-gain], [0.0], "o", ms=4.5, color=looks["color"], label=f"Kp = {gain:g}")
+    poles = compute_root_locus(gains)
+    for gain, pole, looks in zip(gains, poles, choose_lines(len(gains)), strict=True):
+        axes.plot(
+            [pole.real], [pole.imag], "o", ms=4.5, color=looks["color"], label=f"Kp = {gain:g}"
+        )
     axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
     axes.set_ylim(-1.0, 1.0)
 

@@ -106,7 +106,7 @@ def add_figures(
         found = repr(unknown[0]) if unknown else "none"
         raise ShowError(f"format: expected some of {', '.join(FIGURE_FORMATS)}, found {found}")
     names = [name for name, kind in FIGURES.items() if not kind.find_lack(runs)]
-    for name in only or ():
+    for name in (only or ()) if names else FIGURES:
         _find_kind(name, runs)
     written = []
     for name in names if only is None else dict.fromkeys(only):
