@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from turtlelog.check.cut import Ending, find_ending
 from turtlelog.check.deciding import find_decision
-from turtlelog.check.failures import UndecidedError
+from turtlelog.check.result import UndecidedError
 from turtlelog.check.robustness import Margins
 from turtlelog.check.sides import read_sides
 from turtlelog.check.signals import Signals, Trace, check_names, read_signals
