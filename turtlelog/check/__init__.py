@@ -4,6 +4,7 @@ from turtlelog.check.artifacts import Artifacts, ArtifactWriter, write_artifacts
 from turtlelog.check.cut import cut_run
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.judge_difference import judge_replay, match_run
+from turtlelog.check.piecewise_constant import Steps
 from turtlelog.check.recording import Recording
 from turtlelog.check.result import (
     CheckResult,
@@ -19,7 +20,6 @@ from turtlelog.check.runs import check_runs
 from turtlelog.check.signals import Signals, read_signals
 from turtlelog.check.spec import Check, Spec, Tolerances
 from turtlelog.check.spec_file import load_spec, load_tolerances, parse_spec
-from turtlelog.check.steps import Steps
 
 __all__ = [
     "ArtifactWriter",
