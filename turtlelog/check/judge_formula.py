@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
-from turtlelog.check.moments import find_metric_violation
 from turtlelog.check.result import CheckResult, Verdict, describe_status
 from turtlelog.check.spec import Check
 from turtlelog.check.surroundings import choose_signals
+from turtlelog.check.violation_time import find_metric_violation
 from turtlelog.check.vocabulary import (
     describe_no_phase,
     find_kind,

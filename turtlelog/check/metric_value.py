@@ -8,7 +8,6 @@ from numbers import Real
 from typing import Any, Protocol, runtime_checkable
 
 from turtlelog.check.arithmetic import FloatArithmetic
-from turtlelog.check.moments import find_metric_violation
 from turtlelog.check.operators import MIRRORED, OPERATORS, measure_margin
 from turtlelog.check.result import (
     CheckResult,
@@ -18,6 +17,7 @@ from turtlelog.check.result import (
     format_number,
 )
 from turtlelog.check.surroundings import choose_signals
+from turtlelog.check.violation_time import find_metric_violation
 from turtlelog.errors import CheckError
 from turtlelog.measure import MeasureSettings, Metric, Status, measure_run
 from turtlelog.run import Run

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 from turtlelog.check.cut import find_loss
+from turtlelog.check.failure_message import describe_failure
 from turtlelog.check.judge_difference import AnyTolerance, match_run
 from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.law_replay import DrivenRecording
-from turtlelog.check.message import describe_failure
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.reference import Reference
 from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError

@@ -10,12 +10,12 @@ from turtlelog.compare.difference import (
     tabulate_differences,
 )
 from turtlelog.compare.files import summarise_files
-from turtlelog.compare.gains import mark_metric, tabulate_runs
 from turtlelog.compare.ids import ALIGNMENTS, list_units, order_ids
 from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
-from turtlelog.compare.names import name_runs
 from turtlelog.compare.order import order_by_gain
 from turtlelog.compare.paper_tables import tabulate_table1, tabulate_whole_runs
+from turtlelog.compare.run_names import name_runs
+from turtlelog.compare.run_table import mark_metric, tabulate_runs
 from turtlelog.compare.summary import (
     RunSummary,
     choose_columns,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.plants.turtlesim import TICK_S, Turtle
-from turtlelog.replay.breaks import Gap, Jump, find_breaks
+from turtlelog.replay.command_matching import CommandUse, Velocity, place_commands
 from turtlelog.replay.difference import (
     Difference,
     Pairing,
@@ -17,7 +17,7 @@ from turtlelog.replay.difference import (
     compare_pairing,
     find_earliest,
 )
-from turtlelog.replay.placement import CommandUse, Velocity, place_commands
+from turtlelog.replay.discontinuities import Gap, Jump, find_breaks
 from turtlelog.replay.recorded import RecordedMotion, read_motion
 from turtlelog.run import Run
 
