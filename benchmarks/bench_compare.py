@@ -63,9 +63,9 @@ def measure(call: Callable[[], object]) -> float:
 
 def main() -> None:
     reference, run = make_run(1, 0), make_run(2, 5_000_000)
-    from turtlelog.compare.clock import align_runs
+    from turtlelog.compare.alignment import align_runs
+    from turtlelog.compare.difference import _compare_signals, _measure_rows
     from turtlelog.compare.tube import lay_grid, read_rows
-    from turtlelog.compare.verdict import judge_signal
 
     clock = align_runs(reference, run, "recorded")
     at = np.sort(np.concatenate([reference.poses.time_ns, run.poses.time_ns]), kind="stable")
@@ -84,18 +84,17 @@ def main() -> None:
             clock.place_signal(signals[1], run),
         ]
 
-        def judge(pair: list[tl.Signal] = placed, limit: tl.Tolerance = tolerance) -> object:
+        def compare(pair: list[tl.Signal] = placed, limit: tl.Tolerance = tolerance) -> object:
             grid = lay_grid(pair[0].time_ns, pair[1].time_ns, clock.span)
-            return judge_signal(pair[0], read_rows(pair[1], grid), limit, clock)
+            return _measure_rows(pair[0], read_rows(pair[1], grid), limit, clock, [])
 
-        took = measure(judge)
+        took = measure(compare)
         print(f"tube of {name:5} within {time_s:7.3f} s    {took:7.3f} s, {took / interp_s:5.1f} x")
-    tolerances = tl.Tolerances(
-        signals={name: tl.Tolerance(abs=1e-3, time_s=0.032) for name in ("x", "y", "speed")}
-    )
-    from turtlelog.compare.difference import _compare_signals
-
-    took = measure(lambda: _compare_signals(reference, run, clock, tolerances.signals))
+    close = tl.Tolerance(abs=1e-3, time_s=0.032)
+    tolerances = {
+        name: close if name in {"x", "y", "speed"} else tl.Tolerance() for name in tl.SIGNALS
+    }
+    took = measure(lambda: _compare_signals(reference, run, clock, tolerances))
     print(f"whole comparison, all signals     {took:7.3f} s, {took / read_s:5.1f} x reading them")
 
 

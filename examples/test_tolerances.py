@@ -1,4 +1,4 @@
-"""Hold today's simulation to recorded runs, within the tolerances of a file.
+"""Hold today's simulation to recorded runs, within the tolerances of a specification.
 
 Run: pytest examples/test_tolerances.py
 """
@@ -18,12 +18,12 @@ TOLERANCES = tl.load_tolerances(HERE / "tolerances.toml")
 def test_todays_simulation_is_within_the_tolerances(path: Path) -> None:
     recording = tl.read_run(path)
     today = tl.simulate_run(tl.load_scenario(recording.name))
-    comparison = tl.compare_runs(recording, today, tolerances=TOLERANCES)
-    assert [found for found in comparison.findings if not found.within] == []
+    results = tl.match_run(today, recording, TOLERANCES)
+    assert [result for result in results if not result] == []
 
 
 def test_a_shorter_pause_is_not() -> None:
     recording = tl.read_run(RECORDINGS[0])
     scenario = tl.override_scenario(tl.load_scenario(recording.name), {"law.pause_ticks": 20})
-    comparison = tl.compare_runs(recording, tl.simulate_run(scenario), tolerances=TOLERANCES)
-    assert comparison.verdict == "fail"
+    results = tl.match_run(tl.simulate_run(scenario), recording, TOLERANCES)
+    assert tl.join_verdicts(results) == "FAIL"

@@ -10,7 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Recording, UndecidedError, Verdict
-from turtlelog.check.outcome import CheckOutcome
+from turtlelog.check.result import CheckOutcome
 
 
 @pytest.fixture(scope="module")

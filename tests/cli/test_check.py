@@ -22,6 +22,24 @@ when = "law.kp_linear < 5"
 """
 
 
+TOLERANCES = """format = 1
+[signals.x]
+abs = 0.001
+time_s = 0.032
+reason = "two ticks"
+[metrics."final.position_error"]
+abs = 0.5
+reason = "close by"
+"""
+
+
+@pytest.fixture
+def tolerances(tmp_path: Path) -> Path:
+    path = tmp_path / "tolerances.toml"
+    path.write_text(TOLERANCES, encoding="utf-8")
+    return path
+
+
 @pytest.fixture
 def spec(tmp_path: Path) -> Path:
     path = tmp_path / "spec.toml"
@@ -60,6 +78,41 @@ def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> 
     assert failed["file"] == str(kp10)
     assert failed["margin"] == failed["limit"] - failed["value"] < 0
     assert (failed["unit"], failed["first_violation_s"], failed["reason"]) == ("%", 2.288, None)
+
+
+def test_a_run_within_its_tolerances_passes(call: Call, kp4: Path, tolerances: Path) -> None:
+    answer = call("check", tolerances, kp4, "--reference", kp4)
+    assert answer.code == 0
+    assert f"PASS  {kp4}  metrics.final.position_error" in answer.out
+    assert answer.out.endswith("PASS: 1 recording, 2 pass, 0 fail, 0 skipped\n")
+
+
+def test_a_run_outside_fails_with_value_limit_and_time(
+    call: Call, kp4: Path, kp10: Path, tolerances: Path
+) -> None:
+    answer = call("check", tolerances, kp4, kp10, "--reference", kp4)
+    assert answer.code == 1
+    assert re.search(r"signals\.x: \S+ m where the reference has \S+ m at \S+ s", answer.out)
+    assert "s (two ticks)\n" in answer.out
+    assert answer.out.endswith("FAIL: 2 recordings, 3 pass, 1 fail, 0 skipped\n")
+
+
+def test_verdicts_against_a_reference_stand_in_json(
+    call: Call, kp4: Path, kp10: Path, tolerances: Path
+) -> None:
+    text = tolerances.read_text("utf-8").replace("= 1\n", '= 1\nalignment = "phase:translate"\n', 1)
+    tolerances.write_text(text, encoding="utf-8")
+    answer = call("check", tolerances, kp4, kp10, "--reference", kp4, "--json")
+    assert (answer.code, answer.json["verdict"]) == (1, "FAIL")
+    results = answer.json["results"]
+    assert [result["verdict"] for result in results] == ["PASS", "PASS", "FAIL", "PASS"]
+    assert [result["file"] for result in results] == [str(kp4)] * 2 + [str(kp10)] * 2
+    x, error = results[2:]
+    assert (x["check"], x["limit"]) == ("signals.x", 0.001)
+    assert x["expected"] == "within 0.001 m of the reference within 0.032 s"
+    assert x["first_violation_s"] <= x["value_s"]
+    assert x["margin"] == pytest.approx(x["limit"] - x["value"])
+    assert (error["decided"], error["limit"]) == (True, 0.5)
 
 
 def test_junit_has_cases_and_every_metric(

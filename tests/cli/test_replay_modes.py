@@ -137,6 +137,46 @@ def test_a_difference_fails_only_where_equality_is_expected(call: Call, kp4: Pat
     assert call("replay", kp4, "--plant", "--expect-equal").code == 0
 
 
+@pytest.mark.parametrize("mode", [[], ["--law"]], ids=["loop", "law"])
+def test_the_verdict_on_a_replay_is_that_of_check(call: Call, kp4: Path, mode: list[str]) -> None:
+    words = ["replay", kp4, *mode, "--set", "law.kp_linear=4.000004"]
+    answer = call(*words, "--expect-equal", "--json").json
+    name = mode[0].strip("-") if mode else "loop"
+    differing = {found["signal"]: found for found in answer["signals"] if found["differing"]}
+    failed = {found["check"]: found for found in answer["results"] if found["verdict"] == "FAIL"}
+    assert answer["verdict"] == "FAIL"
+    assert {f"{name}.{signal}" for signal in differing} == {*failed}
+    assert len(answer["results"]) == len(answer["signals"]) > len(failed)
+    for signal, found in differing.items():
+        result = failed[f"{name}.{signal}"]
+        assert (result["value"], result["value_s"]) == (found["largest"], found["at_s"])
+        assert result["margin"] == -found["largest"]
+        assert result["first_violation_s"] == found["first_difference"]["time_s"]
+    text = call(*words, "--expect-equal").out
+    counts = f"{len(answer['results']) - len(failed)} pass, {len(failed)} fail"
+    assert text.endswith(f"\nFAIL: 1 recording, {counts}, 0 skipped\n")
+    assert call(*words).out.rstrip() in text
+    assert "PASS" not in text
+    assert "verdict" not in call(*words, "--json").json
+
+
+def test_a_replay_that_ends_elsewhere_fails_by_its_counts_and_end(call: Call, kp4: Path) -> None:
+    words = ["replay", kp4, "--scenario", "paper-kp10", "--expect-equal", "--json"]
+    results = {found["check"]: found for found in call(*words).json["results"]}
+    assert results["loop.samples"]["reason"] == "recorded 681, replayed 770"
+    assert results["loop.samples"]["first_violation_s"] == 11.184
+
+
+def test_rounding_is_the_limit_of_a_replay_through_the_plant(call: Call, kp4: Path) -> None:
+    answer = call("replay", kp4, "--plant", "--expect-equal", "--json").json
+    (stretch,) = answer["stretches"]
+    found = [(result["check"], result["limit"]) for result in answer["results"]]
+    rounding = stretch["rounding"]
+    limits = [rounding["position"], rounding["position"], rounding["heading"]]
+    assert found == list(zip(["plant.x", "plant.y", "plant.heading"], limits, strict=True))
+    assert answer["verdict"] == "PASS"
+
+
 def test_a_recovered_recording_is_replayed_as_far_as_it_goes(call: Call, tmp_path: Path) -> None:
     live, cut, whole = (tmp_path / f"{name}.mcap" for name in ("live", "cut", "whole"))
     scenario = tl.load_scenario("paper-kp4")

@@ -1,12 +1,15 @@
 import dataclasses
 
+import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 import turtlelog as tl
+from tests.compare.runs import make_run
 from turtlelog.errors import CompareError
 
 KP4 = tl.simulate_run(tl.load_scenario("paper-kp4"))
+KP1 = tl.simulate_run(tl.load_scenario("paper-kp1"))
 
 
 def shift_poses(run: tl.Run, row: int, by_m: float) -> tl.Run:
@@ -75,3 +78,68 @@ def test_phases_differ_or_they_do_not() -> None:
     comparison = tl.compare_runs(KP4, tl.simulate_run(tl.load_scenario("paper-kp1")))
     found = next(found for found in comparison.signals if found.signal == "phase")
     assert found.largest == 1.0
+
+
+def test_runs_are_brought_together_at_the_start_of_a_phase() -> None:
+    comparison = tl.compare_runs(KP4, KP1, alignment="phase:translate")
+    largest = {found.signal: found.largest for found in comparison.signals}
+    assert largest["phase"] == 0.0
+    assert (comparison.overlap_from_s, comparison.alignment) == (0.0, "phase:translate")
+    starts = [
+        next(span.start_ns for span in run.find_phase_spans() if span.phase == "translate")
+        for run in (KP4, KP1)
+    ]
+    ends = [run.end_ns - start for run, start in zip((KP4, KP1), starts, strict=True)]
+    assert comparison.overlap_s == min(ends) / 1e9
+
+
+def test_recorded_times_are_compared_as_they_are() -> None:
+    time_s = np.arange(100) * 0.1
+    early, late = (
+        make_run(time_s=time_s + zero_s, x_m=time_s, sample_time_s=[zero_s], speed_m_s=[0.0])
+        for zero_s in (0.0, 2.0)
+    )
+    comparison = tl.compare_runs(early, late, alignment="recorded")
+    assert (comparison.overlap_from_s, comparison.overlap_s) == (2.0, 7.9)
+    assert comparison.signals[0].largest == pytest.approx(2.0)
+    assert tl.compare_runs(early, late).signals[0].largest == 0.0
+
+
+def test_samples_are_compared_by_their_number_with_the_poses_that_they_read() -> None:
+    late = dataclasses.replace(
+        KP4, samples=dataclasses.replace(KP4.samples, time_ns=KP4.samples.time_ns + 5_000_000)
+    )
+    comparison = tl.compare_runs(KP4, late, alignment="sample")
+    assert {found.largest for found in comparison.signals} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("alignment", "message"),
+    [
+        (
+            "phase:done",
+            "paper-kp4: expected a phase done to align at, found rotate, pause, translate",
+        ),
+        ("phase:translat", "alignment: expected phase:translate, .* or .*, found 'phase:translat'"),
+        ("", "alignment: expected first_sample, .* or .*, found ''"),
+    ],
+)
+def test_what_cannot_be_aligned_is_told(alignment: str, message: str) -> None:
+    with pytest.raises(CompareError, match=message):
+        tl.compare_runs(KP4, KP1, alignment=alignment)
+
+
+def test_runs_without_samples_have_no_numbers_to_align_by() -> None:
+    with pytest.raises(CompareError, match="bag: expected samples to align by number, found none"):
+        tl.compare_runs(KP4, make_run(name="bag"), alignment="sample")
+
+
+def test_recorded_times_that_do_not_overlap_are_refused() -> None:
+    runs = [make_run(time_s=(start, start + 1.0), name=f"at-{start}") for start in (0, 5)]
+    with pytest.raises(CompareError, match=r"found 0.00 to 1.00 s and 5.00 to 6.00 s"):
+        tl.compare_runs(*runs, alignment="recorded")
+
+
+def test_samples_that_numbers_leave_out_are_noted() -> None:
+    notes = tl.compare_runs(KP4, KP1, alignment="sample").notes
+    assert notes == ("681 samples are compared by number: paper-kp4 has 681, paper-kp1 1265.",)

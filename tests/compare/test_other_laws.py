@@ -7,7 +7,6 @@ import pytest
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
-from turtlelog.compare import Finding
 from turtlelog.errors import CompareError
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.run import Run
@@ -22,12 +21,12 @@ def read_titles(table: tl.Table) -> list[str]:
     return [column.title for column in table.columns]
 
 
-def judge(reference: Run, run: Run, **names: str) -> Finding:
+def judge(reference: Run, run: Run, **names: str) -> tl.CheckResult:
     ((kind, name),) = names.items()
     tolerance = dataclasses.replace(CLOSE, abs=0.0) if name == "phase" else CLOSE
     tolerances = tl.Tolerances(**{f"{kind}s": {name: tolerance}})
-    (finding,) = tl.compare_runs(reference, run, tolerances=tolerances).findings
-    return finding
+    (result,) = tl.match_run(run, reference, tolerances)
+    return result
 
 
 def test_tables_have_the_columns_of_the_loops_that_the_runs_have() -> None:
@@ -96,19 +95,19 @@ def test_runs_stand_in_the_order_of_the_gains_that_their_laws_declare() -> None:
 def test_states_are_signals_where_both_runs_have_them() -> None:
     largest = {found.signal: found.largest for found in tl.compare_runs(ONE, TWO).signals}
     assert largest["memory"] > 1.0
-    assert judge(ONE, ONE, signal="memory").within
-    assert not judge(ONE, TWO, signal="memory").within
+    assert judge(ONE, ONE, signal="memory").verdict == "PASS"
+    assert judge(ONE, TWO, signal="memory").verdict == "FAIL"
 
 
 def test_a_state_of_another_law_is_not_held_and_what_nobody_has_is_told_with_the_nearest() -> None:
-    finding = judge(PAPER, ONE, signal="memory")
+    result = judge(PAPER, ONE, signal="memory")
     expected = "paper-kp4 does not hold it: no state of its law (it has none)"
-    assert (finding.within, finding.reason) == (False, expected)
-    finding = judge(ONE, TWO, signal="memry")
+    assert (result.verdict, result.reason) == ("FAIL", expected)
+    result = judge(ONE, TWO, signal="memry")
     expected = (
         "neither a signal nor a state of these laws (they have memory); the nearest are memory"
     )
-    assert (finding.within, finding.reason) == (False, expected)
+    assert (result.verdict, result.reason) == ("FAIL", expected)
 
 
 def renumber(run: Run) -> Run:
@@ -123,9 +122,12 @@ def renumber(run: Run) -> Run:
 def test_phases_are_compared_by_name() -> None:
     again = renumber(ONE)
     assert (again.samples.phase != ONE.samples.phase).all()
-    assert judge(ONE, again, signal="phase").within
-    finding = judge(PAPER, ONE, signal="phase")
-    assert (finding.within, finding.reason) == (False, "one, where the reference has rotate")
+    assert judge(ONE, again, signal="phase").verdict == "PASS"
+    result = judge(PAPER, ONE, signal="phase")
+    assert (result.verdict, result.reason) == (
+        "FAIL",
+        "one where the reference has rotate at 0.000 s",
+    )
 
 
 def test_runs_are_brought_together_at_any_phase_that_both_have() -> None:
@@ -142,10 +144,10 @@ def test_metrics_of_both_laws_are_paired_and_one_that_neither_has_does_not_pass(
     pairs = {pair.metric.id: pair for pair in tl.compare_runs(PAPER, ONE).metrics}
     assert pairs["rotate.overshoot"].metric.status == "no_phase"
     assert pairs["a.rms_error"].reference.status == "no_phase"
-    assert judge(ONE, ONE, metric="a.rms_error").within
-    finding = judge(ONE, ONE, metric="rotate.overshoot")
+    assert judge(ONE, ONE, metric="a.rms_error").verdict == "PASS"
+    result = judge(ONE, ONE, metric="rotate.overshoot")
     expected = "no_phase (the run declares no loop rotate (it declares a, b))"
-    assert (finding.within, finding.reason) == (False, expected)
+    assert (result.verdict, result.reason) == ("FAIL", expected)
 
 
 def swap_signals(run: Run) -> Run:
@@ -165,9 +167,9 @@ def test_metrics_of_one_id_and_two_units_are_not_compared() -> None:
     ids = {pair.metric.id for pair in comparison.metrics}
     assert ("b.rms_error" in ids, "b.duration" in ids) == (False, True)
     assert any("The loop b controls another signal" in note for note in comparison.notes)
-    finding = judge(ONE, other, metric="b.rms_error")
-    assert (finding.within, finding.value) == (False, None)
-    assert finding.reason == "in deg, where the reference has m: not compared"
+    result = judge(ONE, other, metric="b.rms_error")
+    assert (result.verdict, result.value) == ("FAIL", None)
+    assert result.reason == "in deg, where the reference has m: not compared"
     summaries = [tl.summarise_run(run) for run in (ONE, other)]
     table = tl.tabulate_runs(summaries, only=["b.rms_error", "b.duration"])
     assert [str(row[-2]).rpartition(" ")[2] for row in table.rows] == ["m", "deg"]

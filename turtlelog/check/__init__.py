@@ -2,16 +2,24 @@
 
 from turtlelog.check.artifacts import Artifacts, ArtifactWriter, write_artifacts
 from turtlelog.check.cut import cut_run
-from turtlelog.check.failures import MissingValueError, PartialLogError, UndecidedError
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
+from turtlelog.check.judge_difference import judge_replay, match_run
+from turtlelog.check.piecewise_constant import Steps
 from turtlelog.check.recording import Recording
-from turtlelog.check.result import CheckResult, Verdict, format_number, join_verdicts
+from turtlelog.check.result import (
+    CheckResult,
+    MissingValueError,
+    PartialLogError,
+    UndecidedError,
+    Verdict,
+    format_number,
+    join_verdicts,
+)
 from turtlelog.check.robustness import compute_robustness
 from turtlelog.check.runs import check_runs
 from turtlelog.check.signals import Signals, read_signals
-from turtlelog.check.spec import Check, Spec
-from turtlelog.check.spec_file import load_spec, parse_spec
-from turtlelog.check.steps import Steps
+from turtlelog.check.spec import Check, Spec, Tolerances
+from turtlelog.check.spec_file import load_spec, load_tolerances, parse_spec
 
 __all__ = [
     "ArtifactWriter",
@@ -25,6 +33,7 @@ __all__ = [
     "Signals",
     "Spec",
     "Steps",
+    "Tolerances",
     "UndecidedError",
     "Verdict",
     "check_formula",
@@ -34,7 +43,10 @@ __all__ = [
     "cut_run",
     "format_number",
     "join_verdicts",
+    "judge_replay",
     "load_spec",
+    "load_tolerances",
+    "match_run",
     "parse_spec",
     "read_signals",
     "write_artifacts",

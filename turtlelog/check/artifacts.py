@@ -9,7 +9,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Final
 
 from turtlelog.check.cut import cut_run
-from turtlelog.check.message import describe_failure
+from turtlelog.check.failure_message import describe_failure
 from turtlelog.check.result import CheckResult
 from turtlelog.errors import CheckError, ShowError
 from turtlelog.log import write_recording

@@ -5,13 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from turtlelog.check.critical_comparison import read_sides
 from turtlelog.check.cut import Ending, find_ending
-from turtlelog.check.deciding import find_decision
-from turtlelog.check.failures import UndecidedError
-from turtlelog.check.robustness import Margins
-from turtlelog.check.sides import read_sides
-from turtlelog.check.signals import Signals, Trace, check_names, read_signals
-from turtlelog.check.violation import find_first_violation
+from turtlelog.check.result import UndecidedError
+from turtlelog.check.robustness import FormulaWalk
+from turtlelog.check.signals import FormulaTrace, Signals, check_names, read_signals
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.expressions import (
     Expression,
@@ -102,9 +100,9 @@ def check_formula(
         ExpressionError: Where a name is not there or the kinds do not go together.
         CheckError: Where a signal is no signal, or has no value at the first time.
     """
-    trace = Trace.open(signals, expression, window_ns=window_ns, ending=ending)
-    holds, margins = _decide(expression, trace)
-    failed_ns = find_first_violation(expression, trace) if holds is False else None
+    trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
+    holds, walk = _decide(expression, trace)
+    failed_ns = _find_violation(expression, trace) if holds is False else None
     values = trace.read_values(trace.start_ns if failed_ns is None else failed_ns)
     unknown = FormulaResult(
         formula=expression.text,
@@ -117,16 +115,16 @@ def check_formula(
     )
     if holds is None:
         return replace(unknown, reason=_explain_unknown(expression, trace))
-    decision = find_decision(margins, expression.root, trace)
-    decisive = trace.read_values(decision.time_ns)
-    sides = read_sides(expression, decision.node, decisive, declaration or Declaration())
+    critical = walk.find_critical()
+    decisive = trace.read_values(critical.time_ns)
+    sides = read_sides(expression, critical.node, decisive, declaration or Declaration())
     return replace(
         unknown,
         holds=holds,
-        margin=_read_first(margins, expression) + 0.0,
-        margin_s=(decision.time_ns - trace.start_ns) / 1e9,
+        margin=walk.margin + 0.0,
+        margin_s=(critical.time_ns - trace.start_ns) / 1e9,
         values=decisive if failed_ns is None else values,
-        decided_by=format_expression(decision.node),
+        decided_by=format_expression(critical.node),
         value=sides.value,
         limit=sides.limit,
         unit=sides.unit,
@@ -163,28 +161,28 @@ def check_run(
     )
 
 
-def _decide(expression: Expression, trace: Trace) -> tuple[bool | None, Margins]:
-    """Return the verdict, and the margins that it comes from.
+def _decide(expression: Expression, trace: FormulaTrace) -> tuple[bool | None, FormulaWalk]:
+    """Return the verdict, and the walk that its margin comes from.
 
     Where part is unknown, the whole may still be decided: by the margins in which the unknown
     counts as badly, or as well, as it can.
     """
-    margins = Margins(expression, trace)
-    margin = _read_first(margins, expression)
-    if not (math.isnan(margin) or margin == 0):
-        return margin > 0, margins
+    walk = FormulaWalk(expression, trace)
+    if not (math.isnan(walk.margin) or walk.margin == 0):
+        return walk.margin > 0, walk
     for holds, unknown in ((True, -math.inf), (False, math.inf)):
-        truths = Margins(expression, trace, exact=True, unknown=unknown)
-        if (_read_first(truths, expression) > 0) is holds:
-            return holds, Margins(expression, trace, unknown=unknown)
-    return None, margins
+        truths = FormulaWalk(expression, trace, exact=True, unknown=unknown)
+        if (truths.margin > 0) is holds:
+            return holds, FormulaWalk(expression, trace, unknown=unknown)
+    return None, walk
 
 
-def _read_first(margins: Margins, expression: Expression) -> float:
-    return float(margins.compute(expression.root).values[0])
+def _find_violation(expression: Expression, trace: FormulaTrace) -> int | None:
+    """Return the first violation; unknown parts count as well as they can: None unless sure."""
+    return FormulaWalk(expression, trace, exact=True, unknown=math.inf).find_violation()
 
 
-def _explain_unknown(expression: Expression, trace: Trace) -> str:
+def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
     if trace.ending is not Ending.SETTLED:
         settled = replace(trace, ending=Ending.SETTLED)
         if _decide(expression, settled)[0] is not None:
@@ -193,7 +191,7 @@ def _explain_unknown(expression: Expression, trace: Trace) -> str:
     return f"no value: {', '.join(missing)}" if missing else "a number has no value"
 
 
-def _advise(expression: Expression, trace: Trace) -> str:
+def _advise(expression: Expression, trace: FormulaTrace) -> str:
     """Return what to ask of a trace that was cut in place of a window without an end."""
     recorded_ms = (trace.end_ns - trace.start_ns) // 10**6
     nodes = iterate_nodes(expression.root)
@@ -203,7 +201,7 @@ def _advise(expression: Expression, trace: Trace) -> str:
     return f"; a window with an end, such as [0, {recorded_ms / 1e3:.10g}], asks of what it holds"
 
 
-def _is_covered(expression: Expression, trace: Trace) -> bool:
+def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
     is_cut = trace.ending in {Ending.CUT, Ending.LOST}
     reach_s = _measure_reach(expression.root, is_cut=is_cut)
     return trace.start_ns + reach_s * 1e9 <= trace.end_ns

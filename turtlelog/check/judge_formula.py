@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
-from turtlelog.check.moments import find_metric_violation
-from turtlelog.check.result import CheckResult, Verdict
+from turtlelog.check.result import CheckResult, Verdict, describe_status
 from turtlelog.check.spec import Check
 from turtlelog.check.surroundings import choose_signals
+from turtlelog.check.violation_time import find_metric_violation
 from turtlelog.check.vocabulary import (
     describe_no_phase,
     find_kind,
@@ -166,8 +166,3 @@ def _has_several(formula: Expression) -> bool:
     """Whether a formula holds more than one comparison."""
     links = [node.operators for node in iterate_nodes(formula.root) if isinstance(node, Comparison)]
     return sum(map(len, links)) > 1
-
-
-def describe_status(metric: Metric) -> str:
-    """Return why a metric has no value: `no_phase (the run has no phase rotate)`."""
-    return f"{metric.status.value} ({metric.reason})"

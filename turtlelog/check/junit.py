@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 from xml.etree import ElementTree as Xml
 
-from turtlelog.check.result import CheckResult, Verdict, format_number
+from turtlelog.check.result import CheckResult, Verdict, describe_result
 from turtlelog.escapes import escape_controls
 from turtlelog.measure import Metric
 
@@ -64,21 +64,6 @@ def _build_case(result: CheckResult, details: str) -> Xml.Element:
         failure = Xml.SubElement(case, "failure", {"message": message, "type": "check"})
         failure.text = _clean(details or message)
     return case
-
-
-def describe_result(result: CheckResult) -> str:
-    """Return a result in one line: value, limit, margin, first violation, reason."""
-    parts = []
-    if result.value is not None:
-        parts.append(f"{format_number(result.value, result.unit)}")
-    parts += [result.expected] if result.expected else []
-    parts += [f"decided by {result.decided_by}"] if result.decided_by else []
-    if result.margin is not None:
-        parts.append(f"margin {format_number(result.margin, result.unit)}")
-    if result.first_violation_s is not None:
-        parts.append(f"first violated at {result.first_violation_s:.3f} s")
-    parts += [result.reason] if result.reason else []
-    return "; ".join(parts)
 
 
 def _count(results: Sequence[CheckResult]) -> dict[str, str]:

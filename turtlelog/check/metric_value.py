@@ -8,12 +8,16 @@ from numbers import Real
 from typing import Any, Protocol, runtime_checkable
 
 from turtlelog.check.arithmetic import FloatArithmetic
-from turtlelog.check.failures import MissingValueError
-from turtlelog.check.judge_formula import describe_status
-from turtlelog.check.moments import find_metric_violation
 from turtlelog.check.operators import MIRRORED, OPERATORS, measure_margin
-from turtlelog.check.result import CheckResult, Verdict, format_number
+from turtlelog.check.result import (
+    CheckResult,
+    MissingValueError,
+    Verdict,
+    describe_status,
+    format_number,
+)
 from turtlelog.check.surroundings import choose_signals
+from turtlelog.check.violation_time import find_metric_violation
 from turtlelog.errors import CheckError
 from turtlelog.measure import MeasureSettings, Metric, Status, measure_run
 from turtlelog.run import Run

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 from turtlelog.check.cut import find_loss
-from turtlelog.check.driven import DrivenRecording
-from turtlelog.check.failures import PartialLogError
+from turtlelog.check.failure_message import describe_failure
+from turtlelog.check.judge_difference import AnyTolerance, match_run
 from turtlelog.check.judge_formula import judge_check
-from turtlelog.check.matching import AnyTolerance, match_run
-from turtlelog.check.message import describe_failure
+from turtlelog.check.law_replay import DrivenRecording
 from turtlelog.check.metric_value import MetricValue
-from turtlelog.check.outcome import CheckOutcome
 from turtlelog.check.reference import Reference
-from turtlelog.check.result import CheckResult
+from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
 from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase

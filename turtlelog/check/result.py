@@ -1,11 +1,26 @@
-"""What a check comes to on one recording."""
+"""What a check comes to on one recording, and a question to one; both may be undecided."""
 
 import enum
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from turtlelog.check.failures import UndecidedError
 from turtlelog.errors import CheckError
+
+if TYPE_CHECKING:
+    from turtlelog.measure import Metric
+
+
+class UndecidedError(CheckError, AssertionError):
+    """A truth was asked for where it is unknown: neither it nor its negation passes."""
+
+
+class MissingValueError(UndecidedError):
+    """A metric that has no value was compared."""
+
+
+class PartialLogError(CheckError, AssertionError):
+    """Of a recording something is lost, and nobody said that this is fine."""
 
 
 class Verdict(enum.StrEnum):
@@ -66,6 +81,57 @@ class CheckResult:
         return self.verdict is Verdict.PASS
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CheckOutcome:
+    """Stands for True or False in an assert, and says why; where it is neither, `bool` raises.
+
+    Attributes:
+        results: Of everything that was looked at.
+    """
+
+    results: tuple[CheckResult, ...]
+
+    def __bool__(self) -> bool:
+        """Whether all results pass.
+
+        Raises:
+            UndecidedError: Where some are undecided and no other one fails.
+        """
+        failures = self.failures
+        if not failures or failures[0].is_decided:
+            return not failures
+        raise UndecidedError(f"{failures[0].file}: undecided: {self._describe_first()}")
+
+    def __eq__(self, other: object) -> bool:
+        """Compare with True or False, as which it stands."""
+        return bool(self) is other if isinstance(other, bool) else self is other
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def failures(self) -> tuple[CheckResult, ...]:
+        """The results that fail, and after them those that are undecided."""
+        failed = [result for result in self.results if result.verdict is Verdict.FAIL]
+        return tuple(sorted(failed, key=lambda result: not result.is_decided))
+
+    @property
+    def margin(self) -> float | None:
+        """The smallest margin; None where none has one."""
+        margins = [result.margin for result in self.results if result.margin is not None]
+        return min(margins, default=None)
+
+    def __repr__(self) -> str:
+        if not self.failures:
+            return f"<PASS: {len(self.results)} checked>"
+        word = "FAIL" if self.failures[0].is_decided else "UNDECIDED"
+        return f"<{word}: {self._describe_first()}>"
+
+    def _describe_first(self) -> str:
+        more = len(self.failures) - 1
+        others = f" (and {more} more)" if more else ""
+        return f"{describe_result(self.failures[0])}{others}"
+
+
 def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
     """Return FAIL where any fails, PASS where any passes, SKIPPED where nothing was judged."""
     found = {result.verdict for result in results}
@@ -89,3 +155,23 @@ def format_number(number: float | None, unit: str = "") -> str:
     if number is None:
         return "-"
     return f"{number:.5g}" + (f" {unit}" if unit not in {"", "1"} else "")
+
+
+def describe_result(result: CheckResult) -> str:
+    """Return a result in one line: value, limit, margin, first violation, reason."""
+    parts = []
+    if result.value is not None:
+        parts.append(f"{format_number(result.value, result.unit)}")
+    parts += [result.expected] if result.expected else []
+    parts += [f"decided by {result.decided_by}"] if result.decided_by else []
+    if result.margin is not None:
+        parts.append(f"margin {format_number(result.margin, result.unit)}")
+    if result.first_violation_s is not None:
+        parts.append(f"first violated at {result.first_violation_s:.3f} s")
+    parts += [result.reason] if result.reason else []
+    return "; ".join(parts)
+
+
+def describe_status(metric: "Metric") -> str:
+    """Return why a metric has no value: `no_phase (the run has no phase rotate)`."""
+    return f"{metric.status.value} ({metric.reason})"

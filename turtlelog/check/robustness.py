@@ -9,14 +9,14 @@ other end what is said of them is unknown.
 import functools
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.check.cut import Ending
-from turtlelog.check.signals import Signals, Trace
-from turtlelog.check.steps import (
+from turtlelog.check.piecewise_constant import (
     Steps,
     align_steps,
     combine_steps,
@@ -25,6 +25,7 @@ from turtlelog.check.steps import (
     slide_maximum,
     slide_minimum,
 )
+from turtlelog.check.signals import FormulaTrace, Signals
 from turtlelog.expressions import (
     Comparison,
     Expression,
@@ -68,12 +69,48 @@ def compute_robustness(
         ExpressionError: Where a name is not there or the kinds do not go together.
         CheckError: Where a signal is no signal, or has no value at the first time.
     """
-    trace = Trace.open(signals, expression, window_ns=window_ns)
-    return Margins(expression, trace).compute(expression.root)
+    trace = FormulaTrace.open(signals, expression, window_ns=window_ns)
+    return FormulaWalk(expression, trace).root.margins
 
 
-class Margins:
-    """The margins of a formula and its parts over one trace.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CriticalPart:
+    """Where a margin comes from, however deep it stands.
+
+    Attributes:
+        node: A comparison of two sides, or what is true or false by itself.
+        time_ns: When its margin is that of the whole [ns].
+    """
+
+    node: Node
+    time_ns: int
+
+
+class Part(Protocol):
+    """A part of a formula, and what it comes to over the trace."""
+
+    @property
+    def margins(self) -> Steps:
+        """Its margin at every moment."""
+
+    def find_critical(self, time_ns: int) -> CriticalPart:
+        """Return where its margin at a time comes from; of several places the first."""
+
+    def find_violation(self) -> int | None:
+        """Return the first time at which it is violated [ns], once it is at the beginning.
+
+        Of `always` this is the first time in its window at which its body fails; of `eventually`,
+        the end of its window, when what was to come has not; of `until`, the end of its window or
+        the first time at which its left side fails, whichever comes first; of `and`, the first of
+        any part's; of `or`, the last of its parts'; of `implies`, the right side's; of anything
+        else, the beginning. `not always` is an `eventually not`, and `not eventually` an
+        `always not`. A window that reaches beyond the trace's end ends there; where it begins
+        beyond, no time of the trace violates it: None.
+        """
+
+
+class FormulaWalk:
+    """One walk over a formula: the margin of each part, where it comes from, and its violation.
 
     Args:
         expression: A formula.
@@ -87,64 +124,72 @@ class Margins:
     def __init__(
         self,
         expression: Expression,
-        trace: Trace,
+        trace: FormulaTrace,
         *,
         exact: bool = False,
         unknown: float = math.nan,
     ) -> None:
-        self._expression = expression
-        self._trace = trace
-        self._exact = exact
-        self._unknown = unknown
-        self._found: dict[tuple[int, int], tuple[Node, Steps]] = {}
+        self.trace = trace
+        self._expression, self._exact, self._unknown = expression, exact, unknown
+        self.root = self.visit(expression.root, 1)
 
-    def compute(self, node: Node, sign: int = 1) -> Steps:
-        """Return the margin of part of the formula at every moment.
+    @property
+    def margin(self) -> float:
+        """That of the whole at the beginning."""
+        return float(self.root.margins.values[0])
+
+    def find_critical(self) -> CriticalPart:
+        """Return where the margin at the beginning comes from, which must be known."""
+        return self.root.find_critical(self.trace.start_ns)
+
+    def find_violation(self) -> int | None:
+        """Return the first time at which the formula is violated [ns], None where it holds."""
+        return find_violation(self.root)
+
+    def visit(self, node: Node, sign: int) -> Part:
+        """Return a part of the formula.
 
         Args:
             node: Any part that is true or false.
             sign: -1 where the part counts against the formula: below `not`, left of `implies`.
         """
-        key = id(node), sign
-        if key not in self._found:
-            # Kept beside its margin, a node keeps its id.
-            self._found[key] = node, self._compute(node, sign)
-        return self._found[key][1]
-
-    def _compute(self, node: Node, sign: int) -> Steps:
         match node:
+            case Logic(operator="implies", operands=(left, right)):
+                return _Joined("implies", [_Negated(self, left, sign), self.visit(right, sign)])
             case Logic(operator=operator, operands=operands):
-                return self._join(operator, operands, sign)
+                return _Joined(operator, [self.visit(operand, sign) for operand in operands])
             case Prefix(operator="not", operand=operand):
-                return negate_steps(self.compute(operand, -sign))
-            case Temporal(operator=operator, operand=operand):
-                slide = slide_minimum if operator == "always" else slide_maximum
-                return self._look_ahead(node, slide, [operand], sign)
-            case Until(left=left, right=right):
-                return self._look_ahead(node, compute_until, [left, right], sign)
-        return self._compute_leaf(node, sign)
+                return _Negated(self, operand, sign)
+            case Temporal():
+                return _Windowed(self, node, sign)
+            case Until():
+                return _Until(self, node, sign)
+        return _Leaf(self, node, sign)
 
-    def _join(self, operator: str, operands: tuple[Node, ...], sign: int) -> Steps:
-        if operator == "implies":
-            left, right = operands
-            parts = [negate_steps(self.compute(left, -sign)), self.compute(right, sign)]
-            return combine_steps(np.maximum, parts)
-        parts = [self.compute(operand, sign) for operand in operands]
-        return combine_steps(np.minimum if operator == "and" else np.maximum, parts)
-
-    def _look_ahead(
-        self, node: Temporal | Until, look: Callable[..., Steps], parts: list[Node], sign: int
+    def look_ahead(
+        self, node: Temporal | Until, look: Callable[..., Steps], sides: list[Steps], sign: int
     ) -> Steps:
-        trace, (first_ns, last_ns) = self._trace, convert_window(node)
-        sides = [self.compute(part, sign) for part in parts]
+        """Return what a window over some margins comes to at every moment."""
+        trace, (first_ns, last_ns) = self.trace, _convert_window(node)
         if trace.ending is not Ending.UNDECLARED or last_ns is not None:
             return look(*sides, first_ns, last_ns)
         recorded = [side.cut(trace.start_ns, trace.end_ns) for side in sides]
         found = look(*recorded, first_ns, None)
         return found.end_with(sign * self._unknown, from_ns=trace.end_ns - first_ns + 1)
 
-    def _compute_leaf(self, node: Node, sign: int) -> Steps:
-        """Return the margin of a comparison or a truth by itself."""
+    def clip_window(self, node: Temporal | Until, time_ns: int) -> tuple[int, int]:
+        """Return the window of a node as it stands at a time [ns], cut at the trace's end."""
+        first_ns, last_ns = _convert_window(node)
+        end_ns = self.trace.end_ns
+        last_ns = end_ns if last_ns is None else time_ns + last_ns
+        return min(end_ns, time_ns + first_ns), min(end_ns, last_ns)
+
+    def begins_beyond(self, node: Temporal | Until) -> bool:
+        """Whether the window of a node begins after the trace's end."""
+        return self.trace.start_ns + _convert_window(node)[0] > self.trace.end_ns
+
+    def measure_leaf(self, node: Node, sign: int) -> Steps:
+        """Return the margins of a comparison, or of a truth by itself."""
         for part in iterate_nodes(node):
             if isinstance(part, Temporal | Until):
                 fail_at(self._expression, part, "expected no temporal operator in a comparison")
@@ -158,21 +203,21 @@ class Margins:
         if not math.isnan(self._unknown):
             margins = np.where(np.isnan(margins), sign * self._unknown, margins)
         steps = Steps(time_ns=time_ns, values=np.broadcast_to(margins, time_ns.shape))
-        if self._trace.ending is Ending.SETTLED or not self._name_signals(node):
+        if self.trace.ending is Ending.SETTLED or not self._name_signals(node):
             return steps
-        return steps.end_with(sign * self._unknown, from_ns=self._trace.end_ns + 1)
+        return steps.end_with(sign * self._unknown, from_ns=self.trace.end_ns + 1)
 
     def _name_signals(self, node: Node) -> list[str]:
         names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
-        return [name for name in names if name in self._trace.signals]
+        return [name for name in names if name in self.trace.signals]
 
     def _read(self, node: Node) -> tuple[NDArray[np.int64], Mapping[str, Any]]:
         """Return the common steps of the signals below a node, and the values by name."""
-        signals = {name: self._trace.signals[name] for name in self._name_signals(node)}
+        signals = {name: self.trace.signals[name] for name in self._name_signals(node)}
         if not signals:
-            return np.array([self._trace.start_ns]), self._trace.constants
+            return np.array([self.trace.start_ns]), self.trace.constants
         time_ns, columns = align_steps(list(signals.values()))
-        return time_ns, {**self._trace.constants, **dict(zip(signals, columns, strict=True))}
+        return time_ns, {**self.trace.constants, **dict(zip(signals, columns, strict=True))}
 
     def _compare(self, node: Comparison, values: Mapping[str, Any]) -> Values:
         operands = [evaluate_node(self._expression, part, values) for part in node.operands]
@@ -200,7 +245,132 @@ class Margins:
         return np.where(np.isnan(truth.data), np.nan, margins)
 
 
-def convert_window(node: Temporal | Until) -> tuple[int, int | None]:
+class _Leaf:
+    def __init__(self, walk: FormulaWalk, node: Node, sign: int) -> None:
+        self._walk, self._node, self._sign = walk, node, sign
+        self.margins = walk.measure_leaf(node, sign)
+
+    def find_critical(self, time_ns: int) -> CriticalPart:
+        node = self._node
+        if not isinstance(node, Comparison) or len(node.operators) == 1:
+            return CriticalPart(node=node, time_ns=time_ns)
+        pairs = zip(node.operators, node.operands, node.operands[1:], strict=False)
+        links = [Comparison(operators=(op,), operands=(a, b)) for op, a, b in pairs]
+        found = [_Leaf(self._walk, link, self._sign) for link in links]
+        return min(found, key=lambda link: _read(link, time_ns)).find_critical(time_ns)
+
+    def find_violation(self) -> int | None:
+        return self._walk.trace.start_ns
+
+
+class _Negated:
+    def __init__(self, walk: FormulaWalk, operand: Node, sign: int) -> None:
+        self._walk, self._operand, self._sign = walk, operand, sign
+        self._part = walk.visit(operand, -sign)
+        self.margins = negate_steps(self._part.margins)
+
+    def find_critical(self, time_ns: int) -> CriticalPart:
+        return self._part.find_critical(time_ns)
+
+    def find_violation(self) -> int | None:
+        window = self._operand
+        if not isinstance(window, Temporal):
+            return self._walk.trace.start_ns
+        turned = replace(
+            window,
+            operator="eventually" if window.operator == "always" else "always",
+            operand=Prefix(operator="not", operand=window.operand),
+        )
+        return find_violation(self._walk.visit(turned, self._sign))
+
+
+class _Joined:
+    def __init__(self, operator: str, parts: list[Part]) -> None:
+        self._operator, self._parts = operator, parts
+        combine = np.minimum if operator == "and" else np.maximum
+        self.margins = combine_steps(combine, [part.margins for part in parts])
+
+    def find_critical(self, time_ns: int) -> CriticalPart:
+        whole = _read(self, time_ns)
+        *others, last = self._parts
+        decisive = (part for part in others if _read(part, time_ns) == whole)
+        return next(decisive, last).find_critical(time_ns)
+
+    def find_violation(self) -> int | None:
+        parts = self._parts[1:] if self._operator == "implies" else self._parts
+        found = [find_violation(part) for part in parts]
+        known = [time_ns for time_ns in found if time_ns is not None]
+        if self._operator == "or":
+            return max(known) if len(known) == len(found) else None
+        return min(known, default=None)
+
+
+class _Windowed:
+    def __init__(self, walk: FormulaWalk, node: Temporal, sign: int) -> None:
+        self._walk, self._node = walk, node
+        self._body = walk.visit(node.operand, sign)
+        slide = slide_minimum if node.operator == "always" else slide_maximum
+        self.margins = walk.look_ahead(node, slide, [self._body.margins], sign)
+
+    def find_critical(self, time_ns: int) -> CriticalPart:
+        body = self._body.margins.cut(*self._walk.clip_window(self._node, time_ns))
+        find = np.argmin if self._node.operator == "always" else np.argmax
+        return self._body.find_critical(int(body.time_ns[find(body.values)]))
+
+    def find_violation(self) -> int | None:
+        start_ns, end_ns = self._walk.clip_window(self._node, self._walk.trace.start_ns)
+        if self._walk.begins_beyond(self._node):
+            return None
+        if self._node.operator == "eventually":
+            return end_ns
+        return _find_failure(self._body, start_ns, end_ns)
+
+
+class _Until:
+    def __init__(self, walk: FormulaWalk, node: Until, sign: int) -> None:
+        self._walk, self._node = walk, node
+        self._left, self._right = walk.visit(node.left, sign), walk.visit(node.right, sign)
+        sides = [self._left.margins, self._right.margins]
+        self.margins = walk.look_ahead(node, compute_until, sides, sign)
+
+    def find_critical(self, time_ns: int) -> CriticalPart:
+        start_ns, end_ns = self._walk.clip_window(self._node, time_ns)
+        left, right = (part.margins.cut(time_ns, end_ns) for part in (self._left, self._right))
+        marks = np.unique([time_ns, start_ns])
+        begun = Steps(time_ns=marks, values=marks >= start_ns)
+        times, (held, coming, is_open) = align_steps([left, right, begun])
+        lasting = np.minimum.accumulate(held)
+        reached = np.where(is_open, np.minimum(lasting, coming), -np.inf)
+        best = int(np.argmax(reached))
+        if coming[best] <= lasting[best]:
+            return self._right.find_critical(int(times[best]))
+        return self._left.find_critical(int(times[np.argmin(held[: best + 1])]))
+
+    def find_violation(self) -> int | None:
+        begin_ns = self._walk.trace.start_ns
+        _, end_ns = self._walk.clip_window(self._node, begin_ns)
+        failed_ns = _find_failure(self._left, begin_ns, end_ns)
+        if failed_ns is not None:
+            return failed_ns
+        return None if self._walk.begins_beyond(self._node) else end_ns
+
+
+def find_violation(part: Part) -> int | None:
+    """Return the first time at which a part that is to hold at the start is violated [ns]."""
+    return part.find_violation() if part.margins.values[0] < 0 else None
+
+
+def _read(part: Part, time_ns: int) -> float:
+    return float(part.margins.values[part.margins.find_piece(time_ns)])
+
+
+def _find_failure(part: Part, start_ns: int, end_ns: int) -> int | None:
+    cut = part.margins.cut(start_ns, end_ns)
+    failed = cut.values < 0
+    return int(cut.time_ns[failed.argmax()]) if failed.any() else None
+
+
+def _convert_window(node: Temporal | Until) -> tuple[int, int | None]:
     """Return the ends of a node's window [ns], None for no end."""
     last_ns = None if math.isinf(node.end_s) else _convert(node.end_s)
     return _convert(node.start_s), last_ns

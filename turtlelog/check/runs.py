@@ -5,16 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from turtlelog.check.cut import find_loss
+from turtlelog.check.judge_difference import match_run
 from turtlelog.check.judge_formula import judge_check, measure_named
-from turtlelog.check.result import CheckResult, Verdict, format_number
+from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import require_reference
-from turtlelog.check.surroundings import choose_signals
-from turtlelog.compare import Finding, compare_runs
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import TopicChoice, read_info
 from turtlelog.log.ros2 import list_bag_files
-from turtlelog.loops import Declaration
 from turtlelog.measure import SIGNALS, find_metric_kind
 from turtlelog.run import Run
 
@@ -109,50 +107,10 @@ def fail_recording(file: str, reason: str) -> CheckResult:
     )
 
 
-def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> Iterator[CheckResult]:
-    names = [f"signals.{name}" for name in spec.tolerances.signals]
-    names += [f"metrics.{name}" for name in spec.tolerances.metrics]
+def _judge_tolerances(spec: Spec, reference: Run, run: Run, file: str) -> list[CheckResult]:
     try:
-        found = compare_runs(
-            reference, run, alignment=spec.alignment, tolerances=spec.tolerances
-        ).findings
+        return match_run(run, reference, spec.tolerances, file=file, alignment=spec.alignment)
     except CompareError as err:
-        for name in names:
-            yield replace(fail_recording(file, str(err)), check=name)
-        return
-    for finding in found:
-        yield convert_finding(finding, run.declaration, file=file)
-
-
-def convert_finding(
-    finding: Finding, declaration: Declaration, *, file: str, is_strict: bool = True
-) -> CheckResult:
-    """Return a verdict against a reference as a result: value is the distance from it.
-
-    Args:
-        finding: Of a signal or metric.
-        declaration: Of the run's law.
-        file: The recording.
-        is_strict: Whether a metric without a value fails even where the reference has none either.
-    """
-    has_none = finding.kind == "metric" and finding.value is None
-    passes = finding.within and not (has_none and is_strict)
-    reason = finding.reason
-    if not passes and not reason:
-        at = "" if finding.at_s is None else f" at {finding.at_s:.3f} s"
-        sides = [format_number(side, finding.unit) for side in (finding.value, finding.reference)]
-        reason = f"{sides[0]} where the reference has {sides[1]}{at}"
-    return CheckResult(
-        file=file,
-        check=f"{finding.kind}s.{finding.name}",
-        verdict=Verdict.PASS if passes else Verdict.FAIL,
-        expected=f"within {format_number(finding.limit, finding.unit)} of the reference",
-        value=finding.off,
-        limit=finding.limit,
-        margin=finding.margin,
-        unit=finding.unit,
-        first_violation_s=finding.first_outside_s,
-        reason=reason,
-        names=choose_signals([finding.name], declaration),
-        is_decided=passes or finding.off is not None,
-    )
+        names = [f"signals.{name}" for name in spec.tolerances.signals]
+        names += [f"metrics.{name}" for name in spec.tolerances.metrics]
+        return [replace(fail_recording(file, str(err)), check=name) for name in names]

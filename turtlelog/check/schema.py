@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from turtlelog.check.spec_file import FORMAT
 from turtlelog.compare import ALIGNMENTS
-from turtlelog.compare.tolerance_file import FORMAT
 from turtlelog.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.measure import ANY_LOOP, METRICS, SIGNALS
 

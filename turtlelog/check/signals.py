@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.check.cut import Ending
-from turtlelog.check.steps import Steps, make_steps
+from turtlelog.check.piecewise_constant import Steps, make_steps
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.errors import CheckError
 from turtlelog.expressions import Expression, Name, describe_unknown_name, fail_at, iterate_nodes
@@ -23,7 +23,7 @@ Signals = Mapping[str, Column | float | bool | str | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trace:
+class FormulaTrace:
     """What one formula names, over one stretch of time.
 
     Attributes:
@@ -50,7 +50,7 @@ class Trace:
         *,
         window_ns: tuple[int, int] | None = None,
         ending: Ending = Ending.SETTLED,
-    ) -> "Trace":
+    ) -> "FormulaTrace":
         """Return what a formula names.
 
         Raises:

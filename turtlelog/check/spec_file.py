@@ -1,18 +1,37 @@
-"""Specification files: TOML in. Beside tolerances they hold `[checks.NAME]` tables."""
+"""Specification files, TOML in: `[checks.NAME]`, and tolerances in `[signals.*]`, `[metrics.*]`."""
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from turtlelog.check.spec import Check, Spec
+from turtlelog.check.spec import (
+    Check,
+    Spec,
+    Tolerances,
+    is_known,
+    is_label_signal,
+    list_nearby,
+)
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
-from turtlelog.compare import ALIGNMENTS, parse_tolerances, read_tables
+from turtlelog.compare import ALIGNMENTS, Tolerance
 from turtlelog.compare.ids import could_be_alignment
-from turtlelog.errors import CheckError
+from turtlelog.errors import CheckError, CompareError
 from turtlelog.expressions import Expression, parse_expression
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
+from turtlelog.text_files import parse_toml, read_text_file
+
+FORMAT: Final = 1
+"""The format that is read; newer ones are refused."""
+
+_KINDS: Final = ("signals", "metrics")
+_KNOWN: Final = (*_KINDS, "checks", "reference", "alignment")
+_KEYS: Final = {
+    "signals": ("abs", "rel", "time_s", "reason"),
+    "metrics": ("abs", "rel", "reason"),
+}
 
 CHECK_KEYS: Final = ("expect", "holds", "phase", "when", "reason", "observed")
 
@@ -45,7 +64,7 @@ def parse_spec(tables: Mapping[str, Any], *, source: str = "specification") -> S
     Raises:
         CheckError: As `load_spec`, and so are the others.
     """
-    own = {key: tables[key] for key in ("signals", "metrics") if key in tables}
+    own = {key: tables[key] for key in _KINDS if key in tables}
     entries = tables.get("checks", {})
     if not isinstance(entries, Mapping):
         raise CheckError(f"{source}: checks: expected tables, found {describe_value(entries)}")
@@ -75,6 +94,53 @@ def require_reference(spec: Spec) -> Spec:
             " found none"
         )
     return spec
+
+
+def load_tolerances(path: str | Path) -> Tolerances:
+    """Return the tolerances in a specification file; its other tables are left out.
+
+    Raises:
+        CompareError: Where the file cannot be read, is no TOML, a key or value is wrong, or nothing
+            is to be judged.
+    """
+    tables = read_tables(path)
+    own: dict[str, Any] = {key: tables[key] for key in _KINDS if key in tables}
+    tolerances = parse_tolerances(own, source=str(path))
+    if not tolerances:
+        raise CompareError(
+            f"{path}: expected at least one table [signals.NAME] or [metrics.ID], found none"
+        )
+    return tolerances
+
+
+def read_tables(path: str | Path) -> dict[str, Any]:
+    """Return the tables of a specification file, its format checked and left out.
+
+    Raises:
+        CompareError: Where the file cannot be read, is no TOML, is of another format or holds a
+            table of another name.
+    """
+    tables = _read_toml(path)
+    _require_format(tables, source=str(path))
+    for key in tables:
+        if key not in _KNOWN:
+            raise CompareError(
+                f"{path}: {name_key(key)}: {describe_unknown_key(key, list(_KNOWN))}"
+            )
+    return tables
+
+
+def parse_tolerances(tables: Mapping[str, Any], *, source: str = "tolerances") -> Tolerances:
+    """Return the tolerances in tables of names `signals` and `metrics`, either may be missing.
+
+    Raises:
+        CompareError: `source: place: expected ..., found ...`, for the first key that is wrong.
+    """
+    own = {kind: _parse_kind(kind, tables.get(kind, {}), source) for kind in _KINDS}
+    try:
+        return Tolerances(**own)
+    except CompareError as err:
+        raise CompareError(f"{source}: {err}") from err
 
 
 def _parse_check(name: str, entry: Any, source: str) -> Check:
@@ -145,3 +211,76 @@ def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:
         colon = "." if ": checks." in place else ": "
         raise CheckError(f"{place}{colon}{key}: expected text, found {describe_value(text)}")
     return text
+
+
+def _parse_kind(kind: str, table: Any, source: str) -> dict[str, Tolerance]:
+    _require_table(table, f"{source}: {kind}")
+    return {name: _parse_tolerance(kind, name, entry, source) for name, entry in table.items()}
+
+
+def _parse_tolerance(kind: str, name: str, entry: Any, source: str) -> Tolerance:
+    if not is_known(kind, name):
+        raise CompareError(f"{source}: {kind}.{name_key(name)}: {_suggest(kind, name, entry)}")
+    place = f'{source}: {kind}."{name}"' if "." in name else f"{source}: {kind}.{name}"
+    _require_table(entry, place)
+    for key in entry:
+        if key not in _KEYS[kind]:
+            known = describe_unknown_key(key, list(_KEYS[kind]))
+            raise CompareError(f"{place}.{name_key(key)}: {known}")
+    reason = entry.get("reason")
+    if not isinstance(reason, str) or not reason.strip():
+        raise CompareError(f"{place}.reason: expected a reason, found {describe_value(reason)}")
+    is_label = kind == "signals" and is_label_signal(name)
+    if not is_label and len(entry) < 2:
+        wanted = " or ".join(key for key in _KEYS[kind] if key != "reason")
+        raise CompareError(f"{place}: expected {wanted}, found none of them")
+    try:
+        return Tolerance(**entry)
+    except CompareError as err:
+        raise CompareError(f"{place}.{err}") from err
+
+
+def _suggest(kind: str, name: str, entry: Any) -> str:
+    """Say what an unknown name may have been meant to be.
+
+    TOML takes `[metrics.rotate.overshoot]` for a table in a table: the quotes are missing.
+    """
+    tables = entry.items() if isinstance(entry, Mapping) else ()
+    inner = [f"{name}.{key}" for key, table in tables if isinstance(table, Mapping)]
+    meant = [
+        found
+        for key in inner
+        for found in difflib.get_close_matches(key, list_nearby(kind, key), n=1)
+    ]
+    if meant:
+        return f'expected quotes around the id, as in {kind}."{meant[0]}", found none'
+    return describe_unknown_key(name, list_nearby(kind, name))
+
+
+def _require_format(tables: dict[str, Any], *, source: str) -> None:
+    found = tables.pop("format", None)
+    if not isinstance(found, int) or isinstance(found, bool) or found < 1:
+        raise CompareError(f"{source}: format: expected {FORMAT}, found {describe_value(found)}")
+    if found > FORMAT:
+        raise CompareError(
+            f"{source}: format: expected at most {FORMAT}, found {found}, of a newer turtlelog"
+        )
+
+
+def _require_table(table: Any, place: str) -> None:
+    if not isinstance(table, Mapping):
+        raise CompareError(f"{place}: expected a table, found {describe_value(table)}")
+
+
+def _read_toml(path: str | Path) -> dict[str, Any]:
+    try:
+        return parse_toml(read_text_file(path))
+    except UnicodeDecodeError as err:
+        raise CompareError(f"{path}: expected TOML, found bytes that are no text") from err
+    except OSError as err:
+        found = err.strerror or err
+        raise CompareError(
+            f"{path}: expected a specification or tolerance file, found: {found}"
+        ) from err
+    except ValueError as err:
+        raise CompareError(f"{path}: expected TOML, found: {err}") from err

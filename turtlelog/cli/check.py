@@ -139,7 +139,7 @@ def _check(
 
 def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
     """Return what a report says beside results: all metrics, and all there is on a failure."""
-    from turtlelog.check.message import describe_failure
+    from turtlelog.check.failure_message import describe_failure
 
     failed = [result for result in results if result.verdict == "FAIL"]
     details = {result.check: "\n".join(describe_failure(run, result)) for result in failed}

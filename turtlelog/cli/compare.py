@@ -9,17 +9,17 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.comparison_answers import describe_across, describe_against
-from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FAILED, EXIT_FINE
+from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs
-from turtlelog.cli.output import print_error, print_json, print_note, print_text
+from turtlelog.cli.output import print_error, print_json, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.summaries import watch_summaries
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Comparison, Run, RunSummary, Table
+    from turtlelog import Run, RunComparison, RunSummary, Table
 
 
 _RUNS_ABREAST: Final = 3
@@ -28,18 +28,16 @@ _RUNS_ABREAST: Final = 3
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceOptions:
-    """What to compare against, and how.
+    """What to compare against, and how; `turtlelog check` gives the verdicts that it once gave.
 
     Attributes:
         reference: The run that differences are taken from.
-        tolerances: How far from it the runs may be (.toml); the exit code is 1 where one is not
-            within them.
         align: What to bring together: first-sample (the usual), phase:NAME (the start of a phase),
             recorded (times as they are), sample (samples by their number).
     """
 
     reference: Path | None = None
-    tolerances: Path | None = None
+    tolerances: Annotated[Path | None, Parameter(show=False)] = None
     align: str | None = None
 
 
@@ -81,7 +79,7 @@ def compare(
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort final.position_error
 
-    Example: turtlelog compare --reference good.mcap new.mcap --tolerances tolerances.toml
+    Example: turtlelog compare --reference good.mcap new.mcap
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
@@ -95,7 +93,8 @@ def compare(
     held = None if rrd is None else _draw(paths, rrd, topics)
     if against.reference is not None:
         runs = iterate_runs(paths, topics) if held is None else iter(held)
-        return _compare_against(runs, paths, against, kind)
+        _compare_against(runs, paths, against, kind)
+        return EXIT_FINE
     summaries, errors = _summarise(paths, held, topics, only=_list_needed(choice, kind))
     for err in errors:
         print_error(str(err))
@@ -106,11 +105,15 @@ def compare(
 
 
 def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: ChoiceOptions) -> None:
+    if against.tolerances is not None:
+        raise UsageError(
+            "--tolerances: expected none, as verdicts are given by"
+            f" turtlelog check {against.tolerances} RUN --reference {against.reference or 'RUN'}"
+        )
     if len(paths) < 2:
         raise UsageError(f"FILE: expected at least two runs to compare, found {len(paths)}")
-    for name in ("tolerances", "align") if against.reference is None else ():
-        if getattr(against, name) is not None:
-            raise UsageError(f"--{name}: expected --reference beside it, found none")
+    if against.reference is None and against.align is not None:
+        raise UsageError("--align: expected --reference beside it, found none")
     for name in () if against.reference is None else ("only", "sort", "where"):
         if getattr(choice, name) is not None:
             raise UsageError(f"--{name}: expected no --reference beside it, found one")
@@ -175,9 +178,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
 
 def _compare_against(
     runs: "Iterator[Run]", paths: Sequence[Path], against: ReferenceOptions, kind: str
-) -> int:
-    path = against.tolerances
-    tolerances = None if path is None else tl.load_tolerances(path)
+) -> None:
     alignment = (against.align or "first_sample").replace("-", "_")
     reference = next(runs)
     summaries: list[RunSummary] = []
@@ -189,25 +190,16 @@ def _compare_against(
         return run
 
     comparisons = list(
-        tl.iter_comparisons(
-            summarise(reference),
-            map(summarise, runs),
-            alignment=alignment,
-            tolerances=tolerances,
-        )
+        tl.iter_comparisons(summarise(reference), map(summarise, runs), alignment=alignment)
     )
     if kind == "json":
         print_json(describe_against(paths, comparisons, alignment))
-    elif tolerances is None:
-        print_tables(_tabulate_unjudged(summaries, comparisons, kind), kind)
     else:
-        _print_verdicts(summaries, comparisons, kind)
-    failed = any(comparison.verdict == "fail" for comparison in comparisons)
-    return EXIT_FAILED if failed else EXIT_FINE
+        print_tables(_tabulate_differences(summaries, comparisons, kind), kind)
 
 
-def _tabulate_unjudged(
-    summaries: "Sequence[RunSummary]", comparisons: "Sequence[Comparison]", kind: str
+def _tabulate_differences(
+    summaries: "Sequence[RunSummary]", comparisons: "Sequence[RunComparison]", kind: str
 ) -> "list[Table]":
     reference, *names = tl.name_runs(summaries)
     # As many runs as a terminal has room for; a file has room for all.
@@ -221,21 +213,3 @@ def _tabulate_unjudged(
         for first in range(0, len(names), step)
     ]
     return differences if kind == "csv" else [tl.tabulate_runs(summaries), *differences]
-
-
-def _print_verdicts(
-    summaries: "Sequence[RunSummary]", comparisons: "Sequence[Comparison]", kind: str
-) -> None:
-    reference, *names = tl.name_runs(summaries)
-    if kind == "csv":
-        print_tables([tl.tabulate_all_findings(comparisons, names=names)], kind)
-        return
-    pairs = zip(names, comparisons, strict=True)
-    tables = [tl.tabulate_findings(found, name=name, reference=reference) for name, found in pairs]
-    print_tables(tables, kind)
-    if kind == "txt" and len(comparisons) > 1:
-        failed = [
-            name for name, found in zip(names, comparisons, strict=True) if found.verdict == "fail"
-        ]
-        verdict = f"FAIL: {', '.join(failed)}" if failed else "PASS"
-        print_text(f"\n{verdict} ({len(failed)} of {len(names)} runs fail)")

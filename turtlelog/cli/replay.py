@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.check_answers import describe_results, format_results
 from turtlelog.cli.exit_codes import EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.options import Json, Output, ScenarioOptions, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
@@ -21,12 +22,11 @@ from turtlelog.cli.replay_signals import describe_law, describe_loop, format_law
 from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
-    from turtlelog import Run, Scenario
-    from turtlelog.replay import Difference
+    from turtlelog import LawReplay, LoopReplay, PlantReplay, Run, Scenario
 
 
-_Answer = tuple[dict[str, Any], str, "Difference | None"]
-"""As JSON, as text, and the first difference."""
+_Answer = tuple[dict[str, Any], str, "LawReplay | LoopReplay | PlantReplay"]
+"""As JSON, as text, and the replay itself."""
 
 
 def replay(
@@ -52,7 +52,9 @@ def replay(
 
     Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest -o newest.mcap
 
-    Differences are an answer, not a failure: the exit code is 0, unless --expect-equal is given.
+    Differences are an answer, not a failure: the exit code is 0. With --expect-equal the replay is
+    checked: the answer ends with the verdict of `turtlelog check`, and the exit code is 1 where it
+    is FAIL.
 
     Args:
         file: A recording (.mcap), a ROS 2 bag of turtlesim, or a log of the paper's.
@@ -65,18 +67,30 @@ def replay(
     require_new_target(output, [file], suffix=".mcap")
     (run,) = read_runs([file], topics)
     if mode.plant:
-        plant = tl.replay_plant(run)
-        described, text = describe_plant(run, plant), format_plant(run, plant)
-        first = plant.first_difference
+        described, text, found = _replay_plant(run)
     else:
         scenario = choose_scenario(run, mode, changes, kind)
         answer = _replay_loop if mode.law is None else _replay_law
-        described, text, first = answer(run, scenario, mode, output)
+        described, text, found = answer(run, scenario, mode, output)
+    failed = False
+    if mode.expect_equal:
+        from turtlelog.check.judge_difference import judge_replay
+
+        results = judge_replay(run, found, file=str(file))
+        verdict = tl.join_verdicts(results)
+        failed = verdict == "FAIL"
+        described |= describe_results(verdict, results)
+        text = f"{text}\n\n{format_results(results, files=1)}"
     if json:
         print_json({"file": str(file), **described})
     else:
         print_text(text)
-    return EXIT_FAILED if mode.expect_equal and first is not None else EXIT_FINE
+    return EXIT_FAILED if failed else EXIT_FINE
+
+
+def _replay_plant(run: "Run") -> _Answer:
+    found = tl.replay_plant(run)
+    return describe_plant(run, found), format_plant(run, found), found
 
 
 def _replay_law(
@@ -84,7 +98,7 @@ def _replay_law(
 ) -> _Answer:
     tolerance = mode.tolerance or 0.0
     found = tl.replay_law(run, scenario, tolerance=tolerance, trust_law=mode.trust_law)
-    return describe_law(run, found), format_law(run, found), found.first_difference
+    return describe_law(run, found), format_law(run, found), found
 
 
 def _replay_loop(
@@ -100,4 +114,4 @@ def _replay_loop(
         text += f"\n\n{format_changes(run, found.run)}"
     metrics = describe_changes(run, found.run)
     described = {"output": None if output is None else str(output), "metrics": metrics}
-    return describe_loop(run, found) | described, text, found.first_difference
+    return describe_loop(run, found) | described, text, found

@@ -1,23 +1,21 @@
-"""Runs -> differences, verdicts, and tables across gains."""
+"""Runs -> differences on a common clock, and tables across runs."""
 
-from turtlelog.compare.across import (
-    tabulate_differences,
-    tabulate_table1,
-    tabulate_whole_runs,
-)
 from turtlelog.compare.difference import (
-    Comparison,
     MetricDifference,
-    SignalDifference,
+    RunComparison,
+    compare_metrics,
     compare_runs,
+    compare_signals,
     iter_comparisons,
+    tabulate_differences,
 )
 from turtlelog.compare.files import summarise_files
-from turtlelog.compare.gains import mark_metric, tabulate_runs
 from turtlelog.compare.ids import ALIGNMENTS, list_units, order_ids
 from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
-from turtlelog.compare.names import name_runs
 from turtlelog.compare.order import order_by_gain
+from turtlelog.compare.paper_tables import tabulate_table1, tabulate_whole_runs
+from turtlelog.compare.run_names import name_runs
+from turtlelog.compare.run_table import mark_metric, tabulate_runs
 from turtlelog.compare.summary import (
     RunSummary,
     choose_columns,
@@ -28,45 +26,38 @@ from turtlelog.compare.summary import (
     summarise_run,
 )
 from turtlelog.compare.table import Cell, Column, Mark, Table, format_cell
-from turtlelog.compare.tolerance_file import load_tolerances, parse_tolerances, read_tables
-from turtlelog.compare.tolerances import Tolerance, Tolerances
-from turtlelog.compare.verdict import Finding
-from turtlelog.compare.verdict_table import tabulate_all_findings, tabulate_findings
+from turtlelog.compare.tube import Tolerance
+from turtlelog.replay import SignalDifference
 
 __all__ = [
     "ALIGNMENTS",
     "Cell",
     "Column",
-    "Comparison",
-    "Finding",
     "Mark",
     "MetricDifference",
+    "RunComparison",
     "RunSummary",
     "SignalDifference",
     "Table",
     "Tolerance",
-    "Tolerances",
     "choose_columns",
+    "compare_metrics",
     "compare_runs",
+    "compare_signals",
     "format_cell",
     "iter_comparisons",
     "list_needed_metrics",
     "list_units",
     "list_usual_metrics",
-    "load_tolerances",
     "mark_metric",
     "name_runs",
     "order_by_gain",
     "order_ids",
-    "parse_tolerances",
-    "read_tables",
     "select_runs",
     "sort_runs",
     "summarise_files",
     "summarise_run",
-    "tabulate_all_findings",
     "tabulate_differences",
-    "tabulate_findings",
     "tabulate_measured",
     "tabulate_metrics",
     "tabulate_runs",

@@ -1,23 +1,25 @@
-"""What differs between a run and a reference, signal by signal, and whether that is tolerated."""
+"""What differs between a run and a reference, signal by signal and metric by metric."""
 
 import dataclasses
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final
 
 import numpy as np
 
-from turtlelog.compare.clock import Clock, align_runs
+from turtlelog.compare.alignment import CommonClock, align_runs
 from turtlelog.compare.ids import list_names
-from turtlelog.compare.tolerances import Tolerance, Tolerances
-from turtlelog.compare.tube import Grid, Rows, find_nearest, lay_grid, measure_distance, read_rows
-from turtlelog.compare.verdict import (
-    Finding,
-    judge_metric,
-    judge_signal,
-    leave_open,
-    miss_signal,
+from turtlelog.compare.table import Cell, Column, Table
+from turtlelog.compare.tube import (
+    Grid,
+    GridValues,
+    Tolerance,
+    find_limit,
+    find_nearest,
+    lay_grid,
+    measure_distance,
+    read_rows,
 )
 from turtlelog.measure import (
     SIGNALS,
@@ -29,24 +31,8 @@ from turtlelog.measure import (
     miss_metric,
     read_signal,
 )
+from turtlelog.replay import Difference, SignalDifference
 from turtlelog.run import Run
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SignalDifference:
-    """How far one signal is from the reference's.
-
-    Attributes:
-        signal: Its name.
-        unit: Of `largest`.
-        largest: Largest magnitude of the difference on the common clock.
-        at_s: First time at which it is that large, on the common clock [s].
-    """
-
-    signal: str
-    unit: str
-    largest: float
-    at_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,9 +42,15 @@ class MetricDifference:
     metric: Metric
     reference: Metric
 
+    @property
+    def differs_in_unit(self) -> bool:
+        """Whether loops of one name control what has another unit."""
+        has_values = self.metric.value is not None and self.reference.value is not None
+        return has_values and self.metric.unit != self.reference.unit
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class RunComparison:
     """One run beside a reference.
 
     Attributes:
@@ -68,7 +60,6 @@ class Comparison:
         overlap_s: Length of that stretch [s].
         signals: For every signal that both hold.
         metrics: For every metric of either law, but those that differ in their unit.
-        findings: For every tolerance given, signals before metrics.
         notes: What the reader should know of the alignment.
     """
 
@@ -78,25 +69,11 @@ class Comparison:
     overlap_s: float
     signals: tuple[SignalDifference, ...]
     metrics: tuple[MetricDifference, ...]
-    findings: tuple[Finding, ...] = ()
     notes: tuple[str, ...] = ()
 
-    @property
-    def verdict(self) -> Literal["pass", "fail"] | None:
-        """Whether every finding passes; None where no tolerances were given."""
-        if not self.findings:
-            return None
-        return "pass" if all(finding.within for finding in self.findings) else "fail"
 
-
-def compare_runs(
-    reference: Run,
-    run: Run,
-    *,
-    alignment: str = "first_sample",
-    tolerances: Tolerances | None = None,
-) -> Comparison:
-    """Return what differs between a run and a reference, and whether it is tolerated.
+def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -> RunComparison:
+    """Return what differs between a run and a reference.
 
     Args:
         reference: The run that differences are taken from.
@@ -104,85 +81,137 @@ def compare_runs(
         alignment: `first_sample`: time zero is each run's first sample; `phase:NAME`: the start of
             a phase, what stands before is not compared; `recorded`: times as recorded; `sample`:
             samples are compared by their number, each with the pose that it read.
-        tolerances: What to judge; None: nothing.
 
     Raises:
         CompareError: Where there is no such alignment, or the runs do not overlap.
     """
-    (comparison,) = iter_comparisons(reference, (run,), alignment=alignment, tolerances=tolerances)
+    (comparison,) = iter_comparisons(reference, (run,), alignment=alignment)
     return comparison
 
 
 def iter_comparisons(
-    reference: Run,
-    runs: Iterable[Run],
-    *,
-    alignment: str = "first_sample",
-    tolerances: Tolerances | None = None,
-) -> Iterator[Comparison]:
+    reference: Run, runs: Iterable[Run], *, alignment: str = "first_sample"
+) -> Iterator[RunComparison]:
     """Yield a comparison for every run, as `compare_runs`; none is kept once it is yielded.
 
     Raises:
         CompareError: As `compare_runs`.
     """
     metrics = measure_run(reference)
-    tolerances = tolerances or Tolerances()
     for run in runs:
         clock = align_runs(reference, run, alignment)
-        signals, found = _compare_signals(reference, run, clock, tolerances.signals)
-        pairs = _pair_metrics((reference, metrics), run, tolerances.metrics)
-        yield Comparison(
+        start_ns, end_ns = map(clock.read_ns, clock.span)
+        names = list_names([reference.declaration, run.declaration])
+        signals = _compare_signals(reference, run, clock, dict.fromkeys(names, Tolerance()))
+        pairs = _pair_metrics((reference, metrics), run)
+        yield RunComparison(
             name=run.name,
             alignment=alignment,
-            overlap_from_s=clock.read_seconds(clock.span[0]),
-            overlap_s=clock.read_seconds(clock.span[1]) - clock.read_seconds(clock.span[0]),
-            signals=signals,
-            metrics=tuple(pair for pair in pairs.values() if not _differ_in_unit(pair)),
-            findings=(
-                *found,
-                *(
-                    _judge_metric(pairs[name], tolerance, (reference, run))
-                    for name, tolerance in tolerances.metrics.items()
-                ),
-            ),
-            notes=(
-                *_list_notes(reference, run, clock, tolerances),
-                *_list_apart(pairs.values()),
-            ),
+            overlap_from_s=start_ns / 1e9,
+            overlap_s=end_ns / 1e9 - start_ns / 1e9,
+            signals=tuple(signals.values()),
+            metrics=tuple(pair for pair in pairs if not pair.differs_in_unit),
+            notes=(*_list_notes(reference, run, clock), *_list_apart(pairs)),
         )
+
+
+def compare_signals(
+    reference: Run,
+    run: Run,
+    tolerances: Mapping[str, Tolerance],
+    *,
+    alignment: str = "first_sample",
+) -> dict[str, SignalDifference]:
+    """Return how far signals are from the reference's, each with what it may be apart.
+
+    Args:
+        reference: The run that differences are taken from.
+        run: The other.
+        tolerances: By the name of the signal; one that a run does not hold is left out.
+        alignment: As in `compare_runs`.
+
+    Raises:
+        CompareError: As `compare_runs`.
+    """
+    return _compare_signals(reference, run, align_runs(reference, run, alignment), tolerances)
+
+
+def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[MetricDifference]:
+    """Return metrics of a run beside a reference's; of a loop that is not declared: no value."""
+    measured = [measure_run(found, only=ids) if ids else {} for found in (reference, run)]
+    return [MetricDifference(metric=measured[1][name], reference=measured[0][name]) for name in ids]
+
+
+def explain_lack(name: str, reference: Run, run: Run) -> str:
+    """Return why a signal cannot be compared: a run does not hold it, or its law has none such."""
+    known = list(list_names([reference.declaration, run.declaration]))
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=2)
+        states = ", ".join(found for found in known if found not in SIGNALS) or "none"
+        hint = f"; the nearest are {', '.join(near)}" if near else ""
+        return f"neither a signal nor a state of these laws (they have {states}){hint}"
+    sides = zip((reference, run), _read_signals(name, reference, run), strict=True)
+    lacking = [who for who, held in sides if held is None]
+    reason = f"{' and '.join(who.name for who in lacking)} does not hold it"
+    lawless = [who for who in lacking if name not in list_signals(who.declaration)]
+    if not lawless:
+        return reason
+    states = ", ".join(lawless[0].declaration.states) or "none"
+    return f"{reason}: no state of its law (it has {states})"
+
+
+def tabulate_differences(
+    comparisons: Sequence[RunComparison], *, names: Sequence[str], reference: str
+) -> Table:
+    """Return the largest difference of every signal from the reference, and when it is reached.
+
+    `names` heads the columns, one for each comparison.
+    """
+    found = [{signal.signal: signal for signal in run.signals} for run in comparisons]
+    columns = [Column(title="signal"), Column(title="unit")]
+    for name in names:
+        columns += [Column(title=name), Column(title="at", unit="s", digits=2, joined=True)]
+    rows = []
+    units = {name: signal.unit for signals in found for name, signal in signals.items()}
+    for name in sorted(units, key=lambda name: (name not in SIGNALS, [*SIGNALS, name].index(name))):
+        cells: list[Cell] = []
+        for signals in found:
+            known = signals.get(name)
+            cells += [known.largest, known.at_s] if known else [None, None]
+        rows.append((name, units[name], *cells))
+    alignments = dict.fromkeys(_describe_alignment(found.alignment) for found in comparisons)
+    return Table(
+        title=f"Largest differences from {reference}, {', '.join(alignments)}",
+        columns=tuple(columns),
+        rows=tuple(rows),
+        notes=_list_overlaps(comparisons, names),
+    )
+
+
+_ALIGNMENT_WORDS: Final = {
+    "first_sample": "from the first samples on",
+    "recorded": "by recorded time",
+    "sample": "sample by sample",
+}
 
 
 def _pair_metrics(
-    reference: tuple[Run, Mapping[str, Metric]], run: Run, judged: Iterable[str]
-) -> dict[str, MetricDifference]:
-    """Return every metric of either law, and those that are judged; of no loop: `no_phase`."""
+    reference: tuple[Run, Mapping[str, Metric]], run: Run
+) -> tuple[MetricDifference, ...]:
+    """Return every metric of either law; of a loop that one does not declare: `no_phase`."""
     declarations = reference[0].declaration, run.declaration
     theirs, ours = reference[1], measure_run(run)
-    return {
-        name: MetricDifference(
+    return tuple(
+        MetricDifference(
             metric=ours.get(name) or miss_metric(declarations[1], name),
             reference=theirs.get(name) or miss_metric(declarations[0], name),
         )
-        for name in dict.fromkeys([*list_metrics(*declarations), *judged])
-    }
-
-
-def _judge_metric(pair: MetricDifference, tolerance: Tolerance, runs: tuple[Run, Run]) -> Finding:
-    """Return the verdict on a metric; one of a loop that neither law declares does not pass."""
-    if pair.metric.id in list_metrics(*(run.declaration for run in runs)):
-        return judge_metric(pair.metric, pair.reference, tolerance)
-    reason = f"{pair.metric.status.value} ({pair.metric.reason})"
-    return leave_open(pair.metric, tolerance, reason)
-
-
-def _differ_in_unit(pair: MetricDifference) -> bool:
-    """Return whether loops of one name control what has another unit."""
-    has_values = pair.metric.value is not None and pair.reference.value is not None
-    return has_values and pair.metric.unit != pair.reference.unit
+        for name in list_metrics(*declarations)
+    )
 
 
 def _list_apart(pairs: Iterable[MetricDifference]) -> Iterator[str]:
-    apart = [pair for pair in pairs if _differ_in_unit(pair)]
+    apart = [pair for pair in pairs if pair.differs_in_unit]
     for loop in dict.fromkeys(pair.metric.id.rpartition(".")[0] for pair in apart):
         yield (
             f"The loop {loop} controls another signal in the reference: metrics of other units"
@@ -191,29 +220,67 @@ def _list_apart(pairs: Iterable[MetricDifference]) -> Iterator[str]:
 
 
 def _compare_signals(
-    reference: Run, run: Run, clock: Clock, tolerances: Mapping[str, Tolerance]
-) -> tuple[tuple[SignalDifference, ...], tuple[Finding, ...]]:
-    differences, findings = [], {}
+    reference: Run, run: Run, clock: CommonClock, tolerances: Mapping[str, Tolerance]
+) -> dict[str, SignalDifference]:
+    found: dict[str, SignalDifference] = {}
     grids: dict[str, Grid] = {}
-    units = list_names([reference.declaration, run.declaration])
-    for name in dict.fromkeys([*units, *tolerances]):
+    phases = _join_phases(reference, run)
+    for name, tolerance in tolerances.items():
         theirs, ours = _read_signals(name, reference, run)
         if theirs is None or ours is None:
-            if name in tolerances:
-                lacking = [who for who, held in ((reference, theirs), (run, ours)) if held is None]
-                reason = _explain_lack(name, lacking, known=list(units))
-                findings[name] = miss_signal(name, units.get(name, ""), tolerances[name], reason)
             continue
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
         times, source = (placed[0].time_ns, placed[1].time_ns), theirs.kind.source
         if source not in grids:
             grids[source] = lay_grid(*times, clock.span)
         rows = read_rows(placed[1], grids[source])
-        differences.append(_find_largest(placed[0], rows, clock))
-        if name in tolerances:
-            found = judge_signal(placed[0], rows, tolerances[name], clock)
-            findings[name] = _name_phases(found, reference, run)
-    return tuple(differences), tuple(findings[name] for name in tolerances)
+        found[name] = _measure_rows(placed[0], rows, tolerance, clock, phases)
+    return found
+
+
+def _measure_rows(
+    reference: Signal,
+    rows: GridValues,
+    tolerance: Tolerance,
+    clock: CommonClock,
+    phases: list[str],
+) -> SignalDifference:
+    """Return how far a run's rows are from the reference's signal, both on the clock."""
+    half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
+    nearest = find_nearest(reference, rows, tolerance, half_width=half_width)
+    off = measure_distance(reference, rows.values, nearest)
+    limit = find_limit(reference, nearest, tolerance)
+    outside = off > limit
+    least = int((off - limit).argmax())
+    if not outside[least] and outside.any():
+        least = int(outside.argmax())
+
+    def read_row(row: int) -> Difference:
+        values = float(nearest[row]), float(rows.values[row])
+        is_label = reference.kind.compared_as == "label"
+        sides = [phases[int(value)] if is_label else value for value in values]
+        return Difference(
+            signal=reference.name,
+            time_ns=clock.read_ns(int(rows.grid.at[row])),
+            recorded=sides[0],
+            replayed=sides[1],
+        )
+
+    return SignalDifference(
+        signal=reference.name,
+        unit=reference.kind.unit,
+        rows=len(off),
+        differing=int(outside.sum()),
+        largest=float(off[least]),
+        limit=float(limit[least]),
+        largest_difference=read_row(least) if off[least] else None,
+        first_difference=read_row(int(outside.argmax())) if outside.any() else None,
+    )
+
+
+def _join_phases(reference: Run, run: Run) -> list[str]:
+    """Return the phases of both laws, by which those of both are numbered."""
+    return list(dict.fromkeys([*reference.phase_names, *run.phase_names]))
 
 
 def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, Signal | None]:
@@ -224,56 +291,34 @@ def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, S
     )
     if theirs is None or ours is None or ours.kind.compared_as != "label":
         return theirs, ours
-    names = list(dict.fromkeys([*reference.phase_names, *run.phase_names]))
+    names = _join_phases(reference, run)
     numbers = np.array([names.index(phase) for phase in run.phase_names], dtype=np.float64)
     return theirs, dataclasses.replace(ours, values=numbers[ours.values.astype(np.int64)])
 
 
-def _name_phases(finding: Finding, reference: Run, run: Run) -> Finding:
-    """Return a finding with the phases by name where the laws number theirs otherwise."""
-    names = list(dict.fromkeys([*reference.phase_names, *run.phase_names]))
-    sides = finding.value, finding.reference
-    if finding.within or finding.name != "phase" or run.phase_names == reference.phase_names:
-        return finding
-    found, expected = (names[int(side or 0)] for side in sides)
-    return dataclasses.replace(finding, reason=f"{found}, where the reference has {expected}")
-
-
-def _explain_lack(name: str, lacking: list[Run], *, known: list[str]) -> str:
-    """Return why a signal cannot be judged: a run does not hold it, or its law has no such name."""
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=2)
-        states = ", ".join(found for found in known if found not in SIGNALS) or "none"
-        hint = f"; the nearest are {', '.join(near)}" if near else ""
-        return f"neither a signal nor a state of these laws (they have {states}){hint}"
-    reason = f"{' and '.join(run.name for run in lacking)} does not hold it"
-    lawless = [run for run in lacking if name not in list_signals(run.declaration)]
-    if not lawless:
-        return reason
-    states = ", ".join(lawless[0].declaration.states) or "none"
-    return f"{reason}: no state of its law (it has {states})"
-
-
-def _find_largest(reference: Signal, rows: Rows, clock: Clock) -> SignalDifference:
-    off = measure_distance(reference, rows.values, find_nearest(reference, rows, Tolerance()))
-    row = int(off.argmax())
-    return SignalDifference(
-        signal=reference.name,
-        unit=reference.kind.unit,
-        largest=float(off[row]),
-        at_s=clock.read_seconds(int(rows.grid.at[row])),
-    )
-
-
-def _list_notes(reference: Run, run: Run, clock: Clock, tolerances: Tolerances) -> Iterator[str]:
+def _list_notes(reference: Run, run: Run, clock: CommonClock) -> Iterator[str]:
     if clock.tells_time:
         return
     counts = [len(found.samples) for found in (reference, run)]
-    compared = clock.span[1] + 1
     if counts[0] != counts[1]:
         yield (
-            f"{compared} samples are compared by number: {reference.name} has {counts[0]},"
-            f" {run.name} {counts[1]}."
+            f"{clock.span[1] + 1} samples are compared by number: {reference.name} has"
+            f" {counts[0]}, {run.name} {counts[1]}."
         )
-    if any(tolerance.time_s for tolerance in tolerances.signals.values()):
-        yield "Aligned by the number of samples, no tolerance in time applies."
+
+
+def _describe_alignment(alignment: str) -> str:
+    """Return an alignment in words: `from the start of translate on`."""
+    phase = alignment.removeprefix("phase:")
+    return _ALIGNMENT_WORDS.get(alignment, f"from the start of {phase} on")
+
+
+def _list_overlaps(comparisons: Sequence[RunComparison], names: Sequence[str]) -> tuple[str, ...]:
+    """Return over which stretch the runs were compared, where that is the same in one sentence."""
+    stretches: dict[str, list[str]] = {}
+    for name, found in zip(names, comparisons, strict=True):
+        end_s = found.overlap_from_s + found.overlap_s
+        stretches.setdefault(f"{found.overlap_from_s:.2f} to {end_s:.2f} s", []).append(name)
+    compared = "; ".join(f"{', '.join(runs)}: {stretch}" for stretch, runs in stretches.items())
+    notes = dict.fromkeys(note for found in comparisons for note in found.notes)
+    return f"Compared over {compared}.", *notes

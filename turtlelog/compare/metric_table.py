@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 
 from turtlelog.compare.ids import list_units, order_ids
-from turtlelog.compare.names import name_runs
+from turtlelog.compare.run_names import name_runs
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.measure import MeasureSettings, Metric, measure_run
 from turtlelog.run import Run

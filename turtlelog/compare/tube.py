@@ -8,18 +8,49 @@ As rel <= 1, that half-width grows no faster than the distance: the nearest valu
 nearest above decide.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
-from turtlelog.compare.tolerances import Tolerance
-from turtlelog.compare.windows import find_neighbours, find_ranges
+from turtlelog.errors import CompareError
 from turtlelog.measure import Signal
 
 Values = NDArray[np.float64]
 Times = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerance:
+    """How far one signal or metric may be from the reference's: max(abs, rel |reference|).
+
+    Attributes:
+        abs: In the unit of the signal or metric, >= 0.
+        rel: As a share of the reference's magnitude, 0 to 1; an angle's is that in [0, pi].
+        time_s: A signal passes by any value that the reference takes this close in time [s], >= 0.
+        reason: Why so much and no more.
+
+    Raises:
+        CompareError: Where a figure is no finite number in its range.
+    """
+
+    abs: float = 0.0
+    rel: float = 0.0
+    time_s: float = 0.0
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        for name, most in (("abs", math.inf), ("rel", 1.0), ("time_s", _LONGEST_S)):
+            value = getattr(self, name)
+            wanted = "a finite number >= 0" if math.isinf(most) else f"a number from 0 to {most:g}"
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not is_number or not 0 <= value <= most or value == math.inf:
+                raise CompareError(f"{name}: expected {wanted}, found {_describe(value)}")
+            object.__setattr__(self, name, float(value))
+        if not isinstance(self.reason, str):
+            raise CompareError(f"reason: expected text, found {_describe(self.reason)}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,11 +71,18 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rows:
+class GridValues:
     """A run's values on a grid, shape (n,)."""
 
     grid: Grid
     values: Values
+
+
+_LONGEST_S = 1e6
+
+
+def _describe(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
@@ -64,15 +102,15 @@ def lay_grid(reference_at: Times, run_at: Times, span: tuple[int, int]) -> Grid:
     return Grid(at=at, run_row=run_row, later=last - run_row)
 
 
-def read_rows(run: Signal, grid: Grid) -> Rows:
+def read_rows(run: Signal, grid: Grid) -> GridValues:
     """Return a placed signal's values on a grid, by line or held as fits the signal."""
     if run.kind.resampling == "line":
-        return Rows(grid=grid, values=np.interp(grid.at, run.time_ns, run.values))
-    return Rows(grid=grid, values=run.values[grid.run_row])
+        return GridValues(grid=grid, values=np.interp(grid.at, run.time_ns, run.values))
+    return GridValues(grid=grid, values=run.values[grid.run_row])
 
 
 def find_nearest(
-    reference: Signal, rows: Rows, tolerance: Tolerance, *, half_width: int = 0
+    reference: Signal, rows: GridValues, tolerance: Tolerance, *, half_width: int = 0
 ) -> Values:
     """Return the value of the reference that decides over each row, shape of the rows.
 
@@ -101,7 +139,7 @@ def find_limit(reference: Signal, nearest: Values, tolerance: Tolerance) -> Valu
     return np.maximum(tolerance.abs, tolerance.rel * np.abs(size))
 
 
-def _find_nearest_on_line(reference: Signal, rows: Rows, half_width: int) -> Values:
+def _find_nearest_on_line(reference: Signal, rows: GridValues, half_width: int) -> Values:
     if not half_width:
         return np.interp(rows.grid.at, reference.time_ns, reference.values)
     start, end = rows.grid.at - half_width, rows.grid.at + half_width
@@ -110,7 +148,7 @@ def _find_nearest_on_line(reference: Signal, rows: Rows, half_width: int) -> Val
     first = np.searchsorted(reference.time_ns, start, side="left")
     after = np.searchsorted(reference.time_ns, end, side="right")
     inside = np.flatnonzero(first < after)
-    lowest, highest = find_ranges(reference.values, first[inside], after[inside])
+    lowest, highest = _find_ranges(reference.values, first[inside], after[inside])
     low[inside] = np.minimum(low[inside], lowest)
     high[inside] = np.maximum(high[inside], highest)
     values = rows.values
@@ -121,7 +159,7 @@ def _find_nearest_on_line(reference: Signal, rows: Rows, half_width: int) -> Val
     return np.clip(values, low, high)
 
 
-def _find_held(reference: Signal, rows: Rows) -> Values:
+def _find_held(reference: Signal, rows: GridValues) -> Values:
     """Return the value held at each row's time.
 
     Rows that share one time are matched from the last one backwards.
@@ -133,7 +171,7 @@ def _find_held(reference: Signal, rows: Rows) -> Values:
 
 
 def _find_nearest_held(
-    reference: Signal, rows: Rows, tolerance: Tolerance, half_width: int
+    reference: Signal, rows: GridValues, tolerance: Tolerance, half_width: int
 ) -> Values:
     """Return the nearest of the rows in each window, where it can matter.
 
@@ -144,7 +182,7 @@ def _find_nearest_held(
     start, end = rows.grid.at - half_width, rows.grid.at + half_width
     first = np.maximum(np.searchsorted(reference.time_ns, start, side="right") - 1, 0)
     after = np.maximum(np.searchsorted(reference.time_ns, end, side="right"), first + 1)
-    low, high = find_ranges(reference.values, first, after)
+    low, high = _find_ranges(reference.values, first, after)
     edge, held = np.clip(rows.values, low, high), _find_held(reference, rows)
     between = edge == rows.values
 
@@ -157,7 +195,7 @@ def _find_nearest_held(
     unsaid = np.flatnonzero(between & (find_excess(rows.values, held) > enough))
     if len(unsaid):
         wanted = rows.values[unsaid]
-        sides = find_neighbours(reference.values, first[unsaid], after[unsaid], wanted)
+        sides = _find_neighbours(reference.values, first[unsaid], after[unsaid], wanted)
         excess = [np.nan_to_num(find_excess(wanted, side), nan=np.inf) for side in sides]
         nearest[unsaid] = np.where(excess[0] <= excess[1], *sides)
     return nearest
@@ -171,3 +209,74 @@ def _merge_times(one: Times, other: Times) -> Times:
         # Merges sorted runs, where np.union1d would sort anew.
         both = np.sort(np.concatenate([one, other]), kind="stable")
     return both[np.flatnonzero(np.diff(both, prepend=both[0] - 1))]
+
+
+def _find_ranges(values: Values, first: Times, after: Times) -> tuple[Values, Values]:
+    """Return the smallest and the largest value of every stretch, shape of `first`.
+
+    A stretch is the rows `first` to `after - 1`; none is empty, and all are answered at once. Two
+    stretches of 2^k rows that overlap cover any longer one: only the tables of the k that occur
+    are asked, one after another.
+    """
+    level = np.frexp((after - first).astype(np.float64))[1] - 1
+    low, high = values, values
+    lowest, highest = np.empty(first.shape), np.empty(first.shape)
+    for k in range(int(level.max(initial=-1)) + 1):
+        if k:
+            half = 1 << (k - 1)
+            low = np.minimum(low[:-half], low[half:])
+            high = np.maximum(high[:-half], high[half:])
+        asked = np.flatnonzero(level == k)
+        left, right = first[asked], after[asked] - (1 << k)
+        lowest[asked] = np.minimum(low[left], low[right])
+        highest[asked] = np.maximum(high[left], high[right])
+    return lowest, highest
+
+
+def _find_neighbours(
+    values: Values, first: Times, after: Times, wanted: Values
+) -> tuple[Values, Values]:
+    """Return the nearest value at or below, and above `wanted` in every stretch; nan: none.
+
+    A tree of sorted blocks, from rows upwards; each stretch is made of at most two blocks of every
+    size, and each block is searched by bisection, all blocks of one size in one call.
+    """
+    order = np.argsort(values, kind="stable")
+    sorted_values = values[order]
+    size = 1 << int(len(values) - 1).bit_length()
+    ranks = np.full(size, len(values), dtype=np.int64)
+    ranks[order] = np.arange(len(values))
+    wanted_rank = np.searchsorted(sorted_values, wanted, side="right") - 1
+    below = np.full(wanted.shape, -1, dtype=np.int64)
+    above = np.full(wanted.shape, len(values), dtype=np.int64)
+    first, after, width = first.copy(), after.copy(), 1
+    while (first < after).any():
+        blocks = _Blocks(ranks, width)
+        ends_odd = (first < after) & (after % 2 == 1)
+        starts_odd = (first < after) & (first % 2 == 1)
+        for asked, block in ((starts_odd, first), (ends_odd, after - 1)):
+            found = blocks.search(block[asked], wanted_rank[asked])
+            below[asked] = np.maximum(below[asked], found[0])
+            above[asked] = np.minimum(above[asked], found[1])
+        first, after = (first + 1) // 2, after // 2
+        width *= 2
+        ranks = np.sort(ranks.reshape(-1, min(width, size)), axis=1, kind="stable").ravel()
+    padded = np.concatenate([sorted_values, [np.nan]])
+    return padded[below], padded[above]
+
+
+class _Blocks:
+    """Blocks of `width` ranks, each sorted."""
+
+    def __init__(self, ranks: Times, width: int) -> None:
+        self._ranks, self._width, self._most = ranks, width, len(ranks) + 1
+        self._keys = ranks + np.arange(len(ranks)) // width * self._most
+
+    def search(self, block: Times, rank: Times) -> tuple[Times, Times]:
+        """Return the largest rank <= `rank` in each block (-1: none) and the smallest above it."""
+        start, end = block * self._width, (block + 1) * self._width
+        place = np.searchsorted(self._keys, block * self._most + rank, side="right")
+        last = len(self._ranks) - 1
+        below = np.where(place > start, self._ranks[np.maximum(place - 1, 0)], -1)
+        above = np.where(place < end, self._ranks[np.minimum(place, last)], self._most)
+        return below, above

@@ -1,11 +1,11 @@
 """A Run driven again: through the plant, through a law, in closed loop, with changes."""
 
 from turtlelog.errors import ReplayError
-from turtlelog.replay.breaks import Gap, Jump
+from turtlelog.replay.command_matching import CommandUse
 from turtlelog.replay.difference import Difference, SignalDifference
+from turtlelog.replay.discontinuities import Gap, Jump
 from turtlelog.replay.law import LawReplay, replay_law
 from turtlelog.replay.loop import LoopReplay, replay_loop
-from turtlelog.replay.placement import CommandUse
 from turtlelog.replay.plant import PlantReplay, PoseError, Stretch, replay_plant
 from turtlelog.replay.run_pairs import RowCount
 

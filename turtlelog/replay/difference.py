@@ -1,4 +1,4 @@
-"""What two values of one signal differ by, and where a signal first differs."""
+"""How far a signal is from that of a reference: a recording, or another run."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ Value = float | int | str | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """One recorded value beside the one that a replay has in its place.
+    """A value of a reference beside the one that a replay, or another run, has in its place.
 
     Attributes:
         signal: Its name.
-        time_ns: When, by the recording [ns].
-        recorded: In the signal's unit; a phase or stop reason by its name, a declaration in words;
-            None: none.
-        replayed: The same.
+        time_ns: When [ns]: of a replay by the recording, of two runs on their common clock.
+        recorded: Of the reference, in the signal's unit; a phase or stop reason by its name, a
+            declaration in words; None: none.
+        replayed: Of the replay or the other run, the same.
     """
 
     signal: str
@@ -33,17 +33,18 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalDifference:
-    """How far a signal is from what was recorded, over all rows.
+    """How far a signal is from the reference's, over all rows.
 
     Attributes:
         signal: Its name.
         unit: Of its values.
         rows: How many were compared.
-        differing: How many of them differ by more than the tolerance, or have a value on one side
-            only.
-        largest: Largest magnitude of a difference, in `unit`; of a label 1 where it differs.
-        at_ns: When that is first reached, by the recording [ns]; None where all are equal.
-        first_difference: None where no row differs by more than the tolerance.
+        differing: How many of them differ by more than the limit, or have a value on one side only.
+        largest: Largest magnitude of a difference, in `unit`; of a label 1 where it differs. Where
+            limits differ from row to row, that of the row with the least margin.
+        limit: Differences up to this one are tolerated in that row, in `unit`.
+        largest_difference: The first row of that difference; None where it is 0.
+        first_difference: The first row beyond its limit; None where there is none.
     """
 
     signal: str
@@ -51,8 +52,19 @@ class SignalDifference:
     rows: int
     differing: int
     largest: float
-    at_ns: int | None
+    limit: float
+    largest_difference: Difference | None
     first_difference: Difference | None
+
+    @property
+    def at_ns(self) -> int | None:
+        """When the largest difference is first reached [ns]; None where all are equal."""
+        return None if self.largest_difference is None else self.largest_difference.time_ns
+
+    @property
+    def at_s(self) -> float | None:
+        """The same [s]."""
+        return None if self.at_ns is None else self.at_ns / 1e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,8 +91,9 @@ class Pairing:
 def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
     """Return how far a signal's rows differ; labels differ whatever the tolerance."""
     apart, is_one_sided = _subtract(pairing)
+    limit = 0.0 if pairing.kind == "label" else tolerance
     # What is not within: nan, which a difference beyond the largest number may be, is none.
-    outside = ~(apart <= (0.0 if pairing.kind == "label" else tolerance)) | is_one_sided
+    outside = ~(apart <= limit) | is_one_sided
     row = int(apart.argmax()) if len(apart) else 0
     largest = float(apart[row]) if len(apart) else 0.0
     return SignalDifference(
@@ -89,8 +102,9 @@ def compare_pairing(pairing: Pairing, *, tolerance: float) -> SignalDifference:
         rows=len(apart),
         differing=int(outside.sum()),
         largest=largest,
-        at_ns=int(pairing.time_ns[row]) if largest else None,
-        first_difference=_build_first(pairing, int(outside.argmax())) if outside.any() else None,
+        limit=limit,
+        largest_difference=_read_row(pairing, row) if largest else None,
+        first_difference=_read_row(pairing, int(outside.argmax())) if outside.any() else None,
     )
 
 
@@ -119,7 +133,7 @@ def _subtract(pairing: Pairing) -> tuple[NDArray[np.float64], NDArray[np.bool_]]
     return np.where(missing[0] | missing[1], 0.0, apart), missing[0] != missing[1]
 
 
-def _build_first(pairing: Pairing, row: int) -> Difference:
+def _read_row(pairing: Pairing, row: int) -> Difference:
     # A NaN, which no other value equals, is no value.
     recorded, replayed = (
         value if value == value else None  # noqa: PLR0124

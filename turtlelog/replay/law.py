@@ -75,6 +75,11 @@ class LawReplay:
     absent: tuple[str, ...]
     answers: SampleColumns
 
+    @property
+    def others(self) -> tuple[Difference, ...]:
+        """The differences that are of no signal: of `commands` and `stop`."""
+        return tuple(found for found in (self.commands, self.stop) if found is not None)
+
 
 def replay_law(
     run: Run,

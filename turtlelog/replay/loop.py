@@ -14,7 +14,7 @@ from turtlelog.replay.difference import (
     find_earliest,
     require_tolerance,
 )
-from turtlelog.replay.plant import PoseError
+from turtlelog.replay.plant import PoseError, find_pose_error
 from turtlelog.replay.run_pairs import (
     RowCount,
     count_rows,
@@ -49,6 +49,7 @@ class LoopReplay:
         signals: By signal: poses, samples, commands.
         counts: Rows of `samples`, `poses` and `commands`, as far as they are recorded.
         stop: Where the run ended for another reason; None where not.
+        others: The differences that are of no signal: of `counts` and `stop`.
         declaration: Where the law declares other loops, phases or states than were recorded; None
             where not. By itself it is no difference of the runs.
         first_difference: The earliest of all, counts and stop included; of several at one time that
@@ -65,6 +66,7 @@ class LoopReplay:
     signals: tuple[SignalDifference, ...]
     counts: Mapping[str, RowCount]
     stop: Difference | None
+    others: tuple[Difference, ...]
     declaration: Difference | None
     first_difference: Difference | None
     absent: tuple[str, ...]
@@ -110,20 +112,21 @@ def replay_loop(
     signals = tuple(compare_pairing(pairing, tolerance=tolerance) for pairing in pairings)
     counts = count_rows(run, replayed, by_tick=by_tick)
     stop = compare_ends(run, replayed.stop_reason)
-    first = [found.first_difference for found in signals]
-    first += [find_count_difference(run, name, count) for name, count in counts.items()]
+    ends = [find_count_difference(run, name, count) for name, count in counts.items()]
+    others = tuple(found for found in (*ends, stop) if found is not None)
     return LoopReplay(
         name=run.name,
         scenario=scenario,
         run=replayed,
         by_tick=by_tick,
         samples=next((found.rows for found in signals if found.signal == "phase"), 0),
-        max_abs_error=_find_pose_error(signals),
+        max_abs_error=find_pose_error(signals),
         signals=signals,
         counts=MappingProxyType(counts),
         stop=stop,
+        others=others,
         declaration=compare_declarations(run, replayed.declaration) if len(run.samples) else None,
-        first_difference=find_earliest([*first, stop]),
+        first_difference=find_earliest([*(found.first_difference for found in signals), *others]),
         absent=(*_list_absent(run, replayed), *_list_missing(_OF_TICKS, signals)),
     )
 
@@ -131,11 +134,6 @@ def replay_loop(
 def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
     was = Answers(run.samples, run.declaration)
     return list_absent(was, Answers(replayed.samples, replayed.declaration))
-
-
-def _find_pose_error(signals: Sequence[SignalDifference]) -> PoseError:
-    largest = {found.signal: found.largest for found in signals}
-    return PoseError(x_m=largest["x"], y_m=largest["y"], heading_rad=largest["heading"])
 
 
 def _list_missing(names: Sequence[str], signals: Sequence[SignalDifference]) -> tuple[str, ...]:

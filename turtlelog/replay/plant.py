@@ -8,11 +8,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
 from turtlelog.plants.turtlesim import TICK_S, Turtle
-from turtlelog.replay.breaks import Gap, Jump, find_breaks
-from turtlelog.replay.difference import Difference
-from turtlelog.replay.placement import CommandUse, Velocity, place_commands
+from turtlelog.replay.command_matching import CommandUse, Velocity, place_commands
+from turtlelog.replay.difference import (
+    Difference,
+    Pairing,
+    SignalDifference,
+    compare_pairing,
+    find_earliest,
+)
+from turtlelog.replay.discontinuities import Gap, Jump, find_breaks
 from turtlelog.replay.recorded import RecordedMotion, read_motion
 from turtlelog.run import Run
 
@@ -21,8 +26,6 @@ _HALF_STEP_M: Final = 2.0**-21
 
 _HALF_STEP_RAD: Final = 2.0**-23
 """Half a 32-bit step of a heading between 2 and 4 rad [rad]."""
-
-_FIELDS: Final = ("x_m", "y_m", "heading_rad")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,8 +46,7 @@ class Stretch:
         end_ns: Time of its last pose [ns].
         ticks: Steps replayed.
         max_abs_error: Over all its poses.
-        first_difference: Of x, y [m] or heading [rad], the first that rounding does not explain;
-            None where it explains all of them.
+        signals: x, y [m] and heading [rad], with what rounding explains as their limit.
         rounding_m: What 32-bit rounding of the first pose may grow to, along the way driven [m];
             the plant's own state is in double precision, and not recorded.
         rounding_rad: The same for the heading [rad].
@@ -54,9 +56,14 @@ class Stretch:
     end_ns: int
     ticks: int
     max_abs_error: PoseError
-    first_difference: Difference | None
+    signals: tuple[SignalDifference, ...]
     rounding_m: float
     rounding_rad: float
+
+    @property
+    def first_difference(self) -> Difference | None:
+        """The first that rounding does not explain; None where it explains all of them."""
+        return find_earliest(found.first_difference for found in self.signals)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +89,16 @@ class PlantReplay:
     jumps: tuple[Jump, ...]
     gaps: tuple[Gap, ...]
     commands: CommandUse
+
+    @property
+    def signals(self) -> tuple[SignalDifference, ...]:
+        """x, y and heading, stretch by stretch."""
+        return tuple(found for stretch in self.stretches for found in stretch.signals)
+
+    @property
+    def others(self) -> tuple[Difference, ...]:
+        """The differences that are of no signal: none."""
+        return ()
 
 
 def replay_plant(run: Run) -> PlantReplay:
@@ -128,18 +145,36 @@ def _replay_stretch(
         driven_m += hypot(forward, left) * TICK_S
     recorded = np.column_stack([motion.xy_m, motion.heading_rad])[first:after]
     replayed = _round_alike(np.array(states), recorded)
-    errors = _compare(replayed, recorded)
     rounding_m, rounding_rad = 3.0 * _HALF_STEP_M + driven_m * _HALF_STEP_RAD, 2.0 * _HALF_STEP_RAD
-    beyond = errors > np.array([rounding_m, rounding_m, rounding_rad])
+    signals = tuple(
+        compare_pairing(
+            Pairing(
+                signal=name,
+                unit="rad" if name == "heading" else "m",
+                time_ns=motion.time_ns[first:after],
+                recorded=recorded[:, column],
+                replayed=replayed[:, column],
+                kind="angle" if name == "heading" else "number",
+            ),
+            tolerance=rounding_rad if name == "heading" else rounding_m,
+        )
+        for column, name in enumerate(("x", "y", "heading"))
+    )
     return Stretch(
         start_ns=int(motion.time_ns[first]),
         end_ns=int(motion.time_ns[after - 1]),
         ticks=after - first - 1,
-        max_abs_error=PoseError(**dict(zip(_FIELDS, errors.max(axis=0).tolist(), strict=True))),
-        first_difference=_find_first(beyond, motion.time_ns[first:after], recorded, replayed),
+        max_abs_error=find_pose_error(signals),
+        signals=signals,
         rounding_m=rounding_m,
         rounding_rad=rounding_rad,
     )
+
+
+def find_pose_error(signals: Iterable[SignalDifference]) -> PoseError:
+    """Return the largest differences of x, y and heading."""
+    largest = {found.signal: found.largest for found in signals}
+    return PoseError(x_m=largest["x"], y_m=largest["y"], heading_rad=largest["heading"])
 
 
 def _round_alike(
@@ -148,30 +183,6 @@ def _round_alike(
     """Return poses as published; a recording of double precision holds them as they are."""
     published = replayed.astype(np.float32).astype(np.float64)
     return published if (recorded == recorded.astype(np.float32)).all() else replayed
-
-
-def _compare(replayed: NDArray[np.float64], recorded: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the magnitudes of the differences in x, y [m] and heading [rad], shape (n, 3)."""
-    turned_rad = subtract_headings(replayed[:, 2], recorded[:, 2])
-    return np.abs(np.column_stack([replayed[:, :2] - recorded[:, :2], turned_rad]))
-
-
-def _find_first(
-    beyond: NDArray[np.bool_],
-    time_ns: NDArray[np.int64],
-    recorded: NDArray[np.float64],
-    replayed: NDArray[np.float64],
-) -> Difference | None:
-    if not beyond.any():
-        return None
-    row = int(beyond.any(axis=1).argmax())
-    column = int(beyond[row].argmax())
-    return Difference(
-        signal=("x", "y", "heading")[column],
-        time_ns=int(time_ns[row]),
-        recorded=float(recorded[row, column]),
-        replayed=float(replayed[row, column]),
-    )
 
 
 def _find_largest(errors: Iterable[PoseError]) -> PoseError:

@@ -13,7 +13,7 @@ from turtlelog.compare import (
     tabulate_table1,
     tabulate_whole_runs,
 )
-from turtlelog.compare.names import name_runs
+from turtlelog.compare.run_names import name_runs
 from turtlelog.escapes import escape_markdown
 from turtlelog.loops import PAUSE
 from turtlelog.measure import Metric, find_first_stretch, list_essential_metrics, measure_run

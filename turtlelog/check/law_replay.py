@@ -4,13 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from turtlelog.check.outcome import CheckOutcome
-from turtlelog.check.result import CheckResult, Verdict
+from turtlelog.check.judge_difference import judge_replay
+from turtlelog.check.result import CheckOutcome, CheckResult
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.laws import Law
-from turtlelog.measure import list_signals
-from turtlelog.replay import Difference, LawReplay, SignalDifference, replay_law
+from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, complete_scenario
 
@@ -67,9 +66,7 @@ class DrivenRecording:
         if (recording if isinstance(recording, Run) else recording.run) is not self._run:
             raise CheckError("matches: expected the recording that is driven, found another")
         found = self.replay(tolerance.abs)
-        results = [self._judge(signal, tolerance.abs) for signal in found.signals]
-        others = [other for other in (found.commands, found.stop) if other is not None]
-        return self._conclude([*results, *map(self._judge_other, others)])
+        return self._conclude(judge_replay(self._run, found, file=self._file))
 
     def replay(self, tolerance: float = 0.0) -> LawReplay:
         """Return the replay itself."""
@@ -80,39 +77,3 @@ class DrivenRecording:
         scenario = complete_scenario(replace(self._run, parameters=others), Scenario())
         named = replace(scenario, law=replace(scenario.law, kind=type(self._law).__name__))
         return replay_law(self._run, named, law=self._law, tolerance=tolerance)
-
-    def _judge(self, signal: SignalDifference, limit: float) -> CheckResult:
-        first, known = signal.first_difference, list_signals(self._run.declaration)
-        return CheckResult(
-            file=self._file,
-            check=f"law.{signal.signal}",
-            verdict=Verdict.PASS if first is None else Verdict.FAIL,
-            expected="as recorded",
-            value=signal.largest,
-            limit=limit,
-            margin=limit - signal.largest,
-            unit=signal.unit,
-            first_violation_s=None if first is None else self._read_time(first),
-            reason="" if first is None else _describe(first),
-            names=(signal.signal,) if signal.signal in known else ("speed", "turn_rate"),
-        )
-
-    def _judge_other(self, other: Difference) -> CheckResult:
-        return CheckResult(
-            file=self._file,
-            check=f"law.{other.signal}",
-            verdict=Verdict.FAIL,
-            expected="as recorded",
-            first_violation_s=self._read_time(other),
-            reason=_describe(other),
-            names=("distance", "speed", "turn_rate"),
-        )
-
-    def _read_time(self, difference: Difference) -> float:
-        return (difference.time_ns - self._run.start_ns) / 1e9
-
-
-def _describe(difference: Difference) -> str:
-    sides = (difference.recorded, difference.replayed)
-    recorded, replayed = ("none" if side is None else str(side) for side in sides)
-    return f"recorded {recorded}, the law answers {replayed}"

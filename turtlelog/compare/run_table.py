@@ -7,7 +7,7 @@ from typing import Final
 
 from turtlelog.compare.ids import list_units
 from turtlelog.compare.metric_table import get_cell
-from turtlelog.compare.names import has_one_gain, name_runs
+from turtlelog.compare.run_names import has_one_gain, name_runs
 from turtlelog.compare.summary import RunSummary, choose_columns, list_usual_metrics
 from turtlelog.compare.table import Cell, Column, Mark, Table
 from turtlelog.loops import ControlLoop, Declaration

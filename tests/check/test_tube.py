@@ -33,13 +33,11 @@ def draw_signal(data: st.DataObject) -> tuple[Values, Values]:
     return time_s, np.array(values)
 
 
-def judge(reference: tl.Run, run: tl.Run, signal: str, **limits: float) -> tl.Finding:
+def judge(reference: tl.Run, run: tl.Run, signal: str, **limits: float) -> tl.CheckResult:
     tolerance = tl.Tolerance(reason="", **limits)
     tolerances = tl.Tolerances(signals={signal: tolerance})
-    (finding,) = tl.compare_runs(
-        reference, run, alignment="recorded", tolerances=tolerances
-    ).findings
-    return finding
+    (result,) = tl.match_run(run, reference, tolerances, alignment="recorded")
+    return result
 
 
 def find_margins(
@@ -74,13 +72,13 @@ def list_on_line(time_s: Values, values: Values, start: float, end: float) -> Va
     return np.array([*ends, *values[(time_s >= start) & (time_s <= end)]])
 
 
-def check_finding(finding: tl.Finding, at: Values, margins: Values) -> None:
+def check_result(result: tl.CheckResult, at: Values, margins: Values) -> None:
     """Compare, but for rows whose margin is nothing but rounding."""
-    assert finding.margin == pytest.approx(margins.min(), abs=1e-9)
+    assert result.margin == pytest.approx(margins.min(), abs=1e-9)
     if (np.abs(margins) > 1e-9).all():
         outside = at[margins < 0]
-        assert finding.within == (not len(outside))
-        assert finding.first_outside_s == (outside[0] if len(outside) else None)
+        assert bool(result) == (not len(outside))
+        assert result.first_violation_s == (outside[0] if len(outside) else None)
 
 
 @given(data=st.data(), limits=LIMITS)
@@ -96,7 +94,7 @@ def test_a_held_signal_is_judged_as_the_definition_says(
     at = np.union1d(reference[0], run[0])
     rows = at, run[1][np.searchsorted(run[0], at, side="right") - 1]
     margins = find_margins(reference, rows, limits, list_held)
-    check_finding(judge(runs[0], runs[1], "speed", **limits), at, margins)
+    check_result(judge(runs[0], runs[1], "speed", **limits), at, margins)
 
 
 @given(data=st.data(), limits=LIMITS)
@@ -109,7 +107,7 @@ def test_a_line_is_judged_as_the_definition_says(
     rows = at, np.interp(at, *run)
     margins = find_margins(reference, rows, limits, list_on_line)
     runs = [make_run(time_s=time_s, x_m=values) for time_s, values in (reference, run)]
-    check_finding(judge(runs[0], runs[1], "x", **limits), at, margins)
+    check_result(judge(runs[0], runs[1], "x", **limits), at, margins)
 
 
 @given(data=st.data(), shift=st.sampled_from([-2, -1, 0, 1]))
@@ -120,10 +118,10 @@ def test_an_angle_passes_by_the_short_way_on_any_turn(data: st.DataObject, shift
     course = 3.0 + np.cumsum(steps)
     headings = [wrap(course), wrap(course + 0.01 + shift * 2.0 * math.pi)]
     runs = [make_run(time_s=time_s, x_m=course * 0.0, heading_rad=found) for found in headings]
-    assert judge(runs[0], runs[1], "heading", abs=0.0101, time_s=0.001).within
-    finding = judge(runs[0], runs[1], "heading", abs=0.0099)
-    assert not finding.within
-    assert finding.off == pytest.approx(0.01)
+    assert judge(runs[0], runs[1], "heading", abs=0.0101, time_s=0.001)
+    result = judge(runs[0], runs[1], "heading", abs=0.0099)
+    assert not bool(result)
+    assert result.value == pytest.approx(0.01)
 
 
 def wrap(angle_rad: Values) -> Values:
@@ -146,8 +144,8 @@ def test_a_shift_in_time_passes_up_to_the_tolerance(
         return make_run(time_s=at, x_m=values, sample_time_s=at, speed_m_s=values)
 
     for by_s, within in ((0.09, True), (0.1, True), (0.101 + slack_s, False)):
-        assert judge(shift(0.0), shift(by_s), signal, abs=1e-9, time_s=0.1).within == within
-        assert judge(shift(by_s), shift(0.0), signal, abs=1e-9, time_s=0.1).within == within
+        assert bool(judge(shift(0.0), shift(by_s), signal, abs=1e-9, time_s=0.1)) == within
+        assert bool(judge(shift(by_s), shift(0.0), signal, abs=1e-9, time_s=0.1)) == within
 
 
 def test_a_held_signal_does_not_pass_by_a_value_that_it_jumps_over() -> None:
@@ -156,10 +154,10 @@ def test_a_held_signal_does_not_pass_by_a_value_that_it_jumps_over() -> None:
         time_s=(0.0, 5.0), sample_time_s=time_s, speed_m_s=[0.0, 1.0, 0.0, 1.0, 0.0, 1.0]
     )
     between = make_run(time_s=(0.0, 5.0), sample_time_s=time_s, speed_m_s=[0.5] * 6)
-    finding = judge(jumping, between, "speed", abs=0.4, time_s=1.5)
-    assert (finding.within, finding.first_outside_s) == (False, 0.0)
-    assert finding.margin == pytest.approx(-0.1)
-    assert judge(jumping, between, "speed", abs=0.5, time_s=1.5).within
+    result = judge(jumping, between, "speed", abs=0.4, time_s=1.5)
+    assert (bool(result), result.first_violation_s) == (False, 0.0)
+    assert result.margin == pytest.approx(-0.1)
+    assert judge(jumping, between, "speed", abs=0.5, time_s=1.5)
 
 
 def test_a_phase_passes_by_equality_within_the_time() -> None:
@@ -168,9 +166,9 @@ def test_a_phase_passes_by_equality_within_the_time() -> None:
         make_run(time_s=(0.0, 5.0), sample_time_s=time_s, speed_m_s=[0.0] * 6, phase=phase)
         for phase in ([0, 0, 2, 2, 2, 2], [0, 0, 0, 0, 2, 2])
     ]
-    assert judge(runs[0], runs[1], "phase", time_s=1.1).within
-    finding = judge(runs[0], runs[1], "phase", time_s=0.9)
-    assert (finding.within, finding.first_outside_s, finding.off) == (False, 3.0, 1.0)
+    assert judge(runs[0], runs[1], "phase", time_s=1.1)
+    result = judge(runs[0], runs[1], "phase", time_s=0.9)
+    assert (bool(result), result.first_violation_s, result.value) == (False, 3.0, 1.0)
 
 
 @given(
@@ -190,20 +188,20 @@ def test_pyfunnel_agrees(
     # pyfunnel ends its funnel with the reference; both ends are kept level, where that is the same.
     at = np.array([at[0] - 4.0, *at, at[-1] + 4.0])
     reference, run = (np.array([v[0], *v, v[-1]]) for v in (reference, run))
-    finding = judge(
+    result = judge(
         make_run(time_s=at, x_m=reference),
         make_run(time_s=at, x_m=run),
         "x",
         abs=abs_m,
         time_s=time_s,
     )
-    assert finding.margin is not None
+    assert result.margin is not None
     folder = tmp_path_factory.mktemp("funnel")
     errors = read_errors(to_times(at), reference, run, folder, abs_m=abs_m, time_s=time_s)
-    if abs(finding.margin) > 1e-6:
-        assert finding.within == (max(errors) == 0.0)
-    if finding.margin < -1e-6:
-        assert max(errors) == pytest.approx(-finding.margin, abs=1e-6)
+    if abs(result.margin) > 1e-6:
+        assert bool(result) == (max(errors) == 0.0)
+    if result.margin < -1e-6:
+        assert max(errors) == pytest.approx(-result.margin, abs=1e-6)
 
 
 def to_times(at: Values) -> Values:

@@ -1,16 +1,14 @@
-"""Tables across runs: the paper's Table 1, the same without its window."""
+"""The paper's tables: its Table 1, and the same without its window."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare.difference import Comparison
-from turtlelog.compare.names import name_runs
 from turtlelog.compare.order import order_by_gain
+from turtlelog.compare.run_names import name_runs
 from turtlelog.compare.table import Cell, Column, Table
-from turtlelog.compare.verdict_table import describe_alignment
 from turtlelog.loops import ControlLoop
-from turtlelog.measure import SIGNALS, list_metrics, measure_run
+from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.theory import compute_settling_time, compute_time_constant
 
@@ -92,34 +90,6 @@ def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
     )
 
 
-def tabulate_differences(
-    comparisons: Sequence[Comparison], *, names: Sequence[str], reference: str
-) -> Table:
-    """Return the largest difference of every signal from the reference, and when it is reached.
-
-    `names` heads the columns, one for each comparison.
-    """
-    found = [{signal.signal: signal for signal in run.signals} for run in comparisons]
-    columns = [Column(title="signal"), Column(title="unit")]
-    for name in names:
-        columns += [Column(title=name), Column(title="at", unit="s", digits=2, joined=True)]
-    rows = []
-    units = {name: signal.unit for signals in found for name, signal in signals.items()}
-    for name in sorted(units, key=lambda name: (name not in SIGNALS, [*SIGNALS, name].index(name))):
-        cells: list[Cell] = []
-        for signals in found:
-            known = signals.get(name)
-            cells += [known.largest, known.at_s] if known else [None, None]
-        rows.append((name, units[name], *cells))
-    alignments = dict.fromkeys(describe_alignment(found.alignment) for found in comparisons)
-    return Table(
-        title=f"Largest differences from {reference}, {', '.join(alignments)}",
-        columns=tuple(columns),
-        rows=tuple(rows),
-        notes=_list_overlaps(comparisons, names),
-    )
-
-
 _RUN: Final = Column(title="run")
 _KP: Final = Column(title="Kp", unit="1/s")
 _FOUR_TAU: Final = Column(title="4 tau", unit="s", digits=2)
@@ -185,17 +155,6 @@ def _list_theory_loops(run: Run) -> list[ControlLoop]:
         if (loop.signal, loop.command)
         in {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
     ]
-
-
-def _list_overlaps(comparisons: Sequence[Comparison], names: Sequence[str]) -> tuple[str, ...]:
-    """Return over which stretch the runs were compared, where that is the same in one sentence."""
-    stretches: dict[str, list[str]] = {}
-    for name, found in zip(names, comparisons, strict=True):
-        end_s = found.overlap_from_s + found.overlap_s
-        stretches.setdefault(f"{found.overlap_from_s:.2f} to {end_s:.2f} s", []).append(name)
-    compared = "; ".join(f"{', '.join(runs)}: {stretch}" for stretch, runs in stretches.items())
-    notes = dict.fromkeys(note for found in comparisons for note in found.notes)
-    return f"Compared over {compared}.", *notes
 
 
 def _get_gain(run: Run) -> float | None:

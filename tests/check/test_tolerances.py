@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
-from turtlelog.compare import parse_tolerances, read_tables
+from turtlelog.check.spec_file import parse_tolerances, read_tables
 from turtlelog.errors import CompareError
 
 ROOT = Path(__file__).parents[2]
@@ -26,12 +26,12 @@ def test_a_file_gives_the_tolerances_that_it_holds() -> None:
     assert list(tolerances.metrics) == ["rotate.settling_time", "final.position_error"]
 
 
-def test_tables_of_other_stages_are_left_to_them(tmp_path: Path) -> None:
+def test_tables_of_checks_are_no_tolerances(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD + '[checks.near]\nholds = "always(x < 9)"\n')
     assert list(tl.load_tolerances(path).signals) == ["x"]
     assert list(read_tables(path)) == ["signals", "checks"]
-    with pytest.raises(CompareError, match=r"t.toml: checks: expected .*, found an unknown key"):
-        read_tables(path, others=())
+    with pytest.raises(CompareError, match=r"t.toml: cheks: expected checks, found an unknown key"):
+        read_tables(write(tmp_path, GOOD + "[cheks.near]"))
 
 
 @pytest.mark.parametrize(

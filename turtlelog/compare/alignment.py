@@ -14,7 +14,7 @@ from turtlelog.run import Run
 Times = NDArray[np.int64]
 
 
-class Clock(Protocol):
+class CommonClock(Protocol):
     """What two runs are compared on."""
 
     @property
@@ -28,11 +28,11 @@ class Clock(Protocol):
     def place_signal(self, signal: Signal, run: Run) -> Signal:
         """Return the signal of one of the two runs with its rows placed on this clock."""
 
-    def read_seconds(self, unit: int) -> float:
-        """Return the time of a unit of this clock [s]."""
+    def read_ns(self, unit: int) -> int:
+        """Return the time of a unit of this clock [ns]."""
 
 
-def align_runs(reference: Run, run: Run, alignment: str) -> Clock:
+def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:
     """Return the clock of one of `ALIGNMENTS` for two runs; a phase is one of their laws'.
 
     Raises:
@@ -49,8 +49,7 @@ def align_runs(reference: Run, run: Run, alignment: str) -> Clock:
     if alignment == "recorded":
         starts_ns = [reference.start_ns, run.start_ns]
         return _align_by_time((reference, run), (0, 0), max(starts_ns))
-    phase = alignment.removeprefix("phase:")
-    zeros_ns = (_find_zero_ns(reference, phase), _find_zero_ns(run, phase))
+    zeros_ns = (_find_phase_ns(reference, alignment), _find_phase_ns(run, alignment))
     # What stands before is not compared: before the first sample nothing was controlled yet.
     return _align_by_time((reference, run), zeros_ns, 0)
 
@@ -68,8 +67,8 @@ class _TimeClock:
         zero_ns = self.zeros_ns[0 if run is self.runs[0] else 1]
         return _smooth(dataclasses.replace(signal, time_ns=signal.time_ns - zero_ns))
 
-    def read_seconds(self, unit: int) -> float:
-        return unit / 1e9
+    def read_ns(self, unit: int) -> int:
+        return unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,8 +88,8 @@ class _SampleClock:
         placed = dataclasses.replace(signal, time_ns=rows, values=signal.values[read])
         return _smooth(placed)
 
-    def read_seconds(self, unit: int) -> float:
-        return float(self.time_ns[unit]) / 1e9
+    def read_ns(self, unit: int) -> int:
+        return int(self.time_ns[unit])
 
 
 def _smooth(signal: Signal) -> Signal:
@@ -100,7 +99,9 @@ def _smooth(signal: Signal) -> Signal:
     return dataclasses.replace(signal, values=np.unwrap(signal.values))
 
 
-def _align_by_time(runs: tuple[Run, Run], zeros_ns: tuple[int, int], earliest_ns: int) -> Clock:
+def _align_by_time(
+    runs: tuple[Run, Run], zeros_ns: tuple[int, int], earliest_ns: int
+) -> CommonClock:
     placed = tuple(zip(runs, zeros_ns, strict=True))
     start_ns = max(earliest_ns, *(int(run.poses.time_ns[0]) - zero for run, zero in placed))
     end_ns = min(run.end_ns - zero for run, zero in placed)
@@ -118,7 +119,7 @@ def _describe_spans(placed: tuple[tuple[Run, int], ...]) -> str:
     return " and ".join(spans)
 
 
-def _align_by_number(reference: Run, run: Run) -> Clock:
+def _align_by_number(reference: Run, run: Run) -> CommonClock:
     for found in (reference, run):
         if not len(found.samples):
             raise CompareError(f"{found.name}: expected samples to align by number, found none")
@@ -126,7 +127,15 @@ def _align_by_number(reference: Run, run: Run) -> Clock:
     return _SampleClock(time_ns=reference.samples.time_ns[:count] - reference.start_ns)
 
 
-def _find_zero_ns(run: Run, phase: str) -> int:
+def find_zero_ns(run: Run, alignment: str) -> int:
+    """Return where time zero of an alignment stands in a run [ns]; by number: its first sample."""
+    if alignment == "recorded":
+        return 0
+    return run.start_ns if alignment == "sample" else _find_phase_ns(run, alignment)
+
+
+def _find_phase_ns(run: Run, alignment: str) -> int:
+    phase = alignment.removeprefix("phase:")
     if phase == "first_sample":
         return run.start_ns
     for span in run.find_phase_spans():

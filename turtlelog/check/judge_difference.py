@@ -1,0 +1,317 @@
+"""Differences from a reference -> results: of a run, of metrics, of a replay."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Final, TypeAlias
+
+from turtlelog.check.reference import Reference, load_reference
+from turtlelog.check.result import CheckResult, Verdict, describe_status, format_number
+from turtlelog.check.spec import Tolerances
+from turtlelog.check.spec_file import load_tolerances
+from turtlelog.check.surroundings import choose_signals
+from turtlelog.compare import MetricDifference, Tolerance
+from turtlelog.compare.alignment import find_zero_ns
+from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
+from turtlelog.compare.ids import list_names
+from turtlelog.errors import CheckError
+from turtlelog.loops import Declaration
+from turtlelog.measure import (
+    Metric,
+    find_metric_kind,
+    list_metrics,
+    list_signals,
+    measure_run,
+    read_signal,
+)
+from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
+from turtlelog.run import Run
+
+AnyTolerance: TypeAlias = Tolerance | Tolerances | str | Path | None
+AnyReference: TypeAlias = Run | Reference | Mapping[str, Metric] | str | Path
+
+_SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")
+_METRICS_APART: Final = Tolerance(abs=1e-9, rel=1e-6, reason="other platforms round otherwise")
+
+
+def match_run(
+    run: Run,
+    reference: AnyReference,
+    tolerance: AnyTolerance = None,
+    *,
+    file: str = "",
+    alignment: str = "first_sample",
+) -> list[CheckResult]:
+    """Return how a run compares with a reference.
+
+    Args:
+        run: That is judged.
+        reference: A run, its file, or metrics; of metrics, what never had a value is as it was.
+        tolerance: For every signal or metric; `Tolerances` or a file of them name those that are
+            judged. Where None, signals may be 1e-6 apart, and metrics worse by a millionth.
+        file: What results call the run; its name where empty.
+        alignment: As in `compare_runs`.
+
+    Raises:
+        CheckError: Where the reference cannot be read, or the tolerance does not fit it.
+        CompareError: Where there is no such alignment, or the runs do not overlap.
+    """
+    file = file or run.name
+    if isinstance(reference, Reference):
+        reference = reference.load()
+    if isinstance(reference, str | Path):
+        reference = load_reference(Path(reference))
+    if isinstance(tolerance, str | Path):
+        tolerance = load_tolerances(tolerance)
+    if isinstance(tolerance, Tolerances) and not tolerance:
+        raise CheckError("tolerance: expected at least one signal or metric, found none")
+    if not isinstance(reference, Run):
+        return _match_metrics(run, reference, tolerance, file)
+    if isinstance(tolerance, Tolerances):
+        return [*_judge_run(run, reference, tolerance, file, alignment)]
+    tolerances = _spread(run, reference, tolerance or _SIGNALS_APART)
+    length = _judge_length(run, reference, 0.0 if tolerance is None else tolerance.time_s, file)
+    return [*_judge_run(run, reference, tolerances, file, alignment), length]
+
+
+def judge_replay(
+    run: Run, found: LawReplay | LoopReplay | PlantReplay, *, file: str
+) -> list[CheckResult]:
+    """Return whether a replay is what was recorded: every signal, counts of rows, and the end."""
+    mode = {LawReplay: "law", LoopReplay: "loop", PlantReplay: "plant"}[type(found)]
+    verb = "the law answers" if mode == "law" else "replayed"
+
+    def describe(difference: Difference) -> str:
+        sides = (difference.recorded, difference.replayed)
+        recorded, replayed = ("none" if side is None else str(side) for side in sides)
+        return f"recorded {recorded}, {verb} {replayed}"
+
+    known = list_signals(run.declaration)
+    signals = [
+        dataclasses.replace(
+            _judge_signal(signal, f"{mode}.{signal.signal}", run.start_ns, describe),
+            file=file,
+            expected="as recorded",
+            names=(signal.signal,) if signal.signal in known else ("speed", "turn_rate"),
+        )
+        for signal in found.signals
+    ]
+    others = [
+        CheckResult(
+            file=file,
+            check=f"{mode}.{other.signal}",
+            verdict=Verdict.FAIL,
+            expected="as recorded",
+            first_violation_s=(other.time_ns - run.start_ns) / 1e9,
+            reason=describe(other),
+            names=("distance", "speed", "turn_rate"),
+        )
+        for other in found.others
+    ]
+    return [*signals, *others]
+
+
+def _judge_run(
+    run: Run, reference: Run, tolerances: Tolerances, file: str, alignment: str
+) -> Iterator[CheckResult]:
+    differences = compare_signals(reference, run, tolerances.signals, alignment=alignment)
+    start_ns = run.start_ns - find_zero_ns(run, alignment)  # where results count from
+
+    def describe(difference: Difference) -> str:
+        sides = (difference.replayed, difference.recorded)
+        at_s = (difference.time_ns - start_ns) / 1e9
+        return f"{_tell_sides(sides, units[difference.signal])} at {at_s:.3f} s"
+
+    units = list_names([reference.declaration, run.declaration])
+    for name, tolerance in tolerances.signals.items():
+        check, names = f"signals.{name}", choose_signals([name], run.declaration)
+        if name not in differences:
+            yield CheckResult(
+                file=file,
+                check=check,
+                verdict=Verdict.FAIL,
+                unit=units.get(name, ""),
+                reason=explain_lack(name, reference, run),
+                names=names,
+                is_decided=False,
+            )
+            continue
+        found = differences[name]
+        yield dataclasses.replace(
+            _judge_signal(found, check, start_ns, describe),
+            file=file,
+            expected=_describe_tube(found, tolerance, alignment),
+            names=names,
+        )
+    known = list_metrics(reference.declaration, run.declaration)
+    for pair in compare_metrics(reference, run, list(tolerances.metrics)):
+        metric = pair.metric
+        if metric.id in known:
+            tolerance = tolerances.metrics[metric.id]
+            yield _judge_metric(pair, tolerance, run.declaration, file=file, is_strict=True)
+        else:
+            yield _leave_open(metric, describe_status(metric), run.declaration, file=file)
+
+
+def _judge_signal(
+    found: SignalDifference, check: str, start_ns: int, describe: Callable[[Difference], str]
+) -> CheckResult:
+    """Return the verdict on a signal; a value on one side only has no distance."""
+    first, furthest = found.first_difference, found.largest_difference
+    margin = found.limit - found.largest
+    has_distance = math.isfinite(margin) and (first is None or margin < 0)
+    told = furthest if has_distance and furthest is not None else first
+    return CheckResult(
+        file="",
+        check=check,
+        verdict=Verdict.PASS if first is None else Verdict.FAIL,
+        value=found.largest if has_distance else None,
+        limit=found.limit,
+        margin=margin if has_distance else None,
+        unit=found.unit,
+        value_s=(furthest.time_ns - start_ns) / 1e9 if has_distance and furthest else None,
+        first_violation_s=None if first is None else (first.time_ns - start_ns) / 1e9,
+        reason="" if first is None or told is None else describe(told),
+    )
+
+
+def _judge_metric(
+    pair: MetricDifference,
+    tolerance: Tolerance,
+    declaration: Declaration,
+    *,
+    file: str,
+    is_strict: bool,
+) -> CheckResult:
+    """Return the verdict on a metric: it fails in its bad direction, or by another status.
+
+    One without a value passes where the reference has none either, but not where `is_strict`.
+    """
+    metric, reference = pair.metric, pair.reference
+    if metric.value is None or reference.value is None:
+        is_same = metric.status == reference.status
+        reason = f"same status as the reference: {_tell_status(metric)}"
+        if not is_same:
+            reason = f"{_tell_status(metric)}, where the reference has {_tell_status(reference)}"
+        found = _leave_open(metric, reason, declaration, file=file)
+        if is_strict or not is_same:
+            return found
+        return dataclasses.replace(found, verdict=Verdict.PASS, is_decided=True)
+    kind = find_metric_kind(metric.id)
+    if kind is None or metric.unit != reference.unit:
+        reason = f"in {metric.unit}, where the reference has {reference.unit}: not compared"
+        return _leave_open(metric, reason, declaration, file=file)
+    off = kind.compute_loss(metric.value, reference.value)
+    limit = max(tolerance.abs, tolerance.rel * abs(reference.value))
+    sides = metric.value, reference.value
+    return CheckResult(
+        file=file,
+        check=f"metrics.{metric.id}",
+        verdict=Verdict.PASS if off <= limit else Verdict.FAIL,
+        expected=f"within {format_number(limit, metric.unit)} of the reference",
+        value=off,
+        limit=limit,
+        margin=limit - off,
+        unit=metric.unit,
+        reason="" if off <= limit else _tell_sides(sides, metric.unit),
+        names=choose_signals([metric.id], declaration),
+    )
+
+
+def _leave_open(metric: Metric, reason: str, declaration: Declaration, *, file: str) -> CheckResult:
+    """Return that a metric cannot be judged, which does not pass."""
+    return CheckResult(
+        file=file,
+        check=f"metrics.{metric.id}",
+        verdict=Verdict.FAIL,
+        unit=metric.unit,
+        reason=reason,
+        names=choose_signals([metric.id], declaration),
+        is_decided=False,
+    )
+
+
+def _describe_tube(found: SignalDifference, tolerance: Tolerance, alignment: str) -> str:
+    text = f"within {format_number(found.limit, found.unit)} of the reference"
+    if not tolerance.time_s:
+        return text
+    if alignment == "sample":
+        return f"{text}, sample by sample: no tolerance in time applies"
+    return f"{text} within {tolerance.time_s:g} s"
+
+
+def _tell_sides(sides: tuple[float | str | None, ...], unit: str) -> str:
+    texts = [side if isinstance(side, str) else format_number(side, unit) for side in sides]
+    return f"{texts[0]} where the reference has {texts[1]}"
+
+
+def _tell_status(metric: Metric) -> str:
+    return describe_status(metric) if metric.reason else metric.status.value
+
+
+def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
+    """Return one tolerance for every signal that either run holds."""
+    label = dataclasses.replace(tolerance, abs=0.0, rel=0.0)
+    held = {
+        name: kind
+        for found in (run, reference)
+        for name, kind in list_signals(found.declaration).items()
+        if read_signal(found, name) is not None
+    }
+    names = list_names([run.declaration, reference.declaration])
+    return Tolerances(
+        signals={
+            name: label if held[name].compared_as == "label" else tolerance
+            for name in names
+            if name in held
+        }
+    )
+
+
+def _judge_length(run: Run, reference: Run, window_s: float, file: str) -> CheckResult:
+    """Return whether both are as long: signals are compared only where they overlap."""
+    lengths_s = [(found.end_ns - found.start_ns) / 1e9 for found in (run, reference)]
+    off_s, limit_s = abs(lengths_s[0] - lengths_s[1]), max(window_s, 1e-6)
+    return CheckResult(
+        file=file,
+        check="length",
+        verdict=Verdict.PASS if off_s <= limit_s else Verdict.FAIL,
+        expected="as long as the reference",
+        value=off_s,
+        limit=limit_s,
+        margin=limit_s - off_s,
+        unit="s",
+        first_violation_s=None if off_s <= limit_s else min(lengths_s),
+        reason="" if off_s <= limit_s else f"{lengths_s[0]:g} s long, not {lengths_s[1]:g} s",
+        names=("distance", "speed", "turn_rate"),
+    )
+
+
+def _match_metrics(
+    run: Run,
+    reference: Mapping[str, Metric],
+    tolerance: Tolerance | Tolerances | None,
+    file: str,
+) -> list[CheckResult]:
+    if isinstance(tolerance, Tolerances):
+        if tolerance.signals:
+            name = next(iter(tolerance.signals))
+            raise CheckError(f"tolerance: expected metrics alone, as the reference's: {name}")
+        wanted = dict(tolerance.metrics)
+    else:
+        wanted = dict.fromkeys(reference, tolerance or _METRICS_APART)
+    missing = sorted(wanted.keys() - reference.keys())
+    if missing:
+        raise CheckError(f"reference: expected the metric {missing[0]}, found none")
+    measured = measure_run(run, only=list(wanted))
+    return [
+        _judge_metric(
+            MetricDifference(metric=measured[name], reference=reference[name]),
+            found,
+            run.declaration,
+            file=file,
+            is_strict=False,
+        )
+        for name, found in wanted.items()
+    ]
