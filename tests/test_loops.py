@@ -92,3 +92,21 @@ def test_declarations_of_one_content_are_equal_and_survive_a_process() -> None:
     assert again == one
     assert hash(again) == hash(one)
     assert again != Declaration()
+
+
+@pytest.mark.parametrize(
+    ("signal", "command", "integrates"),
+    [
+        ("heading", "turn_rate", True),
+        ("along_track", "speed", True),
+        ("distance", "speed", True),
+        ("heading", "speed", False),
+        ("cross_track", "turn_rate", False),
+        ("cross_track", "speed", False),
+    ],
+)
+def test_a_loop_is_theorys_where_its_signal_integrates_its_command(
+    signal: str, command: str, *, integrates: bool
+) -> None:
+    loop = ControlLoop(name="a", signal=signal, command=command, reference="zero")
+    assert loop.is_integrator is integrates

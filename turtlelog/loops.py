@@ -107,10 +107,22 @@ class ControlLoop:
         return self.reference in MOVING
 
     @property
+    def is_integrator(self) -> bool:
+        """Whether the signal integrates the command, as in theory's loops.
+
+        A turn rate integrates to the heading, a speed to the way along the line or to the goal.
+        """
+        return (self.signal, self.command) in _INTEGRATED
+
+    @property
     def limit_key(self) -> str:
         """Scenario key of the limit of its command."""
         return self.limit or _LIMITS[self.command]
 
+
+_INTEGRATED: Final = frozenset(
+    {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
+)
 
 _LIMITS: Final = MappingProxyType(
     {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}

@@ -149,12 +149,7 @@ def _list_theory_loops(run: Run) -> list[ControlLoop]:
     moves is no step.
     """
     loops = [loop for loop in run.declaration.loops if loop.gain is not None and not loop.moves]
-    return [
-        loop
-        for loop in loops
-        if (loop.signal, loop.command)
-        in {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
-    ]
+    return [loop for loop in loops if loop.is_integrator]
 
 
 def _get_gain(run: Run) -> float | None:

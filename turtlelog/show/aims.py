@@ -31,10 +31,6 @@ _LABELS: Final = MappingProxyType(
         "zero": "zero",
     }
 )
-_INTEGRATED: Final = frozenset(
-    {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
-)
-"""Signals with the commands that they integrate: of such loops theory has the response."""
 
 _LIMITS: Final = MappingProxyType(
     {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
@@ -189,7 +185,7 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
 
 def has_response(loop: ControlLoop) -> bool:
     """Whether the loop is theory's, an integrator under u = Kp e."""
-    return (loop.signal, loop.command) in _INTEGRATED
+    return loop.is_integrator
 
 
 def find_gain(run: Run, loop: ControlLoop) -> float | None:

@@ -53,12 +53,8 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share on
 
 
 def has_theory(loop: ControlLoop) -> bool:
-    """Whether theory's loop, an integrator under u = Kp e, is one of this kind.
-
-    A turn rate integrates to the heading, a speed to the way along the line or to the goal.
-    """
-    ways = {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
-    return not loop.moves and (loop.signal, loop.command) in ways
+    """Whether theory's loop, an integrator under u = Kp e, is one of this kind."""
+    return not loop.moves and loop.is_integrator
 
 
 @loop_metric(
