@@ -20,7 +20,7 @@ from turtlelog.show.rerun.content import find_largest
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.layout import build_explanation_layout
 from turtlelog.show.rerun.marks import draw_lines
-from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.rrd_file import open_recording
 from turtlelog.show.rerun.timelines import RunStream, add_thinning
 from turtlelog.show.table_formats import format_markdown
 
