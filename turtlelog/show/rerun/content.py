@@ -36,7 +36,6 @@ _CORNERS: Final = (
 )
 
 _LEGEND_WIDTH: Final = 0.4  # of the plot's, as are the others
-
 _LINE_HEIGHT: Final = 0.125
 _MOST_HEIGHT: Final = 0.9
 _OTHER_LINES: Final = 2  # levels, events, marks

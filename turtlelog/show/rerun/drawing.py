@@ -18,15 +18,10 @@ from turtlelog.show.rerun.plots import LevelLines, Series
 from turtlelog.show.rerun.timelines import RunStream, Times, Values, build_index
 
 _REFERENCE_WIDTH: Final = 1.0  # [points]
-
 _LEGEND_WIDTH: Final = 12.0  # in heights of a row
-
 _LEGEND_LETTERS: Final = 48
-
 _MOST_COLUMNS: Final = 4
-
 _LEGEND_RADIUS: Final = 5.0  # [points]
-
 _MOST_NAMES: Final = 28
 """In four columns and seven lines, which a window of 1200 x 860 has room for."""
 

@@ -102,8 +102,8 @@ def list_series(run: Run) -> tuple[Series, ...]:
         *_list_logarithms(poses),
         *_list_aims(run),
         *_list_states(run),
-        *list_commands(run, entities.SPEED),
-        *list_commands(run, entities.TURN_RATE),
+        *_list_commands(run, entities.SPEED),
+        *_list_commands(run, entities.TURN_RATE),
     )
     return tuple(curves for curves in series if len(curves.time_ns) > 1)
 
@@ -139,8 +139,8 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
         (entities.ALONG_TRACK, _list_levels(runs, "along_track")),
         (entities.CROSS_TRACK, _name("zero", zeros if _hold(runs, "cross_track") else ())),
         (entities.DISTANCE, _name("zero", zeros if goals or _follow_distance(runs) else ())),
-        (entities.SPEED, _name("limit", find_limits(runs, "speed"))),
-        (entities.TURN_RATE, _name("limit", find_limits(runs, "turn_rate"))),
+        (entities.SPEED, _name("limit", _find_limits(runs, "speed"))),
+        (entities.TURN_RATE, _name("limit", _find_limits(runs, "turn_rate"))),
         (entities.WORLD_VELOCITY, _name("zero", zeros if _hold_world_velocity(runs) else ())),
     )
     return tuple(
@@ -154,7 +154,7 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
     )
 
 
-def list_commands(run: Run, plot: str) -> Iterator[Series]:
+def _list_commands(run: Run, plot: str) -> Iterator[Series]:
     """Yield what was wanted, commanded and applied; the thick one shows beneath the others."""
     poses = run.poses
     applied = poses.speed_m_s if plot == entities.SPEED else poses.turn_rate_rad_s
@@ -168,7 +168,7 @@ def list_commands(run: Run, plot: str) -> Iterator[Series]:
         yield _build_command(plot, entities.APPLIED, poses.time_ns, applied, palette.SECOND)
 
 
-def find_limits(runs: Sequence[Run], command: Command) -> set[float]:
+def _find_limits(runs: Sequence[Run], command: Command) -> set[float]:
     """Return the limits of runs with both signs, none where they are infinite or not known."""
     limits = {run.parameters.get(key) for run in runs for key in list_limit_keys(run, command)}
     sizes = {float(limit) for limit in limits if isinstance(limit, int | float)}

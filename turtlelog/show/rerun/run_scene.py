@@ -27,9 +27,7 @@ from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_ti
 from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
 
 _VIOLATION_RADIUS = 6.0
-
 _VIOLATION_COLOR: Color = (214, 39, 40)
-
 _EVENT_LINES: Final = f"{entities.LINES}/event"
 
 
