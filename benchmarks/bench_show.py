@@ -19,7 +19,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from turtlelog.show.rerun.timelines import CHUNK_ROWS, RunStream, build_index, build_run_clock
+from turtlelog.show.rerun.timelines import CHUNK_ROWS, RunStream, build_index, build_run_timelines
 
 LOGGED_ROWS = 2_000
 
@@ -72,7 +72,7 @@ def collect_sent(run: tl.Run, path: Path) -> Sent:
 
 def send_bare(run: tl.Run, sent: Sent, path: Path) -> None:
     """Send the same columns on the same timelines, and nothing else."""
-    clock = build_run_clock(run)
+    timelines = build_run_timelines(run)
     with rr.RecordingStream("turtlelog", send_properties=False) as stream:
         stream.set_log_time_enabled(False)
         stream.save(path)
@@ -80,7 +80,7 @@ def send_bare(run: tl.Run, sent: Sent, path: Path) -> None:
             for start in range(0, len(values), CHUNK_ROWS):
                 part = slice(start, start + CHUNK_ROWS)
                 stream.send_columns(
-                    entity, build_index(clock.read(time_ns[part])), build(values[part])
+                    entity, build_index(timelines.read(time_ns[part])), build(values[part])
                 )
 
 

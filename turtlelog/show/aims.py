@@ -234,6 +234,18 @@ def read_commanded(
     return table.time_ns, table.speed_m_s if command == "speed" else table.turn_rate_rad_s
 
 
+def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
+    """Return gain times error along x and y [m/s] at the times of the samples [ns] that hold it.
+
+    None where no sample does.
+    """
+    time_ns, velocity = run.samples.time_ns, run.samples.world_velocity_m_s
+    known = None if velocity is None else np.isfinite(velocity).all(axis=1)
+    if velocity is None or known is None or not known.any():
+        return None
+    return (time_ns, velocity) if known.all() else (time_ns[known], velocity[known])
+
+
 def _read_recorded(run: Run, signal: str) -> Aim | None:
     """Return the reference poses of the samples, as a signal tells them."""
     samples = run.samples

@@ -72,14 +72,14 @@ class SampledLoop:
 
 def compute_overshoot_gain(period_s: float, dead_time_ticks: int = 0) -> float:
     """Return the largest Kp [1/s] without overshoot: d^d / (d + 1)^(d + 1) / T, 1 / T for d = 0."""
-    return compute_overshoot_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
+    return _compute_overshoot_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
         period_s
     )
 
 
 def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
     """Return the Kp [1/s] from which the loop is unstable: 2 sin(pi / (2 (2 d + 1))) / T."""
-    return compute_stability_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
+    return _compute_stability_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
         period_s
     )
 
@@ -89,7 +89,7 @@ def compute_sampled_poles(
 ) -> NDArray[np.complex128]:
     """Return the poles of the sampled loop, shape (d + 1,), largest magnitude first."""
     loop_gain = require_gain(kp) * require_period(period_s)
-    return find_sampled_poles(loop_gain, require_dead_time(dead_time_ticks))
+    return _find_sampled_poles(loop_gain, require_dead_time(dead_time_ticks))
 
 
 def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0) -> SampledLoop:
@@ -105,7 +105,7 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
     """
     poles = compute_sampled_poles(kp, period_s=period_s, dead_time_ticks=dead_time_ticks)
     loop_gain = kp * period_s
-    gain_margin = compute_stability_loop_gain(dead_time_ticks) / loop_gain
+    gain_margin = _compute_stability_loop_gain(dead_time_ticks) / loop_gain
     phase_margin_rad, delay_margin_ticks = _compute_margins(loop_gain, dead_time_ticks)
     overshoot_percent, settling_ticks = _measure_step(poles, loop_gain, dead_time_ticks)
     return SampledLoop(
@@ -114,7 +114,7 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
         dead_time_ticks=int(dead_time_ticks),
         poles=poles,
         stable=gain_margin > 1.0,
-        overshoots=loop_gain > compute_overshoot_loop_gain(dead_time_ticks),
+        overshoots=loop_gain > _compute_overshoot_loop_gain(dead_time_ticks),
         damping_ratio=_compute_damping_ratio(poles[0]),
         overshoot_percent=overshoot_percent,
         settling_time_s=None if settling_ticks is None else settling_ticks * float(period_s),
@@ -124,7 +124,7 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
     )
 
 
-def compute_overshoot_loop_gain(dead_time_ticks: int) -> float:
+def _compute_overshoot_loop_gain(dead_time_ticks: int) -> float:
     """Return Kp T = d^d / (d + 1)^(d + 1), where the two slowest poles meet; 1 for d = 0.
 
     It is the largest value of z^d (1 - z) between 0 and 1, at z = d / (d + 1).
@@ -133,7 +133,7 @@ def compute_overshoot_loop_gain(dead_time_ticks: int) -> float:
     return (d / (d + 1)) ** d / (d + 1)
 
 
-def compute_stability_loop_gain(dead_time_ticks: int) -> float:
+def _compute_stability_loop_gain(dead_time_ticks: int) -> float:
     """Return Kp T = 2 sin(pi / (2 (2 d + 1))), where the slowest poles cross the unit circle.
 
     There r = 1, so d theta and (d + 1) theta add up to pi, and Kp T = |1 - exp(j theta)|.
@@ -141,7 +141,7 @@ def compute_stability_loop_gain(dead_time_ticks: int) -> float:
     return 2.0 * math.sin(math.pi / (2 * (2 * dead_time_ticks + 1)))
 
 
-def find_sampled_poles(loop_gain: float, dead_time_ticks: int) -> NDArray[np.complex128]:
+def _find_sampled_poles(loop_gain: float, dead_time_ticks: int) -> NDArray[np.complex128]:
     """Return the d + 1 poles at a loop gain Kp T, shape (d + 1,), largest magnitude first."""
     d = dead_time_ticks
     if d == 0:
@@ -187,9 +187,9 @@ def _measure_step(
 
 def _find_slow_pair(loop_gain: float, d: int) -> NDArray[np.complex128]:
     """Return the two poles that meet at d / (d + 1)."""
-    if math.isclose(loop_gain, compute_overshoot_loop_gain(d), rel_tol=1e-14):
+    if math.isclose(loop_gain, _compute_overshoot_loop_gain(d), rel_tol=1e-14):
         return np.full(2, d / (d + 1), dtype=np.complex128)
-    if loop_gain > compute_overshoot_loop_gain(d):
+    if loop_gain > _compute_overshoot_loop_gain(d):
         upper = _find_upper(loop_gain, d, np.array([0]))
         return np.concatenate((upper, upper.conj()))
 
@@ -222,7 +222,7 @@ def _find_upper(loop_gain: float, d: int, order: NDArray[np.int64]) -> NDArray[n
 
     share = _bisect(rise, np.zeros(len(order)), np.ones(len(order)))
     poles = find_radius(share)[0] * np.exp(1j * (begin + width * share))
-    is_single = (order > 0) | (loop_gain > 2.0 * compute_overshoot_loop_gain(d))
+    is_single = (order > 0) | (loop_gain > 2.0 * _compute_overshoot_loop_gain(d))
     return np.where(is_single, _polish(poles, loop_gain, d), poles)
 
 

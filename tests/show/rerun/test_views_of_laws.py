@@ -25,7 +25,7 @@ from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette, write_comparison_rrd, write_explanation_rrd, write_run_rrd
-from turtlelog.show.rerun.timelines import build_compared_clock, name_phase_timeline
+from turtlelog.show.rerun.timelines import build_compared_timelines, name_phase_timeline
 from turtlelog.show.rerun.world import find_plane_bounds
 
 STRANGE, EXAMPLE = simulate_law("strange"), simulate_law("example")
@@ -272,7 +272,7 @@ def name_phases(count: int) -> Run:
 
 @pytest.mark.parametrize(("phases", "timelines"), [(1, 0), (2, 1), (9, 8), (10, 8)])
 def test_up_to_eight_later_phases_have_a_timeline(phases: int, timelines: int) -> None:
-    starts_ns = build_compared_clock(name_phases(phases)).starts_ns
+    starts_ns = build_compared_timelines(name_phases(phases)).starts_ns
     assert list(starts_ns) == [f"p{number}_time" for number in range(1, 1 + timelines)]
 
 

@@ -20,6 +20,7 @@ from turtlelog.show.aims import (
     list_aims,
     list_levels,
     read_commanded,
+    read_world_velocity,
 )
 from turtlelog.show.thinning import MOST_POINTS, choose_rows
 
@@ -190,9 +191,8 @@ def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
 
 
 def _read_world_velocity(run: Run, axis: int) -> Curve | None:
-    velocity = run.samples.world_velocity_m_s
-    known = np.zeros(0, dtype=bool) if velocity is None else np.isfinite(velocity[:, axis])
-    if velocity is None or not known.any():
+    found = read_world_velocity(run)
+    if found is None:
         return None
-    time_s = (run.samples.time_ns[known] - run.start_ns) / 1e9
-    return Curve(time_s=time_s, values=velocity[known, axis], holds=True)
+    time_ns, velocity = found
+    return Curve(time_s=(time_ns - run.start_ns) / 1e9, values=velocity[:, axis], holds=True)

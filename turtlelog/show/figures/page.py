@@ -19,7 +19,6 @@ from turtlelog.show.palette import FEW, choose_run_colors
 
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
-
 _NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(

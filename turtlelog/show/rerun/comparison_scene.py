@@ -17,13 +17,13 @@ from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.drawing import draw_documents, draw_legend
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
 from turtlelog.show.rerun.layout import build_comparison_layout
-from turtlelog.show.rerun.plots import Reference, Series, list_compared_series, list_references
-from turtlelog.show.rerun.recording import open_recording, send_comparison_properties
+from turtlelog.show.rerun.plots import LevelLines, Series, list_compared_series, list_references
+from turtlelog.show.rerun.rrd_file import open_recording, send_comparison_properties
 from turtlelog.show.rerun.timelines import (
-    Clock,
     RunStream,
+    Timelines,
     add_thinning,
-    build_compared_clock,
+    build_compared_timelines,
     read_span,
 )
 from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
@@ -67,7 +67,7 @@ class Overlay:
         names: No two alike.
         prefixes: Entity prefixes.
         colors: The same in every view.
-        clocks: Aligned at the first samples.
+        timelines: Aligned at the first samples.
         series: The curves of each.
         references: Level lines that all share.
     """
@@ -76,9 +76,9 @@ class Overlay:
     names: tuple[str, ...]
     prefixes: tuple[str, ...]
     colors: tuple[Color, ...]
-    clocks: tuple[Clock, ...]
+    timelines: tuple[Timelines, ...]
     series: tuple[tuple[Series, ...], ...]
-    references: tuple[Reference, ...]
+    references: tuple[LevelLines, ...]
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return what a recording of it holds."""
@@ -88,7 +88,7 @@ class Overlay:
 
 
 def build_overlay(runs: Sequence[Run], names: Sequence[str]) -> Overlay:
-    """Return runs with their colours, curves and clocks."""
+    """Return runs with their colours, curves and timelines."""
     colors = choose_run_colors(len(runs))
     # The legend stands along the track, and has no room for more than the runs.
     references = [found for found in list_references(runs) if found.plot != ALONG_TRACK]
@@ -97,7 +97,7 @@ def build_overlay(runs: Sequence[Run], names: Sequence[str]) -> Overlay:
         names=tuple(names),
         prefixes=tuple(join_path(RUNS, part) for part in _list_path_parts(names)),
         colors=colors,
-        clocks=tuple(build_compared_clock(run) for run in runs),
+        timelines=tuple(build_compared_timelines(run) for run in runs),
         series=tuple(
             list_compared_series(run, name, color)
             for run, name, color in zip(runs, names, colors, strict=True)
@@ -115,13 +115,13 @@ def draw_overlay(
     """Draw all runs and what they share; return a stream for each run."""
     send_comparison_properties(stream, overlay.runs, overlay.names, overlay.prefixes, metrics)
     draw_surroundings(stream, overlay.runs)
-    span = read_span(overlay.runs, overlay.clocks)
+    span = read_span(overlay.runs, overlay.timelines)
     drawing.draw_references(stream, overlay.references, span)
     if content.legend_names:
         draw_legend(stream, overlay.names, overlay.colors)
     streams = []
     for number, run in enumerate(overlay.runs):
-        run_stream = RunStream(stream, overlay.prefixes[number], overlay.clocks[number])
+        run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
         plane.draw_trace(run_stream, run, overlay.colors[number])
         plane.draw_reference_path(run_stream, run)
         plane.draw_turtle(run_stream, run, overlay.colors[number], content.plane.half_size_m)

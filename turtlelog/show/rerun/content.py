@@ -15,7 +15,7 @@ from turtlelog.show.close_up import CloseUp, find_close_up
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.marks import Mark
-from turtlelog.show.rerun.plots import Reference, Series
+from turtlelog.show.rerun.plots import LevelLines, Series
 from turtlelog.show.rerun.world import Bounds, find_plane_bounds
 
 _HEADROOM = 1.25
@@ -36,7 +36,6 @@ _CORNERS: Final = (
 )
 
 _LEGEND_WIDTH: Final = 0.4  # of the plot's, as are the others
-
 _LINE_HEIGHT: Final = 0.125
 _MOST_HEIGHT: Final = 0.9
 _OTHER_LINES: Final = 2  # levels, events, marks
@@ -121,7 +120,7 @@ def describe_content(
     runs: Sequence[Run],
     prefixes: Sequence[str],
     series: Sequence[Sequence[Series]],
-    references: Sequence[Reference],
+    references: Sequence[LevelLines],
     documents: Iterable[str],
     *,
     names: Sequence[str] = (),
@@ -205,7 +204,7 @@ def choose_corners(
 
 
 def _find_ranges(
-    series: Sequence[Sequence[Series]], references: Sequence[Reference]
+    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
 ) -> dict[str, tuple[float, float]]:
     """Return ranges with room around what was measured: what theory expects may lie far beyond."""
     found: dict[str, list[float]] = {}
@@ -225,7 +224,7 @@ def _add_room(low: float, high: float) -> tuple[float, float]:
 
 
 def _find_command_ranges(
-    series: Sequence[Sequence[Series]], references: Sequence[Reference]
+    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
 ) -> dict[str, tuple[float, float]]:
     """Return ranges that end a little beyond the limits; wanted commands may lie far beyond."""
     ranges = {}

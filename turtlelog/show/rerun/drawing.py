@@ -14,19 +14,14 @@ from turtlelog.show import palette
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
-from turtlelog.show.rerun.plots import Reference, Series
+from turtlelog.show.rerun.plots import LevelLines, Series
 from turtlelog.show.rerun.timelines import RunStream, Times, Values, build_index
 
 _REFERENCE_WIDTH: Final = 1.0  # [points]
-
 _LEGEND_WIDTH: Final = 12.0  # in heights of a row
-
 _LEGEND_LETTERS: Final = 48
-
 _MOST_COLUMNS: Final = 4
-
 _LEGEND_RADIUS: Final = 5.0  # [points]
-
 _MOST_NAMES: Final = 28
 """In four columns and seven lines, which a window of 1200 x 860 has room for."""
 
@@ -45,7 +40,7 @@ def draw_series(run_stream: RunStream, series: Series) -> None:
 
 
 def draw_references(
-    stream: rr.RecordingStream, references: Sequence[Reference], span: Mapping[str, Times]
+    stream: rr.RecordingStream, references: Sequence[LevelLines], span: Mapping[str, Times]
 ) -> None:
     """Draw level lines across plots, over a span of every timeline."""
     index = build_index(span)

@@ -20,12 +20,11 @@ from turtlelog.show.rerun.content import find_largest
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.layout import build_explanation_layout
 from turtlelog.show.rerun.marks import draw_lines
-from turtlelog.show.rerun.recording import open_recording
+from turtlelog.show.rerun.rrd_file import open_recording
 from turtlelog.show.rerun.timelines import RunStream, add_thinning
 from turtlelog.show.table_formats import format_markdown
 
 _RECORDED: Final = "recorded"
-
 _BAR_WIDTH: Final = 0.8
 _LEGEND_SHARE: Final = 0.35
 
@@ -62,9 +61,9 @@ def write_explanation_rrd(
     metrics = [measure_run(run) for run in overlay.runs]
     pairs = zip(without, metrics[1:], strict=True)
     of_metric = {name: known[metric] for name, known in pairs if metric in known}
-    texts = {"Shares": tabulate_shares(shares, metrics[0][metric], of_metric), **(documents or {})}
+    texts = {"Shares": _tabulate_shares(shares, metrics[0][metric], of_metric), **(documents or {})}
     texts = {**add_thinning(texts, overlay.runs)}
-    dead_times = list_dead_times(recorded, metrics[0])
+    dead_times = _list_dead_times(recorded, metrics[0])
     lines = {
         "pause": (palette.WANTED, _list_pause_times(recorded)),
         "dead_time": (palette.SAMPLED, [span.end_ns for span in dead_times]),
@@ -80,15 +79,15 @@ def write_explanation_rrd(
     name = f"{recorded.name}, explained"
     with open_recording(path, name=name, layout=build_explanation_layout(content)) as stream:
         run_stream = draw_overlay(stream, overlay, content, metrics)[0]
-        draw_shares(stream, shares, dict(zip(without, overlay.colors[1:], strict=True)))
+        _draw_shares(stream, shares, dict(zip(without, overlay.colors[1:], strict=True)))
         for line, (color, times_ns) in drawn.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
             draw_lines(run_stream, entity, label, color, times_ns, largest=find_largest(content))
-        draw_dead_times(run_stream, dead_times)
+        _draw_dead_times(run_stream, dead_times)
         drawing.draw_documents(stream, texts)
 
 
-def draw_shares(
+def _draw_shares(
     stream: rr.RecordingStream, shares: Mapping[str, float], colors: Mapping[str, Color]
 ) -> None:
     """Draw a bar per mechanism, in the colour of the run without it where there is one."""
@@ -105,7 +104,7 @@ def draw_shares(
         stream.log(entity, bar, static=True)
 
 
-def tabulate_shares(
+def _tabulate_shares(
     shares: Mapping[str, float], recorded: Metric, without: Mapping[str, Metric]
 ) -> str:
     """Return a Markdown table of each mechanism's share, and of the metric without it."""
@@ -129,14 +128,14 @@ def tabulate_shares(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DeadSpan:
+class _DeadSpan:
     """From a loop's first sample until its command acts, in the run's own time [ns]."""
 
     start_ns: int
     end_ns: int
 
 
-def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[DeadSpan, ...]:
+def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[_DeadSpan, ...]:
     """Return the dead time at the start of each loop, where it is known, in order of time.
 
     Of loops that begin together it is the longest.
@@ -148,10 +147,10 @@ def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[DeadSpan, 
             start_ns = stretch[0].start_ns
             end_ns = start_ns + round(metric.value * 1e9)
             ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
-    return tuple(DeadSpan(start_ns=start, end_ns=end) for start, end in sorted(ends_ns.items()))
+    return tuple(_DeadSpan(start_ns=start, end_ns=end) for start, end in sorted(ends_ns.items()))
 
 
-def draw_dead_times(run_stream: RunStream, spans: Sequence[DeadSpan]) -> None:
+def _draw_dead_times(run_stream: RunStream, spans: Sequence[_DeadSpan]) -> None:
     """Draw them as a bar of their own."""
     if not spans:
         return

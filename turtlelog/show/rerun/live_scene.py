@@ -16,14 +16,14 @@ from turtlelog.show.rerun import drawing, entities, plane
 from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE, join_path
 from turtlelog.show.rerun.layout import build_run_layout
-from turtlelog.show.rerun.plots import Reference, list_references, list_series
-from turtlelog.show.rerun.recording import (
+from turtlelog.show.rerun.plots import LevelLines, list_references, list_series
+from turtlelog.show.rerun.rrd_file import (
     abandon_stream,
     require_enabled,
     strict_mode,
 )
 from turtlelog.show.rerun.run_scene import build_single, draw_single
-from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_clock, read_span
+from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
 from turtlelog.show.rerun.world import draw_surroundings
 
 _FLUSH_S: Final = 5.0
@@ -152,9 +152,9 @@ class LiveScene:
             _flush(self._stream)
 
     def _draw(self, run: Run) -> None:
-        stream, clock = self._stream, build_run_clock(run)
+        stream, timelines = self._stream, build_run_timelines(run)
         series, references = list_series(run), list_references([run])
-        run_stream = RunStream(stream, "", clock)
+        run_stream = RunStream(stream, "", timelines)
         stream.begin_round(len(run.poses))
         shown = [curves.entity for curves in series]
         if self._shown != shown:
@@ -165,7 +165,7 @@ class LiveScene:
         if stream.is_due:
             plane.draw_trace_by_phase(run_stream, run)
             plane.draw_reference_path(run_stream, run)
-            drawing.draw_references(stream, references, read_span([run], [clock]))
+            drawing.draw_references(stream, references, read_span([run], [timelines]))
         plane.draw_turtle(run_stream, run, palette.MAIN, self._half_size_m)
         plane.draw_reference_pose(run_stream, run, self._half_size_m)
         plane.draw_arrows(run_stream, run)
@@ -224,7 +224,7 @@ class _Part:
         return self.array
 
 
-def _open_up(content: Content, references: Sequence[Reference]) -> Content:
+def _open_up(content: Content, references: Sequence[LevelLines]) -> Content:
     """Return the content of a run that goes on: events may come, and nothing is a close-up yet."""
     limits = {
         reference.plot: _HEADROOM * max(reference.levels)

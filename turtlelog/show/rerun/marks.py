@@ -1,4 +1,4 @@
-"""Marks on the time axes: metrics that have a place, on their curves, and lines across plots."""
+"""What metrics and theory add to the plots of a run: marks on curves, upright lines, responses."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -6,15 +6,18 @@ from typing import Final, Literal
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from turtlelog.loops import PAUSE, ControlLoop, Declaration
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show import palette
+from turtlelog.show.aims import LoopStep, Values, find_steps
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.plots import Series
 from turtlelog.show.rerun.timelines import RunStream
+from turtlelog.theory import compute_sampled_step_response
 
 Shape = Literal["Circle", "Diamond", "Right", "Up"]
 
@@ -25,6 +28,11 @@ _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
 _ROUNDING_NS: Final = 1_000
 _DECADES: Final = 10.0 ** -np.arange(8.0)
+_RESPONSE_WIDTH: Final = 1.0
+_POINTS: Final = 501
+_MOST_SAMPLES: Final = 1_000_000
+_MOST_DEAD_SAMPLES: Final = 1000
+_COLORS: Final = {entities.IDEAL: palette.IDEAL, entities.SAMPLED: palette.SAMPLED}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,40 +61,6 @@ def list_marked(declaration: Declaration) -> tuple[_MarkKind, ...]:
     """
     found = [kind for loop in declaration.loops for kind in _list_of_loop(declaration, loop)]
     return (*found, *_OF_RUN)
-
-
-def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_MarkKind]:
-    def mark(metric: str, curve: str, word: str, shape: Shape) -> _MarkKind:
-        return _MarkKind(metric=f"{loop.name}.{metric}", curve=curve, word=word, shape=shape)
-
-    controlled, command = entities.PLOTS[loop.signal], f"{loop.command}/{entities.COMMANDED}"
-    if loop.signal == "distance" and loop.moves:
-        controlled = f"{entities.DISTANCE}/{entities.TO_REFERENCE}"
-    alike = [other for other in declaration.loops if other.signal == loop.signal]
-    whose = f"{loop.name} " if len(alike) > 1 else ""
-    if loop.moves:
-        yield mark("largest_error", controlled, f"{whose}furthest off", "Diamond")
-    else:
-        yield mark("settling_time", controlled, f"{whose}settled", "Circle")
-        yield mark("overshoot", controlled, f"{whose}overshoot", "Diamond")
-        yield mark("rise_time", controlled, f"{whose}rise", "Up")
-    if loop.signal == "heading":
-        yield mark("final_error", entities.HEADING_ERROR, _name_end(declaration, loop), "Circle")
-    commanding = [other for other in declaration.loops if other.command == loop.command]
-    whose = f"{loop.name} " if len(commanding) > 1 else ""
-    yield mark("longest_saturation", command, f"{whose}saturated for", "Right")
-    if loop.command == "speed":
-        yield mark("cross_track_max", entities.CROSS_TRACK, "furthest", "Diamond")
-
-
-def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
-    """Return what the error of a heading's loop at its end is called."""
-    phases = {name: acting for name, acting in declaration.phases.items() if name != PAUSE}
-    names = list(phases)
-    own = [number for number, name in enumerate(names) if loop.name in phases[name]]
-    following = phases[names[own[-1] + 1]] if own and own[-1] + 1 < len(names) else ()
-    drives = any(found.command == "speed" for found in declaration.loops if found.name in following)
-    return "when driving off" if drives else f"at the end of {loop.name}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,14 +131,6 @@ def draw_marks(run_stream: RunStream, marks: Sequence[Mark]) -> None:
         run_stream.send_few(entity, times_ns, rr.Scalars.columns(scalars=levels))
 
 
-def _name_marks(marks: Sequence[Mark]) -> list[str]:
-    """Return a name for each mark; those of one unit share it, and so a line of the legend."""
-    of_unit: dict[str, list[str]] = {}
-    for mark in sorted(marks, key=lambda found: found.time_ns):
-        of_unit.setdefault(mark.unit, []).append(f"{_SIGNS[mark.shape]} {mark.label}")
-    return ["  ".join(of_unit[mark.unit]) for mark in marks]
-
-
 def draw_lines(
     run_stream: RunStream,
     entity: str,
@@ -192,9 +158,113 @@ def draw_lines(
     run_stream.send_few(entity, np.repeat(times_ns, len(line)), rr.Scalars.columns(scalars=levels))
 
 
+def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...]:
+    """Return the ideal response of each loop, and the sampled one with the dead time found.
+
+    Both start where the loop starts, as if nothing were clipped. A loop whose reference moves, that
+    is not theory's, or whose gain is not known has neither; one whose dead time is not known has no
+    sampled one.
+    """
+    found: list[Series] = []
+    for signal in entities.PLOTS:
+        for number, step in enumerate(find_steps(run, signal)):
+            if step.end_ns > step.start_ns:
+                of = step.loop.name if number else ""
+                dead_time = metrics.get(f"{step.loop.name}.dead_time")
+                found += [_compute_ideal(step, of), *_compute_sampled(step, of, run, dead_time)]
+    return tuple(found)
+
+
+def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_MarkKind]:
+    def mark(metric: str, curve: str, word: str, shape: Shape) -> _MarkKind:
+        return _MarkKind(metric=f"{loop.name}.{metric}", curve=curve, word=word, shape=shape)
+
+    controlled, command = entities.PLOTS[loop.signal], f"{loop.command}/{entities.COMMANDED}"
+    if loop.signal == "distance" and loop.moves:
+        controlled = f"{entities.DISTANCE}/{entities.TO_REFERENCE}"
+    alike = [other for other in declaration.loops if other.signal == loop.signal]
+    whose = f"{loop.name} " if len(alike) > 1 else ""
+    if loop.moves:
+        yield mark("largest_error", controlled, f"{whose}furthest off", "Diamond")
+    else:
+        yield mark("settling_time", controlled, f"{whose}settled", "Circle")
+        yield mark("overshoot", controlled, f"{whose}overshoot", "Diamond")
+        yield mark("rise_time", controlled, f"{whose}rise", "Up")
+    if loop.signal == "heading":
+        yield mark("final_error", entities.HEADING_ERROR, _name_end(declaration, loop), "Circle")
+    commanding = [other for other in declaration.loops if other.command == loop.command]
+    whose = f"{loop.name} " if len(commanding) > 1 else ""
+    yield mark("longest_saturation", command, f"{whose}saturated for", "Right")
+    if loop.command == "speed":
+        yield mark("cross_track_max", entities.CROSS_TRACK, "furthest", "Diamond")
+
+
+def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
+    """Return what the error of a heading's loop at its end is called."""
+    phases = {name: acting for name, acting in declaration.phases.items() if name != PAUSE}
+    names = list(phases)
+    own = [number for number, name in enumerate(names) if loop.name in phases[name]]
+    following = phases[names[own[-1] + 1]] if own and own[-1] + 1 < len(names) else ()
+    drives = any(found.command == "speed" for found in declaration.loops if found.name in following)
+    return "when driving off" if drives else f"at the end of {loop.name}"
+
+
+def _name_marks(marks: Sequence[Mark]) -> list[str]:
+    """Return a name for each mark; those of one unit share it, and so a line of the legend."""
+    of_unit: dict[str, list[str]] = {}
+    for mark in sorted(marks, key=lambda found: found.time_ns):
+        of_unit.setdefault(mark.unit, []).append(f"{_SIGNS[mark.shape]} {mark.label}")
+    return ["  ".join(of_unit[mark.unit]) for mark in marks]
+
+
 def _read_level(curve: Series, time_ns: int) -> float:
     values = curve.values[:, 0]
     if curve.holds:
         row = int(np.searchsorted(curve.time_ns, time_ns + _ROUNDING_NS, side="right")) - 1
         return float(values[max(row, 0)])
     return float(np.interp(time_ns, curve.time_ns, values))
+
+
+def _compute_ideal(step: LoopStep, of: str) -> Series:
+    time_s = np.arange(_POINTS) * ((step.end_ns - step.start_ns) / 1e9 / (_POINTS - 1))
+    return _build(step, of, entities.IDEAL, "ideal", time_s, step.respond(time_s))
+
+
+def _compute_sampled(
+    step: LoopStep, of: str, run: Run, dead_time: Metric | None
+) -> Iterator[Series]:
+    steps_ns = np.diff(run.samples.time_ns)
+    if dead_time is None or dead_time.value is None or not (steps_ns > 0).any():
+        return
+    period_s = float(np.median(steps_ns[steps_ns > 0])) / 1e9
+    delay = round(dead_time.value / period_s)
+    count = int((step.end_ns - step.start_ns) / 1e9 / period_s) + 1
+    if count > _MOST_SAMPLES or delay > _MOST_DEAD_SAMPLES:
+        return
+    values = compute_sampled_step_response(
+        step.kp,
+        count,
+        period_s=period_s,
+        dead_time_ticks=delay,
+        initial=step.initial,
+        reference=step.reference,
+    )
+    label = f"ideal with {dead_time.value * 1e3:.3g} ms dead time"
+    time_s = np.arange(count) * period_s
+    yield _build(step, of, entities.SAMPLED, label, time_s, values)
+
+
+def _build(
+    step: LoopStep, of: str, kind: str, label: str, time_s: NDArray[np.floating], values: Values
+) -> Series:
+    """Return a response as a curve; `of` names its loop where its plot has those of several."""
+    return Series(
+        entity="/".join(part for part in (entities.PLOTS[step.loop.signal], kind, of) if part),
+        labels=(f"{label}, {of}" if of else label,),
+        colors=(_COLORS[kind],),
+        time_ns=step.start_ns + np.rint(time_s * 1e9).astype(np.int64),
+        values=values[:, np.newaxis],
+        width=_RESPONSE_WIDTH,
+        is_main=False,
+        is_measured=False,
+    )

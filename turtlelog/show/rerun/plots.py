@@ -18,6 +18,7 @@ from turtlelog.show.aims import (
     list_limit_keys,
     read_commanded,
     read_distance_to_reference,
+    read_world_velocity,
 )
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
@@ -78,7 +79,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reference:
+class LevelLines:
     """Level lines across a plot.
 
     Attributes:
@@ -101,8 +102,8 @@ def list_series(run: Run) -> tuple[Series, ...]:
         *_list_logarithms(poses),
         *_list_aims(run),
         *_list_states(run),
-        *list_commands(run, entities.SPEED),
-        *list_commands(run, entities.TURN_RATE),
+        *_list_commands(run, entities.SPEED),
+        *_list_commands(run, entities.TURN_RATE),
     )
     return tuple(curves for curves in series if len(curves.time_ns) > 1)
 
@@ -126,7 +127,7 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
     )
 
 
-def list_references(runs: Sequence[Run]) -> tuple[Reference, ...]:
+def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
     """Return what loops aim at, goals, limits and the zeros of errors, each once per plot."""
     goals = {value for run in runs for value in run.goal_xy_m or ()}
     zeros = {0.0}
@@ -138,12 +139,12 @@ def list_references(runs: Sequence[Run]) -> tuple[Reference, ...]:
         (entities.ALONG_TRACK, _list_levels(runs, "along_track")),
         (entities.CROSS_TRACK, _name("zero", zeros if _hold(runs, "cross_track") else ())),
         (entities.DISTANCE, _name("zero", zeros if goals or _follow_distance(runs) else ())),
-        (entities.SPEED, _name("limit", find_limits(runs, "speed"))),
-        (entities.TURN_RATE, _name("limit", find_limits(runs, "turn_rate"))),
+        (entities.SPEED, _name("limit", _find_limits(runs, "speed"))),
+        (entities.TURN_RATE, _name("limit", _find_limits(runs, "turn_rate"))),
         (entities.WORLD_VELOCITY, _name("zero", zeros if _hold_world_velocity(runs) else ())),
     )
     return tuple(
-        Reference(
+        LevelLines(
             plot=plot,
             labels=tuple(label for _, label in sorted(named)),
             levels=tuple(level for level, _ in sorted(named)),
@@ -153,7 +154,7 @@ def list_references(runs: Sequence[Run]) -> tuple[Reference, ...]:
     )
 
 
-def list_commands(run: Run, plot: str) -> Iterator[Series]:
+def _list_commands(run: Run, plot: str) -> Iterator[Series]:
     """Yield what was wanted, commanded and applied; the thick one shows beneath the others."""
     poses = run.poses
     applied = poses.speed_m_s if plot == entities.SPEED else poses.turn_rate_rad_s
@@ -167,7 +168,7 @@ def list_commands(run: Run, plot: str) -> Iterator[Series]:
         yield _build_command(plot, entities.APPLIED, poses.time_ns, applied, palette.SECOND)
 
 
-def find_limits(runs: Sequence[Run], command: Command) -> set[float]:
+def _find_limits(runs: Sequence[Run], command: Command) -> set[float]:
     """Return the limits of runs with both signs, none where they are infinite or not known."""
     limits = {run.parameters.get(key) for run in runs for key in list_limit_keys(run, command)}
     sizes = {float(limit) for limit in limits if isinstance(limit, int | float)}
@@ -192,7 +193,7 @@ def _hold(runs: Sequence[Run], signal: str) -> bool:
 
 
 def _hold_world_velocity(runs: Sequence[Run]) -> bool:
-    return any(len(_find_velocities(run)) for run in runs)
+    return any(read_world_velocity(run) is not None for run in runs)
 
 
 def _follow_distance(runs: Sequence[Run]) -> bool:
@@ -212,13 +213,9 @@ def _list_pairs(run: Run) -> Iterable[Series]:
         labels = ("goal x - x", "goal y - y")
         series = _build_pair(entities.POSITION_ERROR, labels, poses.time_ns, errors_m)
         yield replace(series, is_main=False)
-    rows = _find_velocities(run)
-    if samples.world_velocity_m_s is not None and len(rows):
-        labels, velocity = ("Kp ex", "Kp ey"), samples.world_velocity_m_s
-        times_ns = samples.time_ns
-        if len(rows) < len(samples):
-            velocity, times_ns = velocity[rows], times_ns[rows]
-        series = _build_pair(entities.WORLD_VELOCITY, labels, times_ns, velocity)
+    velocity = read_world_velocity(run)
+    if velocity is not None:
+        series = _build_pair(entities.WORLD_VELOCITY, ("Kp ex", "Kp ey"), *velocity)
         yield replace(series, is_main=False, holds=True)
     if samples.reference_xy_m is not None:
         yield Series(
@@ -231,14 +228,6 @@ def _list_pairs(run: Run) -> Iterable[Series]:
             holds=True,
             is_main=False,
         )
-
-
-def _find_velocities(run: Run) -> NDArray[np.int64]:
-    """Return the samples that hold gain times error."""
-    velocity = run.samples.world_velocity_m_s
-    if velocity is None:
-        return np.zeros(0, dtype=np.int64)
-    return np.flatnonzero(np.isfinite(velocity).all(axis=1))
 
 
 def _build_pair(

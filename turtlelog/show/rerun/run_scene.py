@@ -20,17 +20,14 @@ from turtlelog.show.rerun.content import Content, choose_corners, describe_conte
 from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
 from turtlelog.show.rerun.layout import RUN_LEGENDS, build_run_layout
-from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks
-from turtlelog.show.rerun.plots import Reference, Series, list_references, list_series
-from turtlelog.show.rerun.recording import open_recording, send_run_properties
-from turtlelog.show.rerun.responses import list_responses
-from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_clock, read_span
+from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks, list_responses
+from turtlelog.show.rerun.plots import LevelLines, Series, list_references, list_series
+from turtlelog.show.rerun.rrd_file import open_recording, send_run_properties
+from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
 from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
 
 _VIOLATION_RADIUS = 6.0
-
 _VIOLATION_COLOR: Color = (214, 39, 40)
-
 _EVENT_LINES: Final = f"{entities.LINES}/event"
 
 
@@ -107,7 +104,7 @@ class Single:
     run: Run
     metrics: Mapping[str, Metric]
     series: tuple[Series, ...]
-    references: tuple[Reference, ...]
+    references: tuple[LevelLines, ...]
     marks: tuple[Mark, ...]
     by_speed: plane.SpeedTrace | None
 
@@ -138,10 +135,10 @@ def build_single(run: Run) -> Single:
 
 def draw_single(stream: rr.RecordingStream, single: Single, content: Content) -> None:
     """Draw the run with all that surrounds it, but for its documents."""
-    run, clock = single.run, build_run_clock(single.run)
+    run, timelines = single.run, build_run_timelines(single.run)
     send_run_properties(stream, run, single.metrics)
     draw_surroundings(stream, [run])
-    run_stream = RunStream(stream, "", clock)
+    run_stream = RunStream(stream, "", timelines)
     plane.draw_trace_by_phase(run_stream, run)
     plane.draw_reference_path(run_stream, run)
     if single.by_speed is not None:
@@ -154,7 +151,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     drawing.draw_phases(run_stream, run)
     if run.events:
         _draw_events(run_stream, run, find_largest(content))
-    drawing.draw_references(stream, single.references, read_span([run], [clock]))
+    drawing.draw_references(stream, single.references, read_span([run], [timelines]))
     for curves in single.series:
         drawing.draw_series(run_stream, curves)
     draw_marks(run_stream, single.marks)

@@ -39,7 +39,7 @@ TRACE_ROWS: Final = 2**16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Clock:
+class Timelines:
     """What a run's times are called on each timeline; all timelines but the first are optional.
 
     Attributes:
@@ -66,16 +66,16 @@ class Clock:
         return read
 
 
-def build_run_clock(run: Run) -> Clock:
-    """Return the clock of a run alone: its ticks too, and wall time where it was imported."""
+def build_run_timelines(run: Run) -> Timelines:
+    """Return the timelines of a run alone: its ticks too, and wall time where it was imported."""
     stamp = run.notes.get("original_timestamp")
     epoch_ns = None if stamp is None else parse_timestamp(stamp)
-    return Clock(zero_ns=run.start_ns, tick_ns=run.poses.time_ns, epoch_ns=epoch_ns)
+    return Timelines(zero_ns=run.start_ns, tick_ns=run.poses.time_ns, epoch_ns=epoch_ns)
 
 
-def build_compared_clock(run: Run) -> Clock:
-    """Return the clock of a run among others: aligned at the first sample and at later phases."""
-    return Clock(zero_ns=run.start_ns, starts_ns=_find_starts_ns(run))
+def build_compared_timelines(run: Run) -> Timelines:
+    """Return the timelines of a run among others: from its first sample, and from later phases."""
+    return Timelines(zero_ns=run.start_ns, starts_ns=_find_starts_ns(run))
 
 
 def name_phase_timeline(phase: str) -> str:
@@ -84,12 +84,12 @@ def name_phase_timeline(phase: str) -> str:
     return PHASE_TIMELINE.format(f"phase.{phase}") if name in {TIMELINE, WALL_TIMELINE} else name
 
 
-def read_span(runs: Sequence[Run], clocks: Sequence[Clock]) -> dict[str, Times]:
+def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, Times]:
     """Return the first time of all runs and a little beyond the last, on each timeline."""
     spans: dict[str, list[Times]] = {}
-    for run, clock in zip(runs, clocks, strict=True):
+    for run, own in zip(runs, timelines, strict=True):
         ends_ns = np.array([_find_first_ns(run), run.end_ns])
-        for name, read in clock.read(ends_ns).items():
+        for name, read in own.read(ends_ns).items():
             spans.setdefault(name, []).append(read)
     return {name: _widen(np.concatenate(found)) for name, found in spans.items()}
 
@@ -121,11 +121,11 @@ class RunStream:
     Attributes:
         stream: The recording.
         prefix: Entity prefix of the run, empty where it stands alone.
-        clock: What its times are called.
+        timelines: What its times are called.
     """
 
-    def __init__(self, stream: rr.RecordingStream, prefix: str, clock: Clock) -> None:
-        self.stream, self.prefix, self.clock = stream, prefix, clock
+    def __init__(self, stream: rr.RecordingStream, prefix: str, timelines: Timelines) -> None:
+        self.stream, self.prefix, self.timelines = stream, prefix, timelines
         # Many curves share their times: their index columns are built once.
         self._indexes: dict[int, tuple[Times, list[list[rr.TimeColumn]]]] = {}
 
@@ -150,13 +150,13 @@ class RunStream:
 
     def send_few(self, entity: str, time_ns: ArrayLike, columns: rr.ComponentColumnList) -> None:
         """Send columns of a few rows as they are."""
-        times = self.clock.read(np.asarray(time_ns, dtype=np.int64))
+        times = self.timelines.read(np.asarray(time_ns, dtype=np.int64))
         self.stream.send_columns(join_path(self.prefix, entity), build_index(times), columns)
 
     def _find_indexes(self, time_ns: Times) -> list[list[rr.TimeColumn]]:
         known = self._indexes.get(id(time_ns))
         if known is None:
-            times = self.clock.read(time_ns)
+            times = self.timelines.read(time_ns)
             parts = _split(len(time_ns))
             known = (
                 time_ns,

@@ -20,8 +20,6 @@ from turtlelog.errors import ShowError
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-
-_LOCAL: Final = ("--bind", "127.0.0.1")
 _PATIENCE_S: Final = 5.0
 
 LOCAL: Final = "127.0.0.1"
@@ -30,7 +28,6 @@ LOCAL: Final = "127.0.0.1"
 _START_S: Final = 30.0
 _ANSWER_S: Final = 5.0
 _SCHEMES: Final = frozenset({"rerun", "rerun+http", "rerun+https"})
-
 _RETRY_S: Final = 0.1
 
 _PROOF_PIXELS: Final = 16
@@ -116,7 +113,7 @@ def start_viewer(options: Sequence[str]) -> Iterator[ViewerProcess]:
     # The viewer leaves a folder behind in the temporary one: give it its own.
     with TemporaryFile() as messages, TemporaryDirectory(prefix="turtlelog-") as folder:
         process = subprocess.Popen(
-            [*_find_guard(), find_viewer(), *_LOCAL, *options],
+            [*_find_guard(), find_viewer(), "--bind", LOCAL, *options],
             env={**os.environ, "TMPDIR": folder, "TEMP": folder, "TMP": folder},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

@@ -9,7 +9,7 @@ from tests.log.live import ROOT
 from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.errors import ShowError
 from turtlelog.show import write_run_rrd
-from turtlelog.show.rerun import recording
+from turtlelog.show.rerun import rrd_file
 
 RUN = make_foreign_run(3)
 
@@ -69,7 +69,7 @@ def test_a_file_that_can_grow_no_further_is_one_line(limit: int, tmp_path: Path)
 
 def fail_in_recording(path: Path) -> None:
     layout = rr.blueprint.Blueprint(rr.blueprint.TextLogView())
-    with recording.open_recording(path, name="x", layout=layout) as stream:
+    with rrd_file.open_recording(path, name="x", layout=layout) as stream:
         stream.log("x", rr.Scalars("no number"))
 
 
@@ -86,7 +86,7 @@ def test_strict_mode_ends_with_the_recording(tmp_path: Path) -> None:
 
 
 def test_strict_mode_lasts_until_the_last_of_several_recordings_ends() -> None:
-    first, second = recording.strict_mode(), recording.strict_mode()
+    first, second = rrd_file.strict_mode(), rrd_file.strict_mode()
     first.__enter__()
     second.__enter__()
     first.__exit__(None, None, None)
