@@ -128,15 +128,11 @@ class LawDriver:
             if sequence == 0:
                 self._reset(pose)
             decision = self._step(time_ns, pose)
-            if (
-                decision.heading_error_rad is None
-                or decision.bearing_rad is None
-                or decision.error_x_m is None
-                or decision.error_y_m is None
-                or decision.phase is None
-            ):
+            try:
+                phase = self._judge(decision)
+            except TypeError:  # it leaves something out: found out where it costs nothing
                 decision = complete_decision(decision, pose, self._goal, self._first_phase)
-            phase = self._judge(decision)
+                phase = self._judge(decision)
         except KeyboardInterrupt:
             raise
         except BaseException as err:
@@ -165,7 +161,11 @@ class LawDriver:
         return complete_decision(decision, pose, self._goal, self._first_phase)
 
     def _judge(self, decision: Decision) -> int:
-        """Return the number of a decision's phase; refuse what cannot be executed or recorded."""
+        """Return the number of a decision's phase; refuse what cannot be executed or recorded.
+
+        Raises:
+            TypeError: Where it leaves something out.
+        """
         speed, turn_rate, phase = decision.speed_m_s, decision.turn_rate_rad_s, decision.phase
         # A sum of numbers is finite where all of them are.
         errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
@@ -179,6 +179,8 @@ class LawDriver:
             raise SimulationError(f"expected finite numbers, found {decision}")
         number = self._phases.get(phase)  # type: ignore[arg-type]
         if number is None:
+            if phase is None:
+                raise TypeError("phase")
             known = ", ".join(self.declaration.phases)
             raise SimulationError(f"expected a phase of {known}, found {phase!r}")
         if (
