@@ -39,11 +39,11 @@ def test_gains_that_differ_between_the_loops_have_a_column_each() -> None:
 
 def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tl.mark_metric(SUMMARIES, "run.duration") == {2: "best", 0: "worst"}
-    from turtlelog.compare import gains
+    from turtlelog.compare import run_table
 
     for better, marks in (("higher", {0: "best", 2: "worst"}), (None, {})):
         kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
-        monkeypatch.setattr(gains, "find_metric_kind", lambda _, kind=kind: kind)
+        monkeypatch.setattr(run_table, "find_metric_kind", lambda _, kind=kind: kind)
         assert tl.mark_metric(SUMMARIES, "run.duration") == marks
 
 
