@@ -2,11 +2,15 @@
 
 import math
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+import numpy as np
 
 from turtlelog.check.result import CheckResult, format_number
-from turtlelog.check.surroundings import describe_clock, tabulate_surroundings
 from turtlelog.escapes import escape_controls
+from turtlelog.loops import Declaration
+from turtlelog.measure import find_metric_kind, list_signals, read_signal
 from turtlelog.run import Run
 
 _WIDTH = 92
@@ -74,3 +78,82 @@ def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
     wrapped = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
     yield f"  scenario        {wrapped[0]}"
     yield from (f"                  {line}" for line in wrapped[1:])
+
+
+_ROWS: Final = 2
+_MOST_SIGNALS: Final = 4
+
+_OF_SIGNAL: Final = {
+    "heading": ("heading_error",),
+    "along_track": ("along_track", "cross_track"),
+}
+_OF_END: Final = ("distance", "heading_error")
+_OF_RUN: Final = ("distance", "speed", "turn_rate")
+_OF_NAME: Final = {
+    "cross_track": ("cross_track",),
+    "speed": ("speed",),
+    "turn_rate": ("turn_rate",),
+}
+
+
+def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str, ...]:
+    """Return the signals of a law to look at for signals, metrics and parameters."""
+    known = list_signals(declaration)
+    chosen: list[str] = []
+    for name in names:
+        if name in known:
+            chosen.append(name)
+        elif find_metric_kind(name) is not None:
+            chosen += _choose_for_metric(name, declaration)
+    return tuple(dict.fromkeys(chosen))[:_MOST_SIGNALS]
+
+
+def _choose_for_metric(name: str, declaration: Declaration) -> Sequence[str]:
+    part, rest = name.split(".", 1)
+    for start, signals in _OF_NAME.items():
+        if rest.startswith(start):
+            return signals
+    loop = declaration.find_loop(part)
+    if loop is not None:
+        return (*_OF_SIGNAL.get(loop.signal, (loop.signal,)), loop.command)
+    return _OF_END if part == "final" else _OF_RUN
+
+
+def describe_clock(run: Run) -> str:
+    """Return what times of a run mean."""
+    is_simulated = run.source == "simulation" or run.source.startswith("replay of ")
+    clock = "simulated time" if is_simulated else "the recording's clock"
+    return f"{clock}, from the first sample"
+
+
+def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
+    """Return lines: the signals at the poses around a time, `>` before the one that holds there."""
+    time_ns = run.poses.time_ns
+    row = int(np.searchsorted(time_ns, run.start_ns + round(at_s * 1e9), side="right")) - 1
+    row = max(row, 0)
+    rows = list(range(max(row - _ROWS, 0), min(row + _ROWS + 1, len(time_ns))))
+    columns = [["", *(">" if found == row else "" for found in rows)]]
+    columns.append(["t [s]", *(f"{(time_ns[found] - run.start_ns) / 1e9:.3f}" for found in rows)])
+    kinds = list_signals(run.declaration)
+    for name in (name for name in names if name in kinds):
+        unit = kinds[name].unit
+        title = name if unit == "1" else f"{name} [{unit}]"
+        columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
+    widths = [max(map(len, column)) for column in columns]
+    return [
+        "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+        for cells in zip(*columns, strict=True)
+    ]
+
+
+def _read_value(run: Run, name: str, time_ns: int) -> str:
+    signal = read_signal(run, name)
+    if signal is None:
+        return "-"
+    row = int(np.searchsorted(signal.time_ns, time_ns, side="right")) - 1
+    if row < 0:
+        return "-"
+    value = float(signal.values[row])
+    return (
+        run.phase_names[int(value)] if signal.kind.compared_as == "label" else format_number(value)
+    )

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from turtlelog.check.reference import Reference, load_reference
+from turtlelog.check.failure_message import choose_signals
+from turtlelog.check.reference import ReferenceFile, load_reference
 from turtlelog.check.result import CheckResult, Verdict, describe_status, format_number
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.spec_file import load_tolerances
-from turtlelog.check.surroundings import choose_signals
 from turtlelog.compare import MetricDifference, Tolerance
 from turtlelog.compare.alignment import find_zero_ns
 from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
@@ -29,7 +29,7 @@ from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, Sig
 from turtlelog.run import Run
 
 AnyTolerance: TypeAlias = Tolerance | Tolerances | str | Path | None
-AnyReference: TypeAlias = Run | Reference | Mapping[str, Metric] | str | Path
+AnyReference: TypeAlias = Run | ReferenceFile | Mapping[str, Metric] | str | Path
 
 _SIGNALS_APART: Final = Tolerance(abs=1e-6, reason="other platforms round otherwise")
 _METRICS_APART: Final = Tolerance(abs=1e-9, rel=1e-6, reason="other platforms round otherwise")
@@ -58,7 +58,7 @@ def match_run(
         CompareError: Where there is no such alignment, or the runs do not overlap.
     """
     file = file or run.name
-    if isinstance(reference, Reference):
+    if isinstance(reference, ReferenceFile):
         reference = reference.load()
     if isinstance(reference, str | Path):
         reference = load_reference(Path(reference))

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from turtlelog.check.failure_message import choose_signals
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.result import CheckResult, Verdict, describe_status
 from turtlelog.check.spec import Check
-from turtlelog.check.surroundings import choose_signals
 from turtlelog.check.violation_time import find_metric_violation
 from turtlelog.check.vocabulary import (
     describe_no_phase,

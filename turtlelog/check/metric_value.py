@@ -2,13 +2,13 @@
 
 import copy
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from numbers import Real
 from typing import Any, Protocol, runtime_checkable
 
-from turtlelog.check.arithmetic import FloatArithmetic
-from turtlelog.check.operators import MIRRORED, OPERATORS, measure_margin
+from turtlelog.check.failure_message import choose_signals
 from turtlelog.check.result import (
     CheckResult,
     MissingValueError,
@@ -16,11 +16,65 @@ from turtlelog.check.result import (
     describe_status,
     format_number,
 )
-from turtlelog.check.surroundings import choose_signals
-from turtlelog.check.violation_time import find_metric_violation
+from turtlelog.check.violation_time import (
+    MIRRORED,
+    OPERATORS,
+    find_metric_violation,
+    measure_margin,
+)
 from turtlelog.errors import CheckError
 from turtlelog.measure import MeasureSettings, Metric, Status, measure_run
 from turtlelog.run import Run
+
+
+class FloatArithmetic(ABC):
+    """Computes as its float does; numpy leaves the comparison with it to it."""
+
+    __array_ufunc__ = None
+
+    @abstractmethod
+    def __float__(self) -> float:
+        """Return the number."""
+
+    def __neg__(self) -> float:
+        return -float(self)
+
+    def __pos__(self) -> float:
+        return float(self)
+
+    def __round__(self, digits: int | None = None) -> float:
+        return round(float(self), digits)
+
+    def __add__(self, other: Any) -> Any:
+        return float(self) + other
+
+    def __radd__(self, other: Any) -> Any:
+        return other + float(self)
+
+    def __sub__(self, other: Any) -> Any:
+        return float(self) - other
+
+    def __rsub__(self, other: Any) -> Any:
+        return other - float(self)
+
+    def __mul__(self, other: Any) -> Any:
+        return float(self) * other
+
+    def __rmul__(self, other: Any) -> Any:
+        return other * float(self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return float(self) / other
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return other / float(self)
+
+    def __pow__(self, other: Any) -> Any:
+        return float(self) ** other
+
+    def __rpow__(self, other: Any) -> Any:
+        return other ** float(self)
+
 
 Note = Callable[[CheckResult], None]
 

@@ -1,4 +1,4 @@
-"""A recording that tests ask questions of: read once, when the first is asked."""
+"""A recording that tests ask questions of: read once, when the first is asked; or simulated."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,11 +8,11 @@ from typing import Any, Protocol, TypeAlias
 
 from turtlelog.check.cut import find_loss
 from turtlelog.check.failure_message import describe_failure
-from turtlelog.check.judge_difference import AnyTolerance, match_run
+from turtlelog.check.judge_difference import AnyReference, AnyTolerance, match_run
 from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.law_replay import DrivenRecording
 from turtlelog.check.metric_value import MetricValue
-from turtlelog.check.reference import Reference
+from turtlelog.check.reference import ReferenceFile
 from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
 from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
@@ -21,12 +21,13 @@ from turtlelog.compare.ids import list_ids_like
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
-from turtlelog.log import TopicChoice
-from turtlelog.measure import Metric, find_metric_kind, list_metrics
+from turtlelog.log import TopicChoice, write_recording
+from turtlelog.measure import find_metric_kind, list_metrics
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import Scenario, load_scenario, override_scenario
+from turtlelog.simulate import declare_scenario, simulate_run
 
-Expected: TypeAlias = "Recording | Run | Reference | Mapping[str, Metric] | str | Path"
+Expected: TypeAlias = "Recording | AnyReference"
 
 
 class Watch(Protocol):
@@ -148,7 +149,7 @@ class Recording:
             CompareError: Where the runs do not overlap.
         """
         run = self.run
-        if isinstance(reference, Reference) and reference.claims is not None:
+        if isinstance(reference, ReferenceFile) and reference.claims is not None:
             reference.accept(run, self.path)
             return CheckOutcome(results=())
         if isinstance(reference, Recording):
@@ -198,3 +199,45 @@ class PhaseMetrics:
         prefix = f"{self._name}."
         known = tuple(found.removeprefix(prefix) for found in ids if found.startswith(prefix))
         raise UnknownMetricError(f"metric of {self._name}: {describe_nearest(name, known)}")
+
+
+class SimulatedRuns:
+    """Records simulations into a folder.
+
+    Args:
+        folder: Where the recordings go.
+        watch: Is told of every check on them.
+    """
+
+    def __init__(self, folder: Path, watch: Watch | None = None) -> None:
+        self._folder, self._watch, self._count = folder, watch, 0
+
+    def simulate(
+        self,
+        scenario: str | Path | Scenario = "paper",
+        *,
+        kp: float | None = None,
+        changes: Mapping[str, Any] | None = None,
+    ) -> Recording:
+        """Return the recording of a simulation.
+
+        Args:
+            scenario: A preset, a file, or the scenario itself.
+            kp: All gains that the law declares.
+            changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
+
+        Raises:
+            ScenarioError: Where there is no such scenario, or a change is wrong.
+            SimulationError: Where the law fails.
+        """
+        if not isinstance(scenario, Scenario):
+            scenario = load_scenario(str(scenario))
+        scenario = override_scenario(scenario, changes or {}, source="simulate")
+        if kp is not None:
+            keys = declare_scenario(scenario).list_gains()
+            gains = {key: kp for key in keys if key not in (changes or {})}
+            scenario = override_scenario(scenario, gains, source="simulate")
+        self._count += 1
+        path = self._folder / f"simulated-{self._count}.mcap"
+        write_recording(simulate_run(scenario), path)
+        return Recording(path, name=f"{scenario.name} ({path.name})", watch=self._watch)

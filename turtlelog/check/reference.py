@@ -18,7 +18,7 @@ from turtlelog.run import Run
 
 
 @dataclass(slots=True, kw_only=True)
-class Reference:
+class ReferenceFile:
     """A file that recordings are held to.
 
     Attributes:

@@ -1,11 +1,14 @@
 """When a metric first goes beyond its limit."""
 
+import operator as operators
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 
 from turtlelog.check.cut import cut_run
-from turtlelog.check.operators import OPERATORS
 from turtlelog.measure import (
     MeasureSettings,
     Metric,
@@ -60,3 +63,27 @@ def _find_start_s(run: Run, part: str) -> float:
     loop = run.declaration.find_loop(part)
     stretch = find_first_stretch(run, loop) if loop else []
     return (stretch[0].start_ns - run.start_ns) / 1e9 if stretch else 0.0
+
+
+OPERATORS: Final[Mapping[str, Callable[[float, Any], bool]]] = MappingProxyType(
+    {
+        "<": operators.lt,
+        "<=": operators.le,
+        ">": operators.gt,
+        ">=": operators.ge,
+        "==": operators.eq,
+        "!=": operators.ne,
+    }
+)
+
+MIRRORED: Final[Mapping[str, str]] = MappingProxyType(
+    {"<": ">", "<=": ">=", ">": "<", ">=": "<=", "==": "==", "!=": "!="}
+)
+"""What an operator becomes where its sides change places, or their signs."""
+
+
+def measure_margin(value: float, operator: str, limit: float) -> float:
+    """Return how far the value is from the other verdict, positive where it passes."""
+    if operator in {"==", "!="}:
+        return abs(value - limit) * (-1.0 if operator == "==" else 1.0) + 0.0
+    return limit - value if operator in {"<", "<="} else value - limit

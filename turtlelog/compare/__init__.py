@@ -9,13 +9,15 @@ from turtlelog.compare.difference import (
     iter_comparisons,
     tabulate_differences,
 )
-from turtlelog.compare.files import summarise_files
 from turtlelog.compare.ids import ALIGNMENTS, list_units, order_ids
-from turtlelog.compare.metric_table import tabulate_measured, tabulate_metrics
-from turtlelog.compare.order import order_by_gain
 from turtlelog.compare.paper_tables import tabulate_table1, tabulate_whole_runs
-from turtlelog.compare.run_names import name_runs
-from turtlelog.compare.run_table import mark_metric, tabulate_runs
+from turtlelog.compare.run_names import name_runs, order_by_gain
+from turtlelog.compare.run_table import (
+    mark_metric,
+    tabulate_measured,
+    tabulate_metrics,
+    tabulate_runs,
+)
 from turtlelog.compare.summary import (
     RunSummary,
     choose_columns,
@@ -23,6 +25,7 @@ from turtlelog.compare.summary import (
     list_usual_metrics,
     select_runs,
     sort_runs,
+    summarise_files,
     summarise_run,
 )
 from turtlelog.compare.table import Cell, Column, Mark, Table, format_cell

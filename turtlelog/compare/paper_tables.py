@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare.order import order_by_gain
-from turtlelog.compare.run_names import name_runs
+from turtlelog.compare.run_names import name_runs, order_by_gain
 from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import list_metrics, measure_run

@@ -1,17 +1,24 @@
-"""Runs in short, for tables of many: what they were, and how well they did."""
+"""Runs in short, for tables of many: what they were, and how well they did, read file by file."""
 
-from collections.abc import Mapping, Sequence
+import multiprocessing
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
+from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.compare.ids import is_metric_pattern, order_ids
-from turtlelog.errors import CompareError, suggest_names
+from turtlelog.errors import CompareError, TurtlelogError, suggest_names
 from turtlelog.expressions import evaluate_expression, parse_expression
+from turtlelog.log import TopicChoice
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
+    MeasureSettings,
     Metric,
+    choose_metrics,
     find_metric_kind,
     list_essential_metrics,
     list_metrics,
@@ -263,3 +270,74 @@ def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
 def _rank(value: Any) -> tuple[int, Any]:
     """Numbers stand before texts."""
     return (0, value) if isinstance(value, int | float) else (1, str(value))
+
+
+Choice = Collection[str] | Callable[[Declaration], Collection[str]] | None
+"""Which metrics to compute: ids and patterns, or what says which, from the law of a run; all."""
+
+_AT_ONCE: Final = 16
+"""Files that a process takes at a time."""
+
+
+def summarise_files(
+    paths: Sequence[str | Path],
+    settings: MeasureSettings | None = None,
+    *,
+    only: Choice = None,
+    topics: TopicChoice | None = None,
+    jobs: int = 1,
+) -> Iterator[RunSummary | TurtlelogError]:
+    """Yield the summary of every file in the order given, or the error where one cannot be read.
+
+    One run at a time is in memory, with `jobs` one in each process.
+
+    Args:
+        paths: Recordings, bags or the paper's logs, as `read_run` takes them.
+        settings: As in `measure_run`.
+        only: The same, patterns stand for the metrics that each run has; or a function that says
+            which, as `list_essential_metrics` does.
+        topics: The same topics for all of them.
+        jobs: Processes to measure in, at least 1. They import the module that runs: a script that
+            asks for more than one keeps its own work under `if __name__ == "__main__":`.
+
+    Raises:
+        MeasureError: Where `only` names no metric.
+        CompareError: Where `jobs` is no number of processes.
+    """
+    if jobs < 1:
+        raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
+    if only is not None and not callable(only):
+        choose_metrics(only, Declaration())  # refuses what names no metric of any law
+        only = (only,) if isinstance(only, str) else tuple(only)
+    measure = partial(_measure_file, settings=settings, only=only, topics=topics or TopicChoice())
+    return _iterate(measure, [str(path) for path in paths], jobs)
+
+
+def _measure_file(
+    path: str,
+    *,
+    settings: MeasureSettings | None,
+    only: Choice,
+    topics: TopicChoice,
+) -> RunSummary | TurtlelogError:
+    try:
+        run = topics.read(path)
+    except TurtlelogError as err:
+        return err
+    chosen = only(run.declaration) if callable(only) else only
+    return summarise_run(run, file=path, metrics=measure_run(run, settings, only=chosen))
+
+
+def _iterate(
+    measure: "partial[RunSummary | TurtlelogError]", paths: Sequence[str], jobs: int
+) -> Iterator[RunSummary | TurtlelogError]:
+    if jobs == 1 or len(paths) < 2:
+        yield from map(measure, paths)
+        return
+    # Spawned and not forked: the same everywhere, and safe beside threads.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(jobs, len(paths)), mp_context=context)
+    try:
+        yield from pool.map(measure, paths, chunksize=_AT_ONCE)
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -12,12 +12,12 @@ import pytest
 
 from turtlelog.pytest_plugin.choosing import choose_recordings, find_reference, name_recordings
 from turtlelog.pytest_plugin.session import SESSION, Session
-from turtlelog.pytest_plugin.summary import SUMMARY, Summary
+from turtlelog.pytest_plugin.summary import SUMMARY, SessionSummary
 from turtlelog.pytest_plugin.tracebacks import end_at_test
 
 if TYPE_CHECKING:
     from turtlelog.check.recording import Recording
-    from turtlelog.check.reference import Reference
+    from turtlelog.check.reference import ReferenceFile
 
 _MARKERS = (
     "recordings(*patterns, allow_partial=False, trust_law=False): run the test once per recording;"
@@ -54,7 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
     for marker in _MARKERS:
         config.addinivalue_line("markers", marker)
     config.stash[SESSION] = Session(config)
-    config.stash[SUMMARY] = Summary()
+    config.stash[SUMMARY] = SessionSummary()
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -88,7 +88,7 @@ def recording(request: pytest.FixtureRequest) -> "Recording":
 @pytest.fixture
 def reference(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> "Reference":
+) -> "ReferenceFile":
     """What recordings are held to: the file that the marker or the ini option names."""
     has_recording = "recording" in request.fixturenames
     stem = request.getfixturevalue("recording").path.stem if has_recording else None
@@ -99,9 +99,9 @@ def reference(
 @pytest.fixture
 def simulate(request: pytest.FixtureRequest, tmp_path: Path) -> "Callable[..., Recording]":
     """Simulate a scenario, record it and read it back: `simulate("paper", kp=4)`."""
-    from turtlelog.check.fresh import FreshRuns
+    from turtlelog.check.recording import SimulatedRuns
 
-    return FreshRuns(tmp_path, request.config.stash[SESSION].watch).simulate
+    return SimulatedRuns(tmp_path, request.config.stash[SESSION].watch).simulate
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from turtlelog.check import ArtifactWriter, CheckResult
 from turtlelog.check.metric_value import MetricValue
-from turtlelog.check.operators import MIRRORED
+from turtlelog.check.violation_time import MIRRORED
 from turtlelog.errors import TurtlelogError
 from turtlelog.escapes import escape_controls
 

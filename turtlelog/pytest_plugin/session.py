@@ -12,7 +12,7 @@ from turtlelog.pytest_plugin.choosing import show_path
 if TYPE_CHECKING:
     from turtlelog.check import ArtifactWriter, CheckResult
     from turtlelog.check.recording import Recording
-    from turtlelog.check.reference import Reference
+    from turtlelog.check.reference import ReferenceFile
 
 
 class Session:
@@ -21,7 +21,7 @@ class Session:
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
         self._recordings: dict[tuple[Path, bool, bool], Recording] = {}
-        self._references: dict[Path, Reference] = {}
+        self._references: dict[Path, ReferenceFile] = {}
         self._writer: ArtifactWriter | None = None
         self._used: dict[str, Recording] = {}
         self._results: list[tuple[Recording, CheckResult]] = []
@@ -46,19 +46,19 @@ class Session:
             )
         return self._recordings[key]
 
-    def open_reference(self, path: Path, scratch: Path) -> "Reference":
+    def open_reference(self, path: Path, scratch: Path) -> "ReferenceFile":
         """Return the one reference of a file.
 
         Args:
             path: The file.
             scratch: A folder of this session; with xdist, below that which all workers share.
         """
-        from turtlelog.check.reference import Reference
+        from turtlelog.check.reference import ReferenceFile
 
         shared = scratch.parent if hasattr(self._config, "workerinput") else scratch
         is_accepting = self._config.getoption("--turtlelog-accept")
         claims = shared / "turtlelog-accept" if is_accepting else None
-        reference = Reference(path=path, claims=claims)
+        reference = ReferenceFile(path=path, claims=claims)
         return self._references.setdefault(path.resolve(), reference)
 
     def end(self) -> None:

@@ -14,7 +14,7 @@ _MOST = 3
 _WIDTH = 60
 
 
-class Summary:
+class SessionSummary:
     """Gathers what the reports of all processes tell."""
 
     def __init__(self) -> None:
@@ -64,4 +64,4 @@ def _describe(result: "CheckResult") -> str:
     return f"{format_number(result.margin, result.unit)} {name} ({result.file})"
 
 
-SUMMARY = pytest.StashKey[Summary]()
+SUMMARY = pytest.StashKey[SessionSummary]()

@@ -6,7 +6,7 @@ from turtlelog.replay.difference import Difference, SignalDifference
 from turtlelog.replay.discontinuities import Gap, Jump
 from turtlelog.replay.law import LawReplay, replay_law
 from turtlelog.replay.loop import LoopReplay, replay_loop
-from turtlelog.replay.plant import PlantReplay, PoseError, Stretch, replay_plant
+from turtlelog.replay.plant import PlantReplay, PlantStretch, PoseError, replay_plant
 from turtlelog.replay.run_pairs import RowCount
 
 __all__ = [
@@ -17,11 +17,11 @@ __all__ = [
     "LawReplay",
     "LoopReplay",
     "PlantReplay",
+    "PlantStretch",
     "PoseError",
     "ReplayError",
     "RowCount",
     "SignalDifference",
-    "Stretch",
     "replay_law",
     "replay_loop",
     "replay_plant",

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
-from turtlelog.replay.recorded import RecordedMotion
+from turtlelog.replay.discontinuities import RecordedMotion
 from turtlelog.run import CommandColumns
 
 Velocity = tuple[float, float, float]

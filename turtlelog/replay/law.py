@@ -19,7 +19,7 @@ from turtlelog.replay.difference import (
     find_earliest,
     require_tolerance,
 )
-from turtlelog.replay.run_pairs import has_ticks
+from turtlelog.replay.run_pairs import compare_last_decision, has_ticks
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
     PUBLISHED,
@@ -32,7 +32,6 @@ from turtlelog.replay.sample_pairs import (
     pair_published,
     pair_samples,
 )
-from turtlelog.replay.stops import compare_last_decision
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import LawDriver, Sample, SampleRows, build_law

@@ -17,6 +17,7 @@ from turtlelog.replay.difference import (
 from turtlelog.replay.plant import PoseError, find_pose_error
 from turtlelog.replay.run_pairs import (
     RowCount,
+    compare_ends,
     count_rows,
     find_count_difference,
     has_ticks,
@@ -24,7 +25,6 @@ from turtlelog.replay.run_pairs import (
     pair_by_tick,
 )
 from turtlelog.replay.sample_pairs import Answers, compare_declarations, list_absent
-from turtlelog.replay.stops import compare_ends
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import simulate_run

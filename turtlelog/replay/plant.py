@@ -17,8 +17,7 @@ from turtlelog.replay.difference import (
     compare_pairing,
     find_earliest,
 )
-from turtlelog.replay.discontinuities import Gap, Jump, find_breaks
-from turtlelog.replay.recorded import RecordedMotion, read_motion
+from turtlelog.replay.discontinuities import Gap, Jump, RecordedMotion, find_breaks, read_motion
 from turtlelog.run import Run
 
 _HALF_STEP_M: Final = 2.0**-21
@@ -38,7 +37,7 @@ class PoseError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class PlantStretch:
     """A part of the recording without a jump or gap, replayed from its first recorded pose.
 
     Attributes:
@@ -85,7 +84,7 @@ class PlantReplay:
     samples: int
     max_abs_error: PoseError
     first_difference: Difference | None
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[PlantStretch, ...]
     jumps: tuple[Jump, ...]
     gaps: tuple[Gap, ...]
     commands: CommandUse
@@ -131,7 +130,7 @@ def replay_plant(run: Run) -> PlantReplay:
 
 def _replay_stretch(
     motion: RecordedMotion, velocities: tuple[Velocity, ...], first: int, after: int
-) -> Stretch:
+) -> PlantStretch:
     x_m, y_m = motion.xy_m[first].tolist()
     turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=float(motion.heading_rad[first]))
     states = [turtle.state[:3]]
@@ -160,7 +159,7 @@ def _replay_stretch(
         )
         for column, name in enumerate(("x", "y", "heading"))
     )
-    return Stretch(
+    return PlantStretch(
         start_ns=int(motion.time_ns[first]),
         end_ns=int(motion.time_ns[after - 1]),
         ticks=after - first - 1,
