@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.parsing import HEADING_FIELDS
 
 TEXT: Final = "text"
 """Kind of a string; every other kind is a type code of numpy, or the fields of a message."""
@@ -65,15 +66,10 @@ _LINE: Final = re.compile(
 Column = NDArray[Any]
 
 MESSAGE: Final = np.dtype(
-    {
-        "names": [
-            *("#opcode", "#length", "#channel", "#sequence", "#log_time", "#publish_time"),
-            "#encapsulation",
-        ],
-        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8", "<u2"],
-        "offsets": [0, 1, 9, 11, 15, 23, 31],
-        "itemsize": 35,
-    }
+    [
+        *((f"#{name}", kind) for name, kind in HEADING_FIELDS),
+        *(("#encapsulation", "<u2"), ("#options", "<u2")),
+    ]
 )
 """What stands before the fields of a CDR message, from the record's opcode on.
 
