@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.message_types import (
+    LITTLE_ENDIAN,
     TEXT,
     Column,
     Field,
@@ -28,12 +29,6 @@ HEAD: Final = struct.Struct("<BQHIQQ4s")
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian."""
 
-_HEAD_ROW: Final = np.dtype(
-    [
-        *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
-        *(("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "V4")),
-    ]
-)
 UNCOUNTED: Final = 9
 """Bytes at the front of a record that its length does not count."""
 
@@ -117,13 +112,10 @@ def _encode_fixed(
 ) -> NDArray[np.void]:
     rows = len(stamps["log_time"])
     records = np.zeros(rows, dtype=layout.little)
-    heads = np.zeros(rows, dtype=_HEAD_ROW)
-    heads["opcode"], heads["length"] = Opcode.MESSAGE, records.itemsize - UNCOUNTED
-    heads["channel"], heads["encapsulation"] = channel, np.void(ENCAPSULATION)
+    records["#opcode"], records["#length"] = Opcode.MESSAGE, records.itemsize - UNCOUNTED
+    records["#channel"], records["#encapsulation"] = channel, LITTLE_ENDIAN
     for name, values in stamps.items():
-        heads[name] = values
-    whole = records.view(np.uint8).reshape(rows, records.itemsize)
-    whole[:, : HEAD.size] = heads.view(np.uint8).reshape(rows, HEAD.size)
+        records[f"#{name}"] = values
     for name, values in columns.items():
         column = layout.little[name]
         if values.shape[1:] != column.shape:

@@ -7,7 +7,7 @@ from tests.log.engine.files import CODES, Row, pack, write_rows
 from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, read_columns, read_info
 from turtlelog.log.engine import message_types
-from turtlelog.log.engine.message_types import MOST_KEPT_FIELDS, read_type
+from turtlelog.log.engine.message_types import LONGEST_KEPT, MOST_KEPT_FIELDS, read_type
 
 LINE = "=" * 80 + "\n"
 
@@ -135,9 +135,18 @@ def test_types_of_usual_size_are_parsed_once(more: int, *, is_kept: bool) -> Non
     assert read_type("test/msg/Wide", f"int8 a\n{text}").size == found.size + 1
 
 
+@pytest.mark.parametrize(("more", "is_kept"), [(0, True), (1, False)])
+def test_types_of_usual_text_are_parsed_once(more: int, *, is_kept: bool) -> None:
+    text = f"int8 a  # {'x' * (LONGEST_KEPT + more - 10)}"
+    assert len(text) == LONGEST_KEPT + more
+    found = read_type("test/msg/Long", text)
+    assert (read_type("test/msg/Long", text) is found) == is_kept
+
+
 def test_what_is_kept_of_types_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     kept: dict[tuple[str, str], message_types.MessageType] = {}
     monkeypatch.setattr(message_types, "_KEPT", kept)
     for number in range(300):
         read_type("test/msg/Kind", f"int8 a{number}\n")
     assert len(kept) == 128
+    assert ("test/msg/Kind", "int8 a299\n") in kept

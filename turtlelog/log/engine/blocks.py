@@ -21,6 +21,7 @@ from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.integrity import DamageError, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
 from turtlelog.log.engine.parsing import (
+    HEADING,
     MESSAGE_HEAD,
     Place,
     RecordStretch,
@@ -35,7 +36,6 @@ from turtlelog.log.engine.walk import Damage, Section, walk_sections
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
 
-_HEADING: Final = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
 _NOTES: Final = frozenset({Opcode.METADATA, Opcode.ATTACHMENT})
 _SLOT: Final = 4  # bits; no two messages start within 16 bytes
 _WITHIN: Final = 15
@@ -250,7 +250,7 @@ def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: 
         return starts
     if starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD:
         raise _mistrust(byte, f"offsets up to {starts.max()} in {len(data)} bytes")
-    heads = gather_bytes(data, starts, _HEADING.itemsize).view(_HEADING)
+    heads = gather_bytes(data, starts, HEADING.itemsize).view(HEADING)
     if (heads["opcode"] != Opcode.MESSAGE).any() or (heads["channel"] != channels).any():
         raise _mistrust(byte, "another record than a message of the channel")
     lengths = heads["length"]

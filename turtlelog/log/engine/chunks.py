@@ -14,7 +14,9 @@ from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import LARGEST_CHUNK
 
-_HEAD: Final = struct.Struct("<QQQII")  # start, end, uncompressed size, crc, length of the name
+CHUNK_HEAD: Final = struct.Struct("<QQQII")
+"""Start, end, size unpacked, crc, and length of the name of the compression."""
+
 _SIZE: Final = struct.Struct("<Q")
 
 SPARE: Final = 2**25
@@ -55,13 +57,13 @@ def parse_chunk_head(
         DamageError: Where the body is too short for what it says, or that is more than `largest`.
     """
     try:
-        start_ns, end_ns, size, crc, length = _HEAD.unpack_from(body)
-        name = bytes(body[_HEAD.size : _HEAD.size + length])
-        (data_size,) = _SIZE.unpack_from(body, _HEAD.size + length)
+        start_ns, end_ns, size, crc, length = CHUNK_HEAD.unpack_from(body)
+        name = bytes(body[CHUNK_HEAD.size : CHUNK_HEAD.size + length])
+        (data_size,) = _SIZE.unpack_from(body, CHUNK_HEAD.size + length)
         compression = name.decode()
     except (struct.error, ValueError) as err:
         raise DamageError(f"byte {byte}: expected a chunk, found {describe_error(err)}") from err
-    data_start = _HEAD.size + length + _SIZE.size
+    data_start = CHUNK_HEAD.size + length + _SIZE.size
     if data_start + data_size > len(body) or size > largest:
         raise DamageError(
             f"byte {byte}: expected a chunk of up to {len(body) - data_start} bytes for up to"

@@ -1,17 +1,18 @@
 """File -> columns, topic by topic: the one way to read messages. And raw records."""
 
-import struct
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block
-from turtlelog.log.engine.parsing import MESSAGE_HEAD
+from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
 from turtlelog.log.engine.source import (
     Piece,
     Selection,
@@ -32,7 +33,6 @@ from turtlelog.log.error_boundary import name_file, open_file
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 
-_HEAD: Final = struct.Struct("<QHIQQ")  # length, channel, sequence, log and publish time
 _LONE: Final = (Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT)
 
 
@@ -177,16 +177,17 @@ def read_raw(path: str | Path) -> RawContents:
 
 
 def _list_messages(block: Block) -> list[Message]:
-    starts = sorted(start for found in block.offsets.values() for start in found.tolist())
-    return [_read_message(block.data, start) for start in starts]
-
-
-def _read_message(data: bytes, start: int) -> Message:
-    length, channel, sequence, log_time, publish_time = _HEAD.unpack_from(data, start + 1)
-    return Message(
-        channel_id=channel,
-        sequence=sequence,
-        log_time=log_time,
-        publish_time=publish_time,
-        data=data[start + MESSAGE_HEAD : start + 9 + length],
-    )
+    starts = np.sort(np.concatenate([np.empty(0, np.int64), *block.offsets.values()]))
+    heads = gather_bytes(block.data, starts, HEADING.itemsize).view(HEADING).tolist()
+    return [
+        Message(
+            channel_id=channel,
+            sequence=sequence,
+            log_time=log_time,
+            publish_time=publish_time,
+            data=block.data[start + MESSAGE_HEAD : start + RECORD.size + length],
+        )
+        for start, (_, length, channel, sequence, log_time, publish_time) in zip(
+            starts.tolist(), heads, strict=True
+        )
+    ]

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.parsing import HEADING_FIELDS
 
 TEXT: Final = "text"
 """Kind of a string; every other kind is a type code of numpy, or the fields of a message."""
@@ -23,7 +25,10 @@ LONGEST_TEXT: Final = 2**20
 MOST_KEPT_FIELDS: Final = 200
 """Fields of a type that is kept for the next file, about 1 kB each; messages of ROS have fewer."""
 
-_MOST_KEPT: Final = 128  # types; so what is kept stays below 26 MB, whatever files hold
+LONGEST_KEPT: Final = 2**14
+"""Letters of its definition, up to 4 bytes each; a point cloud's takes some 6,000."""
+
+_MOST_KEPT: Final = 128  # types; so what is kept stays below 40 MB, whatever files hold
 
 _KINDS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -65,15 +70,10 @@ _LINE: Final = re.compile(
 Column = NDArray[Any]
 
 MESSAGE: Final = np.dtype(
-    {
-        "names": [
-            *("#opcode", "#length", "#channel", "#sequence", "#log_time", "#publish_time"),
-            "#encapsulation",
-        ],
-        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8", "<u2"],
-        "offsets": [0, 1, 9, 11, 15, 23, 31],
-        "itemsize": 35,
-    }
+    [
+        *((f"#{name}", kind) for name, kind in HEADING_FIELDS),
+        *(("#encapsulation", "<u2"), ("#options", "<u2")),
+    ]
 )
 """What stands before the fields of a CDR message, from the record's opcode on.
 
@@ -141,6 +141,7 @@ class MessageType:
 
 
 _KEPT: Final[dict[tuple[str, str], MessageType]] = {}
+_KEEPING: Final = Lock()
 
 
 def read_type(name: str, definition: str) -> MessageType:
@@ -153,8 +154,11 @@ def read_type(name: str, definition: str) -> MessageType:
     if known is None:
         fields = parse_schema(name, definition)
         known = MessageType(fields=fields, layout=lay_out(fields), size=count_fields(fields))
-        if known.size <= MOST_KEPT_FIELDS and len(_KEPT) < _MOST_KEPT:
-            _KEPT[name, definition] = known
+        if known.size <= MOST_KEPT_FIELDS and len(definition) <= LONGEST_KEPT:
+            with _KEEPING:
+                if len(_KEPT) == _MOST_KEPT:  # the oldest goes
+                    del _KEPT[next(iter(_KEPT))]
+                _KEPT[name, definition] = known
     return known
 
 

@@ -45,15 +45,12 @@ _RARE: Final[dict[int, Any]] = {
 MESSAGE_HEAD: Final = 31
 """Bytes of a message record before its data."""
 
-HEADING: Final = np.dtype(
-    {
-        "names": ["length", "channel", "log_time"],
-        "formats": ["<u8", "<u2", "<u8"],
-        "offsets": [1, 9, 15],
-        "itemsize": MESSAGE_HEAD,
-    }
+HEADING_FIELDS: Final = (
+    *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
+    *(("log_time", "<u8"), ("publish_time", "<u8")),
 )
-"""The front of a message record."""
+HEADING: Final = np.dtype([*HEADING_FIELDS])
+"""The front of a message record; everything else that reads or writes one takes it from here."""
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _KNOWN: Final = frozenset(

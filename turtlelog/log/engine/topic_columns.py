@@ -21,23 +21,13 @@ from turtlelog.log.engine.message_types import (
     Layout,
     split_rows,
 )
-from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_bytes
+from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
 
 Rows = dict[str, Column]
 
 LOG_TIME: Final = "#log_time"
 PUBLISH_TIME: Final = "#publish_time"
 SEQUENCE: Final = "#sequence"
-
-MESSAGE_HEADER: Final = np.dtype(
-    {
-        "names": ["#length", LOG_TIME],
-        "formats": ["<u8", "<u8"],
-        "offsets": [1, 15],
-        "itemsize": MESSAGE_HEAD,
-    }
-)
-"""What stands before the data of any message, as far as it is needed alone."""
 
 _PADDING: Final = 4  # some middlewares fill a message up to a multiple of this [bytes]
 _LENGTH: Final = 22  # bytes of a message record that its length counts, before its data
@@ -160,28 +150,31 @@ def _read_fixed(layout: Layout, block: Block, starts: Offsets) -> Rows:
     size = layout.little.itemsize
     if len(starts) and starts[-1] > len(block.data) - size:
         # The last one is too short: found by the check, which needs no more than its head.
-        _check_sizes(gather_bytes(block.data, starts, MESSAGE_HEAD).view(MESSAGE_HEADER), layout)
+        _check_sizes(_read_lengths(block, starts), layout)
     rows = gather_bytes(block.data, starts, size)
     heads = rows.view(layout.little)
-    _check_sizes(heads, layout)
+    _check_sizes(heads["#length"], layout)
     _check_heads(heads)
     return split_rows(layout, rows)
 
 
-def _check_sizes(heads: NDArray[np.void], layout: Layout) -> None:
-    extra = heads["#length"] - np.uint64(_LENGTH + layout.size)  # wraps where it is below
+def _read_lengths(block: Block, starts: Offsets) -> NDArray[np.uint64]:
+    lengths: NDArray[np.uint64] = gather_bytes(block.data, starts, MESSAGE_HEAD).view(HEADING)[
+        "length"
+    ]
+    return lengths
+
+
+def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:
+    extra = lengths - np.uint64(_LENGTH + layout.size)  # wraps where it is below
     if len(extra) and extra.max() >= _PADDING:
         number = int((extra >= _PADDING).argmax())
-        found = int(heads["#length"][number]) - _LENGTH
+        found = int(lengths[number]) - _LENGTH
         raise LogError(f"message {number}: expected {layout.size} bytes, found {found}")
 
 
 def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
-    lengths = (
-        gather_bytes(block.data, starts, MESSAGE_HEAD)
-        .view(MESSAGE_HEADER)["#length"]
-        .astype(np.int64)
-    )
+    lengths = _read_lengths(block, starts).astype(np.int64)
     if (lengths < _LENGTH + ENCAPSULATION).any():
         number = int((lengths < _LENGTH + ENCAPSULATION).argmax())
         found = lengths[number] - _LENGTH

@@ -4,7 +4,6 @@ Finished files are read by their indexes; this is for those that have none, were
 are damaged.
 """
 
-import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.chunks import unpack_chunk
+from turtlelog.log.engine.chunks import CHUNK_HEAD, unpack_chunk
 from turtlelog.log.engine.framing import (
     RECORD,
     SUMMARY_ONLY,
@@ -28,7 +27,6 @@ from turtlelog.log.engine.framing import (
 from turtlelog.log.engine.integrity import START_SIZE, find_wrong_start
 from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
 
-_CHUNK: Final = struct.Struct("<BQQQQII")  # ... start, end, size unpacked, crc, length of the name
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression
 _RUNS: Final = frozenset({Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA})
@@ -220,14 +218,16 @@ def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Dam
 
 
 def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage], int]:
-    head = window.read(place, _CHUNK.size)
-    if len(head) < _CHUNK.size:
+    front = RECORD.size + CHUNK_HEAD.size
+    head = window.read(place, front)
+    if len(head) < front:
         raise LogError("expected a chunk, found the end of the file within its header")
-    _, length, _, _, size, checksum, name_size = _CHUNK.unpack(head)
+    _, length = RECORD.unpack_from(head)
+    _, _, size, checksum, name_size = CHUNK_HEAD.unpack_from(head, RECORD.size)
     if name_size > _LONGEST_NAME:
         raise LogError(f"expected a chunk, found a compression of {name_size} letters")
-    rest = window.read(place + _CHUNK.size, name_size + 8)
-    start = place + _CHUNK.size + name_size + 8
+    rest = window.read(place + front, name_size + 8)
+    start = place + front + name_size + 8
     by_record, by_data = place + RECORD.size + length, start + int.from_bytes(rest[-8:], "little")
     agree = by_data == by_record or (
         by_data < by_record <= window.size and is_padding(window, by_data, by_record, Opcode.CHUNK)
