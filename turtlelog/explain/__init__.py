@@ -15,7 +15,7 @@ from turtlelog.explain.identify import identify_run
 from turtlelog.explain.law import describe_loop_name
 from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
 from turtlelog.explain.resimulation import Resimulation
-from turtlelog.explain.wording import write_sentences
+from turtlelog.explain.report import write_sentences
 
 __all__ = [
     "DEFAULT_METRIC",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
-from turtlelog.explain.numbers import GainFit, Values, fit_gain
+from turtlelog.explain.constant_recovery import GainFit, Values, fit_gain
 
 Reproduce = Callable[[float], Values]
 """The commands that the law wants, by its gain."""

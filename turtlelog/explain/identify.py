@@ -10,7 +10,7 @@ import numpy as np
 
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.command_fit import CommandFit
-from turtlelog.explain.ending import Ending, find_ending, find_pause
+from turtlelog.explain.stop_reason import Ending, find_ending, find_pause
 from turtlelog.explain.finding import Certainty, Finding, miss
 from turtlelog.explain.hypothesis import (
     LONGEST_S,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.explain.numbers import find_quantile, widen_for_runs
+from turtlelog.explain.constant_recovery import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
 from turtlelog.explain.stretches import list_breaks
 from turtlelog.explain.trace import Trace, Values
