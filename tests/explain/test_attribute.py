@@ -18,7 +18,7 @@ from turtlelog.explain import (
     identify_run,
     simulate_without,
 )
-from turtlelog.explain.grain import find_grain
+from turtlelog.explain.attribution import find_grain
 from turtlelog.explain.mechanisms import FINER, list_effects
 from turtlelog.explain.sensitivity import vary_start
 from turtlelog.laws.sequential_p import DECLARATION

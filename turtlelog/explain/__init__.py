@@ -6,16 +6,14 @@ from turtlelog.explain.attribute import (
     attribute_scenario,
     require_players,
 )
-from turtlelog.explain.attribution import Attribution, Share, StartRange, Together, ValueSet
-from turtlelog.explain.finding import Certainty, Finding
-from turtlelog.explain.grain import Grain
+from turtlelog.explain.attribution import Attribution, Grain, Share, StartRange, Together, ValueSet
 from turtlelog.explain.hypothesis import require_trust
-from turtlelog.explain.identification import Identification
+from turtlelog.explain.identification import Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.law import describe_loop_name
 from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
-from turtlelog.explain.resimulation import Resimulation
 from turtlelog.explain.report import write_sentences
+from turtlelog.explain.resimulation import Resimulation
 
 __all__ = [
     "DEFAULT_METRIC",

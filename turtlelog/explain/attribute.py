@@ -6,11 +6,9 @@ from dataclasses import replace
 from typing import Final
 
 from turtlelog.errors import ExplainError
-from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet
-from turtlelog.explain.finding import Certainty, Finding
-from turtlelog.explain.grain import find_grain
+from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet, find_grain
 from turtlelog.explain.hypothesis import require_trust
-from turtlelog.explain.identification import LOOP_KEYS, Identification
+from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.mechanisms import (
     LOOP_MECHANISMS,

@@ -12,12 +12,15 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.errors import SimulationError
-from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.identification import (
     DEAD_TIME,
     LAW_KEYS,
     LOOP_KEYS,
+    Certainty,
+    Finding,
     Identification,
+    find_exactly,
+    miss,
 )
 from turtlelog.explain.loop import read_hints
 from turtlelog.explain.open_loop import WHITE
@@ -31,8 +34,7 @@ from turtlelog.explain.resimulation import (
     list_rows,
 )
 from turtlelog.explain.search import Fits, drive_loop, search_loop
-from turtlelog.explain.settings import describe_loop
-from turtlelog.explain.start import describe_goal, describe_start
+from turtlelog.explain.settings import describe_goal, describe_loop, describe_start
 from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.trace import Trace, Values, trace_run
 from turtlelog.laws import LAWS
