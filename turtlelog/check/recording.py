@@ -1,6 +1,6 @@
 """A recording that tests ask questions of: read once, when the first is asked; or simulated."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -8,23 +8,24 @@ from typing import Any, Protocol, TypeAlias
 
 from turtlelog.check.cut import find_loss
 from turtlelog.check.failure_message import describe_failure
-from turtlelog.check.judge_difference import AnyReference, AnyTolerance, match_run
+from turtlelog.check.judge_difference import AnyReference, AnyTolerance, judge_replay, match_run
 from turtlelog.check.judge_formula import judge_check
-from turtlelog.check.law_replay import DrivenRecording
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.reference import ReferenceFile
 from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
 from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
+from turtlelog.compare import Tolerance
 from turtlelog.compare.ids import list_ids_like
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
 from turtlelog.log import TopicChoice, write_recording
 from turtlelog.measure import find_metric_kind, list_metrics
+from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario, load_scenario, override_scenario
+from turtlelog.scenario import Scenario, complete_scenario, load_scenario, override_scenario
 from turtlelog.simulate import declare_scenario, simulate_run
 
 Expected: TypeAlias = "Recording | AnyReference"
@@ -156,7 +157,7 @@ class Recording:
             reference = reference.run
         return self._conclude(match_run(run, reference, tolerance, file=self.file))
 
-    def driven_by(self, law: Law | Scenario | None = None) -> DrivenRecording:
+    def driven_by(self, law: Law | Scenario | None = None) -> "DrivenRecording":
         """Return what a law makes of the recorded poses.
 
         Args:
@@ -241,3 +242,68 @@ class SimulatedRuns:
         path = self._folder / f"simulated-{self._count}.mcap"
         write_recording(simulate_run(scenario), path)
         return Recording(path, name=f"{scenario.name} ({path.name})", watch=self._watch)
+
+
+class HasRun(Protocol):
+    """What holds a run, as a `Recording` does."""
+
+    @property
+    def run(self) -> Run:
+        """The run."""
+
+
+class DrivenRecording:
+    """What a law makes of the recorded poses; compared with `matches`."""
+
+    def __init__(
+        self,
+        run: Run,
+        law: Law | Scenario | None,
+        conclude: Callable[[Sequence[CheckResult]], CheckOutcome],
+        *,
+        file: str,
+        trust_law: bool = False,
+    ) -> None:
+        self._run, self._law, self._conclude, self._file = run, law, conclude, file
+        self._trust_law = trust_law
+
+    def __repr__(self) -> str:
+        return f"<{self._file} driven again>"
+
+    def __bool__(self) -> bool:
+        raise CheckError(f"{self._file} driven again: expected .matches(recording), found none")
+
+    def matches(
+        self, recording: HasRun | Run, *, tolerance: Tolerance | None = None
+    ) -> CheckOutcome:
+        """Return whether the law answers as was recorded: commands, errors, phases and the end.
+
+        Commands are compared as computed and as published.
+
+        Args:
+            recording: The same that is driven.
+            tolerance: Its `abs`, in each signal's unit; 0 where None.
+
+        Raises:
+            CheckError: Where it is another recording, or the tolerance is not of that kind.
+            ReplayError: Where the recording holds no samples.
+            ScenarioError: Where the law that it names is neither built in nor trusted.
+            SimulationError: Where the law fails.
+        """
+        tolerance = Tolerance() if tolerance is None else tolerance
+        if tolerance.rel or tolerance.time_s:
+            raise CheckError("tolerance: expected abs alone: the law reads the very same poses")
+        if (recording if isinstance(recording, Run) else recording.run) is not self._run:
+            raise CheckError("matches: expected the recording that is driven, found another")
+        found = self.replay(tolerance.abs)
+        return self._conclude(judge_replay(self._run, found, file=self._file))
+
+    def replay(self, tolerance: float = 0.0) -> LawReplay:
+        """Return the replay itself."""
+        if self._law is None or isinstance(self._law, Scenario):
+            return replay_law(self._run, self._law, tolerance=tolerance, trust_law=self._trust_law)
+        # The law is at hand: what the recording says of its own need not even load.
+        others = {k: v for k, v in self._run.parameters.items() if not k.startswith("law.")}
+        scenario = complete_scenario(replace(self._run, parameters=others), Scenario())
+        named = replace(scenario, law=replace(scenario.law, kind=type(self._law).__name__))
+        return replay_law(self._run, named, law=self._law, tolerance=tolerance)

@@ -3,12 +3,11 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.comparison_answers import describe_across, describe_against
 from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.formats import FormatOptions, print_tables
 from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs
@@ -19,7 +18,8 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Run, RunComparison, RunSummary, Table
+    from turtlelog import Metric, Run, RunComparison, RunSummary, Table
+    from turtlelog.compare import MetricDifference, SignalDifference
 
 
 _RUNS_ABREAST: Final = 3
@@ -28,7 +28,7 @@ _RUNS_ABREAST: Final = 3
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReferenceOptions:
-    """What to compare against, and how; `turtlelog check` gives the verdicts that it once gave.
+    """What to compare against, and how; verdicts are given by `turtlelog check`.
 
     Attributes:
         reference: The run that differences are taken from.
@@ -168,7 +168,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
     only = tl.choose_columns(summaries, choice.list_columns(), source="--only")
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
     if kind == "json":
-        print_json(describe_across(summaries, only=only, notes=notes))
+        print_json(_describe_across(summaries, only=only, notes=notes))
         return
     print_tables([table], kind)
     for note in notes if kind == "csv" else ():
@@ -193,7 +193,7 @@ def _compare_against(
         tl.iter_comparisons(summarise(reference), map(summarise, runs), alignment=alignment)
     )
     if kind == "json":
-        print_json(describe_against(paths, comparisons, alignment))
+        print_json(_describe_against(paths, comparisons, alignment))
     else:
         print_tables(_tabulate_differences(summaries, comparisons, kind), kind)
 
@@ -213,3 +213,91 @@ def _tabulate_differences(
         for first in range(0, len(names), step)
     ]
     return differences if kind == "csv" else [tl.tabulate_runs(summaries), *differences]
+
+
+def _describe_across(
+    summaries: "Sequence[RunSummary]", *, only: Sequence[str], notes: Sequence[str]
+) -> dict[str, Any]:
+    """Return runs beside each other: no reference, no signals, marks on the metrics."""
+    names = list(tl.list_metrics(*(found.declaration for found in summaries)))
+    if only:
+        chosen = tl.choose_columns(summaries, only)
+        names = [name for name in chosen if any(found.find_metric(name) for found in summaries)]
+    marks = {name: tl.mark_metric(summaries, name) for name in names}
+    return {
+        "reference": None,
+        "alignment": None,
+        "notes": list(notes),
+        "runs": [
+            {
+                "file": summary.file,
+                "name": name,
+                "overlap_s": None,
+                "parameters": dict(summary.parameters),
+                "signals": [],
+                "metrics": [
+                    {**_describe_metric(metric), "mark": marks[metric.id].get(row)}
+                    for metric in map(summary.find_metric, names)
+                    if metric is not None
+                ],
+            }
+            for row, (name, summary) in enumerate(
+                zip(tl.name_runs(summaries), summaries, strict=True)
+            )
+        ],
+    }
+
+
+def _describe_against(
+    paths: Sequence[Path], comparisons: "Sequence[RunComparison]", alignment: str
+) -> dict[str, Any]:
+    """Return runs against the reference, which is the first path."""
+    return {
+        "reference": str(paths[0]),
+        "alignment": alignment,
+        "runs": [
+            {
+                "file": str(path),
+                "name": found.name,
+                "overlap_s": found.overlap_s,
+                "overlap_from_s": found.overlap_from_s,
+                "notes": list(found.notes),
+                "signals": [_describe_signal(signal) for signal in found.signals],
+                "metrics": [_describe_difference(metric) for metric in found.metrics],
+            }
+            for path, found in zip(paths[1:], comparisons, strict=True)
+        ],
+    }
+
+
+def _describe_metric(metric: "Metric") -> dict[str, Any]:
+    return {
+        "id": metric.id,
+        "value": metric.value,
+        "unit": metric.unit,
+        "status": metric.status.value,
+        "reference": None,
+        "better": _find_better(metric.id),
+    }
+
+
+def _describe_signal(found: "SignalDifference") -> dict[str, Any]:
+    return {
+        "signal": found.signal,
+        "unit": found.unit,
+        "largest": found.largest,
+        "at_s": found.at_s,
+    }
+
+
+def _find_better(name: str) -> str | None:
+    kind = tl.find_metric_kind(name)
+    return None if kind is None else kind.better
+
+
+def _describe_difference(found: "MetricDifference") -> dict[str, Any]:
+    return {
+        **_describe_metric(found.metric),
+        "reference": found.reference.value,
+        "reference_status": found.reference.status.value,
+    }
