@@ -3,21 +3,18 @@
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.importers import import_log
+from turtlelog.log.importers import LOG_SUFFIXES, import_log
 from turtlelog.log.info import RecordingInfo, read_info
 from turtlelog.log.recording.losses import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_if_own
 from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
 from turtlelog.run import Run
-
-_LOG_SUFFIXES: Final = frozenset({".json", ".csv"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +61,7 @@ def read_run(
     path = Path(path)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
-    if path.suffix.lower() in _LOG_SUFFIXES and not is_folder and not _is_mcap(path):
+    if path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_mcap(path):
         return import_log(path)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     is_usual = pose_topic in {None, POSE.name} and command_topic in {None, COMMAND.name}
@@ -91,7 +88,7 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
         is_folder = path.is_dir()
     if is_folder:
         return read_bag_info(path)
-    is_log = path.suffix.lower() in _LOG_SUFFIXES
+    is_log = path.suffix.lower() in LOG_SUFFIXES
     if not is_log or _is_mcap(path):
         return read_info(path, allow_partial=allow_partial)
     run = import_log(path)

@@ -13,11 +13,13 @@ from turtlelog.log.importers.paper_layouts import parse_paper_csv, parse_paper_j
 from turtlelog.log.importers.paper_log import PaperLog, build_run
 from turtlelog.run import Run
 
-__all__ = ["import_log"]
+__all__ = ["LOG_SUFFIXES", "import_log"]
 
 _IMPORTERS: Final[Mapping[str, Callable[[str, Path], PaperLog]]] = MappingProxyType(
     {".json": parse_paper_json, ".csv": parse_paper_csv}
 )
+LOG_SUFFIXES: Final = frozenset(_IMPORTERS)
+"""How the names of logs end."""
 
 
 def import_log(path: str | Path, *, sort: bool = False) -> Run:
