@@ -8,9 +8,9 @@ import pytest
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.command_fit import PoseNoise, fit_command
+from turtlelog.explain.constant_recovery import Values, fit_gain
 from turtlelog.explain.law import PHASES, identify_rotation
 from turtlelog.explain.loop import read_hints
-from turtlelog.explain.constant_recovery import Values, fit_gain
 from turtlelog.explain.open_loop import drive_plant
 from turtlelog.explain.stretches import mark_breaks
 from turtlelog.explain.trace import find_grain, trace_run

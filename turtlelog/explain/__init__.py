@@ -14,8 +14,8 @@ from turtlelog.explain.identification import Identification
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.law import describe_loop_name
 from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
-from turtlelog.explain.resimulation import Resimulation
 from turtlelog.explain.report import write_sentences
+from turtlelog.explain.resimulation import Resimulation
 
 __all__ = [
     "DEFAULT_METRIC",

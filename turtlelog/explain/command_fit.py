@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.constant_recovery import GainFit, Values, fit_gain
+from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 
 Reproduce = Callable[[float], Values]
 """The commands that the law wants, by its gain."""

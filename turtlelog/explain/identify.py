@@ -10,7 +10,6 @@ import numpy as np
 
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.command_fit import CommandFit
-from turtlelog.explain.stop_reason import Ending, find_ending, find_pause
 from turtlelog.explain.finding import Certainty, Finding, miss
 from turtlelog.explain.hypothesis import (
     LONGEST_S,
@@ -31,6 +30,7 @@ from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_wh
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.settings import describe_loop, describe_pause
 from turtlelog.explain.start import describe_goal, describe_start, read_start
+from turtlelog.explain.stop_reason import Ending, find_ending, find_pause
 from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.trace import Trace, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time

@@ -5,9 +5,9 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.angles import subtract_headings
+from turtlelog.explain.constant_recovery import find_quantile
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.identification import LOOP_KEYS
-from turtlelog.explain.constant_recovery import find_quantile
 from turtlelog.explain.resimulation import count_lost_commands, read_pause
 from turtlelog.explain.search import Fits
 from turtlelog.explain.trace import Trace

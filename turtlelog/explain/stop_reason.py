@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.finding import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.loop import Hints
-from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.trace import Trace
 from turtlelog.laws import SequentialPParameters
 from turtlelog.plants.turtlesim import TICK_NS

@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from turtlelog.explain.command_fit import CommandFit
-from turtlelog.explain.finding import Certainty, Finding, miss
 from turtlelog.explain.constant_recovery import find_round_number
+from turtlelog.explain.finding import Certainty, Finding, miss
 from turtlelog.explain.trace import Trace, Values
 
 DEFAULT_TOLERANCE: Final = 0.001
