@@ -45,8 +45,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         text_width: Width of the page's text [mm], 120 to 1000.
         json: Print one JSON object instead of lines.
     """
-    from turtlelog.show.complete_files import replace_together
     from turtlelog.show.figures.writing import add_figures, add_tables
+    from turtlelog.show.output_files import replace_together
 
     if output.exists() and not output.is_dir():
         raise UsageError(f"{output}: expected a folder to write to, found a file")

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
         write_figures,
         write_tables,
     )
-    from turtlelog.show.rerun.comparison_scene import write_comparison_rrd
-    from turtlelog.show.rerun.explanation_scene import write_explanation_rrd
+    from turtlelog.show.rerun.comparison_scene import write_comparison_rrd, write_explanation_rrd
     from turtlelog.show.rerun.live_viewer import LiveViewer, follow_recording, open_window
     from turtlelog.show.rerun.run_scene import write_run_rrd, write_violation_rrd
     from turtlelog.show.rerun.snapshot import ShownView, ViewReport, write_snapshot
@@ -66,7 +65,7 @@ _MODULES: Final = {
     "open_window": "rerun.live_viewer",
     "serve_recordings": "rerun.web",
     "write_comparison_rrd": "rerun.comparison_scene",
-    "write_explanation_rrd": "rerun.explanation_scene",
+    "write_explanation_rrd": "rerun.comparison_scene",
     "write_run_rrd": "rerun.run_scene",
     "write_snapshot": "rerun.snapshot",
     "write_violation_rrd": "rerun.run_scene",

@@ -13,8 +13,8 @@ import turtlelog as tl
 from tests.show.laws import KINDS, forget_loops, simulate_law
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
-from turtlelog.show.figures.curves import compute_ideals, list_targets, read_curve
-from turtlelog.show.figures.ideal_loop import find_gains
+from turtlelog.show.figures.curves import list_targets, read_curve
+from turtlelog.show.figures.ideal_loop import compute_ideals, find_gains
 
 STRANGE, EXAMPLE, FOLLOWER = map(simulate_law, ("strange", "example", "Follower"))
 KP4 = tl.simulate_run(get_preset("paper-kp4"))

@@ -57,16 +57,16 @@ def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
     return _lack(words, is_held=is_held) if len(run.samples) else _SAMPLES
 
 
-def _lack_control() -> str:
-    """Say whether python-control is there, which computes the figures of theory."""
-    return _lack("python-control", is_held=find_spec("control") is not None)
+def _lack_gain(runs: Sequence[Run]) -> str:
+    """Say what theory lacks: python-control, which computes it, or a gain."""
+    if find_spec("control") is None:
+        return "python-control"
+    return "" if find_gains(runs) else "the law's gain"
 
 
 _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
     {
-        "gain": lambda run, _: (
-            _lack_control() or _lack("the law's gain", is_held=bool(find_gains([run])))
-        ),
+        "gain": lambda run, _: _lack_gain([run]),
         "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
         "goal": lambda run, _: _lack(_GOAL, is_held=run.goal_xy_m is not None),
         "heading_error": lambda run, _: _lack_samples(
@@ -142,7 +142,7 @@ class FigureKind:
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return what is missing to draw it, None where nothing is; theory needs no runs."""
         if not runs:
-            return (_lack_control() or None) if self.needs == "gain" else "a recording"
+            return (_lack_gain(()) or None) if self.needs == "gain" else "a recording"
         if not self.panels:
             lacks = find_lacks(runs, self.needs)
             return lacks[0] if all(lacks) else None

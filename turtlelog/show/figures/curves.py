@@ -1,9 +1,8 @@
 """Curves of runs as figures draw them: in seconds from the first sample, in degrees, thinned."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,8 +14,6 @@ from turtlelog.show.aims import (
     REFERENCE,
     Command,
     Level,
-    LoopStep,
-    find_steps,
     list_aims,
     list_levels,
     read_commanded,
@@ -25,22 +22,6 @@ from turtlelog.show.aims import (
 from turtlelog.show.thinning import MOST_POINTS, choose_rows
 
 Values = NDArray[np.float64]
-
-_ALONG: Final = ("along_track",)
-_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        "heading": ("heading",),
-        "heading_error": ("heading",),
-        **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), _ALONG),
-        **dict.fromkeys(("world_velocity_x", "world_velocity_y"), _ALONG),
-        "distance": ("along_track", "distance"),
-    }
-)
-"""Which loops' signals decide what theory expects of a curve: along the line all are the same."""
-
-_ERRORS: Final = frozenset(
-    {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,46 +92,6 @@ def read_aims(run: Run, signal_name: str) -> list[Curve]:
         )
         for aim in list_aims(run, signal_name)
     ]
-
-
-def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
-    """Return how ideal loops of the same gains would bring a signal to where it belongs.
-
-    Each starts where and when its loop starts. None for signals that no loop of theory's drives,
-    and where the reference moves, or the gain or the goal is not known.
-    """
-    measured = read_curve(run, signal_name)
-    if measured is None or signal_name not in _DRIVEN_BY:
-        return []
-    steps = [step for driven in _DRIVEN_BY[signal_name] for step in find_steps(run, driven)]
-    # Along the line, all but the way itself comes to where it belongs at the goal alone.
-    elsewhere = {"along_track"} - {signal_name}
-    found = [
-        _compute_ideal(run, signal_name, measured, step)
-        for step in steps
-        if step.loop.signal not in elsewhere or step.loop.reference == "goal_distance"
-    ]
-    return [curve for curve in found if curve is not None]
-
-
-def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) -> Curve | None:
-    target = _find_target(run, signal_name, step)
-    start_s = (step.start_ns - run.start_ns) / 1e9
-    after = measured.time_s >= start_s
-    if target is None or not after.any():
-        return None
-    time_s, initial = measured.time_s[after], float(measured.values[after][0])
-    values = step.respond(time_s - start_s, initial=initial, target=target)
-    return Curve(time_s=time_s, values=values)
-
-
-def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
-    """Return the value that a loop brings a signal to, in the unit of its curve."""
-    if signal_name in _ERRORS:
-        return 0.0
-    if signal_name in ("x", "y"):
-        return None if run.goal_xy_m is None else run.goal_xy_m["xy".index(signal_name)]
-    return step.reference
 
 
 def list_targets(run: Run, signal_name: str) -> list[Level]:

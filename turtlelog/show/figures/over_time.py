@@ -13,7 +13,6 @@ from matplotlib.ticker import SymmetricalLogLocator
 from turtlelog.run import Run
 from turtlelog.show.aims import Command, list_limit_keys
 from turtlelog.show.figures.curves import (
-    compute_ideals,
     draw_curve,
     draw_level,
     list_targets,
@@ -22,6 +21,7 @@ from turtlelog.show.figures.curves import (
     read_command,
     read_curve,
 )
+from turtlelog.show.figures.ideal_loop import compute_ideals
 from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
 
 _TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}

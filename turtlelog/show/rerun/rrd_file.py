@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from turtlelog.errors import ShowError
 from turtlelog.measure import Metric
 from turtlelog.run import Run
-from turtlelog.show.complete_files import replace_file
+from turtlelog.show.output_files import replace_file
 from turtlelog.show.rerun.entities import APPLICATION_ID
 
 _PATIENCE_S: Final = 5.0

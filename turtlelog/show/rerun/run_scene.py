@@ -17,7 +17,6 @@ from turtlelog.show.documents import describe_run
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import drawing, entities, plane
 from turtlelog.show.rerun.content import Content, choose_corners, describe_content, find_largest
-from turtlelog.show.rerun.drawing import draw_documents
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
 from turtlelog.show.rerun.layout import RUN_LEGENDS, build_run_layout
 from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks, list_responses
@@ -51,7 +50,7 @@ def write_run_rrd(
     content = single.describe(documents)
     with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:
         draw_single(stream, single, content)
-        draw_documents(stream, documents)
+        drawing.draw_documents(stream, documents)
 
 
 def write_violation_rrd(
@@ -84,7 +83,7 @@ def write_violation_rrd(
     layout.time_panel = _stop_at(at_ns - run.start_ns)
     with open_recording(path, name=f"{run.name}: {title}", layout=layout) as stream:
         draw_single(stream, single, content)
-        draw_documents(stream, documents)
+        drawing.draw_documents(stream, documents)
         _draw_violation(stream, run, at_ns, title)
 
 

@@ -10,7 +10,7 @@ from typing import Final
 from rerun.experimental import ViewerClient
 
 from turtlelog.errors import ShowError
-from turtlelog.show.complete_files import replace_file
+from turtlelog.show.output_files import replace_file
 from turtlelog.show.rerun.entities import TICKS, TIMELINE, WALL_TIMELINE
 from turtlelog.show.rerun.viewer import (
     ViewerProcess,
