@@ -18,7 +18,7 @@ import turtlelog as tl
 from tests.check.formulas import HALF_NS, Column, Definition, formulas, read_number, signals
 from tests.check.recordings import simulate
 from turtlelog.check import check_formula
-from turtlelog.check.cut import Ending, find_ending
+from turtlelog.check.cut import RunEnding, find_ending
 from turtlelog.expressions import (
     Comparison,
     Logic,
@@ -127,13 +127,13 @@ ends = st.integers(0, 40).map(lambda end: end * HALF_NS)
 @seed(3)
 @settings(deadline=None, max_examples=150)
 @given(formulas, signals, ends)
-@pytest.mark.parametrize("ending", [Ending.CUT, Ending.LOST, Ending.UNDECLARED])
+@pytest.mark.parametrize("ending", [RunEnding.CUT, RunEnding.LOST, RunEnding.UNDECLARED])
 def test_a_verdict_on_a_cut_trace_is_that_of_the_definitions(
-    ending: Ending, tree: Node, trace: Trace, end_ns: int
+    ending: RunEnding, tree: Node, trace: Trace, end_ns: int
 ) -> None:
     expression, seen = parse_expression(format_expression(tree)), cut(trace, end_ns)
     found = check_formula(seen, expression, window_ns=(0, end_ns), ending=ending)
-    is_closed = ending is Ending.UNDECLARED
+    is_closed = ending is RunEnding.UNDECLARED
     expected = CutDefinition(seen, end_ns // QUARTER_NS, is_closed=is_closed).at(tree, 0)
     assert found.holds is expected
     assert bool(found.reason) == (found.first_violation_s is None and found.holds is not True)
@@ -146,7 +146,7 @@ def test_a_verdict_on_a_cut_trace_stands_however_it_goes_on(
     tree: Node, trace: Trace, end_ns: int, futures: list[Trace]
 ) -> None:
     expression, seen = parse_expression(format_expression(tree)), cut(trace, end_ns)
-    found = check_formula(seen, expression, window_ns=(0, end_ns), ending=Ending.CUT)
+    found = check_formula(seen, expression, window_ns=(0, end_ns), ending=RunEnding.CUT)
     if found.holds is None:
         return
     whole = Definition(tree, trace, truth=True)(0) > 0
@@ -189,7 +189,7 @@ def test_a_verdict_on_a_cut_trace_stands_however_it_goes_on(
 )
 def test_what_is_decided_on_a_trace_that_was_cut(text: str, holds: Truth) -> None:
     x = np.arange(5) * 10**9, np.array([0.0, 3.0, 1.0, 4.0, 2.0])
-    found = check_formula({"x": x, "limit": 3.5}, parse_expression(text), ending=Ending.CUT)
+    found = check_formula({"x": x, "limit": 3.5}, parse_expression(text), ending=RunEnding.CUT)
     assert found.holds is holds
     if holds is None:
         reason = "the recording ends before the formula's window does, and the run had not ended"
@@ -218,7 +218,7 @@ def check(run: tl.Run, text: str) -> Truth:
 
 
 def test_a_run_that_came_to_its_end_stays_there() -> None:
-    assert find_ending(simulate()) is Ending.SETTLED
+    assert find_ending(simulate()) is RunEnding.SETTLED
     assert (check(simulate(), STRONG), check(simulate(), WEAK)) == (True, True)
 
 
@@ -231,7 +231,7 @@ def test_a_cut_run_decides_nothing_about_what_follows() -> None:
         dataclasses.replace(run, stop_reason=None),
     ]
     for found in cuts:
-        assert find_ending(found) is Ending.CUT
+        assert find_ending(found) is RunEnding.CUT
         assert (check(found, STRONG), check(found, WEAK)) == (None, None)
         assert check(found, "eventually(phase == 'rotate')") is True
         assert check(found, "always(turn_rate < 0.5)") is False
@@ -240,7 +240,7 @@ def test_a_cut_run_decides_nothing_about_what_follows() -> None:
 @pytest.mark.parametrize("note", ["partial", "recovered"])
 def test_a_recording_that_lost_something_decides_nothing_about_it(note: str) -> None:
     lossy = dataclasses.replace(simulate(), notes={note: "9 bytes are lost in 1 place"})
-    assert find_ending(lossy) is Ending.LOST
+    assert find_ending(lossy) is RunEnding.LOST
     found = tl.check_run(lossy, parse_expression(STRONG))
     assert (found.holds, found.is_covered) == (None, False)
     assert "does, and part of it is lost; a window with an end" in found.reason
@@ -254,10 +254,10 @@ def test_a_recording_of_which_the_summary_alone_is_lost_is_whole(tmp_path: Path)
     runs = [TopicChoice(allow_partial=True).read(path) for path in (cut, recovered)]
     assert [*map(set, (run.notes for run in runs))] == [{"partial"}, {"recovered"}]
     for run in runs:
-        assert find_ending(run) is Ending.SETTLED
+        assert find_ending(run) is RunEnding.SETTLED
         assert check(run, STRONG) is True
         notes = {name: f"{text}; 3 samples are dropped" for name, text in run.notes.items()}
-        assert find_ending(dataclasses.replace(run, notes=notes)) is Ending.LOST
+        assert find_ending(dataclasses.replace(run, notes=notes)) is RunEnding.LOST
 
 
 def test_a_bag_of_another_recorder_is_judged_on_what_it_holds() -> None:
@@ -265,14 +265,14 @@ def test_a_bag_of_another_recorder_is_judged_on_what_it_holds() -> None:
     none = tl.cut_run(run, end_ns=-1).samples
     absent = ("samples", "stop_reason")
     bag = dataclasses.replace(run, samples=none, stop_reason=None, absent=absent)
-    assert find_ending(bag) is Ending.UNDECLARED
+    assert find_ending(bag) is RunEnding.UNDECLARED
     assert check(bag, "always(y <= 11)") is True
     assert check(bag, "always[0, 100](y <= 11)") is None
     assert check(bag, "always[0, 2](y <= 11)") is True
     assert check(bag, "always[50, inf](y <= 11)") is None
     assert check(bag, "eventually(y > 11)") is False
     log = dataclasses.replace(run, stop_reason=None, absent=("stop_reason",))
-    assert find_ending(log) is Ending.CUT  # its controller would have said that it had finished
+    assert find_ending(log) is RunEnding.CUT  # its controller would have said that it had finished
 
 
 def test_a_phase_that_another_one_follows_has_come_to_its_end() -> None:

@@ -208,3 +208,37 @@ def test_the_tolerance_of_a_replay_is_its_limit(tolerance: float, verdict: str) 
     assert (found.verdict, found.limit) == (verdict, tolerance)
     assert found.value == pytest.approx(0.1)
     assert tl.join_verdicts(results) == verdict
+
+
+def test_a_difference_of_just_the_limit_passes_and_the_next_one_fails() -> None:
+    values = [tl.measure_run(run)["run.duration"].value or 0.0 for run in (KP1, KP4)]
+    loss = values[0] - values[1]
+    less = float(np.nextafter(loss, 0.0))
+    verdicts = [judge_metric(KP4, KP1, "run.duration", abs=limit).verdict for limit in (loss, less)]
+    assert verdicts == ["PASS", "FAIL"]
+    changed = change_rows(KP4, "speed", [300], 0.25)
+    off = float(abs(changed.samples.speed_m_s - KP4.samples.speed_m_s).max())
+    for limit, verdict in ((off, "PASS"), (float(np.nextafter(off, 0.0)), "FAIL")):
+        tolerances = tl.Tolerances(signals={"speed": tl.Tolerance(abs=limit)})
+        (result,) = tl.match_run(changed, KP4, tolerances)
+        assert (result.verdict, result.value) == (verdict, off)
+        assert result.first_violation_s == (None if verdict == "PASS" else result.value_s)
+
+
+@pytest.mark.parametrize(("later_ns", "verdict"), [(1000, "PASS"), (1001, "FAIL")])
+def test_runs_are_as_long_to_a_microsecond(later_ns: int, verdict: str) -> None:
+    reference = make_run(sample_time_s=[0.0, 1.0], speed_m_s=[0.5, 0.5])
+    time_ns = reference.poses.time_ns + np.array([0, later_ns])
+    longer = dataclasses.replace(
+        reference, poses=dataclasses.replace(reference.poses, time_ns=time_ns)
+    )
+    found = {result.check: result for result in tl.match_run(longer, reference)}["length"]
+    assert (found.verdict, found.limit) == (verdict, 1e-6)
+
+
+def test_one_tolerance_in_time_is_one_for_the_length_too() -> None:
+    reference, longer = (make_run(time_s=(0.0, end_s)) for end_s in (1.0, 1.5))
+    for time_s, verdict in ((0.49, "FAIL"), (0.5, "PASS")):
+        tolerance = tl.Tolerance(abs=9.0, time_s=time_s)
+        found = {result.check: result for result in tl.match_run(longer, reference, tolerance)}
+        assert (found["length"].verdict, found["length"].value) == (verdict, 0.5)

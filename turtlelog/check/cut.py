@@ -22,7 +22,7 @@ _NO_LOSS: Final = (
 is another loss."""
 
 
-class Ending(enum.Enum):
+class RunEnding(enum.Enum):
     """What is known of the time after the last row; the value says why it is unknown."""
 
     SETTLED = ""
@@ -35,16 +35,16 @@ class Ending(enum.Enum):
     """A bag of another recorder: windows without an end stop at its last row."""
 
 
-def find_ending(run: Run) -> Ending:
+def find_ending(run: Run) -> RunEnding:
     """Return what is known of the time after a run's last row."""
     notes = [run.notes[name] for name in _LOSSES if name in run.notes]
     if not all(note.startswith(_NO_LOSS) and ";" not in note for note in notes):
-        return Ending.LOST
+        return RunEnding.LOST
     if run.is_complete:
-        return Ending.SETTLED
+        return RunEnding.SETTLED
     # A log of a controller could say that it had finished; a bag of other topics could not.
     could_tell = len(run.samples) or "stop_reason" not in run.absent
-    return Ending.CUT if could_tell else Ending.UNDECLARED
+    return RunEnding.CUT if could_tell else RunEnding.UNDECLARED
 
 
 def find_loss(run: Run) -> str | None:

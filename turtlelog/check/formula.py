@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from turtlelog.check.cut import Ending, find_ending
+from turtlelog.check.cut import RunEnding, find_ending
 from turtlelog.check.result import UndecidedError
 from turtlelog.check.robustness import FormulaWalk
 from turtlelog.check.signals import FormulaTrace, Signals, check_names, read_signals
@@ -86,7 +86,7 @@ def check_formula(
     expression: Expression,
     *,
     window_ns: tuple[int, int] | None = None,
-    ending: Ending = Ending.SETTLED,
+    ending: RunEnding = RunEnding.SETTLED,
     declaration: Declaration | None = None,
 ) -> FormulaResult:
     """Check a formula at the beginning of a trace.
@@ -159,7 +159,7 @@ def check_run(
     check_names(expression, {**known, **run.parameters})
     signals = read_signals(run, expression.names)
     window_ns = window_ns or (run.start_ns, run.end_ns)
-    ending = find_ending(run) if window_ns[1] >= run.end_ns else Ending.SETTLED
+    ending = find_ending(run) if window_ns[1] >= run.end_ns else RunEnding.SETTLED
     return check_formula(
         signals, expression, window_ns=window_ns, ending=ending, declaration=run.declaration
     )
@@ -187,8 +187,8 @@ def _find_violation(expression: Expression, trace: FormulaTrace) -> int | None:
 
 
 def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
-    if trace.ending is not Ending.SETTLED:
-        settled = replace(trace, ending=Ending.SETTLED)
+    if trace.ending is not RunEnding.SETTLED:
+        settled = replace(trace, ending=RunEnding.SETTLED)
         if _decide(expression, settled)[0] is not None:
             return f"{_TOO_SHORT}, and {trace.ending.value}{_advise(expression, trace)}"
     missing = [name for name, value in trace.constants.items() if value is None]
@@ -206,7 +206,7 @@ def _advise(expression: Expression, trace: FormulaTrace) -> str:
 
 
 def _is_covered(expression: Expression, trace: FormulaTrace) -> bool:
-    is_cut = trace.ending in {Ending.CUT, Ending.LOST}
+    is_cut = trace.ending in {RunEnding.CUT, RunEnding.LOST}
     reach_s = _measure_reach(expression.root, is_cut=is_cut)
     return trace.start_ns + reach_s * 1e9 <= trace.end_ns
 

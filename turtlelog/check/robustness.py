@@ -15,7 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.check.cut import Ending
+from turtlelog.check.cut import RunEnding
 from turtlelog.check.piecewise_constant import (
     Steps,
     align_steps,
@@ -171,7 +171,7 @@ class FormulaWalk:
     ) -> Steps:
         """Return what a window over some margins comes to at every moment."""
         trace, (first_ns, last_ns) = self.trace, _convert_window(node)
-        if trace.ending is not Ending.UNDECLARED or last_ns is not None:
+        if trace.ending is not RunEnding.UNDECLARED or last_ns is not None:
             return look(*sides, first_ns, last_ns)
         recorded = [side.cut(trace.start_ns, trace.end_ns) for side in sides]
         found = look(*recorded, first_ns, None)
@@ -203,7 +203,7 @@ class FormulaWalk:
         if not math.isnan(self._unknown):
             margins = np.where(np.isnan(margins), sign * self._unknown, margins)
         steps = Steps(time_ns=time_ns, values=np.broadcast_to(margins, time_ns.shape))
-        if self.trace.ending is Ending.SETTLED or not self._name_signals(node):
+        if self.trace.ending is RunEnding.SETTLED or not self._name_signals(node):
             return steps
         return steps.end_with(sign * self._unknown, from_ns=self.trace.end_ns + 1)
 

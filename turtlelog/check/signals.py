@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.check.cut import Ending
+from turtlelog.check.cut import RunEnding
 from turtlelog.check.piecewise_constant import Steps, make_steps
 from turtlelog.check.vocabulary import find_kind
 from turtlelog.errors import CheckError
@@ -40,7 +40,7 @@ class FormulaTrace:
     names: tuple[str, ...]
     signals: Mapping[str, Steps]
     constants: Mapping[str, Any]
-    ending: Ending = Ending.SETTLED
+    ending: RunEnding = RunEnding.SETTLED
 
     @classmethod
     def open(
@@ -49,7 +49,7 @@ class FormulaTrace:
         expression: Expression,
         *,
         window_ns: tuple[int, int] | None = None,
-        ending: Ending = Ending.SETTLED,
+        ending: RunEnding = RunEnding.SETTLED,
     ) -> "FormulaTrace":
         """Return what a formula names.
 

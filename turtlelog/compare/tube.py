@@ -79,6 +79,7 @@ class GridValues:
 
 
 _LONGEST_S = 1e6
+"""Longest tolerance in time [s]: eleven days, beyond any run; in ns an int64 holds it."""
 
 
 def _describe(value: object) -> str:
