@@ -14,12 +14,12 @@ from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
 from turtlelog.log.engine.source import (
+    EVER,
     Piece,
     Selection,
     Source,
     count_rows,
     iterate_pieces,
-    select_topics,
 )
 from turtlelog.log.engine.topic_columns import (
     LOG_TIME,
@@ -59,7 +59,7 @@ def read_columns(
     """
     with name_file(path, expected="an MCAP file"), open_file(path) as stream:
         source = Source(stream)
-        return collect_columns(source, select_topics(topics, start_ns, end_ns))
+        return collect_columns(source, _select_topics(topics, start_ns, end_ns))
 
 
 def read_flat_columns(path: str | Path, topics: Collection[str]) -> Mapping[str, TopicColumns]:
@@ -91,7 +91,7 @@ def iter_columns(
     if rows < 1:
         raise LogError(f"{path}: expected batches of at least one row, found {rows}")
     with name_file(path, expected="an MCAP file"), open_file(path) as stream:
-        source, selection = Source(stream), select_topics(topics, start_ns, end_ns)
+        source, selection = Source(stream), _select_topics(topics, start_ns, end_ns)
         batch: dict[str, list[Rows]] = {}
         size = 0
         for piece in iterate_pieces(source, selection, rows):
@@ -118,6 +118,18 @@ def collect_columns(source: Source, selection: Selection) -> Mapping[str, TopicC
     for topic, plan in selection.choose_plans(source.catalogue).items():
         parts[topic] = stores[topic].parts if topic in stores else [make_empty_rows(plan)]
     return build_columns(parts, source.catalogue.types)
+
+
+def _select_topics(
+    topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
+) -> Selection:
+    """Return a selection; None takes all."""
+    names = [topics] if isinstance(topics, str) else topics
+    return Selection(
+        topics=None if names is None else frozenset(names),
+        start_ns=0 if start_ns is None else start_ns,
+        end_ns=EVER if end_ns is None else end_ns,
+    )
 
 
 def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> bool:

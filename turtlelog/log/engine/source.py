@@ -208,18 +208,6 @@ class Piece:
     rest: tuple[Any, ...] = ()
 
 
-def select_topics(
-    topics: Collection[str] | None, start_ns: int | None, end_ns: int | None
-) -> Selection:
-    """Return a selection; None takes all."""
-    names = [topics] if isinstance(topics, str) else topics
-    return Selection(
-        topics=None if names is None else frozenset(names),
-        start_ns=0 if start_ns is None else start_ns,
-        end_ns=EVER if end_ns is None else end_ns,
-    )
-
-
 def iterate_pieces(
     source: Source, selection: Selection, most_rows: int | None = None
 ) -> Iterator[Piece]:
