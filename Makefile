@@ -18,7 +18,7 @@ test: .venv/installed-dev
 # What a machine without a graphics driver sees of the viewer: it answers before it dies.
 test-without-graphics: .venv/installed-dev
 	VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent \
-		$(BIN)/python -m pytest -rs tests/show/rerun
+		$(BIN)/python -m pytest -n auto -rs tests/show/rerun
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check .

@@ -30,7 +30,7 @@ from turtlelog.compare.summary import (
 )
 from turtlelog.compare.table import Cell, Column, Mark, Table, format_cell
 from turtlelog.compare.tube import Tolerance
-from turtlelog.replay import SignalDifference
+from turtlelog.differences import SignalDifference
 
 __all__ = [
     "ALIGNMENTS",

@@ -21,6 +21,7 @@ from turtlelog.compare.tube import (
     measure_distance,
     read_rows,
 )
+from turtlelog.differences import Difference, SignalDifference
 from turtlelog.measure import (
     SIGNALS,
     Metric,
@@ -31,7 +32,6 @@ from turtlelog.measure import (
     miss_metric,
     read_signal,
 )
-from turtlelog.replay import Difference, SignalDifference
 from turtlelog.run import Run
 
 

@@ -1,8 +1,8 @@
 """A Run driven again: through the plant, through a law, in closed loop, with changes."""
 
+from turtlelog.differences import Difference, SignalDifference
 from turtlelog.errors import ReplayError
 from turtlelog.replay.command_matching import CommandUse
-from turtlelog.replay.difference import Difference, SignalDifference
 from turtlelog.replay.discontinuities import Gap, Jump
 from turtlelog.replay.law import LawReplay, replay_law
 from turtlelog.replay.loop import LoopReplay, replay_loop

@@ -6,12 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.errors import ReplayError
-from turtlelog.laws import Law, Pose
-from turtlelog.log.recording.topics import CONTROL
-from turtlelog.log.ros2.bag_reader import NOT_READ
-from turtlelog.plants.turtlesim import TICK_NS
-from turtlelog.replay.difference import (
+from turtlelog.differences import (
     Difference,
     Pairing,
     SignalDifference,
@@ -19,6 +14,11 @@ from turtlelog.replay.difference import (
     find_earliest,
     require_tolerance,
 )
+from turtlelog.errors import ReplayError
+from turtlelog.laws import Law, Pose
+from turtlelog.log.recording.topics import CONTROL
+from turtlelog.log.ros2.bag_reader import NOT_READ
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.run_pairs import compare_last_decision, has_ticks
 from turtlelog.replay.sample_pairs import (
     COMMANDS,

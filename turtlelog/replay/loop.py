@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.errors import ReplayError
-from turtlelog.plants.turtlesim import TICK_NS
-from turtlelog.replay.difference import (
+from turtlelog.differences import (
     Difference,
     SignalDifference,
     compare_pairing,
     find_earliest,
     require_tolerance,
 )
+from turtlelog.errors import ReplayError
+from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.plant import PoseError, find_pose_error
 from turtlelog.replay.run_pairs import (
     RowCount,

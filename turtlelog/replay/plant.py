@@ -8,15 +8,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.plants.turtlesim import TICK_S, Turtle
-from turtlelog.replay.command_matching import CommandUse, Velocity, place_commands
-from turtlelog.replay.difference import (
+from turtlelog.differences import (
     Difference,
     Pairing,
     SignalDifference,
     compare_pairing,
     find_earliest,
 )
+from turtlelog.plants.turtlesim import TICK_S, Turtle
+from turtlelog.replay.command_matching import CommandUse, Velocity, place_commands
 from turtlelog.replay.discontinuities import Gap, Jump, RecordedMotion, find_breaks, read_motion
 from turtlelog.run import Run
 

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.differences import Difference, Pairing
 from turtlelog.laws import Decision
 from turtlelog.plants.turtlesim import TICK_NS
-from turtlelog.replay.difference import Difference, Pairing
 from turtlelog.replay.sample_pairs import (
     Answers,
     count_missing,

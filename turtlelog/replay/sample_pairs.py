@@ -7,8 +7,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.differences import Difference, Pairing
 from turtlelog.loops import Declaration
-from turtlelog.replay.difference import Difference, Pairing
 from turtlelog.run import Run, SampleColumns
 
 Rows = NDArray[np.int64] | slice
