@@ -174,9 +174,8 @@ class LawDriver:
             raise SimulationError(
                 f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
             )
-        world = isinf(decision.world_v_x_m_s) or isinf(decision.world_v_y_m_s)
-        if world or (not isfinite(errors) and self._goal is not None):
-            raise SimulationError(f"expected finite numbers, found {decision}")
+        if not isfinite(errors + decision.world_v_x_m_s + decision.world_v_y_m_s):
+            self._require_finite(decision, errors)
         number = self._phases.get(phase)  # type: ignore[arg-type]
         if number is None:
             if phase is None:
@@ -197,6 +196,11 @@ class LawDriver:
             )
         self._ended = number if decision.ends_phase else None
         return number
+
+    def _require_finite(self, decision: Decision, errors: float) -> None:
+        world = isinf(decision.world_v_x_m_s) or isinf(decision.world_v_y_m_s)
+        if world or (not isfinite(errors) and self._goal is not None):
+            raise SimulationError(f"expected finite numbers, found {decision}")
 
     def _require_more(self, decision: Decision) -> None:
         self._require_states(decision.states)

@@ -37,7 +37,25 @@ class SampleRows:
 
     def add(self, sample: Sample) -> None:
         """Take the next sample."""
-        self._packed += self._pack(sample.time_ns, *sample.row)
+        decision = sample.decision
+        # In the order of `Sample.row`, without a tuple on the way: this runs with every sample.
+        self._packed += self._pack(
+            sample.time_ns,
+            sample.sequence,
+            sample.pose_sequence,
+            sample.phase,
+            decision.bearing_rad,
+            decision.heading_error_rad,
+            decision.error_x_m,
+            decision.error_y_m,
+            sample.distance_m,
+            decision.speed_m_s,
+            decision.turn_rate_rad_s,
+            sample.speed_m_s,
+            sample.turn_rate_rad_s,
+            decision.world_v_x_m_s,
+            decision.world_v_y_m_s,
+        )
         if self._extra is not None:
             self._packed += self._extra.pack(*_list_extra_values(sample, self._declaration))
 
