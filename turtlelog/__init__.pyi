@@ -19,7 +19,6 @@ from .check import (
     check_run as check_run,
     check_runs as check_runs,
     compute_robustness as compute_robustness,
-    cut_run as cut_run,
     format_number as format_number,
     join_verdicts as join_verdicts,
     load_spec as load_spec,

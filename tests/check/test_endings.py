@@ -30,6 +30,7 @@ from turtlelog.expressions import (
     parse_expression,
 )
 from turtlelog.log import TopicChoice
+from turtlelog.run import slice_run
 
 Truth = bool | None
 Trace = dict[str, Column]
@@ -203,7 +204,7 @@ ADVICE = "; a window with an end, such as [0, 4], asks of what it holds"
 
 
 def test_the_advice_is_a_window_that_can_be_judged() -> None:
-    run = tl.cut_run(simulate(), end_ns=4_999_999_999)
+    run = slice_run(simulate(), end_ns=4_999_999_999)
     undecided = tl.check_run(run, parse_expression("always(distance < 9)"))
     window = undecided.reason.partition("such as ")[2].partition(", asks")[0]
     assert window == f"[0, {(run.end_ns - run.start_ns) / 1e9:g}]"
@@ -226,7 +227,7 @@ def test_a_cut_run_decides_nothing_about_what_follows() -> None:
     run = simulate()
     cuts = [
         simulate("paper-kp4", max_duration_s=3.0),
-        tl.cut_run(run, end_ns=3 * 10**9),
+        slice_run(run, end_ns=3 * 10**9),
         dataclasses.replace(run, stop_reason="interrupted"),
         dataclasses.replace(run, stop_reason=None),
     ]
@@ -262,7 +263,7 @@ def test_a_recording_of_which_the_summary_alone_is_lost_is_whole(tmp_path: Path)
 
 def test_a_bag_of_another_recorder_is_judged_on_what_it_holds() -> None:
     run = simulate()
-    none = tl.cut_run(run, end_ns=-1).samples
+    none = slice_run(run, end_ns=-1).samples
     absent = ("samples", "stop_reason")
     bag = dataclasses.replace(run, samples=none, stop_reason=None, absent=absent)
     assert find_ending(bag) is RunEnding.UNDECLARED

@@ -11,13 +11,14 @@ import turtlelog as tl
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Recording, UndecidedError, Verdict
 from turtlelog.check.result import CheckOutcome
+from turtlelog.run import slice_run
 
 
 @pytest.fixture(scope="module")
 def cut(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """A recording of a run that was cut in its translation."""
     path = tmp_path_factory.mktemp("cut") / "cut.mcap"
-    tl.write_recording(tl.cut_run(simulate(), end_ns=5 * 10**9), path)
+    tl.write_recording(slice_run(simulate(), end_ns=5 * 10**9), path)
     tl.write_recording(simulate("paper-kp4", max_duration_s=1.0), path.with_name("short.mcap"))
     return Recording(path)
 

@@ -12,6 +12,7 @@ from tests.check.recordings import simulate
 from tests.check.test_mutations import build
 from turtlelog.check.violation_time import find_metric_violation
 from turtlelog.measure import list_metrics
+from turtlelog.run import slice_run
 
 RUN = simulate("paper-kp10")
 METRICS = tl.measure_run(RUN)
@@ -38,7 +39,7 @@ def test_a_run_cut_before_the_first_violation_passes(name: str) -> None:
     failed_s = find(name, value / 2)
     assert failed_s is not None
     at_ns = RUN.start_ns + round(failed_s * 1e9)
-    cuts = [tl.cut_run(RUN, end_ns=end_ns) for end_ns in (at_ns - 1, at_ns)]
+    cuts = [slice_run(RUN, end_ns=end_ns) for end_ns in (at_ns - 1, at_ns)]
     before, there = (replace(cut, stop_reason=RUN.stop_reason) for cut in cuts)
     values = [tl.measure_run(run, only=[name])[name].value for run in (before, there)]
     assert values[1] is not None
@@ -50,7 +51,7 @@ def measure_parts(change: str) -> list[Mapping[str, tl.Metric]]:
     """Measure a run as if it had ended at each of some times after its first sample."""
     run = build(change)
     ends_ns = np.linspace(run.start_ns, run.end_ns, 25, dtype=np.int64)[1:]
-    parts = [tl.cut_run(run, end_ns=int(end_ns)) for end_ns in ends_ns]
+    parts = [slice_run(run, end_ns=int(end_ns)) for end_ns in ends_ns]
     return [tl.measure_run(replace(part, stop_reason=run.stop_reason)) for part in parts]
 
 
@@ -97,7 +98,7 @@ def test_a_share_belongs_to_its_moment_or_to_none() -> None:
 
 
 def test_a_cut_run_keeps_what_belongs_together() -> None:
-    cut = tl.cut_run(RUN, start_ns=2_000_000_000, end_ns=5_000_000_000)
+    cut = slice_run(RUN, start_ns=2_000_000_000, end_ns=5_000_000_000)
     read_ns = cut.poses.time_ns[cut.samples.pose_sequence]
     assert 2_000_000_000 <= read_ns.min() <= read_ns.max() <= 5_000_000_000
     whole_m = RUN.poses.xy_m[np.isin(RUN.poses.time_ns, cut.poses.time_ns)]
@@ -106,5 +107,5 @@ def test_a_cut_run_keeps_what_belongs_together() -> None:
 
 
 def test_a_run_whose_end_is_cut_off_does_not_say_why_it_ended() -> None:
-    assert tl.cut_run(RUN, end_ns=RUN.end_ns - 1).stop_reason is None
-    assert tl.cut_run(RUN, start_ns=2_000_000_000).stop_reason == "standstill"
+    assert slice_run(RUN, end_ns=RUN.end_ns - 1).stop_reason is None
+    assert slice_run(RUN, start_ns=2_000_000_000).stop_reason == "standstill"

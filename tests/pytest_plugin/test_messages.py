@@ -4,6 +4,7 @@ import pytest
 
 import turtlelog as tl
 from tests.pytest_plugin.conftest import run
+from turtlelog.run import slice_run
 
 OVERSHOOT = """
 def test_it(recording):
@@ -199,7 +200,7 @@ DENIED = {
 
 def test_what_is_undecided_is_not_denied(suite: pytest.Pytester) -> None:
     run_ = tl.read_recording(suite.path / "runs" / "kp4.mcap")
-    tl.write_recording(tl.cut_run(run_, end_ns=10**9), suite.path / "cut.mcap")
+    tl.write_recording(slice_run(run_, end_ns=10**9), suite.path / "cut.mcap")
     tests = [
         f"def test_{i}(recording):\n    assert not {asked}\n\n"
         f"def test_{i}_otherwise(recording):\n    assert {asked}\n"

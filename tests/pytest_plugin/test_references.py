@@ -4,6 +4,7 @@ import pytest
 
 import turtlelog as tl
 from tests.pytest_plugin.conftest import run
+from turtlelog.run import slice_run
 
 MATCHES = """
 @pytest.mark.reference("good/{stem}.SUFFIX")
@@ -81,7 +82,7 @@ def test_all(recording):
 def test_a_shorter_run_does_not_match(suite: pytest.Pytester) -> None:
     path = suite.path / "runs" / "kp4.mcap"
     run_ = tl.read_run(path)
-    tl.write_recording(tl.cut_run(run_, end_ns=run_.end_ns - 500_000_000), suite.path / "cut.mcap")
+    tl.write_recording(slice_run(run_, end_ns=run_.end_ns - 500_000_000), suite.path / "cut.mcap")
     body = "def test_it(recording):\n    assert recording.matches('runs/kp4.mcap')\n"
     result = run(suite, body, marker='"cut.mcap"')
     result.assert_outcomes(failed=1)

@@ -1,7 +1,6 @@
 """Assertions on recordings."""
 
 from turtlelog.check.artifacts import Artifacts, ArtifactWriter, write_artifacts
-from turtlelog.check.cut import cut_run
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
 from turtlelog.check.judge_difference import judge_replay, match_run
 from turtlelog.check.piecewise_constant import Steps
@@ -40,7 +39,6 @@ __all__ = [
     "check_run",
     "check_runs",
     "compute_robustness",
-    "cut_run",
     "format_number",
     "join_verdicts",
     "judge_replay",

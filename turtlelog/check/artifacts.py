@@ -8,12 +8,11 @@ from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Final
 
-from turtlelog.check.cut import cut_run
 from turtlelog.check.failure_message import describe_failure
 from turtlelog.check.result import CheckResult
 from turtlelog.errors import CheckError, ShowError
 from turtlelog.log import write_recording
-from turtlelog.run import Run
+from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
     from turtlelog.show.rerun.snapshot import Camera
@@ -126,7 +125,7 @@ def _cut(run: Run, at_s: float | None) -> Run:
     if at_s is None:
         return run
     start_ns = run.start_ns + round((at_s - _AROUND_S) * 1e9)
-    cut = cut_run(run, start_ns=start_ns, end_ns=start_ns + round(2 * _AROUND_S * 1e9))
+    cut = slice_run(run, start_ns=start_ns, end_ns=start_ns + round(2 * _AROUND_S * 1e9))
     return replace(cut, scenario_is_complete=False, stop_reason=None)
 
 

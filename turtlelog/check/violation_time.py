@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.check.cut import cut_run
 from turtlelog.measure import (
     MeasureSettings,
     Metric,
@@ -16,7 +15,7 @@ from turtlelog.measure import (
     list_metrics,
     measure_run,
 )
-from turtlelog.run import Run
+from turtlelog.run import Run, slice_run
 
 
 def find_metric_violation(
@@ -48,7 +47,7 @@ def _find_growth(
     last = len(run.poses) - 1
     while first < last:
         middle = (first + last) // 2
-        part = cut_run(run, end_ns=int(run.poses.time_ns[middle]))
+        part = slice_run(run, end_ns=int(run.poses.time_ns[middle]))
         part = replace(part, stop_reason=run.stop_reason)  # had it ended there
         value = measure_run(part, settings, only=(name,))[name].value
         if value is not None and not OPERATORS[operator](value, limit):

@@ -1,60 +1,26 @@
 """Run -> files for other programs: rosbag2 folders, CSV and Parquet tables."""
 
 import csv
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
 from mcap.reader import make_reader
 from mcap.summary import Summary
-from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
-from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.run import TABLES, Run, tabulate_run
 
 _LONGEST_NAME: Final = 255  # bytes; what file systems take
 
 _DEFAULT_TABLE: Final = "poses"
 
-Table = Mapping[str, NDArray[Any]]
-"""Columns by name, all of one length: float64, int64, or text as objects."""
-
-_Write = Callable[[Table, Path], None]
-
-_PAIRS: Final = MappingProxyType(
-    {
-        "xy_m": ("x_m", "y_m"),
-        "error_xy_m": ("error_x_m", "error_y_m"),
-        "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
-        "reference_xy_m": ("reference_x_m", "reference_y_m"),
-    }
-)
-"""What the two columns of a pair are called."""
-
-_SAMPLES: Final = (
-    *("time_ns", "sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
-    *("error_xy_m", "distance_m", "speed_m_s", "turn_rate_rad_s", "world_velocity_m_s"),
-    *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "reference_xy_m", "reference_heading_rad"),
-)
-"""Columns of samples in order, the law's states apart."""
-
-TABLES: Final[Mapping[str, Callable[[Run], Table]]] = MappingProxyType(
-    {
-        "poses": lambda run: _flatten(run.poses),
-        "commands": lambda run: _flatten(run.commands),
-        "samples": lambda run: _tabulate_samples(run),
-        "events": lambda run: _tabulate_events(run.events),
-    }
-)
-"""How each table of a run is made, by its name."""
+_Write = Callable[[Run, str, Path], None]
 
 
 def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
@@ -131,6 +97,8 @@ def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple
 def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
     """Write the tables of a run as Parquet and return the files; as `export_csv`, with types.
 
+    The metadata hold the units of the columns, and the name, goal and scenario of the run.
+
     Raises:
         LogError: Where the place cannot be written, a folder exists, or there is no such table.
     """
@@ -144,13 +112,12 @@ def _export(
         raise LogError(f"table: expected one of {', '.join(TABLES)}, found {table}")
     if path.suffix.lower() == suffix:
         with replace_when_complete(path) as temporary, _name_place(path):
-            write(TABLES[table or _DEFAULT_TABLE](run), temporary)
+            write(run, table or _DEFAULT_TABLE, temporary)
         return (path,)
     names = tuple(TABLES) if table is None else (table,)
-    tables = tabulate_run(run)
     with create_folder(path) as folder, _name_place(path):
         for name in names:
-            write(tables[name], folder / f"{name}{suffix}")
+            write(run, name, folder / f"{name}{suffix}")
     return tuple(path / f"{name}{suffix}" for name in names)
 
 
@@ -162,63 +129,19 @@ def _name_place(path: Path) -> Iterator[None]:
         raise LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}") from err
 
 
-def _write_csv(table: Table, path: Path) -> None:
+def _write_csv(run: Run, table: str, path: Path) -> None:
+    columns = tabulate_run(run, table)
     with path.open("w", encoding="utf-8", newline="") as stream:
         # One line end on every platform: the same run gives the same bytes.
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(table)
-        columns = (map(guard_cell, column.tolist()) for column in table.values())
-        writer.writerows(zip(*columns, strict=True))
+        writer.writerow(columns)
+        cells = (map(guard_cell, column.tolist()) for column in columns.values())
+        writer.writerows(zip(*cells, strict=True))
 
 
-def _write_parquet(table: Table, path: Path) -> None:
-    # Comes with rerun-sdk and takes a second to load.
-    import pyarrow as pa  # type: ignore[import-untyped]
+def _write_parquet(run: Run, table: str, path: Path) -> None:
+    columns = run.to_arrow(table)
     from pyarrow import parquet
 
-    kinds = {"f": pa.float64(), "i": pa.int64(), "O": pa.string()}
-    columns = {
-        name: pa.array(values, type=kinds[values.dtype.kind]) for name, values in table.items()
-    }
     with path.open("wb") as stream:
-        parquet.write_table(pa.table(columns), stream, compression="zstd")
-
-
-def tabulate_run(run: Run) -> Mapping[str, Table]:
-    """Return the tables of a run by name; a column that was not recorded is left out."""
-    return {name: tabulate(run) for name, tabulate in TABLES.items()}
-
-
-def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
-    table: dict[str, NDArray[Any]] = {}
-    names = [column.name for column in fields(columns)]
-    for name in _SAMPLES if isinstance(columns, SampleColumns) else names:
-        values = getattr(columns, name)
-        if values is None:
-            continue
-        if name in _PAIRS:
-            table |= zip(_PAIRS[name], values.T, strict=True)
-        else:
-            table[name] = values
-    return table
-
-
-def _tabulate_samples(run: Run) -> Table:
-    """Return the samples with the names of their phases, and a column for each state of the law.
-
-    A state that is called like another column has `state_` in front.
-    """
-    labels = np.array(run.phase_names, dtype=object)
-    table = dict(_flatten(run.samples)) | {"phase": labels[run.samples.phase]}
-    states = () if run.samples.states is None else run.samples.states.T
-    for name, values in zip(run.declaration.states, states, strict=True):
-        table[name if name not in table else f"state_{name}"] = values
-    return table
-
-
-def _tabulate_events(events: tuple[Event, ...]) -> Table:
-    return {
-        "time_ns": np.array([event.time_ns for event in events], dtype=np.int64),
-        "kind": np.array([event.kind for event in events], dtype=object),
-        "text": np.array([event.text for event in events], dtype=object),
-    }
+        parquet.write_table(columns, stream, compression="zstd")

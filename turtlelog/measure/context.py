@@ -1,7 +1,7 @@
 """One run on its way through the table of metrics: what several of them need is computed once."""
 
 from collections.abc import Callable, Hashable
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Final, TypeVar, cast
 
@@ -16,7 +16,7 @@ from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.settings import MeasureSettings
 from turtlelog.measure.signals import Signal, read_signal
-from turtlelog.run import PoseColumns, Run, SampleColumns
+from turtlelog.run import Run, take_rows
 
 Values = NDArray[np.float64]
 _Value = TypeVar("_Value")
@@ -129,8 +129,6 @@ class RunContext:
 _EARLIER_SAMPLES: Final = 1000
 """Samples before the stretch that are kept: more than can still wait in any queue."""
 
-_Columns = TypeVar("_Columns", PoseColumns, SampleColumns)
-
 
 def take_beginning(run: Run, loop: ControlLoop, most_samples: int) -> Run:
     """Return a run with no more than that many samples of a loop, and few before it.
@@ -145,16 +143,9 @@ def take_beginning(run: Run, loop: ControlLoop, most_samples: int) -> Run:
     rows = slice(max(first - _EARLIER_SAMPLES, 0), first + most_samples)
     read = samples.pose_sequence[rows]
     poses = slice(int(read.min()), int(read.max()) + 1)
-    kept = _slice(samples, rows)
+    kept = take_rows(samples, rows)
     return replace(
         run,
-        poses=_slice(run.poses, poses),
+        poses=take_rows(run.poses, poses),
         samples=replace(kept, pose_sequence=np.asarray(read - poses.start)),
-    )
-
-
-def _slice(columns: _Columns, rows: slice) -> _Columns:
-    values = {field.name: getattr(columns, field.name) for field in fields(columns)}
-    return replace(
-        columns, **{name: found[rows] for name, found in values.items() if found is not None}
     )

@@ -1,0 +1,93 @@
+"""A stretch of a run is a run."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from turtlelog.errors import RunError
+
+RUN = tl.read_recording("recordings/paper/kp10.mcap")
+
+
+def test_slice_holds_what_was_recorded_between_two_times_of_the_run() -> None:
+    part = RUN.slice(2, 5)
+    start_ns, end_ns = RUN.start_ns + 2 * 10**9, RUN.start_ns + 5 * 10**9
+    inside = (RUN.poses.time_ns >= start_ns) & (RUN.poses.time_ns <= end_ns)
+    np.testing.assert_array_equal(part.poses.xy_m, RUN.poses.xy_m[inside])
+    for columns in (part.samples, part.commands):
+        assert start_ns <= columns.time_ns.min() <= columns.time_ns.max() <= end_ns
+    read_ns = part.poses.time_ns[part.samples.pose_sequence]
+    assert start_ns <= read_ns.min()
+    assert part.notes["slice"] == "2 to 5 s after the first sample"
+    assert (part.stop_reason, part.scenario_is_complete) == (None, False)
+
+
+def test_slice_to_the_end_keeps_the_stop_reason() -> None:
+    assert RUN.slice(2).stop_reason == "standstill"
+    assert RUN.slice(end_s=12).stop_reason is None
+
+
+def test_slice_of_everything_is_the_run_itself() -> None:
+    assert RUN.slice() is RUN
+    assert RUN.slice(-1, RUN.duration_s) is RUN
+
+
+def test_slice_has_the_line_to_the_goal_of_its_run() -> None:
+    assert RUN.slice(0.5, 2).goal_line is not None
+    np.testing.assert_allclose(RUN.slice(0.5, 2).goal_line.bearing_rad, RUN.goal_line.bearing_rad)  # type: ignore[union-attr]
+
+
+def test_slice_survives_a_file(tmp_path: Path) -> None:
+    part = RUN.slice(2, 5)
+    tl.write_recording(part, tmp_path / "part.mcap")
+    read = tl.read_recording(tmp_path / "part.mcap")
+    np.testing.assert_array_equal(read.samples.time_ns, part.samples.time_ns)
+    np.testing.assert_array_equal(read.samples.sequence, part.samples.sequence)
+    assert (read.notes["slice"], read.stop_reason) == (part.notes["slice"], None)
+
+
+@pytest.mark.parametrize(
+    ("start_s", "end_s", "message"),
+    [
+        (20, 30, r"slice: expected a stretch with poses, .* -0.064 to 12.608 s, found 20 to 30 s"),
+        (5, 2, r"end_s: expected a time after start_s = 5, found 2"),
+        (float("nan"), None, r"start_s: expected a time in s, found nan"),
+        (None, float("inf"), r"end_s: expected a time in s, found inf"),
+        (None, -1, r"slice: expected a stretch with poses, .* found -0.064 to -1 s"),
+    ],
+)
+def test_slice_refuses_what_is_no_stretch_of_the_run(
+    start_s: float | None, end_s: float | None, message: str
+) -> None:
+    with pytest.raises(RunError, match=message):
+        RUN.slice(start_s, end_s)
+
+
+def test_run_is_one_line_in_a_console() -> None:
+    assert repr(RUN) == "<Run paper-kp10: 770 samples, 12.6 s, standstill>"
+    bare = tl.Run(
+        name="bag",
+        source="test",
+        poses=RUN.poses,
+        commands=RUN.commands,
+        samples=dataclasses.replace(RUN.slice(0, 0.001).samples),
+        declaration=RUN.declaration,
+        stop_reason="\x1b[31m\nred",
+    )
+    assert "\n" not in repr(bare)
+    assert "\x1b" not in repr(bare)
+    for columns in (RUN.poses, RUN.commands, RUN.samples):
+        assert repr(columns).startswith(
+            f"<{type(columns).__name__}: {len(columns)} rows of time_ns"
+        )
+
+
+def test_run_is_a_table_in_a_notebook() -> None:
+    html = dataclasses.replace(RUN, name="<b>bold</b>")._repr_html_()
+    assert "<b>bold" not in html
+    assert "&lt;b&gt;bold" in html
+    for text in ("(2, 10) m", "12.61 s", "standstill", "770 rows", "rotate 2.46 s"):
+        assert text in html

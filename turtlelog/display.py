@@ -1,0 +1,77 @@
+"""How public values show themselves: one line in a console, a table in a notebook."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from typing import Any, Final, TypeVar
+
+from turtlelog.escapes import escape_controls
+
+Value = TypeVar("Value")
+
+_LISTED: Final = 4
+"""Names that the line of a catalogue lists."""
+
+
+def format_html(
+    rows: Iterable[Sequence[object]], *, heads: Sequence[str] = (), title: str = ""
+) -> str:
+    """Return a table as HTML, every text escaped; numbers stand on the right.
+
+    Args:
+        rows: Cells; None is an empty one.
+        heads: Titles of the columns, none where empty.
+        title: Caption, none where empty.
+    """
+    lines = ['<table class="turtlelog">']
+    if title:
+        lines.append(f'<caption style="text-align:left">{_escape(title)}</caption>')
+    if heads:
+        cells = "".join(f"<th>{_escape(head)}</th>" for head in heads)
+        lines.append(f"<thead><tr>{cells}</tr></thead>")
+    lines.append("<tbody>")
+    lines += [f"<tr>{''.join(map(_format_cell, row))}</tr>" for row in rows]
+    return "\n".join([*lines, "</tbody>", "</table>"])
+
+
+def _format_cell(cell: object) -> str:
+    if isinstance(cell, int | float) and not isinstance(cell, bool):
+        text = f"{cell:.5g}" if isinstance(cell, float) else str(cell)
+        return f'<td style="text-align:right">{text}</td>'
+    return f'<td style="text-align:left">{"" if cell is None else _escape(str(cell))}</td>'
+
+
+def _escape(text: str) -> str:
+    return escape(escape_controls(text))
+
+
+class Catalogue(Mapping[str, Value]):
+    """Values by name, read-only, that show their names and not themselves."""
+
+    __slots__ = ("_kind", "_values")
+
+    def __init__(self, kind: str, values: Mapping[str, Value]) -> None:
+        """Take values over.
+
+        Args:
+            kind: What they are, in the plural: `metrics`.
+            values: By name, in the order in which they are shown.
+        """
+        self._kind = kind
+        self._values = dict(values)
+
+    def __getitem__(self, name: str) -> Value:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        names = list(self._values)
+        listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
+        return f"<{len(names)} {self._kind}: {listed}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._kind, self._values)

@@ -1,0 +1,225 @@
+"""The columns of a run: poses, commands and samples, checked and made read-only."""
+
+from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import RunError
+
+_PAIRS = frozenset({"xy_m", "error_xy_m", "world_velocity_m_s", "reference_xy_m"})
+_MAY_BE_NAN = frozenset({"world_velocity_m_s", "reference_xy_m", "reference_heading_rad"})
+"""Columns whose rows are NaN where a sample does not have them."""
+
+_LARGEST_HEADING_RAD = np.pi + 1e-6
+
+Rebuilding = tuple[Any, tuple[type, dict[str, Any]]]
+"""How a value is pickled: built again from its fields, so that it is checked and frozen again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseColumns:
+    """The turtle's pose, one row per tick (imported logs: one row per sample).
+
+    Takes its arrays over and makes them read-only.
+
+    Attributes:
+        time_ns: Time [ns], shape (n,), strictly increasing.
+        xy_m: Position in the world frame [m], shape (n, 2).
+        heading_rad: Counter-clockwise from +x [rad], within a float32 step of [-pi, pi),
+            shape (n,).
+        speed_m_s: Magnitude of the applied velocity [m/s], shape (n,); None where not recorded.
+        turn_rate_rad_s: Applied turn rate [rad/s], shape (n,); None where not recorded.
+    """
+
+    time_ns: NDArray[np.int64]
+    xy_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    speed_m_s: NDArray[np.float64] | None = None
+    turn_rate_rad_s: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, "pose")
+        _require_finite(self, "pose")
+        _require_rising(self.time_ns, "pose.time_ns", strictly=True)
+        outside = np.abs(self.heading_rad) > _LARGEST_HEADING_RAD
+        if outside.any():
+            row = int(outside.argmax())
+            found = self.heading_rad[row]
+            raise RunError(f"pose.heading_rad[{row}]: expected -pi to pi, found {found}")
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def __repr__(self) -> str:
+        return _describe_columns(self)
+
+    def __reduce__(self) -> Rebuilding:
+        return rebuild, (type(self), list_fields(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommandColumns:
+    """The commands as published, one row per command. Makes its arrays read-only.
+
+    Attributes:
+        time_ns: Time of publication [ns], shape (n,), not decreasing.
+        speed_m_s: Forward along the heading [m/s], shape (n,).
+        lateral_speed_m_s: To the left of the heading [m/s], shape (n,).
+        turn_rate_rad_s: Counter-clockwise [rad/s], shape (n,).
+    """
+
+    time_ns: NDArray[np.int64]
+    speed_m_s: NDArray[np.float64]
+    lateral_speed_m_s: NDArray[np.float64]
+    turn_rate_rad_s: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        _freeze(self, "command")
+        _require_finite(self, "command")
+        _require_rising(self.time_ns, "command.time_ns", strictly=False)
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def __repr__(self) -> str:
+        return _describe_columns(self)
+
+    def __reduce__(self) -> Rebuilding:
+        return rebuild, (type(self), list_fields(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SampleColumns:
+    """What the controller computed, one row per sample. Makes its arrays read-only.
+
+    The errors are the controller's own: a law may hold the last one it computed.
+
+    Attributes:
+        time_ns: Time at which the pose was answered [ns], shape (n,), not decreasing; the samples
+            of a burst share one time.
+        sequence: Number of the sample, shape (n,), strictly increasing.
+        pose_sequence: Row of `Run.poses` that the sample read, shape (n,).
+        phase: Index into `Run.phase_names` of the phase in which the command was computed,
+            shape (n,).
+        bearing_rad: Goal bearing [rad], shape (n,); None where not recorded, as the next three.
+        heading_error_rad: Bearing minus heading [rad], shape (n,).
+        error_xy_m: Goal minus position, world frame [m], shape (n, 2).
+        distance_m: Length of that error [m], shape (n,).
+        wanted_speed_m_s: Forward speed before clipping [m/s], shape (n,); None where not recorded.
+        wanted_turn_rate_rad_s: Before clipping [rad/s], shape (n,); None where not recorded.
+        speed_m_s: Forward speed as commanded [m/s], shape (n,).
+        turn_rate_rad_s: As commanded [rad/s], shape (n,).
+        world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2);
+            NaN where a sample has none, None where no sample has.
+        states: Numbers of the law's own, in the order of the declaration, shape (n, k); None where
+            it declares none.
+        reference_xy_m: Position of the reference pose, world frame [m], shape (n, 2); NaN where a
+            sample has none, None where none is declared.
+        reference_heading_rad: Its heading [rad], shape (n,), likewise.
+    """
+
+    time_ns: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    pose_sequence: NDArray[np.int64]
+    phase: NDArray[np.int64]
+    speed_m_s: NDArray[np.float64]
+    turn_rate_rad_s: NDArray[np.float64]
+    bearing_rad: NDArray[np.float64] | None = None
+    heading_error_rad: NDArray[np.float64] | None = None
+    error_xy_m: NDArray[np.float64] | None = None
+    distance_m: NDArray[np.float64] | None = None
+    world_velocity_m_s: NDArray[np.float64] | None = None
+    wanted_speed_m_s: NDArray[np.float64] | None = None
+    wanted_turn_rate_rad_s: NDArray[np.float64] | None = None
+    states: NDArray[np.float64] | None = None
+    reference_xy_m: NDArray[np.float64] | None = None
+    reference_heading_rad: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        _freeze(self, "sample")
+        _require_finite(self, "sample")
+        _require_rising(self.time_ns, "sample.time_ns", strictly=False)
+        _require_rising(self.sequence, "sample.sequence", strictly=True)
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def __repr__(self) -> str:
+        return _describe_columns(self)
+
+    def __reduce__(self) -> Rebuilding:
+        return rebuild, (type(self), list_fields(self))
+
+
+Columns = TypeVar("Columns", PoseColumns, CommandColumns, SampleColumns)
+
+
+def take_rows(columns: Columns, rows: slice | NDArray[np.bool_]) -> Columns:
+    """Return some rows of every column."""
+    taken = {
+        field.name: values[rows]
+        for field in fields(columns)
+        if (values := getattr(columns, field.name)) is not None
+    }
+    return replace(columns, **taken)
+
+
+def list_fields(value: Any) -> dict[str, Any]:
+    """Return what a value is built from, plain enough to be pickled."""
+    values = {found.name: getattr(value, found.name) for found in fields(value)}
+    return {
+        name: dict(inner) if isinstance(inner, MappingProxyType) else inner
+        for name, inner in values.items()
+    }
+
+
+def rebuild(kind: type, values: dict[str, Any]) -> Any:
+    """Build a pickled value again."""
+    return kind(**values)
+
+
+def _describe_columns(columns: PoseColumns | CommandColumns | SampleColumns) -> str:
+    names = [field.name for field in fields(columns) if getattr(columns, field.name) is not None]
+    return f"<{type(columns).__name__}: {len(columns)} rows of {', '.join(names)}>"
+
+
+def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
+    rows = len(columns.time_ns)
+    for column in fields(columns):
+        values = getattr(columns, column.name)
+        if values is None:
+            continue
+        shape = (rows, 2) if column.name in _PAIRS else (rows,)
+        if column.name == "states":
+            shape = (rows, values.shape[-1])
+        if values.shape != shape:
+            raise RunError(f"{table}.{column.name}: expected shape {shape}, found {values.shape}")
+        values.flags.writeable = False
+
+
+def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
+    for column in fields(columns):
+        values = getattr(columns, column.name)
+        if values is None or values.dtype.kind != "f":
+            continue
+        bad = np.isinf(values) if column.name in _MAY_BE_NAN else ~np.isfinite(values)
+        if values.ndim > 1:
+            bad = bad.any(axis=1)
+        if bad.any():
+            row = int(bad.argmax())
+            raise RunError(f"{table}.{column.name}[{row}]: expected a number, found {values[row]}")
+
+
+def _require_rising(values: NDArray[np.int64], name: str, *, strictly: bool) -> None:
+    before, after = values[:-1], values[1:]
+    wrong = after <= before if strictly else after < before
+    if wrong.any():
+        row = int(wrong.argmax()) + 1
+        order = "strictly increasing" if strictly else "not decreasing"
+        raise RunError(
+            f"{name}: expected {order} values, found {values[row]} after {values[row - 1]}"
+            f" at row {row}"
+        )

@@ -1,0 +1,70 @@
+"""A stretch of a run as a run of its own."""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import RunError
+from turtlelog.run.columns import take_rows
+
+if TYPE_CHECKING:
+    from turtlelog.run.run import Run
+
+
+def slice_run(run: "Run", *, start_ns: int | None = None, end_ns: int | None = None) -> "Run":
+    """Return the rows of a run in [start_ns, end_ns]; at least one pose stays.
+
+    Samples whose pose is cut off are cut off with it, and the stop reason with the run's end. Times
+    and sequence numbers stay as they are. The parameters no longer determine the run once a row is
+    missing.
+    """
+    start_ns = int(run.poses.time_ns[0]) if start_ns is None else start_ns
+    end_ns = run.end_ns if end_ns is None else end_ns
+    first = int(np.searchsorted(run.poses.time_ns, start_ns, side="left"))
+    after = int(np.searchsorted(run.poses.time_ns, end_ns, side="right"))
+    first = min(first, len(run.poses) - 1)
+    after = max(after, first + 1)
+    read = run.samples.pose_sequence
+    kept = _select(run.samples.time_ns, start_ns, end_ns) & (read >= first) & (read < after)
+    samples = take_rows(run.samples, kept)
+    is_whole = first == 0 and end_ns >= run.end_ns
+    return replace(
+        run,
+        scenario_is_complete=run.scenario_is_complete and is_whole,
+        stop_reason=run.stop_reason if end_ns >= run.end_ns else None,
+        poses=take_rows(run.poses, slice(first, after)),
+        commands=take_rows(run.commands, _select(run.commands.time_ns, start_ns, end_ns)),
+        samples=replace(samples, pose_sequence=samples.pose_sequence - first),
+        events=tuple(event for event in run.events if start_ns <= event.time_ns <= end_ns),
+    )
+
+
+def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tuple[int, int]:
+    """Return a stretch that is given from the run's time zero as [start_ns, end_ns].
+
+    Raises:
+        RunError: Where it is none, or the run has no pose in it.
+    """
+    for name, value in (("start_s", start_s), ("end_s", end_s)):
+        if value is not None and not math.isfinite(value):
+            raise RunError(f"{name}: expected a time in s, found {value}")
+    poses_ns = run.poses.time_ns
+    start_ns = int(poses_ns[0]) if start_s is None else run.start_ns + round(start_s * 1e9)
+    end_ns = run.end_ns if end_s is None else run.start_ns + round(end_s * 1e9)
+    if start_s is not None and end_s is not None and end_s < start_s:
+        raise RunError(f"end_s: expected a time after start_s = {start_s:g}, found {end_s:g}")
+    if not ((poses_ns >= start_ns) & (poses_ns <= end_ns)).any():
+        first_s, last_s = ((int(time) - run.start_ns) / 1e9 for time in (poses_ns[0], poses_ns[-1]))
+        found = f"{(start_ns - run.start_ns) / 1e9:g} to {(end_ns - run.start_ns) / 1e9:g} s"
+        raise RunError(
+            f"slice: expected a stretch with poses, which are from {first_s:g} to {last_s:g} s,"
+            f" found {found}"
+        )
+    return start_ns, end_ns
+
+
+def _select(time_ns: NDArray[np.int64], start_ns: int, end_ns: int) -> NDArray[np.bool_]:
+    return np.asarray((time_ns >= start_ns) & (time_ns <= end_ns))

@@ -1,0 +1,152 @@
+"""A run as flat tables: columns by name with their units, for Arrow, pandas, CSV and Parquet."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import RunError
+from turtlelog.run.columns import CommandColumns, PoseColumns, SampleColumns
+
+if TYPE_CHECKING:
+    from turtlelog.run.run import Run
+
+Table = Mapping[str, NDArray[Any]]
+"""Columns by name, all of one length: float64, int64, or text as objects."""
+
+_PAIRS: Final = MappingProxyType(
+    {
+        "xy_m": ("x_m", "y_m"),
+        "error_xy_m": ("error_x_m", "error_y_m"),
+        "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
+        "reference_xy_m": ("reference_x_m", "reference_y_m"),
+    }
+)
+"""What the two columns of a pair are called."""
+
+_SAMPLES: Final = (
+    *("time_ns", "sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
+    *("error_xy_m", "distance_m", "speed_m_s", "turn_rate_rad_s", "world_velocity_m_s"),
+    *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "reference_xy_m", "reference_heading_rad"),
+)
+"""Columns of samples in order, the law's states apart."""
+
+_UNITS: Final = MappingProxyType(
+    {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_ns": "ns", "_m": "m"}
+)
+"""Units by how the name of a column ends, the longest ending first."""
+
+TABLES: Final[Mapping[str, Callable[["Run"], Table]]] = MappingProxyType(
+    {
+        "poses": lambda run: _flatten(run.poses),
+        "commands": lambda run: _flatten(run.commands),
+        "samples": lambda run: _tabulate_samples(run),
+        "events": lambda run: _tabulate_events(run),
+    }
+)
+"""How each table of a run is made, by its name."""
+
+
+def tabulate_run(run: "Run", table: str) -> Table:
+    """Return a table of a run: `poses`, `commands`, `samples` or `events`.
+
+    A column that was not recorded is left out. Samples carry the names of their phases, and a
+    column for each state of the law; a state that is called like another column has `state_` in
+    front.
+
+    Raises:
+        RunError: Where there is no such table.
+    """
+    if table not in TABLES:
+        raise RunError(f"table: expected one of {', '.join(TABLES)}, found {table}")
+    return TABLES[table](run)
+
+
+def list_units(run: "Run", table: str) -> dict[str, str]:
+    """Return the units of a table's columns by name; counts, texts and a law's states have none."""
+    columns = _flatten(run.samples) if table == "samples" else tabulate_run(run, table)
+    found = {name: [u for end, u in _UNITS.items() if name.endswith(end)] for name in columns}
+    return {name: units[0] for name, units in found.items() if units}
+
+
+def describe_run(run: "Run") -> dict[str, str]:
+    """Return what a table alone does not hold, as texts by name; JSON where it is no text.
+
+    `scenario` are the parameters that are known, by dotted key; `units` are those of the columns.
+    """
+    goal = None if run.goal_xy_m is None else [*run.goal_xy_m, run.goal_heading_rad]
+    described = {
+        "goal_m_m_rad": goal,
+        "scenario": dict(run.parameters),
+        "scenario_is_complete": run.scenario_is_complete,
+        "stop_reason": run.stop_reason,
+    }
+    return {"name": run.name, "source": run.source} | {
+        name: json.dumps(value) for name, value in described.items() if value is not None
+    }
+
+
+def build_arrow(run: "Run", table: str) -> Any:
+    """Return a table of a run as a `pyarrow.Table`, with units in the metadata of its columns."""
+    columns = tabulate_run(run, table)
+    # Comes with rerun-sdk and takes a second to load.
+    import pyarrow as pa
+
+    kinds = {"f": pa.float64(), "i": pa.int64(), "O": pa.string()}
+    units = list_units(run, table)
+    described = {name: {"unit": unit} for name, unit in units.items()}
+    schema = pa.schema(
+        [
+            pa.field(name, kinds[values.dtype.kind], metadata=described.get(name))
+            for name, values in columns.items()
+        ],
+        metadata={f"turtlelog.{key}": text for key, text in describe_run(run).items()},
+    )
+    return pa.table(dict(columns), schema=schema)
+
+
+def build_pandas(run: "Run", table: str) -> Any:
+    """Return a table of a run as a `pandas.DataFrame`, with units and the run in its `attrs`."""
+    columns = tabulate_run(run, table)
+    try:
+        import pandas as pd
+    except ImportError as err:
+        raise RunError("to_pandas: needs pandas, which is not installed") from err
+    frame = pd.DataFrame(dict(columns))
+    frame.attrs = {"turtlelog": describe_run(run), "units": list_units(run, table)}
+    return frame
+
+
+def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
+    table: dict[str, NDArray[Any]] = {}
+    names = [column.name for column in fields(columns)]
+    for name in _SAMPLES if isinstance(columns, SampleColumns) else names:
+        values = getattr(columns, name)
+        if values is None:
+            continue
+        if name in _PAIRS:
+            table |= zip(_PAIRS[name], values.T, strict=True)
+        else:
+            table[name] = values
+    return table
+
+
+def _tabulate_samples(run: "Run") -> Table:
+    labels = np.array(run.phase_names, dtype=object)
+    table = dict(_flatten(run.samples)) | {"phase": labels[run.samples.phase]}
+    states = () if run.samples.states is None else run.samples.states.T
+    for name, values in zip(run.declaration.states, states, strict=True):
+        table[name if name not in table else f"state_{name}"] = values
+    return table
+
+
+def _tabulate_events(run: "Run") -> Table:
+    return {
+        "time_ns": np.array([event.time_ns for event in run.events], dtype=np.int64),
+        "kind": np.array([event.kind for event in run.events], dtype=object),
+        "text": np.array([event.text for event in run.events], dtype=object),
+    }
