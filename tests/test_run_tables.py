@@ -12,7 +12,7 @@ from pyarrow import parquet
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
-from turtlelog.errors import RunError
+from turtlelog.errors import LibraryError, RunError
 from turtlelog.run import TABLES, Run
 
 RUN = tl.read_recording("recordings/paper/kp10.mcap")
@@ -80,7 +80,7 @@ def test_table_that_is_none_is_refused() -> None:
 
 def test_pandas_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(RunError, match="to_pandas: needs pandas, which is not installed"):
+    with pytest.raises(LibraryError, match="pandas: needed for data frames, and not installed"):
         RUN.to_pandas()
     monkeypatch.undo()
     assert isinstance(RUN.to_pandas(), pd.DataFrame)

@@ -55,6 +55,10 @@ class ExpressionError(TurtlelogError):
         self.column = column
 
 
+class LibraryError(TurtlelogError):
+    """Something needs a library that is not installed, as a slim installation lacks some."""
+
+
 class FrameError(TurtlelogError):
     """Arrays that are no vectors."""
 

@@ -11,6 +11,7 @@ from mcap.summary import Summary
 
 from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
+from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
@@ -141,7 +142,6 @@ def _write_csv(run: Run, table: str, path: Path) -> None:
 
 def _write_parquet(run: Run, table: str, path: Path) -> None:
     columns = run.to_arrow(table)
-    from pyarrow import parquet
-
+    parquet = load_library("pyarrow.parquet")
     with path.open("wb") as stream:
         parquet.write_table(columns, stream, compression="zstd")

@@ -231,6 +231,7 @@ class Run:
 
         Raises:
             RunError: Where there is no such table.
+            LibraryError: Where pyarrow is not installed.
         """
         return build_arrow(self, table)
 
@@ -244,7 +245,8 @@ class Run:
             table: `poses`, `commands`, `samples` or `events`.
 
         Raises:
-            RunError: Where there is no such table, or pandas is not installed.
+            RunError: Where there is no such table.
+            LibraryError: Where pandas is not installed.
         """
         return build_pandas(self, table)
 

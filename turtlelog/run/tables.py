@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import RunError
+from turtlelog.libraries import load_library
 from turtlelog.run.columns import CommandColumns, PoseColumns, SampleColumns
 
 if TYPE_CHECKING:
@@ -93,9 +94,7 @@ def describe_run(run: "Run") -> dict[str, str]:
 def build_arrow(run: "Run", table: str) -> Any:
     """Return a table of a run as a `pyarrow.Table`, with units in the metadata of its columns."""
     columns = tabulate_run(run, table)
-    # Comes with rerun-sdk and takes a second to load.
-    import pyarrow as pa
-
+    pa = load_library("pyarrow")
     kinds = {"f": pa.float64(), "i": pa.int64(), "O": pa.string()}
     units = list_units(run, table)
     described = {name: {"unit": unit} for name, unit in units.items()}
@@ -112,11 +111,7 @@ def build_arrow(run: "Run", table: str) -> Any:
 def build_pandas(run: "Run", table: str) -> Any:
     """Return a table of a run as a `pandas.DataFrame`, with units and the run in its `attrs`."""
     columns = tabulate_run(run, table)
-    try:
-        import pandas as pd
-    except ImportError as err:
-        raise RunError("to_pandas: needs pandas, which is not installed") from err
-    frame = pd.DataFrame(dict(columns))
+    frame = load_library("pandas").DataFrame(dict(columns))
     frame.attrs = {"turtlelog": describe_run(run), "units": list_units(run, table)}
     return frame
 

@@ -4,6 +4,10 @@
 size and looks, `writing` writes them.
 """
 
+from turtlelog.libraries import load_library
+
+load_library("matplotlib")
+
 from turtlelog.show.figures.catalogue import FIGURES, FigureKind, list_left_out
 from turtlelog.show.figures.page import Page
 from turtlelog.show.figures.writing import FIGURE_FORMATS, draw_figure, write_figures, write_tables

@@ -2,6 +2,8 @@
 
 import os
 
+from turtlelog.libraries import load_library
+
 
 def _import_rerun() -> None:
     """Import Rerun without what it logs of viewers that go away and of full disks.
@@ -10,11 +12,12 @@ def _import_rerun() -> None:
     """
     name = "RUST_LOG"
     if name in os.environ:
+        load_library("rerun")
         return
     ours = ("re_grpc_client", "re_sdk::recording_stream", "re_log_encoding::rrd")
     os.environ[name] = ",".join(["warn", *(f"{module}=off" for module in ours)])
     try:
-        import rerun  # noqa: F401
+        load_library("rerun")
     finally:
         del os.environ[name]
 

@@ -1,0 +1,91 @@
+"""What a slim installation lacks is named in one line; all else works there as elsewhere."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from turtlelog.errors import LibraryError
+from turtlelog.libraries import load_library
+
+RECORDING = str(Path("recordings/paper/kp10.mcap").resolve())
+OTHER = str(Path("recordings/paper/kp4.mcap").resolve())
+MAIN = "from turtlelog.cli.app import main; main()"
+LIBRARIES = ["rerun", "pyarrow", "matplotlib", "control"]
+LACKS = f"import sys; sys.modules |= dict.fromkeys({LIBRARIES}); {MAIN}"
+
+
+def run_main(code: str, *words: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code, *words],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", RECORDING),
+        ("metrics", RECORDING),
+        ("check", "spec.toml", RECORDING),
+        ("explain", RECORDING),
+        ("compare", RECORDING, OTHER),
+        ("replay", RECORDING, "--law"),
+        ("run", "textbook", "-o", "run.mcap"),
+        ("theory", "--kp", "4"),
+        ("recover", RECORDING, "-o", "recovered.mcap"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_slim_installation_gives_the_same_output(words: tuple[str, ...], tmp_path: Path) -> None:
+    outputs = []
+    for name, code in (("full", MAIN), ("slim", LACKS)):
+        folder = tmp_path / name
+        folder.mkdir()
+        spec = 'format = 1\n[checks.end]\nexpect = "final.position_error < 1"\n'
+        (folder / "spec.toml").write_text(spec)
+        done = run_main(code, *words, folder=folder)
+        files = {file.name: file.read_bytes() for file in folder.iterdir()}
+        outputs.append((done.returncode, done.stdout, done.stderr, files))
+    assert outputs[0] == outputs[1]
+    assert outputs[1][0] == 0, outputs[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("view", RECORDING, "--snapshot", "view.png"), "rerun-sdk"),
+        (("plot", RECORDING, "-o", "figures"), "matplotlib"),
+        (("demo", "-o", "demo"), "rerun-sdk"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else value,
+)
+def test_command_that_needs_more_says_what_in_one_line(
+    words: tuple[str, ...], package: str, tmp_path: Path
+) -> None:
+    done = run_main(LACKS, *words, folder=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f"error: {package}: needed for " in done.stderr
+    assert done.stderr.endswith(f"and not installed; `pip install {package}`\n")
+
+
+def test_module_that_a_library_itself_lacks_is_not_blamed_on_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pandas.py").write_text("import no_such_module")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "pandas", raising=False)
+    with pytest.raises(ModuleNotFoundError, match="no_such_module"):
+        load_library("pandas")
+
+
+def test_library_error_is_one_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(LibraryError, match=r"^pandas: needed for data frames, and not installed"):
+        load_library("pandas")
