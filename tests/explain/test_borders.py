@@ -7,10 +7,10 @@ import pytest
 
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
-from turtlelog.explain.command_fit import PoseNoise, fit_command
 from turtlelog.explain.constant_recovery import Values, fit_gain
-from turtlelog.explain.law import PHASES, identify_rotation
-from turtlelog.explain.loop import read_hints
+from turtlelog.explain.gain_fit import PoseNoise, fit_command
+from turtlelog.explain.law_identification import PHASES, identify_rotation
+from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
 from turtlelog.explain.stretches import mark_breaks
 from turtlelog.explain.trace import find_grain, trace_run
@@ -62,7 +62,7 @@ def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
     ticks: float,
     near: bool,  # noqa: FBT001
 ) -> None:
-    from turtlelog.explain.loop import agrees_with_clock
+    from turtlelog.explain.loop_guesses import agrees_with_clock
 
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)

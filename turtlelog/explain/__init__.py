@@ -10,7 +10,7 @@ from turtlelog.explain.attribution import Attribution, Grain, Share, StartRange,
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.law import describe_loop_name
+from turtlelog.explain.law_identification import describe_loop_name
 from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
 from turtlelog.explain.report import write_sentences
 from turtlelog.explain.resimulation import Resimulation

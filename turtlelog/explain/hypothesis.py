@@ -22,7 +22,8 @@ from turtlelog.explain.identification import (
     find_exactly,
     miss,
 )
-from turtlelog.explain.loop import read_hints
+from turtlelog.explain.loop_findings import describe_goal, describe_loop, describe_start
+from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import WHITE
 from turtlelog.explain.resimulation import (
     CLOSE,
@@ -34,7 +35,6 @@ from turtlelog.explain.resimulation import (
     list_rows,
 )
 from turtlelog.explain.search import Fits, drive_loop, search_loop
-from turtlelog.explain.settings import describe_goal, describe_loop, describe_start
 from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.trace import Trace, Values, trace_run
 from turtlelog.laws import LAWS

@@ -12,7 +12,7 @@ from fractions import Fraction
 from itertools import combinations
 from typing import Final
 
-from turtlelog.explain.law import describe_phase
+from turtlelog.explain.law_identification import describe_phase
 from turtlelog.explain.mechanisms import SAMPLING, find_mechanisms, simulate_without
 from turtlelog.measure import measure_run
 from turtlelog.run import Run

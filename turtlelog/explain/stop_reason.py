@@ -8,7 +8,7 @@ import numpy as np
 
 from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
-from turtlelog.explain.loop import Hints
+from turtlelog.explain.loop_guesses import Hints
 from turtlelog.explain.trace import Trace
 from turtlelog.laws import SequentialPParameters
 from turtlelog.plants.turtlesim import TICK_NS

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 
 from turtlelog.angles import wrap_angle
-from turtlelog.explain.command_fit import (
+from turtlelog.explain.constant_recovery import find_round_number
+from turtlelog.explain.gain_fit import (
     CommandFit,
     PoseNoise,
     Reproduce,
@@ -16,7 +17,6 @@ from turtlelog.explain.command_fit import (
     describe_limit,
     fit_command,
 )
-from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.loops import DONE, PAUSE
