@@ -99,7 +99,7 @@ def test_a_violation_of_no_moment_shows_the_end_and_keeps_the_whole(
 def test_tests_of_one_name_have_files_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from turtlelog.check.artifacts import name_files
+    from turtlelog.check.failure_report import name_files
 
     result = fail(simulate())
     names = {name_files(result, f"tests/{part}.py::test_it[paper-kp4]") for part in "ab"}

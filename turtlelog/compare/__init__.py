@@ -18,7 +18,7 @@ from turtlelog.compare.run_table import (
     tabulate_metrics,
     tabulate_runs,
 )
-from turtlelog.compare.summary import (
+from turtlelog.compare.run_summary import (
     RunSummary,
     choose_columns,
     list_needed_metrics,

@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Final, TypeVar
 
-from turtlelog.compare.summary import RunSummary
+from turtlelog.compare.run_summary import RunSummary
 from turtlelog.run import Parameter, Run
 
 _MOST_PARAMETERS: Final = 2

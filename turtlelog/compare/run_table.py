@@ -7,7 +7,7 @@ from typing import Final
 
 from turtlelog.compare.ids import list_units, order_ids
 from turtlelog.compare.run_names import has_one_gain, name_runs
-from turtlelog.compare.summary import RunSummary, choose_columns, list_usual_metrics
+from turtlelog.compare.run_summary import RunSummary, choose_columns, list_usual_metrics
 from turtlelog.compare.table import Cell, Column, Mark, Table
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import MeasureSettings, Metric, find_metric_kind, list_metrics, measure_run

@@ -17,9 +17,9 @@ from turtlelog.measure.path import read_reference_path
 from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
-from turtlelog.measure.settings import MeasureSettings
+from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, list_signals, read_signal
-from turtlelog.measure.step import find_overshoot, find_settling_time
+from turtlelog.measure.curves import find_overshoot, find_settling_time
 from turtlelog.measure.table.end import PAPER_WINDOW_S
 
 __all__ = [

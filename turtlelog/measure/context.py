@@ -14,7 +14,7 @@ from turtlelog.measure.metric import Missing
 from turtlelog.measure.path import compute_path_distances, compute_path_length
 from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
-from turtlelog.measure.settings import MeasureSettings
+from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.signals import Signal, read_signal
 from turtlelog.run import PoseColumns, Run, SampleColumns
 

@@ -17,7 +17,7 @@ from turtlelog.loops import RESERVED, ControlLoop, Declaration, is_loop_name
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Metric, Missing, Result, Status
 from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
-from turtlelog.measure.settings import MeasureSettings
+from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.run import Run
 
 ANY_LOOP: Final = "<loop>"

@@ -13,7 +13,7 @@ from turtlelog.loops import PAUSE, ControlLoop
 from turtlelog.measure.integrals import fold_at_zero
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.references import read_controlled_distance, read_reference
-from turtlelog.measure.settings import MeasureSettings
+from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.signals import Signal
 from turtlelog.run import PhaseSpan, Run
 

@@ -3,7 +3,7 @@
 from turtlelog.simulate.collect import RunCollector, collect_run, simulate_run
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import LawDriver, Sample, build_law, declare_scenario
-from turtlelog.simulate.loop import Tick, iterate_ticks
+from turtlelog.simulate.closed_loop import Tick, iterate_ticks
 from turtlelog.simulate.queues import CommandQueue
 from turtlelog.simulate.sample_rows import SampleRows
 

@@ -1,6 +1,6 @@
 """The metrics of the registry: importing this room enters them, in the order they are shown in."""
 
-from turtlelog.measure.table import steps  # isort: skip
+from turtlelog.measure.table import responses  # isort: skip
 from turtlelog.measure.table import errors  # isort: skip
 from turtlelog.measure.table import commands  # isort: skip
 from turtlelog.measure.table import theories  # isort: skip
@@ -8,4 +8,4 @@ from turtlelog.measure.table import end  # isort: skip
 from turtlelog.measure.table import whole  # isort: skip
 from turtlelog.measure.table import clock  # isort: skip
 
-__all__ = ["clock", "commands", "end", "errors", "steps", "theories", "whole"]
+__all__ = ["clock", "commands", "end", "errors", "responses", "theories", "whole"]

@@ -1,6 +1,6 @@
 """Error metrics of a loop: from its response to a value or the reason for none."""
 
-from turtlelog.measure import integrals
+from turtlelog.measure import curves
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.integrals import find_largest
 from turtlelog.measure.metric import Found, Result
@@ -37,20 +37,20 @@ def compute_largest_error(_: RunContext, response: Response) -> Result:
 
 @loop_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
 def compute_rms_error(_: RunContext, response: Response) -> Result:
-    """See `integrals.compute_rms`."""
-    return Found(integrals.compute_rms(response.step_s, response.error))
+    """See `curves.compute_rms`."""
+    return Found(curves.compute_rms(response.step_s, response.error))
 
 
 @loop_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
 def compute_iae(_: RunContext, response: Response) -> Result:
-    """See `integrals.integrate`."""
-    return Found(integrals.integrate(*response.folded_error[1:]))
+    """See `curves.integrate`."""
+    return Found(curves.integrate(*response.folded_error[1:]))
 
 
 @loop_metric("ise", "{signal}^2 s", "Integral of the square of the error.", grows=True)
 def compute_ise(_: RunContext, response: Response) -> Result:
-    """See `integrals.integrate_square`."""
-    return Found(integrals.integrate_square(response.step_s, response.error))
+    """See `curves.integrate_square`."""
+    return Found(curves.integrate_square(response.step_s, response.error))
 
 
 @loop_metric(
@@ -60,8 +60,8 @@ def compute_ise(_: RunContext, response: Response) -> Result:
     grows=True,
 )
 def compute_itae(_: RunContext, response: Response) -> Result:
-    """See `integrals.integrate_time_weighted`."""
-    return Found(integrals.integrate_time_weighted(*response.folded_error))
+    """See `curves.integrate_time_weighted`."""
+    return Found(curves.integrate_time_weighted(*response.folded_error))
 
 
 def _tell_end(response: Response) -> float:

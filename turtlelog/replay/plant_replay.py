@@ -16,7 +16,7 @@ from turtlelog.differences import (
     find_earliest,
 )
 from turtlelog.plants.turtlesim import TICK_S, Turtle
-from turtlelog.replay.command_matching import CommandUse, Velocity, place_commands
+from turtlelog.replay.plant_ticks import CommandUse, Velocity, place_commands
 from turtlelog.replay.discontinuities import Gap, Jump, RecordedMotion, find_breaks, read_motion
 from turtlelog.run import Run
 
