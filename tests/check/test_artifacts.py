@@ -10,7 +10,7 @@ import turtlelog as tl
 from tests.check.artifact_files import read_mark
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Verdict
-from turtlelog.check.failure_message import describe_failure
+from turtlelog.check.failure_report import describe_failure
 from turtlelog.show import write_violation_rrd
 from turtlelog.show.rerun.snapshot import open_camera
 

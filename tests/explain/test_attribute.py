@@ -20,7 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.attribution import find_grain
 from turtlelog.explain.mechanisms import FINER, list_effects
-from turtlelog.explain.sensitivity import vary_start
+from turtlelog.explain.shapley import vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run

@@ -7,13 +7,11 @@ import pytest
 
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
-from turtlelog.explain.constant_recovery import Values, fit_gain
-from turtlelog.explain.gain_fit import PoseNoise, fit_command
+from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain
 from turtlelog.explain.law_identification import PHASES, identify_rotation
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
-from turtlelog.explain.stretches import mark_breaks
-from turtlelog.explain.trace import find_grain, trace_run
+from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
 
 BUILT = {
     "law.pause_ticks": 34,

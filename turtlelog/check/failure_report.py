@@ -1,6 +1,9 @@
-"""What to look at when a check fails: a Rerun view of the violation, its picture, the stretch."""
+"""What to say of a failed check, and what to look at: a Rerun view, its picture, the stretch."""
 
+import math
 import re
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -8,15 +11,166 @@ from pathlib import Path
 from textwrap import shorten
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from turtlelog.check.cut import cut_run
-from turtlelog.check.failure_message import describe_failure
-from turtlelog.check.result import CheckResult
+from turtlelog.check.result import CheckResult, format_number
 from turtlelog.errors import CheckError, ShowError
+from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording
+from turtlelog.loops import Declaration
+from turtlelog.measure import find_metric_kind, list_signals, read_signal
 from turtlelog.run import Run
 
 if TYPE_CHECKING:
     from turtlelog.show.rerun.snapshot import Camera
+
+
+_WIDTH = 92
+_MOST = 3
+
+
+def describe_failure(run: Run, *results: CheckResult) -> list[str]:
+    """Return lines: value, limit, margin, first violation with the values around, gains, scenario.
+
+    Args:
+        run: That was checked.
+        results: What came of it; of many, the first violated are told in full.
+    """
+    ordered = sorted(results, key=_read_first)
+    lines: list[str] = []
+    for result in ordered[:_MOST]:
+        lines += [*_list_figures(result), *_list_violation(run, result)]
+    if len(ordered) > _MOST:
+        others = ", ".join(result.check for result in ordered[_MOST:])
+        lines += textwrap.wrap(f"and {len(ordered) - _MOST} more: {others}", _WIDTH)
+    return [escape_controls(line) for line in (*lines, *_list_scenario(run, results[0]))]
+
+
+def _read_first(result: CheckResult) -> float:
+    return math.inf if result.first_violation_s is None else result.first_violation_s
+
+
+def _list_figures(result: CheckResult) -> Iterator[str]:
+    name = "" if result.check == result.expected else f"{result.check}: "
+    yield f"{name}expected {result.expected}" if result.expected else result.check
+    if result.decided_by:
+        yield f"  decided by      {result.decided_by}"
+    if result.value is not None:
+        at = "" if result.value_s is None else f" at {result.value_s:.3f} s"
+        yield f"  value           {format_number(result.value, result.unit)}{at}"
+    if result.limit is not None:
+        yield f"  limit           {format_number(result.limit, result.unit)}"
+    if result.margin is not None:
+        yield f"  margin          {format_number(result.margin, result.unit)}"
+    if result.reason:
+        yield f"  reason          {result.reason}"
+
+
+def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:
+    at_s = result.first_violation_s
+    if not result.is_decided:
+        return
+    if at_s is None:
+        yield f"  first violated  at no one moment ({describe_clock(run)})"
+        return
+    yield f"  first violated  {at_s:.3f} s ({describe_clock(run)})"
+    for line in tabulate_surroundings(run, result.names, at_s):
+        yield f"    {line}"
+
+
+def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
+    yield f"  recording       {result.file}"
+    parameters = run.parameters
+    keys = dict.fromkeys(loop.gain for loop in run.declaration.loops if loop.gain is not None)
+    gains = [f"{name} = {parameters[name]}" for name in keys if name in parameters]
+    gains = gains or [f"{n} = {v}" for n, v in parameters.items() if n.startswith("law.")]
+    yield f"  gains           {', '.join(gains) or 'not recorded'}"
+    others = [f"{n} = {v}" for n, v in parameters.items() if n not in (*keys, "name")]
+    text = ", ".join([run.name, *others]) if others else f"{run.name}, nothing else recorded"
+    wrapped = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
+    yield f"  scenario        {wrapped[0]}"
+    yield from (f"                  {line}" for line in wrapped[1:])
+
+
+_ROWS: Final = 2
+_MOST_SIGNALS: Final = 4
+
+_OF_SIGNAL: Final = {
+    "heading": ("heading_error",),
+    "along_track": ("along_track", "cross_track"),
+}
+_OF_END: Final = ("distance", "heading_error")
+_OF_RUN: Final = ("distance", "speed", "turn_rate")
+_OF_NAME: Final = {
+    "cross_track": ("cross_track",),
+    "speed": ("speed",),
+    "turn_rate": ("turn_rate",),
+}
+
+
+def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str, ...]:
+    """Return the signals of a law to look at for signals, metrics and parameters."""
+    known = list_signals(declaration)
+    chosen: list[str] = []
+    for name in names:
+        if name in known:
+            chosen.append(name)
+        elif find_metric_kind(name) is not None:
+            chosen += _choose_for_metric(name, declaration)
+    return tuple(dict.fromkeys(chosen))[:_MOST_SIGNALS]
+
+
+def _choose_for_metric(name: str, declaration: Declaration) -> Sequence[str]:
+    part, rest = name.split(".", 1)
+    for start, signals in _OF_NAME.items():
+        if rest.startswith(start):
+            return signals
+    loop = declaration.find_loop(part)
+    if loop is not None:
+        return (*_OF_SIGNAL.get(loop.signal, (loop.signal,)), loop.command)
+    return _OF_END if part == "final" else _OF_RUN
+
+
+def describe_clock(run: Run) -> str:
+    """Return what times of a run mean."""
+    is_simulated = run.source == "simulation" or run.source.startswith("replay of ")
+    clock = "simulated time" if is_simulated else "the recording's clock"
+    return f"{clock}, from the first sample"
+
+
+def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
+    """Return lines: the signals at the poses around a time, `>` before the one that holds there."""
+    time_ns = run.poses.time_ns
+    row = int(np.searchsorted(time_ns, run.start_ns + round(at_s * 1e9), side="right")) - 1
+    row = max(row, 0)
+    rows = list(range(max(row - _ROWS, 0), min(row + _ROWS + 1, len(time_ns))))
+    columns = [["", *(">" if found == row else "" for found in rows)]]
+    columns.append(["t [s]", *(f"{(time_ns[found] - run.start_ns) / 1e9:.3f}" for found in rows)])
+    kinds = list_signals(run.declaration)
+    for name in (name for name in names if name in kinds):
+        unit = kinds[name].unit
+        title = name if unit == "1" else f"{name} [{unit}]"
+        columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
+    widths = [max(map(len, column)) for column in columns]
+    return [
+        "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+        for cells in zip(*columns, strict=True)
+    ]
+
+
+def _read_value(run: Run, name: str, time_ns: int) -> str:
+    signal = read_signal(run, name)
+    if signal is None:
+        return "-"
+    row = int(np.searchsorted(signal.time_ns, time_ns, side="right")) - 1
+    if row < 0:
+        return "-"
+    value = float(signal.values[row])
+    return (
+        run.phase_names[int(value)] if signal.kind.compared_as == "label" else format_number(value)
+    )
+
 
 _AROUND_S: Final = 1.0
 _LONGEST: Final = 60

@@ -19,7 +19,6 @@ from turtlelog.explain.mechanisms import (
     is_present,
     list_effects,
 )
-from turtlelog.explain.sensitivity import vary_start
 from turtlelog.explain.shapley import (
     Coalition,
     Game,
@@ -29,6 +28,7 @@ from turtlelog.explain.shapley import (
     compute_shares,
     find_smallest,
     list_coalitions,
+    vary_start,
 )
 from turtlelog.laws import LAWS, find_law, list_mechanisms
 from turtlelog.loops import Declaration, Mechanism

@@ -35,8 +35,14 @@ from turtlelog.explain.resimulation import (
     list_rows,
 )
 from turtlelog.explain.search import Fits, drive_loop, search_loop
-from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
-from turtlelog.explain.trace import Trace, Values, trace_run
+from turtlelog.explain.trace import (
+    Trace,
+    Values,
+    describe_breaks,
+    mark_breaks,
+    space_out,
+    trace_run,
+)
 from turtlelog.laws import LAWS
 from turtlelog.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time

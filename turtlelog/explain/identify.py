@@ -38,8 +38,7 @@ from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.stop_reason import Ending, find_ending, find_pause
-from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
-from turtlelog.explain.trace import Trace, trace_run
+from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from turtlelog.angles import wrap_angle
-from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.gain_fit import (
     CommandFit,
     PoseNoise,
@@ -253,3 +252,42 @@ def _name_bounds(low: float, high: float, unit: str) -> str:
     if low <= 0.0:
         return f"below {high:.4g} {unit}"
     return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
+
+
+_DIGITS: Final = 17
+"""This many significant digits tell every double."""
+
+_LEADING: Final = "1528346790"
+"""First digits, the more usual first."""
+
+
+def find_round_number(low: float, high: float) -> float:
+    """Return the roundest number in [low, high), 0 < high: fewest digits, then the usual ones."""
+    if low <= 0.0:
+        return _find_power_below(high)
+    for digits in range(1, _DIGITS + 1):
+        exponent = int(np.floor(np.log10(high))) - digits + 1
+        found = [
+            number
+            for place in range(exponent - 1, exponent + 1)
+            for number in _list_multiples(low, high, place)
+        ]
+        if found:
+            return min(found, key=lambda number: _rank(number))
+    return low
+
+
+def _list_multiples(low: float, high: float, place: int) -> list[float]:
+    first = int(np.ceil(low / 10.0**place))
+    numbers = [float(f"{multiple}e{place}") for multiple in range(first, first + 20)]
+    return [number for number in numbers if low <= number < high]
+
+
+def _rank(number: float) -> tuple[int, int]:
+    digits = f"{number:.16e}".split("e")[0].rstrip("0").replace(".", "")
+    return len(digits), _LEADING.index(digits[0])
+
+
+def _find_power_below(high: float) -> float:
+    exponent = int(np.ceil(np.log10(high))) - 1
+    return float(f"1e{exponent}")

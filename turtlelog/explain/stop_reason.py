@@ -6,8 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
+from turtlelog.explain.law_identification import find_round_number
 from turtlelog.explain.loop_guesses import Hints
 from turtlelog.explain.trace import Trace
 from turtlelog.laws import SequentialPParameters

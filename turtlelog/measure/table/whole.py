@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import curves, path
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.integrals import find_largest
+from turtlelog.measure.curves import find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric, run_metric
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
