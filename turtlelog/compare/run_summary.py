@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from turtlelog.errors import CompareError, TurtlelogError, suggest_names
 from turtlelog.expressions import evaluate_expression, parse_expression
+from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.log import TopicChoice
 from turtlelog.loops import RESERVED, Declaration
 from turtlelog.measure import (
@@ -26,6 +27,7 @@ from turtlelog.measure import (
     miss_metric,
 )
 from turtlelog.run import Parameter, Run
+from turtlelog.scenario import Start
 
 TEXTS: Final = ("name", "source", "stop_reason")
 """What filters and orders may ask for besides parameters and metrics."""
@@ -85,6 +87,24 @@ class RunSummary:
         return miss_metric(self.declaration, name) if is_metric else None
 
 
+def complete_parameters(run: Run) -> Mapping[str, Parameter]:
+    """Return the parameters of a run with those that files leave out while they have their default.
+
+    Of a run that does not hold its whole scenario, or of a law that is not built in, nobody knows.
+    """
+    kind = run.parameters.get("law.kind")
+    if not run.scenario_is_complete or kind not in LAWS:
+        return run.parameters
+    defaults = {
+        f"{table}.{found.name}": found.default
+        for table, values in (("start", Start), ("law", LAWS[str(kind)].Parameters))
+        for found in fields(values)
+        if found.metadata.keys() & ABSENT_BY_DEFAULT.keys()
+    }
+    absent = {key: value for key, value in defaults.items() if key not in run.parameters}
+    return {**run.parameters, **absent}
+
+
 def _rebuild(values: dict[str, Any]) -> RunSummary:
     return RunSummary(**values)
 
@@ -97,7 +117,7 @@ def summarise_run(
         name=run.name,
         source=run.source,
         stop_reason=run.stop_reason,
-        parameters=run.parameters,
+        parameters=complete_parameters(run),
         metrics=measure_run(run) if metrics is None else metrics,
         file=file,
         notes=run.notes,
