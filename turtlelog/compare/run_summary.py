@@ -95,7 +95,7 @@ def complete_parameters(run: Run) -> Mapping[str, Parameter]:
     kind = run.parameters.get("law.kind")
     if not run.scenario_is_complete or kind not in LAWS:
         return run.parameters
-    defaults = {
+    defaults: dict[str, Any] = {
         f"{table}.{found.name}": found.default
         for table, values in (("start", Start), ("law", LAWS[str(kind)].Parameters))
         for found in fields(values)

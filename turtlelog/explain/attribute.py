@@ -32,7 +32,7 @@ from turtlelog.explain.shapley import (
 )
 from turtlelog.laws import LAWS, find_law, list_mechanisms
 from turtlelog.loops import Declaration, Mechanism
-from turtlelog.measure import find_metric_kind, list_metrics, measure_run, suggest_metrics
+from turtlelog.measure import list_metrics, measure_run, suggest_metrics
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
@@ -130,7 +130,7 @@ def attribute_scenario(
     others = [name for name in present if name not in players]
     found = Attribution(
         metric=metric,
-        unit=_find_unit(declaration, metric),
+        unit=list_metrics(declaration)[metric].unit,
         as_built=built.value,
         without_all=without.value,
         players=tuple(players),
@@ -167,8 +167,8 @@ def require_players(run: Run, metric: str, mechanisms: Sequence[str] | None) -> 
 
 
 def _require_metric(declaration: Declaration, metric: str) -> None:
-    if metric not in list_metrics(declaration) and find_metric_kind(metric) is None:
-        known = list_metrics(declaration)
+    known = list_metrics(declaration)
+    if metric not in known:
         raise ExplainError(f"metric {metric!r}: expected {suggest_metrics(metric, known)}")
 
 
@@ -177,11 +177,6 @@ def _require_distinct(mechanisms: Sequence[str] | None) -> None:
         return
     if not mechanisms or len({*mechanisms}) < len(mechanisms):
         raise ExplainError(f"mechanisms: expected different ones, found {', '.join(mechanisms)}")
-
-
-def _find_unit(declaration: Declaration, metric: str) -> str:
-    kind = list_metrics(declaration).get(metric) or find_metric_kind(metric)
-    return "" if kind is None else kind.unit
 
 
 def _write_no_sampling(scenario: Scenario) -> str:

@@ -7,7 +7,7 @@ from typing import Final
 
 from turtlelog.angles import wrap_angle
 from turtlelog.loops import Declaration
-from turtlelog.measure import find_metric_kind, list_metrics
+from turtlelog.measure import list_metrics
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
@@ -46,8 +46,7 @@ def find_grain(scenario: Scenario, declaration: Declaration, metric: str, value:
 
     Of a law whose tolerances are not known a share of the value stands for what they leave.
     """
-    found = list_metrics(declaration).get(metric) or find_metric_kind(metric)
-    unit = "" if found is None else found.unit
+    unit = list_metrics(declaration)[metric].unit
     if unit == "s":
         return Grain(size=scenario.loop.period_ticks * TICK_S, reason="one sample period")
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:

@@ -68,6 +68,9 @@ _NOT_DETERMINISTIC: Final = (
     " its law is not deterministic, and nothing is claimed of it"
 )
 
+_TIME_IS_UP: Final = "max_duration"
+"""Stop reason of a run that no rule of its law ended; the recording alone tells it."""
+
 _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
 
 
@@ -290,6 +293,8 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
 
 
 def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
+    if run.stop_reason == _TIME_IS_UP:
+        return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason
     if again is None:
         return miss("only a re-simulation tells which rule of the law ended the run")
