@@ -24,7 +24,13 @@ from turtlelog.log import TopicChoice, write_recording
 from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario, complete_scenario, load_scenario, override_scenario
+from turtlelog.scenario import (
+    Scenario,
+    complete_scenario,
+    load_scenario,
+    override_gains,
+    override_scenario,
+)
 from turtlelog.simulate import declare_scenario, simulate_run
 
 Expected: TypeAlias = "Recording | AnyReference"
@@ -235,8 +241,8 @@ class SimulatedRuns:
         scenario = override_scenario(scenario, changes or {}, source="simulate")
         if kp is not None:
             keys = declare_scenario(scenario).list_gains()
-            gains = {key: kp for key in keys if key not in (changes or {})}
-            scenario = override_scenario(scenario, gains, source="simulate")
+            gains = [key for key in keys if key not in (changes or {})]
+            scenario = override_gains(scenario, gains, kp, source="simulate")
         self._count += 1
         path = self._folder / f"simulated-{self._count}.mcap"
         write_recording(simulate_run(scenario), path)
