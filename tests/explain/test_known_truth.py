@@ -34,7 +34,7 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
     total: Counter[tuple[str, str]] = Counter()
     for log in make_family(family, 20, amount):
         total += score(log, identify(log))
-    wrong = {key: said for key, said in total if said in {"exact false", "bracketed false"}}
+    wrong = {key: said for key, said in total if said in {"exact false", "bounded false"}}
     assert wrong == {}
     assert sum(said == "exact true" for _, said in total) >= 2
 

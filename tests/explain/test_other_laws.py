@@ -17,7 +17,7 @@ from turtlelog.explain import (
     attribute_run,
     find_mechanisms,
     identify_run,
-    require_players,
+    require_mechanisms,
     simulate_without,
     write_sentences,
 )
@@ -118,7 +118,7 @@ def test_the_delay_of_another_law_is_named() -> None:
 def test_the_mechanisms_of_a_law_take_part() -> None:
     run = simulate_strange(loop__transport_delay_ticks=6)
     found = attribute_run(run, metric="run.duration", trust_law=True)
-    assert found.players == ("delay", "hesitation")
+    assert found.mechanisms == ("delay", "hesitation")
     assert found.effects == ("queue", "delay", "hesitation")
     shares = {share.mechanism: share for share in found.shares}
     assert shares["hesitation"].meaning == "no stop between the phases"
@@ -139,7 +139,7 @@ def test_a_metric_of_a_loop_that_the_law_does_not_declare_is_refused_at_once() -
     run = simulate_strange()
     expected = "metric 'rotate.settling_time': expected one like b.settling_time"
     with pytest.raises(ExplainError, match=re.escape(expected)):
-        require_players(run, "rotate.settling_time", None)
+        require_mechanisms(run, "rotate.settling_time", None)
     with pytest.raises(ExplainError, match=re.escape("metric 'c.iae': expected one like")):
         attribute_run(run, metric="c.iae", trust_law=True)
 

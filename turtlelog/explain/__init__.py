@@ -4,7 +4,7 @@ from turtlelog.explain.attribute import (
     DEFAULT_METRIC,
     attribute_run,
     attribute_scenario,
-    require_players,
+    require_mechanisms,
 )
 from turtlelog.explain.attribution import Attribution, Grain, Share, StartRange, Together, ValueSet
 from turtlelog.explain.hypothesis import require_trust
@@ -32,7 +32,7 @@ __all__ = [
     "describe_loop_name",
     "find_mechanisms",
     "identify_run",
-    "require_players",
+    "require_mechanisms",
     "require_trust",
     "simulate_without",
     "write_sentences",

@@ -285,7 +285,7 @@ def describe_gain(fit: CommandFit) -> Finding:
     if found.is_close:
         return Finding(
             value=found.value,
-            certainty=Certainty.BRACKETED,
+            certainty=Certainty.BOUNDED,
             evidence=f"reproduces {found.rows} unclipped {noun} to rounding",
             interval=found.interval,
         )

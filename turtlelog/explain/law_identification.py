@@ -58,7 +58,7 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
         return {
             "law.kp_angular": miss(reason, 1.0),
             "limits.turn_rate_rad_s": miss(reason, math.inf),
-            "law.heading_tolerance_rad": bracket_heading_tolerance(trace, error, None),
+            "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, None),
             "law.wrap_error": miss(reason, assumed=False),
         }, None
     noise = PoseNoise(size=trace.noise_rad, grain=trace.grain_rad)
@@ -70,7 +70,7 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
     return {
         "law.kp_angular": describe_gain(fit),
         "limits.turn_rate_rad_s": describe_limit(fit),
-        "law.heading_tolerance_rad": bracket_heading_tolerance(trace, error, fit),
+        "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, fit),
         "law.wrap_error": wrap_finding,
     }, fit
 
@@ -103,7 +103,7 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
     return {
         "law.kp_linear": describe_gain(fit),
         "limits.speed_m_s": describe_limit(fit),
-        "law.position_tolerance_m": bracket_position_tolerance(errors, command, fit),
+        "law.position_tolerance_m": bound_position_tolerance(errors, command, fit),
         "law.projection": projection,
     }, fit
 
@@ -175,8 +175,8 @@ _SURE: Final = 4.0
 holds always, and no interval of 95 %."""
 
 
-def bracket_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
-    """Bracket it between the error that ended the rotation and the least that still turned."""
+def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
+    """Bound it between the error that ended the rotation and the least that still turned."""
     moving = slice(1, trace.rotating - trace.ended_rotation)
     ended = float(abs(error[trace.rotating - 1])) if trace.ended_rotation else 0.0
     if fit is not None and fit.gain is not None and not fit.is_certain:
@@ -185,31 +185,31 @@ def bracket_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | Non
         # A command tells its error better than the noisy pose.
         commands = np.abs(trace.turn_rate_rad_s[moving])
         least = float(commands[commands > 0.0].min()) / fit.gain.interval[0]
-        return _bound(ended, least, fit.gain.noise, "rad", high_noise=0.0)
+        return _bound_by_noise(ended, least, fit.gain.noise, "rad", high_noise=0.0)
     if not np.any(trace.turn_rate_rad_s[moving]):
         return miss("the run has no command that turns", DEFAULT_TOLERANCE)
     high = float(np.abs(error[moving]).min(initial=math.inf))
     if not trace.ended_rotation:
-        return _bracket(0.0, high, "the rotation has no end", "rad")
-    return _bracket(ended, high, _LAST_TWO, "rad")
+        return _bound_between(0.0, high, "the rotation has no end", "rad")
+    return _bound_between(ended, high, _LAST_TWO, "rad")
 
 
-def bracket_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
-    """Bracket it between the error that ended the run and the least that still drove."""
+def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
+    """Bound it between the error that ended the run and the least that still drove."""
     larger = np.abs(errors).max(axis=1)
     is_within = command[-1] == 0.0
     if fit.gain is not None and not fit.is_certain:
         if fit.obstacle:
             return miss(fit.obstacle, DEFAULT_TOLERANCE)
         driven = float(larger[command != 0.0][-1])
-        return _bound(float(larger[-1]) if is_within else 0.0, driven, fit.gain.noise, "m")
+        return _bound_by_noise(float(larger[-1]) if is_within else 0.0, driven, fit.gain.noise, "m")
     high = float(larger[command != 0.0].min())
     if not is_within:
-        return _bracket(0.0, high, "the run ends outside it", "m")
-    return _bracket(float(larger[-1]), high, _LAST_TWO, "m")
+        return _bound_between(0.0, high, "the run ends outside it", "m")
+    return _bound_between(float(larger[-1]), high, _LAST_TWO, "m")
 
 
-def _bound(
+def _bound_by_noise(
     low: float, high: float, noise: float, unit: str, *, high_noise: float | None = None
 ) -> Finding:
     """Return bounds from noisy errors, moved outwards by what noise may have done."""
@@ -223,7 +223,7 @@ def _bound(
     )
 
 
-def _bracket(low: float, high: float, evidence: str, unit: str) -> Finding:
+def _bound_between(low: float, high: float, evidence: str, unit: str) -> Finding:
     if low >= high:
         return miss("errors that moved are no larger than the one that ended", DEFAULT_TOLERANCE)
     if low <= 0.0 or math.isinf(high):
@@ -235,7 +235,7 @@ def _bracket(low: float, high: float, evidence: str, unit: str) -> Finding:
         )
     return Finding(
         value=_choose(low, high),
-        certainty=Certainty.BRACKETED,
+        certainty=Certainty.BOUNDED,
         evidence=evidence,
         interval=(low, high),
     )

@@ -194,7 +194,7 @@ def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
         return {
             key: Finding(
                 value=value,
-                certainty=Certainty.BRACKETED,
+                certainty=Certainty.BOUNDED,
                 evidence="between the steps of logged poses; all poses agree with it",
                 interval=(low, high),
             )
