@@ -76,6 +76,8 @@ LAW_KEYS: Final = (
     "law.projection",
     "law.wrap_error",
 )
+"""What the commands of sequential-p tell. Its other parameters are `law.pause_ticks`, which a
+simulation tells, and `RULE_KEYS` of the rules that end a run."""
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",

@@ -15,6 +15,12 @@ from turtlelog.plants.turtlesim import TICK_NS
 
 _USUAL: Final = SequentialPParameters()
 
+RULE_KEYS: Final = (
+    *("law.timeout_s", "law.settled_within_m", "law.settled_for_s"),
+    *("law.standstill_samples", "law.standstill_below"),
+)
+"""Parameters of the rules that end a run: taken as usual, as far as the log does not contradict."""
+
 _SLACK_NS: Final = 1.5 * TICK_NS
 """How far the clock of a log may be from the law's own: a callback comes up to a tick late."""
 
