@@ -20,7 +20,7 @@ from turtlelog.measure.table.commands import (
     measure_reversals,
     measure_total_variation,
 )
-from turtlelog.measure.table.responses import require_hold
+from turtlelog.measure.table.loop_metrics import require_hold
 
 Values = NDArray[np.float64]
 
