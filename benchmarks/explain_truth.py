@@ -68,7 +68,7 @@ def count_loops(family: str, seed: int, logs: int) -> Counter[tuple[str, str]]:
 
 
 def print_family(found: Counter[tuple[str, str]]) -> None:
-    names = ("exact", "fitted", "bracketed", "ambiguous", "unknown")
+    names = ("exact", "fitted", "bounded", "ambiguous", "unknown")
     print(f"{'':28}" + "".join(f"{name:>18}" for name in names))
     for key in sorted({key for key, _ in found}):
         cells = []

@@ -66,7 +66,7 @@ from .explain import (
     attribute_run as attribute_run,
     attribute_scenario as attribute_scenario,
     identify_run as identify_run,
-    require_players as require_players,
+    require_mechanisms as require_mechanisms,
     simulate_without as simulate_without,
     write_sentences as write_sentences,
 )

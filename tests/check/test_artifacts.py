@@ -10,7 +10,7 @@ import turtlelog as tl
 from tests.check.artifact_files import read_mark
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Verdict
-from turtlelog.check.failure_message import describe_failure
+from turtlelog.check.failure_report import describe_failure
 from turtlelog.show import write_violation_rrd
 from turtlelog.show.rerun.snapshot import open_camera
 
@@ -99,7 +99,7 @@ def test_a_violation_of_no_moment_shows_the_end_and_keeps_the_whole(
 def test_tests_of_one_name_have_files_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from turtlelog.check.artifacts import name_files
+    from turtlelog.check.failure_report import name_files
 
     result = fail(simulate())
     names = {name_files(result, f"tests/{part}.py::test_it[paper-kp4]") for part in "ab"}

@@ -14,10 +14,10 @@ import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.strange_law import StrangeLaw, StrangeParameters, simulate_strange
 from turtlelog.check import CheckResult, Recording, UndecidedError, check_runs, parse_spec
-from turtlelog.check.failure_message import describe_failure
+from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.first_spec import format_first_spec
-from turtlelog.check.schema import build_schema
-from turtlelog.check.violation_time import find_metric_violation
+from turtlelog.check.judge_formula import find_metric_violation
+from turtlelog.check.spec import build_schema
 from turtlelog.check.vocabulary import find_window
 from turtlelog.errors import CheckError, ExpressionError
 

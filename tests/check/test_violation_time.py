@@ -10,7 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.check.test_mutations import build
-from turtlelog.check.violation_time import find_metric_violation
+from turtlelog.check.judge_formula import find_metric_violation
 from turtlelog.measure import list_metrics
 from turtlelog.run import slice_run
 

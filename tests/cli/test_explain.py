@@ -218,3 +218,13 @@ def test_a_law_that_was_changed_is_said_to_depart(call: Call, turn: Path, tmp_pa
     assert "No simulation stands for this log. The plant was driven with its commands." in text
     assert "Settings tried: start backlog 1, 7 poses; queue policy newest, one-per-tick" in text
     assert text.endswith("No metric is explained: no scenario stands for this log.")
+
+
+def test_a_metric_of_a_loop_that_the_run_does_not_declare_is_refused_at_once(
+    call: Call, kp10: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("turtlelog.identify_run", None)
+    refused = call("explain", kp10, "--metric", "a.overshoot")
+    assert (refused.code, refused.out) == (2, "")
+    assert "metric 'a.overshoot': expected one like" in refused.err
+    assert "rotate.overshoot" in refused.err

@@ -117,3 +117,66 @@ def test_a_bad_option_is_one_line(
     assert answer.err.startswith("turtlelog: error: ")
     assert line in answer.err
     assert answer.err.count("\n") == 1
+
+
+COUNTED = """
+from dataclasses import dataclass
+from turtlelog.laws import Decision
+from turtlelog.loops import ControlLoop, Declaration
+
+
+@dataclass(frozen=True)
+class Parameters:
+    steps: int = 1
+    gain: float = 1.0
+
+
+class Counted:
+    Parameters = Parameters
+
+    @classmethod
+    def declare(cls, parameters, goal, path):
+        turn = ControlLoop(
+            name="turn", signal="heading", command="turn_rate", reference="zero", gain="law.steps"
+        )
+        go = ControlLoop(
+            name="go", signal="distance", command="speed", reference="zero", gain="law.gain"
+        )
+        return Declaration(loops=(turn, go), phases={"one": ("turn", "go")})
+
+    def __init__(self, parameters):
+        pass
+
+    def reset(self, start, goal, path):
+        pass
+
+    def step(self, time_ns, pose):
+        return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, stop_reason="end")
+"""
+
+
+def write_counted(folder: Path) -> Path:
+    (folder / "law.py").write_text(COUNTED)
+    path = folder / "a.toml"
+    path.write_text(f"[law]\nkind = '{folder / 'law.py'}:Counted'\n")
+    return path
+
+
+@pytest.mark.parametrize("kp", ["3", "9007199254740992"])
+def test_kp_sets_a_gain_that_is_a_whole_number(call: Call, tmp_path: Path, kp: str) -> None:
+    path = tmp_path / "a.mcap"
+    assert call("run", write_counted(tmp_path), "--kp", kp, "-o", path).code == 0
+    found = tl.read_recording(path).parameters
+    assert (found["law.steps"], found["law.gain"]) == (int(kp), float(kp))
+    assert (type(found["law.steps"]), type(found["law.gain"])) == (int, float)
+
+
+@pytest.mark.parametrize(
+    ("kp", "found"), [("2.5", "2.5"), ("9007199254740994", "9007199254740994.0")]
+)
+def test_kp_that_is_no_whole_number_is_refused_for_such_a_gain(
+    call: Call, tmp_path: Path, kp: str, found: str
+) -> None:
+    refused = call("run", write_counted(tmp_path), "--kp", kp, "-o", tmp_path / "a.mcap")
+    assert (refused.code, refused.out) == (2, "")
+    assert f"--kp: law.steps: expected a whole number, found {found}\n" in refused.err

@@ -37,6 +37,25 @@ def test_gains_that_differ_between_the_loops_have_a_column_each() -> None:
     assert read_column(table, "Kp drive") == [4.0, 3.0]
 
 
+def test_a_parameter_that_files_leave_out_by_default_is_shown_where_it_differs() -> None:
+    paper = tl.load_scenario("paper-kp4")
+    runs = [
+        tl.simulate_run(paper),
+        tl.simulate_run(tl.override_scenario(paper, {"law.timeout_s": 20.0})),
+        tl.simulate_run(tl.override_scenario(paper, {"start.precision": "float64"})),
+    ]
+    table = tl.tabulate_runs([tl.summarise_run(run) for run in runs])
+    assert read_column(table, "law.timeout_s") == [30.0, 20.0, 30.0]
+    assert read_column(table, "start.precision") == ["float32", "float32", "float64"]
+    assert tl.name_runs(runs[:2]) == ("paper-kp4 timeout_s 30", "paper-kp4 timeout_s 20")
+
+
+def test_of_a_run_without_its_whole_scenario_no_default_is_assumed() -> None:
+    cut = dataclasses.replace(RUNS[2], scenario_is_complete=False)
+    assert "law.timeout_s" not in tl.summarise_run(cut).parameters
+    assert tl.summarise_run(RUNS[2]).parameters["law.timeout_s"] == 30.0
+
+
 def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tl.mark_metric(SUMMARIES, "run.duration") == {2: "best", 0: "worst"}
     from turtlelog.compare import run_table

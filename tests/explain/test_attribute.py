@@ -20,7 +20,7 @@ from turtlelog.explain import (
 )
 from turtlelog.explain.attribution import find_grain
 from turtlelog.explain.mechanisms import FINER, list_effects
-from turtlelog.explain.sensitivity import vary_start
+from turtlelog.explain.shapley import vary_start
 from turtlelog.laws.sequential_p import DECLARATION
 from turtlelog.log import import_log
 from turtlelog.measure import DeadTime, find_dead_time, measure_run
@@ -77,13 +77,13 @@ def test_a_recorded_run_needs_no_scenario() -> None:
 def test_effects_share_and_properties_stand_beside_them() -> None:
     found = attribute_scenario(KP10)
     assert EFFECTS == ("queue", "delay", "pause", "wrap")
-    assert found.players == ("queue", "pause", "wrap")
+    assert found.mechanisms == ("queue", "pause", "wrap")
     assert {share.mechanism for share in found.others} == {*MECHANISMS} - {*EFFECTS}
 
 
 def test_what_is_not_in_the_scenario_takes_no_part() -> None:
     found = attribute("textbook")
-    assert (found.players, found.shares, found.without_all) == ((), (), found.as_built)
+    assert (found.mechanisms, found.shares, found.without_all) == ((), (), found.as_built)
     assert {share.mechanism for share in found.others} == {
         "saturation",
         "sampling",
@@ -123,7 +123,7 @@ def test_shares_add_up_to_the_last_bit_or_that_of_the_smallest(
     assert abs(math.fsum(shares) - total) <= (math.ulp(smallest) if smallest > abs(total) else 0.0)
 
 
-def test_the_order_of_the_players_changes_no_share() -> None:
+def test_the_order_of_the_mechanisms_changes_no_share() -> None:
     forth = attribute("paper-kp10", "queue", "pause", "saturation")
     back = attribute("paper-kp10", "saturation", "pause", "queue")
     assert read_shares(forth) == pytest.approx(read_shares(back), rel=1e-12)
@@ -146,7 +146,14 @@ def test_two_effects_that_need_each_other_share_alike() -> None:
 
 def test_of_more_than_six_those_take_part_that_change_most() -> None:
     found = attribute("paper-kp10", *(name for name in MECHANISMS if name not in {"delay", "wrap"}))
-    assert found.players == ("queue", "saturation", "sampling", "pause", "projection", "tolerance")
+    assert found.mechanisms == (
+        "queue",
+        "saturation",
+        "sampling",
+        "pause",
+        "projection",
+        "tolerance",
+    )
     assert found.left == ("float32",)
     assert find_other(found, "float32").alone == pytest.approx(0.10673, abs=1e-5)
 
@@ -250,7 +257,7 @@ def test_a_value_hangs_on_samples_from_half_of_what_is_added_on(
 ) -> None:
     found = attribute_scenario(KP10).starts
     assert found is not None
-    options: dict[str, Any] = {"grain": 0.0, "players": ["queue", "pause"], "acting": ["queue"]}
+    options: dict[str, Any] = {"grain": 0.0, "mechanisms": ["queue", "pause"], "acting": ["queue"]}
     width = found.high - found.low
     starts = vary_start(KP10, "final.position_error", added=width / part, **options)
     assert starts is not None

@@ -1,19 +1,20 @@
 """The thresholds on which `exact`, `fitted` and `unknown` turn, each from both sides."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
-from turtlelog.explain.command_fit import PoseNoise, fit_command
-from turtlelog.explain.constant_recovery import Values, fit_gain
-from turtlelog.explain.law import PHASES, identify_rotation
-from turtlelog.explain.loop import read_hints
+from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain
+from turtlelog.explain.identification import LAW_KEYS, LOOP_KEYS
+from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
+from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
-from turtlelog.explain.stretches import mark_breaks
-from turtlelog.explain.trace import find_grain, trace_run
+from turtlelog.explain.stop_reason import RULE_KEYS
+from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
+from turtlelog.laws import SequentialPParameters
 
 BUILT = {
     "law.pause_ticks": 34,
@@ -62,7 +63,7 @@ def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
     ticks: float,
     near: bool,  # noqa: FBT001
 ) -> None:
-    from turtlelog.explain.loop import agrees_with_clock
+    from turtlelog.explain.loop_guesses import agrees_with_clock
 
     log = make_log(Truth(jitter_s=0.0))
     ended = sum(row[-1] == "ROTACIONAR" for row in log.rows)
@@ -224,3 +225,15 @@ def test_what_a_drive_leaves_is_noise_up_to_a_whiteness_of_a_half(
     drive = drive_plant(trace_run(replace(run, poses=poses), PHASES), BUILT)
     assert drive is not None
     assert drive.explains == explains
+
+
+def test_every_parameter_of_the_law_is_known_to_its_identification() -> None:
+    # `exact` says that no other value reproduces the commands: with a further one others might.
+    told = [key for key in (*LAW_KEYS, *LOOP_KEYS, *RULE_KEYS) if key.startswith("law.")]
+    assert sorted(told) == sorted(f"law.{field.name}" for field in fields(SequentialPParameters))
+
+
+def test_every_parameter_that_commands_tell_has_a_finding() -> None:
+    trace = mark_breaks(trace_run(make_log(Truth()).to_run(), PHASES))
+    found = {**identify_rotation(trace)[0], **identify_translation(trace)[0]}
+    assert {*found} == {*LAW_KEYS}

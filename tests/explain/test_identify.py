@@ -258,7 +258,7 @@ def test_what_was_put_in_comes_back_or_the_log_cannot_tell(
 def agrees(key: str, finding: Finding, truth: Any) -> bool:
     if finding.certainty is Certainty.AMBIGUOUS:
         return truth in finding.candidates
-    if finding.certainty is Certainty.BRACKETED:
+    if finding.certainty is Certainty.BOUNDED:
         assert finding.interval is not None
         return bool(finding.interval[0] <= truth < finding.interval[1])
     if key.startswith(("law.kp", "start")):

@@ -11,9 +11,8 @@ from tests.explain.families import make_family
 from tests.explain.scoring import judge, list_truth, score
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, Identification, identify_run
-from turtlelog.explain.law import PHASES, identify_rotation, identify_translation
-from turtlelog.explain.stretches import mark_breaks
-from turtlelog.explain.trace import trace_run
+from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
+from turtlelog.explain.trace import mark_breaks, trace_run
 from turtlelog.run import Run
 
 FAR = (2.0, 10.0)
@@ -35,7 +34,7 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
     total: Counter[tuple[str, str]] = Counter()
     for log in make_family(family, 20, amount):
         total += score(log, identify(log))
-    wrong = {key: said for key, said in total if said in {"exact false", "bracketed false"}}
+    wrong = {key: said for key, said in total if said in {"exact false", "bounded false"}}
     assert wrong == {}
     assert sum(said == "exact true" for _, said in total) >= 2
 

@@ -1,5 +1,6 @@
 """Of a law that is not the sequential proportional one nothing is claimed."""
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from turtlelog.explain import (
     attribute_run,
     find_mechanisms,
     identify_run,
+    require_mechanisms,
     simulate_without,
     write_sentences,
 )
@@ -116,13 +118,30 @@ def test_the_delay_of_another_law_is_named() -> None:
 def test_the_mechanisms_of_a_law_take_part() -> None:
     run = simulate_strange(loop__transport_delay_ticks=6)
     found = attribute_run(run, metric="run.duration", trust_law=True)
-    assert found.players == ("delay", "hesitation")
+    assert found.mechanisms == ("delay", "hesitation")
     assert found.effects == ("queue", "delay", "hesitation")
     shares = {share.mechanism: share for share in found.shares}
     assert shares["hesitation"].meaning == "no stop between the phases"
     alone = measure_run(simulate_strange(loop__transport_delay_ticks=6, law__hesitates_ticks=0))
     assert shares["hesitation"].alone == alone["run.duration"].value
     assert found.grain.reason == "one sample period"
+
+
+@pytest.mark.parametrize("trust_law", [False, True], ids=["read", "simulated again"])
+def test_the_end_of_the_time_is_told_as_recorded(*, trust_law: bool) -> None:
+    run = simulate_strange(max_duration_s=8.3, limits__turn_rate_rad_s=0.05)
+    found = identify_run(run, trust_law=trust_law).findings["stop_reason"]
+    assert (found.value, found.certainty) == ("max_duration", Certainty.EXACT)
+    assert found.evidence == "as recorded: no rule of the law had ended the run"
+
+
+def test_a_metric_of_a_loop_that_the_law_does_not_declare_is_refused_at_once() -> None:
+    run = simulate_strange()
+    expected = "metric 'rotate.settling_time': expected one like b.settling_time"
+    with pytest.raises(ExplainError, match=re.escape(expected)):
+        require_mechanisms(run, "rotate.settling_time", None)
+    with pytest.raises(ExplainError, match=re.escape("metric 'c.iae': expected one like")):
+        attribute_run(run, metric="c.iae", trust_law=True)
 
 
 def test_an_ending_names_the_phase_of_another_law() -> None:

@@ -17,8 +17,8 @@ VALUES = st.floats(-1e3, 1e3) | st.floats(-1e-3, 1e-3) | st.sampled_from([0.0, 0
 
 @st.composite
 def draw_worth(draw: st.DrawFn) -> tuple[Worth, list[str]]:
-    players = list("abcd")[: draw(st.integers(1, 4))]
-    return {inside: draw(VALUES) for inside in list_coalitions(players)}, players
+    mechanisms = list("abcd")[: draw(st.integers(1, 4))]
+    return {inside: draw(VALUES) for inside in list_coalitions(mechanisms)}, mechanisms
 
 
 def name(*names: str) -> frozenset[str]:
@@ -31,9 +31,9 @@ TIE = {name(): 0.1, name("a"): 0.3, name("b"): 1e-17, name("a", "b"): 1.0}
 @given(draw_worth())
 @example((TIE, ["a", "b"]))
 def test_shares_add_up_but_for_one_step_of_the_smallest(game: tuple[Worth, list[str]]) -> None:
-    worth, players = game
-    shares = compute_shares(worth, players)
-    total = worth[frozenset(players)] - worth[frozenset()]
+    worth, mechanisms = game
+    shares = compute_shares(worth, mechanisms)
+    total = worth[frozenset(mechanisms)] - worth[frozenset()]
     smallest = min(map(abs, filter(None, shares.values())), default=0.0)
     missed = abs(math.fsum(shares.values()) - total)
     assert missed <= math.ulp(smallest)
@@ -43,14 +43,14 @@ def test_shares_add_up_but_for_one_step_of_the_smallest(game: tuple[Worth, list[
 
 @given(draw_worth())
 def test_shares_are_those_of_all_orders(game: tuple[Worth, list[str]]) -> None:
-    worth, players = game
+    worth, mechanisms = game
     dividends = {
-        frozenset(names): value for names, value in compute_dividends(worth, players).items()
+        frozenset(names): value for names, value in compute_dividends(worth, mechanisms).items()
     }
     largest = max(map(abs, worth.values()))
-    for player, share in compute_shares(worth, players).items():
-        alone = float(Fraction(worth[name(player)]) - Fraction(worth[name()]))
-        parts = [value / len(names) for names, value in dividends.items() if player in names]
+    for mechanism, share in compute_shares(worth, mechanisms).items():
+        alone = float(Fraction(worth[name(mechanism)]) - Fraction(worth[name()]))
+        parts = [value / len(names) for names, value in dividends.items() if mechanism in names]
         assert share == pytest.approx(alone + math.fsum(parts), abs=1e-13 * largest)
 
 
@@ -60,7 +60,7 @@ def test_what_two_make_only_together_is_their_dividend() -> None:
     assert compute_shares(worth, ["a", "b"]) == {"a": 3.5, "b": 5.5}
 
 
-def test_a_player_that_changes_nothing_has_no_share() -> None:
+def test_a_mechanism_that_changes_nothing_has_no_share() -> None:
     worth = {name(): 0.1, name("a"): 0.7, name("b"): 0.1, name("a", "b"): 0.7}
     assert compute_shares(worth, ["a", "b"])["b"] == 0.0
 

@@ -35,7 +35,7 @@ def describe(*, queue: float = 0.0, pause: float = 0.0, **changes: Any) -> Attri
         as_logged=1.0,
         as_built=1.0,
         without_all=1.0 - added,
-        players=("queue", "pause"),
+        mechanisms=("queue", "pause"),
         shares=(
             make_share(mechanism="queue", share=queue, alone=1.0 - queue),
             make_share(mechanism="pause", share=pause, alone=1.0 - pause),
@@ -143,7 +143,7 @@ def test_shares_that_cancel_are_named_all_the_same() -> None:
 
 def test_what_is_not_there_is_not_said_to_act() -> None:
     assert write_sentences(describe())[1] == "Without queue or pause it is the same."
-    assert write_sentences(describe(players=(), shares=()))[1] == (
+    assert write_sentences(describe(mechanisms=(), shares=()))[1] == (
         "None of the effects is in this run: queue, delay, pause and wrap."
     )
 

@@ -5,7 +5,10 @@ from pathlib import Path
 import pytest
 
 from turtlelog.errors import LawError
+from turtlelog.expressions import parse_expression
+from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws import LAWS, SequentialP, declare_law, find_law
+from turtlelog.loops import ControlLoop, Declaration
 
 LAW_TEXT = """
 from dataclasses import dataclass
@@ -185,3 +188,48 @@ def test_law_that_declares_something_else_each_time_is_refused(tmp_path: Path, p
     expected = "the same Declaration for the same parameters"
     with pytest.raises(LawError, match=f"Steady.declare: expected {expected}"):
         declare_law(law, law.Parameters(), None)
+
+
+def declare_names(tmp_path: Path, loop: str, state: str) -> Declaration:
+    declare = f"""
+    @classmethod
+    def declare(cls, parameters, goal, path):
+        from turtlelog.loops import ControlLoop, Declaration
+
+        loop = ControlLoop(
+            name="{loop}", signal="heading", command="turn_rate", reference="goal_bearing"
+        )
+        return Declaration(loops=(loop,), phases={{"one": ("{loop}",)}}, states=("{state}",))
+"""
+    law = find_law(f"{write_law(tmp_path, LAW_TEXT + declare)}:Steady")
+    return declare_law(law, law.Parameters(), None)
+
+
+@pytest.mark.parametrize("state", sorted(KEYWORDS))
+def test_state_that_is_a_word_of_formulas_is_refused(tmp_path: Path, state: str) -> None:
+    line = f"Steady.declare: state: expected a name that is no word of formulas, found {state!r}"
+    with pytest.raises(LawError, match=rf"\A{re.escape(line)}\Z"):
+        declare_names(tmp_path, "turn", state)
+
+
+def test_loop_whose_name_formulas_read_as_minus_is_refused(tmp_path: Path) -> None:
+    line = "Steady.declare: loop: expected a name of letters, digits and _, as - is minus in"
+    with pytest.raises(LawError, match=rf"\A{re.escape(line)} formulas, found 'my-loop'\Z"):
+        declare_names(tmp_path, "my-loop", "memory")
+
+
+@pytest.mark.parametrize(
+    ("loop", "state"), [("my_loop", "memory"), ("and_", "abs"), ("not", "nots")]
+)
+def test_every_other_name_is_one_that_formulas_read(tmp_path: Path, loop: str, state: str) -> None:
+    declared = declare_names(tmp_path, loop, state)
+    names = (f"{declared.loops[0].name}.overshoot", declared.states[0])
+    assert parse_expression(f"{names[0]} < {names[1]}").names == names
+
+
+def test_recorded_declaration_may_have_names_that_are_refused_of_laws() -> None:
+    loop = ControlLoop(
+        name="my-loop", signal="heading", command="turn_rate", reference="goal_bearing"
+    )
+    declared = Declaration(loops=(loop,), phases={"one": ("my-loop",)}, states=("not",))
+    assert declared.states == ("not",)

@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from turtlelog.measure import find_overshoot, find_settling_time
-from turtlelog.measure.step import (
+from turtlelog.measure.curves import (
     find_crossing_rows,
     find_decay_ratio,
     find_level_time,

@@ -8,8 +8,7 @@ from typing import Any, Final
 from turtlelog.check.cut import RunEnding, find_ending
 from turtlelog.check.result import UndecidedError
 from turtlelog.check.robustness import FormulaWalk
-from turtlelog.check.signals import FormulaTrace, Signals, check_names, read_signals
-from turtlelog.check.vocabulary import find_kind
+from turtlelog.check.vocabulary import FormulaTrace, Signals, check_names, find_kind, read_signals
 from turtlelog.expressions import (
     Call,
     Comparison,

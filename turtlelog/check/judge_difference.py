@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from turtlelog.check.failure_message import choose_signals
+from turtlelog.check.failure_report import choose_signals
 from turtlelog.check.reference import ReferenceFile, load_reference
 from turtlelog.check.result import CheckResult, Verdict, describe_status, format_number
 from turtlelog.check.spec import Tolerances
@@ -14,13 +14,13 @@ from turtlelog.check.spec_file import load_tolerances
 from turtlelog.compare import MetricDifference, Tolerance
 from turtlelog.compare.alignment import find_zero_ns
 from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
-from turtlelog.compare.ids import list_names
 from turtlelog.errors import CheckError
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
     find_metric_kind,
     list_metrics,
+    list_signal_units,
     list_signals,
     measure_run,
     read_signal,
@@ -123,7 +123,7 @@ def _judge_run(
         at_s = (difference.time_ns - start_ns) / 1e9
         return f"{_tell_sides(sides, units[difference.signal])} at {at_s:.3f} s"
 
-    units = list_names([reference.declaration, run.declaration])
+    units = list_signal_units([reference.declaration, run.declaration])
     for name, tolerance in tolerances.signals.items():
         check, names = f"signals.{name}", choose_signals([name], run.declaration)
         if name not in differences:
@@ -259,7 +259,7 @@ def _spread(run: Run, reference: Run, tolerance: Tolerance) -> Tolerances:
         for name, kind in list_signals(found.declaration).items()
         if read_signal(found, name) is not None
     }
-    names = list_names([run.declaration, reference.declaration])
+    names = list_signal_units([run.declaration, reference.declaration])
     return Tolerances(
         signals={
             name: label if held[name].compared_as == "label" else tolerance

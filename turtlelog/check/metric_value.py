@@ -8,19 +8,19 @@ from dataclasses import replace
 from numbers import Real
 from typing import Any, Protocol, runtime_checkable
 
-from turtlelog.check.failure_message import choose_signals
+from turtlelog.check.failure_report import choose_signals
+from turtlelog.check.judge_formula import (
+    MIRRORED,
+    OPERATORS,
+    find_metric_violation,
+    measure_margin,
+)
 from turtlelog.check.result import (
     CheckResult,
     MissingValueError,
     Verdict,
     describe_status,
     format_number,
-)
-from turtlelog.check.violation_time import (
-    MIRRORED,
-    OPERATORS,
-    find_metric_violation,
-    measure_margin,
 )
 from turtlelog.errors import CheckError
 from turtlelog.measure import MeasureSettings, Metric, Status, measure_run

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 from turtlelog.check.cut import find_loss
-from turtlelog.check.failure_message import describe_failure
+from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.judge_difference import AnyReference, AnyTolerance, judge_replay, match_run
 from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.metric_value import MetricValue
@@ -17,15 +17,20 @@ from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.compare import Tolerance
-from turtlelog.compare.ids import list_ids_like
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
 from turtlelog.log import TopicChoice, write_recording
-from turtlelog.measure import find_metric_kind, list_metrics
+from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
-from turtlelog.scenario import Scenario, complete_scenario, load_scenario, override_scenario
+from turtlelog.scenario import (
+    Scenario,
+    complete_scenario,
+    load_scenario,
+    override_gains,
+    override_scenario,
+)
 from turtlelog.simulate import declare_scenario, simulate_run
 
 Expected: TypeAlias = "Recording | AnyReference"
@@ -236,8 +241,8 @@ class SimulatedRuns:
         scenario = override_scenario(scenario, changes or {}, source="simulate")
         if kp is not None:
             keys = declare_scenario(scenario).list_gains()
-            gains = {key: kp for key in keys if key not in (changes or {})}
-            scenario = override_scenario(scenario, gains, source="simulate")
+            gains = [key for key in keys if key not in (changes or {})]
+            scenario = override_gains(scenario, gains, kp, source="simulate")
         self._count += 1
         path = self._folder / f"simulated-{self._count}.mcap"
         write_recording(simulate_run(scenario), path)

@@ -25,7 +25,7 @@ from turtlelog.check.piecewise_constant import (
     slide_maximum,
     slide_minimum,
 )
-from turtlelog.check.signals import FormulaTrace, Signals
+from turtlelog.check.vocabulary import FormulaTrace, Signals
 from turtlelog.expressions import (
     Comparison,
     Expression,

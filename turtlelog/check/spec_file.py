@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from turtlelog.check.spec import (
+    FORMAT,
     Check,
     Spec,
     Tolerances,
@@ -16,15 +17,12 @@ from turtlelog.check.spec import (
 )
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.compare import ALIGNMENTS, Tolerance
-from turtlelog.compare.ids import could_be_alignment
+from turtlelog.compare.alignment import could_be_alignment
 from turtlelog.errors import CheckError, CompareError
 from turtlelog.expressions import Expression, parse_expression
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
 from turtlelog.text_files import parse_toml, read_text_file
-
-FORMAT: Final = 1
-"""The format that is read; newer ones are refused."""
 
 _KINDS: Final = ("signals", "metrics")
 _KNOWN: Final = (*_KINDS, "checks", "reference", "alignment")

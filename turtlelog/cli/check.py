@@ -81,7 +81,7 @@ def check(
     """
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
     if first.schema:
-        from turtlelog.check.schema import build_schema
+        from turtlelog.check.spec import build_schema
 
         print_json(build_schema())
         return EXIT_FINE
@@ -139,7 +139,7 @@ def _check(
 
 def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
     """Return what a report says beside results: all metrics, and all there is on a failure."""
-    from turtlelog.check.failure_message import describe_failure
+    from turtlelog.check.failure_report import describe_failure
 
     failed = [result for result in results if result.verdict == "FAIL"]
     details = {result.check: "\n".join(describe_failure(run, result)) for result in failed}

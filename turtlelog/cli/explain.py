@@ -83,7 +83,7 @@ def explain(
 
     names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
     (run,) = read_runs([file], topics)
-    tl.require_players(run, metric, names)
+    tl.require_mechanisms(run, metric, names)
     require_trust(run, trust_law=options.trust_law)
     found = tl.identify_run(run, trust_law=options.trust_law)
     if options.scenario is not None:

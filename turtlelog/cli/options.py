@@ -131,11 +131,13 @@ def change_scenario(
         kind = {"law.kind": changes.pop("law.kind")}
         scenario = tl.override_scenario(scenario, kind, source="--set")
     if options.kp is not None:
+        from turtlelog.scenario import override_gains
+
         asked = declaration or _ask_law(scenario, changes)
-        gains = dict.fromkeys(asked.list_gains(), options.kp)
+        gains = asked.list_gains()
         if not gains:
             raise UsageError("--kp: expected a law that declares a gain, found none: --set does it")
-        scenario = tl.override_scenario(scenario, gains, source="--kp")
+        scenario = override_gains(scenario, gains, options.kp, source="--kp")
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
     return tl.override_scenario(scenario, changes, source="--set")

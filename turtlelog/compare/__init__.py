@@ -1,5 +1,6 @@
 """Runs -> differences on a common clock, and tables across runs."""
 
+from turtlelog.compare.alignment import ALIGNMENTS
 from turtlelog.compare.difference import (
     MetricDifference,
     RunComparison,
@@ -9,26 +10,31 @@ from turtlelog.compare.difference import (
     iter_comparisons,
     tabulate_differences,
 )
-from turtlelog.compare.ids import ALIGNMENTS, list_units, order_ids
 from turtlelog.compare.paper_tables import tabulate_table1, tabulate_whole_runs
 from turtlelog.compare.run_names import name_runs, order_by_gain
-from turtlelog.compare.run_table import (
-    mark_metric,
-    tabulate_measured,
-    tabulate_metrics,
-    tabulate_runs,
-)
-from turtlelog.compare.summary import (
+from turtlelog.compare.run_summary import (
     RunSummary,
     choose_columns,
     list_needed_metrics,
     list_usual_metrics,
+    order_ids,
     select_runs,
     sort_runs,
     summarise_files,
     summarise_run,
 )
-from turtlelog.compare.table import Cell, Column, Mark, Table, format_cell
+from turtlelog.compare.run_table import (
+    Cell,
+    Column,
+    Mark,
+    Table,
+    format_cell,
+    list_units,
+    mark_metric,
+    tabulate_measured,
+    tabulate_metrics,
+    tabulate_runs,
+)
 from turtlelog.compare.tube import Tolerance
 from turtlelog.differences import SignalDifference
 

@@ -1,17 +1,22 @@
 """A common clock for two runs: where time zero of each is, and which stretch both cover."""
 
 import dataclasses
+import re
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import CompareError, suggest_names
+from turtlelog.loops import NAME_PATTERN
 from turtlelog.measure import Signal
 from turtlelog.run import Run
 
 Times = NDArray[np.int64]
+
+ALIGNMENTS: Final = ("first_sample", "phase:NAME", "recorded", "sample")
+"""How runs can be brought together; NAME stands for a phase of their law."""
 
 
 class CommonClock(Protocol):
@@ -30,6 +35,12 @@ class CommonClock(Protocol):
 
     def read_ns(self, unit: int) -> int:
         """Return the time of a unit of this clock [ns]."""
+
+
+def could_be_alignment(text: str) -> bool:
+    """Return whether a text is an alignment, of whatever law the phase is."""
+    phase = text.removeprefix("phase:")
+    return text in ALIGNMENTS or (phase != text and re.fullmatch(NAME_PATTERN, phase) is not None)
 
 
 def align_runs(reference: Run, run: Run, alignment: str) -> CommonClock:

@@ -9,8 +9,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.compare.alignment import CommonClock, align_runs
-from turtlelog.compare.ids import list_names
-from turtlelog.compare.table import Cell, Column, Table
+from turtlelog.compare.run_table import Cell, Column, Table
 from turtlelog.compare.tube import (
     Grid,
     GridValues,
@@ -27,6 +26,7 @@ from turtlelog.measure import (
     Metric,
     Signal,
     list_metrics,
+    list_signal_units,
     list_signals,
     measure_run,
     miss_metric,
@@ -101,7 +101,7 @@ def iter_comparisons(
     for run in runs:
         clock = align_runs(reference, run, alignment)
         start_ns, end_ns = map(clock.read_ns, clock.span)
-        names = list_names([reference.declaration, run.declaration])
+        names = list_signal_units([reference.declaration, run.declaration])
         signals = _compare_signals(reference, run, clock, dict.fromkeys(names, Tolerance()))
         pairs = _pair_metrics((reference, metrics), run)
         yield RunComparison(
@@ -144,7 +144,7 @@ def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[Metr
 
 def explain_lack(name: str, reference: Run, run: Run) -> str:
     """Return why a signal cannot be compared: a run does not hold it, or its law has none such."""
-    known = list(list_names([reference.declaration, run.declaration]))
+    known = list(list_signal_units([reference.declaration, run.declaration]))
     if name not in known:
         near = difflib.get_close_matches(name, known, n=2)
         states = ", ".join(found for found in known if found not in SIGNALS) or "none"

@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Final, TypeVar
 
-from turtlelog.compare.summary import RunSummary
+from turtlelog.compare.run_summary import RunSummary, complete_parameters
 from turtlelog.run import Parameter, Run
 
 _MOST_PARAMETERS: Final = 2
@@ -43,8 +43,9 @@ def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:
 
 def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
     """Return the parameters that tell runs apart, what to call them by key; empty if too many."""
-    keys = sorted({key for run in runs for key in run.parameters})
-    found = [key for key in keys if len({repr(run.parameters.get(key)) for run in runs}) > 1]
+    parameters = [_list_parameters(run) for run in runs]
+    keys = sorted({key for known in parameters for key in known})
+    found = [key for key in keys if len({repr(known.get(key)) for known in parameters}) > 1]
     gains = {key for run in runs for key in run.declaration.list_gains()}
     if len(found) > 1 and gains == {*found} and all(has_one_gain(run) for run in runs):
         return {found[0]: "Kp"}
@@ -60,8 +61,13 @@ def has_one_gain(run: Run | RunSummary) -> bool:
 
 
 def _add_parameters(run: Run | RunSummary, differing: Mapping[str, str]) -> str:
-    values = [f"{word} {_format(run.parameters.get(key))}" for key, word in differing.items()]
+    known = _list_parameters(run)
+    values = [f"{word} {_format(known.get(key))}" for key, word in differing.items()]
     return " ".join([run.name, *values])
+
+
+def _list_parameters(run: Run | RunSummary) -> Mapping[str, Parameter]:
+    return run.parameters if isinstance(run, RunSummary) else complete_parameters(run)
 
 
 def _format(value: Parameter | None) -> str:

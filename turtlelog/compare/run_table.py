@@ -1,17 +1,68 @@
-"""Tables of metrics: of many runs as rows, the best and the worst marked; of few as columns."""
+"""Tables as values, and those of metrics: of many runs as rows, of few as columns."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal
 
-from turtlelog.compare.ids import list_units, order_ids
 from turtlelog.compare.run_names import has_one_gain, name_runs
-from turtlelog.compare.summary import RunSummary, choose_columns, list_usual_metrics
-from turtlelog.compare.table import Cell, Column, Mark, Table
+from turtlelog.compare.run_summary import RunSummary, choose_columns, list_usual_metrics, order_ids
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import MeasureSettings, Metric, find_metric_kind, list_metrics, measure_run
 from turtlelog.run import Run
+
+Cell = str | float | int | None
+Mark = Literal["best", "worst"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        title: Head of the column.
+        unit: Of its figures, empty where they have none.
+        digits: Decimals of its figures; None: five significant digits.
+        joined: Whether it makes sense only beside the column before it.
+        lines: The title broken into lines, for where a terminal has no room for it.
+    """
+
+    title: str
+    unit: str = ""
+    digits: int | None = None
+    joined: bool = False
+    lines: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table with its notes.
+
+    Attributes:
+        title: One line.
+        columns: At least one.
+        rows: Each as long as `columns`; None: there is no such value.
+        notes: Sentences to stand below.
+        breaks: Rows with which a new group begins; a terminal leaves a line before them.
+        marks: Which cells are the best and the worst of their column, by row and column.
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+    breaks: tuple[int, ...] = ()
+    marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
+
+
+def format_cell(cell: Cell, column: Column) -> str:
+    """Return a cell as text; `-` where there is no value."""
+    if cell is None:
+        return "-"
+    if isinstance(cell, float) and column.digits is not None:
+        return f"{cell:.{column.digits}f}"
+    return f"{cell:.5g}" if isinstance(cell, float) else str(cell)
 
 
 def tabulate_runs(
@@ -91,6 +142,12 @@ def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:
     best, worst = (low, high) if better == "lower" else (high, low)
     marks: dict[int, Mark] = {row: "best" for row, value in known.items() if value == best}
     return marks | {row: "worst" for row, value in known.items() if value == worst}
+
+
+def list_units(metrics: Sequence[Metric]) -> list[str]:
+    """Return the units in which a metric has values; several where loops of one name differ."""
+    valued = [metric.unit for metric in metrics if metric.value is not None]
+    return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))
 
 
 _MOST_DIFFERING: Final = 2

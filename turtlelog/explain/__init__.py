@@ -4,13 +4,13 @@ from turtlelog.explain.attribute import (
     DEFAULT_METRIC,
     attribute_run,
     attribute_scenario,
-    require_players,
+    require_mechanisms,
 )
 from turtlelog.explain.attribution import Attribution, Grain, Share, StartRange, Together, ValueSet
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
-from turtlelog.explain.law import describe_loop_name
+from turtlelog.explain.law_identification import describe_loop_name
 from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
 from turtlelog.explain.report import write_sentences
 from turtlelog.explain.resimulation import Resimulation
@@ -32,7 +32,7 @@ __all__ = [
     "describe_loop_name",
     "find_mechanisms",
     "identify_run",
-    "require_players",
+    "require_mechanisms",
     "require_trust",
     "simulate_without",
     "write_sentences",

@@ -19,7 +19,6 @@ from turtlelog.explain.mechanisms import (
     is_present,
     list_effects,
 )
-from turtlelog.explain.sensitivity import vary_start
 from turtlelog.explain.shapley import (
     Coalition,
     Game,
@@ -29,10 +28,11 @@ from turtlelog.explain.shapley import (
     compute_shares,
     find_smallest,
     list_coalitions,
+    vary_start,
 )
 from turtlelog.laws import LAWS, find_law, list_mechanisms
 from turtlelog.loops import Declaration, Mechanism
-from turtlelog.measure import find_metric_kind, list_metrics, measure_run, suggest_metrics
+from turtlelog.measure import list_metrics, measure_run, suggest_metrics
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
@@ -40,7 +40,8 @@ from turtlelog.simulate import declare_scenario
 DEFAULT_METRIC: Final = "final.position_error"
 
 _MOST: Final = 6
-"""Players: 64 simulations, a second or two of the paper's runs; each more doubles them."""
+"""Mechanisms that take part: 64 simulations, a second or two of the paper's runs; each more doubles
+them."""
 
 _AGREEMENT: Final = 0.1
 """Of what the effects add together: a re-simulation further away from the log does not tell what
@@ -75,7 +76,7 @@ def attribute_run(
         ExplainError: Where no scenario stands for the run, or as in `attribute_scenario`.
         ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
     """
-    require_players(run, metric, mechanisms)
+    require_mechanisms(run, metric, mechanisms)
     require_trust(run, trust_law=trust_law)
     identified = identified or identify_run(run, trust_law=trust_law)
     scenario = identified.build_scenario()
@@ -104,8 +105,8 @@ def attribute_scenario(
 ) -> Attribution:
     """Attribute a value of a scenario to mechanisms.
 
-    All 2^n sets of n players are simulated. Of more than six mechanisms the six that change the
-    value most, alone out or alone in, are players; the others stay as built.
+    All 2^n sets of n mechanisms are simulated. Of more than six, those six take part that change
+    the value most, alone out or alone in; the others stay as built.
 
     Raises:
         ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, or there
@@ -123,22 +124,22 @@ def attribute_scenario(
     present = [name for name, found in table.items() if is_present(scenario, found)]
     if mechanisms is None:
         mechanisms = [name for name in list_effects(table) if name in present]
-    players = _choose_players(game, mechanisms)
-    outcomes = {inside: game.play(inside, players) for inside in list_coalitions(players)}
+    chosen = _choose_mechanisms(game, mechanisms)
+    outcomes = {inside: game.play(inside, chosen) for inside in list_coalitions(chosen)}
     worth = {key: found.value for key, found in outcomes.items() if found.value is not None}
-    built, without = outcomes[frozenset(players)], outcomes[frozenset()]
-    others = [name for name in present if name not in players]
+    built, without = outcomes[frozenset(chosen)], outcomes[frozenset()]
+    others = [name for name in present if name not in chosen]
     found = Attribution(
         metric=metric,
-        unit=_find_unit(declaration, metric),
+        unit=list_metrics(declaration)[metric].unit,
         as_built=built.value,
         without_all=without.value,
-        players=tuple(players),
+        mechanisms=tuple(chosen),
         shares=(),
         others=tuple(_describe_alone(game, name) for name in others),
         grain=find_grain(scenario, declaration, metric, built.value or 0.0),
         reason=built.reason,
-        left=tuple(name for name in mechanisms if name not in players),
+        left=tuple(name for name in mechanisms if name not in chosen),
         effects=list_effects(table),
         remarks=() if SAMPLING in table else (_write_no_sampling(scenario),),
     )
@@ -147,7 +148,7 @@ def attribute_scenario(
     return _divide(found, game, scenario, worth)
 
 
-def require_players(run: Run, metric: str, mechanisms: Sequence[str] | None) -> None:
+def require_mechanisms(run: Run, metric: str, mechanisms: Sequence[str] | None) -> None:
     """Require a metric of the run, and different mechanisms that it may have. Loads no code.
 
     The mechanisms of a law that is not built in are known when it runs.
@@ -167,8 +168,8 @@ def require_players(run: Run, metric: str, mechanisms: Sequence[str] | None) -> 
 
 
 def _require_metric(declaration: Declaration, metric: str) -> None:
-    if metric not in list_metrics(declaration) and find_metric_kind(metric) is None:
-        known = list_metrics(declaration)
+    known = list_metrics(declaration)
+    if metric not in known:
         raise ExplainError(f"metric {metric!r}: expected {suggest_metrics(metric, known)}")
 
 
@@ -179,17 +180,12 @@ def _require_distinct(mechanisms: Sequence[str] | None) -> None:
         raise ExplainError(f"mechanisms: expected different ones, found {', '.join(mechanisms)}")
 
 
-def _find_unit(declaration: Declaration, metric: str) -> str:
-    kind = list_metrics(declaration).get(metric) or find_metric_kind(metric)
-    return "" if kind is None else kind.unit
-
-
 def _write_no_sampling(scenario: Scenario) -> str:
     text = describe_no_sampling(scenario)
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _choose_players(game: Game, mechanisms: Sequence[str]) -> list[str]:
+def _choose_mechanisms(game: Game, mechanisms: Sequence[str]) -> list[str]:
     if len(mechanisms) <= _MOST:
         return [*mechanisms]
 
@@ -220,8 +216,8 @@ def _describe_alone(game: Game, name: str, share: float | None = None) -> Share:
 
 
 def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) -> Attribution:
-    shares = compute_shares(worth, found.players)
-    dividends = compute_dividends(worth, found.players)
+    shares = compute_shares(worth, found.mechanisms)
+    dividends = compute_dividends(worth, found.mechanisms)
     found = replace(
         found,
         shares=tuple(_describe_alone(game, name, share) for name, share in shares.items()),
@@ -232,9 +228,9 @@ def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) ->
     starts = vary_start(
         scenario,
         found.metric,
-        added=worth[frozenset(found.players)] - worth[frozenset()],
+        added=worth[frozenset(found.mechanisms)] - worth[frozenset()],
         grain=found.grain.size,
-        players=found.players,
+        mechanisms=found.mechanisms,
         acting=found.acting,
     )
     return replace(found, starts=starts)
@@ -248,7 +244,7 @@ def _tell_what_has_no_value(
     present = [inside for inside in outcomes if inside not in missing]
 
     def describe(inside: Coalition) -> ValueSet:
-        names = tuple(name for name in found.players if name in inside)
+        names = tuple(name for name in found.mechanisms if name in inside)
         return ValueSet(mechanisms=names, reason=outcomes[inside].reason)
 
     is_empty = frozenset() in missing

@@ -7,7 +7,7 @@ from typing import Final
 
 from turtlelog.angles import wrap_angle
 from turtlelog.loops import Declaration
-from turtlelog.measure import find_metric_kind, list_metrics
+from turtlelog.measure import list_metrics
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
@@ -46,8 +46,7 @@ def find_grain(scenario: Scenario, declaration: Declaration, metric: str, value:
 
     Of a law whose tolerances are not known a share of the value stands for what they leave.
     """
-    found = list_metrics(declaration).get(metric) or find_metric_kind(metric)
-    unit = "" if found is None else found.unit
+    unit = list_metrics(declaration)[metric].unit
     if unit == "s":
         return Grain(size=scenario.loop.period_ticks * TICK_S, reason="one sample period")
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
@@ -121,10 +120,10 @@ class Together:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ValueSet:
-    """A smallest set of players that gives the metric a value, or leaves it without one.
+    """A smallest set of mechanisms that gives the metric a value, or leaves it without one.
 
     Attributes:
-        mechanisms: Those that are in; all other players are out.
+        mechanisms: Those that are in; all others that take part are out.
         reason: Why there is no value; empty where there is.
     """
 
@@ -144,7 +143,7 @@ class StartRange:
         without_value: How many starts have none.
         is_wide: Whether the value hangs on single samples: where the effects add more than the
             grain, whether both its range and that of what they add exceed half of it.
-        parts: Where it is wide, the lowest and highest part of a player in what the players that
+        parts: Where it is wide, the lowest and highest part of a mechanism in what those that
             change the value add together; 1 is all of it. Empty where they do not all add to it at
             every start, or where it takes too many simulations.
     """
@@ -167,16 +166,16 @@ class Attribution:
         unit: Its unit.
         as_logged: The log's own value; None where it has none, or where there is no log.
         as_built: Re-simulated, with all mechanisms in; None where it has no value.
-        without_all: Re-simulated, with all players out; None where it has no value.
-        players: The mechanisms among which the value is divided.
+        without_all: Re-simulated, with all that take part out; None where it has no value.
+        mechanisms: Those that take part: the value is divided among them.
         shares: Theirs, in their order; none where they are withheld. `math.fsum` of them is
             as_built - without_all: see `compute_shares`.
         others: What else is in the scenario, each taken out alone.
         grain: The largest change that is next to nothing.
         withheld: Why there are no shares, in one clause; empty where there are.
-        together: What several players make only together.
-        without_value: The smallest sets of players that leave the metric without a value.
-        with_value: The smallest sets that give it one, where it has none without players.
+        together: What several mechanisms make only together.
+        without_value: The smallest sets of mechanisms that leave the metric without a value.
+        with_value: The smallest sets that give it one, where it has none without all.
         starts: The value over starts within one sample's turn; None where the robot does not turn.
         reason: Why it has no value, in the log or else re-simulated; empty where it has.
         doubts: What the shares rest on that the log does not prove, in whole sentences.
@@ -190,7 +189,7 @@ class Attribution:
     as_logged: float | None = None
     as_built: float | None
     without_all: float | None
-    players: tuple[str, ...]
+    mechanisms: tuple[str, ...]
     shares: tuple[Share, ...]
     others: tuple[Share, ...]
     grain: Grain
@@ -207,7 +206,7 @@ class Attribution:
 
     @property
     def acting(self) -> tuple[str, ...]:
-        """The players that change the value in any combination."""
+        """Those that change the value in any combination."""
         names = {share.mechanism for share in self.shares if share.share}
         names.update(name for case in self.together if case.value for name in case.mechanisms)
-        return tuple(name for name in self.players if name in names)
+        return tuple(name for name in self.mechanisms if name in names)

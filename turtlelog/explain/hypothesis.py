@@ -22,7 +22,8 @@ from turtlelog.explain.identification import (
     find_exactly,
     miss,
 )
-from turtlelog.explain.loop import read_hints
+from turtlelog.explain.loop_findings import describe_goal, describe_loop, describe_start
+from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import WHITE
 from turtlelog.explain.resimulation import (
     CLOSE,
@@ -34,9 +35,14 @@ from turtlelog.explain.resimulation import (
     list_rows,
 )
 from turtlelog.explain.search import Fits, drive_loop, search_loop
-from turtlelog.explain.settings import describe_goal, describe_loop, describe_start
-from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
-from turtlelog.explain.trace import Trace, Values, trace_run
+from turtlelog.explain.trace import (
+    Trace,
+    Values,
+    describe_breaks,
+    mark_breaks,
+    space_out,
+    trace_run,
+)
 from turtlelog.laws import LAWS
 from turtlelog.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
@@ -61,6 +67,9 @@ _NOT_DETERMINISTIC: Final = (
     "the recorded scenario reproduces every sample once, and not when it is simulated again:"
     " its law is not deterministic, and nothing is claimed of it"
 )
+
+_TIME_IS_UP: Final = "max_duration"
+"""Stop reason of a run that no rule of its law ended; the recording alone tells it."""
 
 _UNSURE: Final = Missing(status=Status.UNDETERMINED, reason="not every step is explained")
 
@@ -284,6 +293,8 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
 
 
 def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
+    if run.stop_reason == _TIME_IS_UP:
+        return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason
     if again is None:
         return miss("only a re-simulation tells which rule of the law ended the run")

@@ -22,7 +22,7 @@ class Certainty(enum.StrEnum):
     """It alone reproduces every row that it concerns, bit for bit or to the poses' rounding."""
     FITTED = "fitted"
     """Least squares, with its standard error."""
-    BRACKETED = "bracketed"
+    BOUNDED = "bounded"
     """Anything in an interval fits; the value is the roundest in it."""
     AMBIGUOUS = "ambiguous"
     """Several values fit alike; they are the candidates, and the value is the likeliest."""
@@ -38,7 +38,7 @@ class Finding:
         value: In the unit of its key; None exactly where `certainty` is UNKNOWN.
         certainty: How sure it is.
         evidence: One clause: by what it is known, or why it is not.
-        interval: From and to, where it is bracketed: [low, high).
+        interval: From and to, where it is bounded: [low, high).
         candidates: All values that fit, where several do.
         assumed: What a re-simulation uses where the value is unknown and does not show.
     """
@@ -76,6 +76,8 @@ LAW_KEYS: Final = (
     "law.projection",
     "law.wrap_error",
 )
+"""What the commands of sequential-p tell. Its other parameters are `law.pause_ticks`, which a
+simulation tells, and `RULE_KEYS` of the rules that end a run."""
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",

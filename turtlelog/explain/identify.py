@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.errors import ScenarioError, SimulationError
-from turtlelog.explain.command_fit import CommandFit
+from turtlelog.explain.gain_fit import CommandFit
 from turtlelog.explain.hypothesis import (
     LONGEST_S,
     check_recorded_scenario,
@@ -26,20 +26,19 @@ from turtlelog.explain.identification import (
     identify_plant,
     miss,
 )
-from turtlelog.explain.law import PHASES, identify_rotation, identify_translation
-from turtlelog.explain.loop import read_hints
-from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
-from turtlelog.explain.search import Fits, search_loop
-from turtlelog.explain.settings import (
+from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
+from turtlelog.explain.loop_findings import (
     describe_goal,
     describe_loop,
     describe_pause,
     describe_start,
     read_start,
 )
+from turtlelog.explain.loop_guesses import read_hints
+from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
+from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.stop_reason import Ending, find_ending, find_pause
-from turtlelog.explain.stretches import describe_breaks, mark_breaks, space_out
-from turtlelog.explain.trace import Trace, trace_run
+from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario

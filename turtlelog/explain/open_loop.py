@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.explain.constant_recovery import find_quantile, widen_for_runs
+from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
-from turtlelog.explain.stretches import list_breaks
-from turtlelog.explain.trace import Trace, Values
+from turtlelog.explain.trace import Trace, Values, list_breaks
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target

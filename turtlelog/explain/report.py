@@ -10,7 +10,7 @@ _NAMED: Final = 0.1
 arises only together. A property is named beyond this part of the value."""
 
 _MOST_TOGETHER: Final = 3
-"""Sets that arise only together, in one sentence; of four players there are eleven."""
+"""Sets that arise only together, in one sentence; of four mechanisms there are eleven."""
 
 _SAME: Final = 1e-6
 """Of a value: a smaller difference between log and re-simulation goes without a word."""
@@ -61,7 +61,9 @@ def _write_withheld(found: Attribution) -> str:
 
 def _write_missing(found: Attribution) -> str:
     if not found.with_value and found.without_all is None:
-        return f"Nor has it one without {_join(found.players, 'or')}." if found.players else ""
+        return (
+            f"Nor has it one without {_join(found.mechanisms, 'or')}." if found.mechanisms else ""
+        )
     parts = [
         f"{_name_set(found, case)} it has no value: {case.reason}" for case in found.without_value
     ]
@@ -71,23 +73,23 @@ def _write_missing(found: Attribution) -> str:
 
 def _name_set(found: Attribution, case: ValueSet) -> str:
     if not case.mechanisms:
-        return f"without {_join(found.players)}"
-    alone = " alone" if len(found.players) > len(case.mechanisms) else ""
+        return f"without {_join(found.mechanisms)}"
+    alone = " alone" if len(found.mechanisms) > len(case.mechanisms) else ""
     return f"with {_join(case.mechanisms)}{alone}"
 
 
 def _write_cause(found: Attribution) -> str:
-    if not found.players:
+    if not found.mechanisms:
         return f"None of the effects is in this run: {_join(found.effects)}."
     if not found.acting:
-        return f"Without {_join(found.players, 'or')} it is the same."
+        return f"Without {_join(found.mechanisms, 'or')} it is the same."
     largest = max(abs(share.share or 0.0) for share in found.shares)
     added = (found.as_built or 0.0) - (found.without_all or 0.0)
     if max(largest, abs(added)) <= found.grain.size:
-        together = " together change" if len(found.players) > 1 else " changes"
+        together = " together change" if len(found.mechanisms) > 1 else " changes"
         return (
-            f"{_capitalise(_join(found.players))}{together} it by {_format(found, added)}: next to"
-            f" nothing, no more than {_describe_grain(found)}."
+            f"{_capitalise(_join(found.mechanisms))}{together} it by {_format(found, added)}:"
+            f" next to nothing, no more than {_describe_grain(found)}."
         )
     parts = [_write_part(found, share) for share in _choose_named(found)]
     nothing = ", next to nothing together" if abs(added) <= found.grain.size else ""

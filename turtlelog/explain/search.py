@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.angles import wrap_angle
-from turtlelog.explain.loop import Guess, Hints, agrees_with_clock, list_queues
+from turtlelog.explain.loop_guesses import Guess, Hints, agrees_with_clock, list_queues
 from turtlelog.explain.open_loop import (
     FLOOR,
     Drive,

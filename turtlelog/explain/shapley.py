@@ -1,28 +1,34 @@
 """A value as a game: simulated without any set of mechanisms, and divided in exact arithmetic.
 
-A share is a Shapley value (Shapley, "A value for n-person games", 1953): what a player adds to the
-value, averaged over all orders in which the players can be put in. What a set of players makes
-only together is its dividend (Harsanyi, 1963).
+A share is a Shapley value (Shapley, "A value for n-person games", 1953): what a mechanism adds to
+the value, averaged over all orders in which they can be put in. What a set of mechanisms makes only
+together is its dividend (Harsanyi, 1963). How steady all of it is, the same scenario shows from
+starts that lie within one sample's turn.
 """
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations
 from typing import Final
 
-from turtlelog.explain.law import describe_phase
+import numpy as np
+
+from turtlelog.explain.attribution import StartRange
+from turtlelog.explain.law_identification import describe_phase
 from turtlelog.explain.mechanisms import SAMPLING, find_mechanisms, simulate_without
 from turtlelog.measure import measure_run
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
+from turtlelog.simulate import simulate_run
 
 _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
 """Dead times are looked for up to 40 poses, which a finer clock passes in a few ticks."""
 
 Coalition = frozenset[str]
-"""The players that are in."""
+"""The mechanisms that are in."""
 
 Worth = Mapping[Coalition, float]
 """The value of every coalition."""
@@ -56,9 +62,9 @@ class Game:
         self.mechanisms = find_mechanisms(scenario)
         self._outcomes: dict[frozenset[str], Outcome] = {}
 
-    def play(self, inside: Coalition, players: Sequence[str]) -> Outcome:
-        """Return the outcome with these players in, and all others out."""
-        return self.take_out(name for name in players if name not in inside)
+    def play(self, inside: Coalition, mechanisms: Sequence[str]) -> Outcome:
+        """Return the outcome with these mechanisms in, and all others out."""
+        return self.take_out(name for name in mechanisms if name not in inside)
 
     def take_out(self, names: Iterable[str] = ()) -> Outcome:
         """Return the outcome without these mechanisms."""
@@ -92,34 +98,34 @@ def _find_ended(run: Run) -> tuple[str, ...]:
     return tuple(dict.fromkeys(ended))
 
 
-def list_coalitions(players: Sequence[str]) -> list[Coalition]:
-    """Return all sets of players, the smaller first."""
+def list_coalitions(mechanisms: Sequence[str]) -> list[Coalition]:
+    """Return all sets of mechanisms, the smaller first."""
     return [
         frozenset(inside)
-        for size in range(len(players) + 1)
-        for inside in combinations(players, size)
+        for size in range(len(mechanisms) + 1)
+        for inside in combinations(mechanisms, size)
     ]
 
 
-def compute_shares(worth: Worth, players: Sequence[str]) -> dict[str, float]:
-    """Return the share of each player.
+def compute_shares(worth: Worth, mechanisms: Sequence[str]) -> dict[str, float]:
+    """Return the share of each mechanism.
 
     `math.fsum` of them is the float `worth` of all less that of none, to the last bit, except where
     the shares cancel: it then misses by at most one step of the smallest share's own floats.
     """
-    exact = [_compute_share(worth, player, players) for player in players]
-    total = worth[frozenset(players)] - worth[frozenset()]
-    return dict(zip(players, _round_shares(exact, total), strict=True))
+    exact = [_compute_share(worth, mechanism, mechanisms) for mechanism in mechanisms]
+    total = worth[frozenset(mechanisms)] - worth[frozenset()]
+    return dict(zip(mechanisms, _round_shares(exact, total), strict=True))
 
 
-def compute_dividends(worth: Worth, players: Sequence[str]) -> dict[tuple[str, ...], float]:
-    """Return what each set of two players or more adds beyond all that its subsets add."""
+def compute_dividends(worth: Worth, mechanisms: Sequence[str]) -> dict[tuple[str, ...], float]:
+    """Return what each set of two mechanisms or more adds beyond all that its subsets add."""
     exact: dict[Coalition, Fraction] = {}
-    for inside in list_coalitions(players):
+    for inside in list_coalitions(mechanisms):
         subsets = sum((exact[part] for part in exact if part < inside), Fraction())
         exact[inside] = Fraction(worth[inside]) - subsets
     return {
-        tuple(player for player in players if player in inside): float(dividend)
+        tuple(mechanism for mechanism in mechanisms if mechanism in inside): float(dividend)
         for inside, dividend in exact.items()
         if len(inside) > 1
     }
@@ -131,12 +137,12 @@ def find_smallest(coalitions: Iterable[Coalition]) -> list[Coalition]:
     return [inside for inside in found if not any(other < inside for other in found)]
 
 
-def _compute_share(worth: Worth, player: str, players: Sequence[str]) -> Fraction:
-    count = len(players)
+def _compute_share(worth: Worth, mechanism: str, mechanisms: Sequence[str]) -> Fraction:
+    count = len(mechanisms)
     share = Fraction(0)
-    for others in list_coalitions([other for other in players if other != player]):
+    for others in list_coalitions([other for other in mechanisms if other != mechanism]):
         orders = math.factorial(len(others)) * math.factorial(count - len(others) - 1)
-        adds = Fraction(worth[others | {player}]) - Fraction(worth[others])
+        adds = Fraction(worth[others | {mechanism}]) - Fraction(worth[others])
         share += Fraction(orders, math.factorial(count)) * adds
     return share
 
@@ -156,3 +162,102 @@ def _round_shares(exact: list[Fraction], total: float) -> list[float]:
 def _absorb(shares: list[float], row: int, total: float) -> list[float]:
     others = sum((Fraction(share) for at, share in enumerate(shares) if at != row), Fraction())
     return [float(Fraction(total) - others) if at == row else s for at, s in enumerate(shares)]
+
+
+_COUNT: Final = 17
+"""Starts: a sixteenth of one sample's turn apart, so that each of them meets the tolerance at
+another point of a sample's way."""
+
+_WIDE: Final = 0.5
+"""Of what the effects add: over a wider range their parts change places from start to start."""
+
+_MOST_TICKS: Final = 200_000
+"""Simulated to divide the value again at every start: two to three seconds."""
+
+
+def vary_start(
+    scenario: Scenario,
+    metric: str,
+    *,
+    added: float,
+    grain: float,
+    mechanisms: Sequence[str],
+    acting: Sequence[str],
+) -> StartRange | None:
+    """Return the value over starts within one sample's turn, None where the robot does not turn.
+
+    Args:
+        scenario: With all mechanisms in.
+        metric: Has a value.
+        added: What the mechanisms add together.
+        grain: The largest change that is next to nothing.
+        mechanisms: Among whom the value is divided.
+        acting: Those of them that change it.
+    """
+    built = simulate_run(scenario)
+    turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max())
+    within_rad = 0.5 * turn_rate * scenario.loop.period_ticks * TICK_S
+    if within_rad == 0.0:
+        return None
+    games = [
+        Game(_turn_start(scenario, offset), metric)
+        for offset in np.linspace(-within_rad, within_rad, _COUNT).tolist()
+    ]
+    found = [game.take_out().value for game in games]
+    values = [value for value in found if value is not None]
+    is_wide = _is_wide(values, games, mechanisms, added) if abs(added) > grain else False
+    ticks = len(built.poses) * len(games) * 2 ** len(acting)
+    return StartRange(
+        count=len(games),
+        within_rad=within_rad,
+        low=min(values),
+        high=max(values),
+        without_value=len(found) - len(values),
+        is_wide=is_wide,
+        parts=_divide_again(games, acting) if is_wide and ticks <= _MOST_TICKS else {},
+    )
+
+
+def _is_wide(
+    values: Sequence[float], games: Sequence[Game], mechanisms: Sequence[str], added: float
+) -> bool:
+    """Return whether the value, and what the mechanisms add to it, range over too much.
+
+    A value that only follows the start, as a turn's length does, follows it without them as well.
+    """
+    if max(values) - min(values) <= _WIDE * abs(added):
+        return False
+    additions = [
+        built - without
+        for built, without in (
+            (game.take_out().value, game.take_out(mechanisms).value) for game in games
+        )
+        if built is not None and without is not None
+    ]
+    return max(additions) - min(additions) > _WIDE * abs(added)
+
+
+def _turn_start(scenario: Scenario, offset_rad: float) -> Scenario:
+    heading_rad = scenario.start.heading_rad + offset_rad
+    return replace(scenario, start=replace(scenario.start, heading_rad=heading_rad))
+
+
+def _divide_again(
+    games: Sequence[Game], mechanisms: Sequence[str]
+) -> Mapping[str, tuple[float, float]]:
+    """Return the lowest and highest part of each mechanism; none unless all add alike."""
+    parts = []
+    for game in games:
+        found = {
+            inside: game.play(inside, mechanisms).value for inside in list_coalitions(mechanisms)
+        }
+        worth = {inside: value for inside, value in found.items() if value is not None}
+        if len(worth) < len(found):
+            return {}
+        total = worth[frozenset(mechanisms)] - worth[frozenset()]
+        shares = compute_shares(worth, mechanisms)
+        if any(share * total <= 0.0 for share in shares.values()):
+            return {}
+        parts.append([share / total for share in shares.values()])
+    lows, highs = np.min(parts, axis=0).tolist(), np.max(parts, axis=0).tolist()
+    return dict(zip(mechanisms, zip(lows, highs, strict=True), strict=True))

@@ -6,14 +6,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
-from turtlelog.explain.loop import Hints
+from turtlelog.explain.law_identification import find_round_number
+from turtlelog.explain.loop_guesses import Hints
 from turtlelog.explain.trace import Trace
 from turtlelog.laws import SequentialPParameters
 from turtlelog.plants.turtlesim import TICK_NS
 
 _USUAL: Final = SequentialPParameters()
+
+RULE_KEYS: Final = (
+    *("law.timeout_s", "law.settled_within_m", "law.settled_for_s"),
+    *("law.standstill_samples", "law.standstill_below"),
+)
+"""Parameters of the rules that end a run: taken as usual, as far as the log does not contradict."""
 
 _SLACK_NS: Final = 1.5 * TICK_NS
 """How far the clock of a log may be from the law's own: a callback comes up to a tick late."""

@@ -13,6 +13,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any, Final
 
 from turtlelog.errors import LawError, TurtlelogError, describe_error
+from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import Goal, Law
 from turtlelog.laws.sequential_p import SequentialP
 from turtlelog.loops import Declaration, Mechanism
@@ -46,7 +47,7 @@ def declare_law(law: type[Law], parameters: object, goal: Goal | None) -> Declar
     """Return what a law declares of itself; a law that declares nothing has one phase and no loop.
 
     Raises:
-        LawError: Where it fails, or returns something else.
+        LawError: Where it fails, returns something else, or has a loop or state of such a name.
     """
     declare = getattr(law, "declare", None)
     if declare is None:
@@ -65,7 +66,20 @@ def declare_law(law: type[Law], parameters: object, goal: Goal | None) -> Declar
     if declared != again or [*declared.phases] != [*again.phases]:
         expected = "the same Declaration for the same parameters"
         raise LawError(f"{law.__name__}.declare: expected {expected}, found another each time")
+    _require_nameable(declared, f"{law.__name__}.declare")
     return declared
+
+
+def _require_nameable(declared: Declaration, place: str) -> None:
+    """Refuse names that formulas cannot name; recordings of laws that had such are still read."""
+    for loop in declared.loops:
+        if "-" in loop.name:
+            expected = "a name of letters, digits and _, as - is minus in formulas"
+            raise LawError(f"{place}: loop: expected {expected}, found {loop.name!r}")
+    for state in declared.states:
+        if state in KEYWORDS:
+            expected = "a name that is no word of formulas"
+            raise LawError(f"{place}: state: expected {expected}, found {state!r}")
 
 
 def list_mechanisms(law: type[Law]) -> tuple[Mechanism, ...]:

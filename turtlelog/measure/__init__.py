@@ -1,25 +1,35 @@
 """Run -> metrics."""
 
+from turtlelog.measure.curves import find_overshoot, find_settling_time
 from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
+from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Metric, Missing, Status
 from turtlelog.measure.metrics import (
     ANY_LOOP,
     METRICS,
     choose_metrics,
     find_metric_kind,
+    is_metric_pattern,
     list_essential_metrics,
+    list_ids_like,
     list_metrics,
     measure_run,
     miss_metric,
     suggest_metrics,
 )
 from turtlelog.measure.path import read_reference_path
-from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
-from turtlelog.measure.settings import MeasureSettings
-from turtlelog.measure.signals import SIGNALS, Signal, SignalKind, list_signals, read_signal
-from turtlelog.measure.step import find_overshoot, find_settling_time
+from turtlelog.measure.signals import (
+    SIGNALS,
+    Signal,
+    SignalKind,
+    could_be_signal,
+    list_signal_units,
+    list_signals,
+    read_reference,
+    read_signal,
+)
 from turtlelog.measure.table.end import PAPER_WINDOW_S
 
 __all__ = [
@@ -37,13 +47,17 @@ __all__ = [
     "SignalKind",
     "Status",
     "choose_metrics",
+    "could_be_signal",
     "find_dead_time",
     "find_first_stretch",
     "find_metric_kind",
     "find_overshoot",
     "find_settling_time",
+    "is_metric_pattern",
     "list_essential_metrics",
+    "list_ids_like",
     "list_metrics",
+    "list_signal_units",
     "list_signals",
     "measure_run",
     "miss_metric",

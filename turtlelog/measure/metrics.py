@@ -15,9 +15,9 @@ import turtlelog.measure.table  # noqa: F401  (enters every metric in the regist
 from turtlelog.errors import MeasureError
 from turtlelog.loops import RESERVED, ControlLoop, Declaration, is_loop_name
 from turtlelog.measure.context import RunContext
+from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Metric, Missing, Result, Status
 from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
-from turtlelog.measure.settings import MeasureSettings
 from turtlelog.run import Run
 
 ANY_LOOP: Final = "<loop>"
@@ -106,14 +106,23 @@ def _choose(patterns: tuple[str, ...], declaration: Declaration) -> tuple[str, .
         if not found and find_metric_kind(pattern) is not None:
             found = [pattern]
         if not found and not _matches_any_loop(pattern):
-            near = suggest_metrics(pattern, dict.fromkeys([*known, *_list_like(pattern)]))
+            near = suggest_metrics(pattern, dict.fromkeys([*known, *list_ids_like(pattern)]))
             raise MeasureError(f"metric {pattern!r}: expected {near}")
         chosen |= dict.fromkeys(found)
     others = (name for name in chosen if name not in known)
     return (*(name for name in known if name in chosen), *others)
 
 
-def _list_like(pattern: str) -> list[str]:
+def is_metric_pattern(pattern: str) -> bool:
+    """Return whether a name or pattern (`*.overshoot`) stands for metrics of some law."""
+    try:
+        choose_metrics([pattern], Declaration())
+    except MeasureError:
+        return False
+    return True
+
+
+def list_ids_like(pattern: str) -> list[str]:
     """Return the metrics of the loop that a name speaks of, whatever law has it."""
     loop, dot, _ = pattern.partition(".")
     if not dot or loop in RESERVED:

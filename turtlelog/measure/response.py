@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
 from turtlelog.loops import PAUSE, ControlLoop
-from turtlelog.measure.integrals import fold_at_zero
+from turtlelog.measure.curves import fold_at_zero
+from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.references import read_controlled_distance, read_reference
-from turtlelog.measure.settings import MeasureSettings
-from turtlelog.measure.signals import Signal
+from turtlelog.measure.signals import Signal, read_controlled_distance, read_reference
 from turtlelog.run import PhaseSpan, Run
 
 Values = NDArray[np.float64]

@@ -1,6 +1,20 @@
-"""The signals of a run by name: the one table that metrics, comparison and pictures share."""
+"""The signals of a run by name, and what the loops of a law should follow.
 
-from collections.abc import Callable, Mapping
+The table of signals is the one that metrics, comparison and pictures share. The reference of a
+loop, at every pose:
+
+| reference | of the signal heading | of the other signals |
+|---|---|---|
+| `goal_bearing` | direction of the line from start to goal | |
+| `bearing_now` | bearing of the goal from the present position | |
+| `goal_heading` | heading that the goal asks for | |
+| `goal_distance` | | along-track: length of that line |
+| `zero` | 0 | 0 |
+| `recorded` | heading of the recorded pose | its projection on that line; distance: 0 |
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from types import MappingProxyType
@@ -11,11 +25,123 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import MeasureError, suggest_names
-from turtlelog.loops import Declaration
-from turtlelog.measure.references import hold_samples, project_on_line, read_heading_reference
-from turtlelog.run import Run
+from turtlelog.loops import STATE_PATTERN, ControlLoop, Declaration
+from turtlelog.run import GoalLine, Run
 
 Values = NDArray[np.float64]
+
+
+def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
+    """Return the reference of a loop [rad or m]: a number where it is constant.
+
+    Otherwise one value per pose, shape (n,), that of a sample held until the next. None where the
+    run does not hold it.
+    """
+    line = run.goal_line
+    match loop.reference:
+        case "zero":
+            return 0.0
+        case "goal_bearing":
+            return None if line is None else line.bearing_rad
+        case "goal_distance":
+            return None if line is None else line.length_m
+        case "goal_heading":
+            return run.goal_heading_rad
+        case "bearing_now":
+            return _read_bearings(run)
+        case _:
+            return _read_recorded(run, loop, line)
+
+
+def read_heading_reference(run: Run) -> float | Values | None:
+    """Return what the heading should be: the reference of the loop that acts, or acted last [rad].
+
+    Before any acts, that of the first to act; where none ever does, of the first that is declared.
+    A number where it is constant, else one value per pose. None without a loop of the heading.
+    """
+    declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
+    loops = [(loop, read_reference(run, loop)) for loop in declared]
+    known = [(loop, found) for loop, found in loops if found is not None]
+    if not known:
+        return None
+    if len(known) == 1:
+        return known[0][1]
+    acting = find_acting(run, tuple(loop for loop, _ in known))
+    rows = len(run.poses)
+    columns = np.array([np.broadcast_to(found, (rows,)) for _, found in known])
+    return np.asarray(columns[acting, np.arange(rows)])
+
+
+def find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:
+    """Return the index of the loop that acts at every pose, or acted last, shape (n,)."""
+    names = run.phase_names
+    of_phase = np.full(len(names), -1)
+    for number, phase in enumerate(names):
+        acts = run.declaration.phases.get(phase, ())
+        found = [index for index, loop in enumerate(loops) if loop.name in acts]
+        of_phase[number] = found[0] if found else -1
+    of_sample = of_phase[run.samples.phase]
+    acting = np.flatnonzero(of_sample >= 0)
+    if not len(acting):
+        return np.zeros(len(run.poses), dtype=np.int64)
+    latest = _find_latest(run, acting)
+    return np.asarray(of_sample[acting[latest]])
+
+
+def hold_samples(run: Run, values: Values) -> Values:
+    """Return what the last sample that read each pose, or one before, recorded, shape (n,)."""
+    return np.asarray(values[_find_latest(run, np.arange(len(run.samples)))])
+
+
+def _find_latest(run: Run, samples: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return which of some samples was the last to read each pose or one before, shape (n,)."""
+    read = np.maximum.accumulate(run.samples.pose_sequence[samples])
+    latest = np.searchsorted(read, np.arange(len(run.poses)), side="right") - 1
+    return np.asarray(np.maximum(latest, 0))
+
+
+def _read_bearings(run: Run) -> Values | None:
+    if run.goal_xy_m is None:
+        return None
+    ahead_m, left_m = (
+        goal - column for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True)
+    )
+    return np.asarray(np.arctan2(left_m, ahead_m))
+
+
+def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float | Values | None:
+    xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
+    if xy_m is None or heading_rad is None:
+        return None
+    if loop.signal == "distance":
+        return 0.0
+    rows = np.flatnonzero(np.isfinite(heading_rad))
+    if not len(rows) or (line is None and loop.signal != "heading"):
+        return None
+    held = rows[_find_latest(run, rows)]
+    if loop.signal == "heading" or line is None:
+        return np.asarray(heading_rad[held])
+    return project_on_line(xy_m[held], line, along=loop.signal == "along_track")
+
+
+def read_controlled_distance(run: Run) -> Values | None:
+    """Return the distance of every pose to the recorded reference pose [m]."""
+    xy_m = run.samples.reference_xy_m
+    if xy_m is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(xy_m[:, 0]))
+    if not len(rows):
+        return None
+    away_m = xy_m[rows[_find_latest(run, rows)]] - run.poses.xy_m
+    return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
+
+
+def project_on_line(xy_m: Values, line: GoalLine, *, along: bool) -> Values:
+    """Return the coordinate of points along, or to the left of, the line from start to goal [m]."""
+    # As frames.rotate_to_turtle, for the one of the two that is asked for.
+    x_m, y_m = (column - start for column, start in zip(xy_m.T, line.start_xy_m, strict=True))
+    cos, sin = np.cos(line.bearing_rad), np.sin(line.bearing_rad)
+    return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +180,20 @@ class Signal:
     kind: SignalKind
     time_ns: NDArray[np.int64]
     values: Values
+
+
+def could_be_signal(name: str) -> bool:
+    """Return whether a name is that of a signal, or could be that of some law's state."""
+    return name in SIGNALS or re.fullmatch(STATE_PATTERN, name) is not None
+
+
+def list_signal_units(declarations: Iterable[Declaration]) -> dict[str, str]:
+    """Return the units of the signals and states of some laws by name, signals first."""
+    return {
+        name: kind.unit
+        for declaration in declarations
+        for name, kind in list_signals(declaration).items()
+    }
 
 
 def read_signal(run: Run, name: str) -> Signal | None:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from turtlelog.pytest_plugin.choosing import choose_recordings, find_reference, name_recordings
-from turtlelog.pytest_plugin.session import SESSION, SUMMARY, Session, SessionSummary
-from turtlelog.pytest_plugin.tracebacks import end_at_test
+from turtlelog.pytest_plugin.session import SESSION, SUMMARY, Session, SessionSummary, end_at_test
 
 if TYPE_CHECKING:
     from turtlelog.check.recording import Recording

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from turtlelog.check import ArtifactWriter, CheckResult
+from turtlelog.check.judge_formula import MIRRORED
 from turtlelog.check.metric_value import MetricValue
-from turtlelog.check.violation_time import MIRRORED
 from turtlelog.errors import TurtlelogError
 from turtlelog.escapes import escape_controls
 

@@ -1,12 +1,14 @@
-"""The books of one session: recordings by file, what was checked, and the line at the end."""
+"""The books of one session: recordings by file, what was checked, where tracebacks end."""
 
 from collections.abc import Iterator
 from pathlib import Path
 from textwrap import shorten
+from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from turtlelog.errors import LawError, SimulationError, TurtlelogError
 from turtlelog.escapes import escape_controls
 from turtlelog.pytest_plugin.choosing import show_path
 
@@ -213,3 +215,26 @@ def _describe(result: "CheckResult") -> str:
 
 
 SUMMARY = pytest.StashKey[SessionSummary]()
+
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+def end_at_test(error: BaseException) -> None:
+    """Cut the traceback of an error that turtlelog raised on purpose where turtlelog begins.
+
+    pytest reads tracebacks anew, so this is the one place where frames can be left out.
+    """
+    if not isinstance(error, TurtlelogError):
+        return
+    last, frame = None, error.__traceback__
+    while frame is not None and not _is_own(frame):
+        last, frame = frame, frame.tb_next
+    if last is not None:
+        last.tb_next = None
+    if not isinstance(error, LawError | SimulationError):  # these show what a user's law did
+        error.__cause__, error.__suppress_context__ = None, True
+
+
+def _is_own(frame: TracebackType) -> bool:
+    return Path(frame.tb_frame.f_code.co_filename).is_relative_to(_PACKAGE)

@@ -2,11 +2,10 @@
 
 from turtlelog.differences import Difference, SignalDifference
 from turtlelog.errors import ReplayError
-from turtlelog.replay.command_matching import CommandUse
-from turtlelog.replay.discontinuities import Gap, Jump
-from turtlelog.replay.law import LawReplay, replay_law
-from turtlelog.replay.loop import LoopReplay, replay_loop
-from turtlelog.replay.plant import PlantReplay, PlantStretch, PoseError, replay_plant
+from turtlelog.replay.law_replay import LawReplay, replay_law
+from turtlelog.replay.loop_replay import LoopReplay, replay_loop
+from turtlelog.replay.plant_replay import PlantReplay, PlantStretch, PoseError, replay_plant
+from turtlelog.replay.plant_ticks import CommandUse, Gap, Jump
 from turtlelog.replay.run_pairs import RowCount
 
 __all__ = [

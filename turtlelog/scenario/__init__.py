@@ -26,6 +26,7 @@ from turtlelog.scenario.model import (
 )
 from turtlelog.scenario.overrides import (
     complete_scenario,
+    override_gains,
     override_scenario,
     parse_assignments,
 )
@@ -54,6 +55,7 @@ __all__ = [
     "load_scenario",
     "nest_parameters",
     "nest_scenario",
+    "override_gains",
     "override_scenario",
     "parse_assignments",
     "parse_scenario",

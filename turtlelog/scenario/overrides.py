@@ -2,9 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 from turtlelog.errors import ScenarioError
+from turtlelog.laws import LAWS
 from turtlelog.run import Run
 from turtlelog.scenario.convert import (
     build_scenario,
@@ -15,6 +16,9 @@ from turtlelog.scenario.convert import (
 )
 from turtlelog.scenario.model import LawTable, Scenario
 from turtlelog.text_files import parse_toml
+
+_LARGEST_WHOLE: Final = 2**53
+"""Beyond, doubles leave whole numbers out: nobody typed such a gain as an int."""
 
 
 def override_scenario(
@@ -29,6 +33,21 @@ def override_scenario(
     """
     is_trusted = "law.kind" in values or _is_trusted(scenario)
     return _override(scenario, values, source=source, trust_law=is_trusted)
+
+
+def override_gains(
+    scenario: Scenario, keys: Iterable[str], kp: float, *, source: str = "kp"
+) -> Scenario:
+    """Return the scenario with one value for all gains.
+
+    A law that is not built in may have a gain that is an int: it takes a whole number.
+
+    Raises:
+        ScenarioError: As `override_scenario`.
+    """
+    is_whole = float(kp).is_integer() and abs(kp) <= _LARGEST_WHOLE
+    gain = int(kp) if is_whole and scenario.law.kind not in LAWS else kp
+    return override_scenario(scenario, dict.fromkeys(keys, gain), source=source)
 
 
 def _override(

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from turtlelog.compare import Column, Mark, Table, format_cell
-from turtlelog.compare.table import Cell
+from turtlelog.compare.run_table import Cell
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_controls, escape_markdown, guard_cell
 from turtlelog.show.text_tables import format_text

@@ -10,8 +10,8 @@ from turtlelog.errors import SimulationError
 from turtlelog.plants import TURTLESIM, Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
+from turtlelog.simulate.closed_loop import Tick, iterate_ticks
 from turtlelog.simulate.law_driver import declare_scenario
-from turtlelog.simulate.loop import Tick, iterate_ticks
 from turtlelog.simulate.sample_rows import SampleRows, split_rows
 
 # Rows are packed as they come: 8 bytes a value, whole numbers first.

@@ -14,7 +14,7 @@ from turtlelog.differences import (
 )
 from turtlelog.errors import ReplayError
 from turtlelog.plants.turtlesim import TICK_NS
-from turtlelog.replay.plant import PoseError, find_pose_error
+from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.run_pairs import (
     RowCount,
     compare_ends,

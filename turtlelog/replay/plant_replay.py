@@ -16,8 +16,16 @@ from turtlelog.differences import (
     find_earliest,
 )
 from turtlelog.plants.turtlesim import TICK_S, Turtle
-from turtlelog.replay.command_matching import CommandUse, Velocity, place_commands
-from turtlelog.replay.discontinuities import Gap, Jump, RecordedMotion, find_breaks, read_motion
+from turtlelog.replay.plant_ticks import (
+    CommandUse,
+    Gap,
+    Jump,
+    RecordedMotion,
+    Velocity,
+    find_breaks,
+    place_commands,
+    read_motion,
+)
 from turtlelog.run import Run
 
 _HALF_STEP_M: Final = 2.0**-21

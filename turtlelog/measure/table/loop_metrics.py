@@ -1,9 +1,10 @@
-"""Step-response metrics of a loop: from its response to a value or the reason for none."""
+"""Step and error metrics of a loop: from its response to a value or the reason for none."""
 
 from typing import Final
 
-from turtlelog.measure import step
+from turtlelog.measure import curves
 from turtlelog.measure.context import RunContext
+from turtlelog.measure.curves import find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import has_sides, has_step, loop_metric
 from turtlelog.measure.response import Response, Values
@@ -29,10 +30,10 @@ def compute_duration(_: RunContext, response: Response) -> Result:
     applies=has_step,
 )
 def compute_delay_time(_: RunContext, response: Response) -> Result:
-    """See `step.find_level_time`, at 50 %."""
+    """See `curves.find_level_time`, at 50 %."""
     if _has_no_step(response):
         return _NO_STEP
-    half_s = step.find_level_time(
+    half_s = curves.find_level_time(
         response.time_s,
         response.values,
         level=0.5,
@@ -51,14 +52,14 @@ def compute_delay_time(_: RunContext, response: Response) -> Result:
     applies=has_step,
 )
 def compute_rise_time(_: RunContext, response: Response) -> Result:
-    """See `step.find_rise`; taken at its end."""
+    """See `curves.find_rise`; taken at its end."""
     if _has_no_step(response):
         return _NO_STEP
     if _begins_beyond(response, 0.1):
         return Missing(
             status=Status.NOT_REACHED, reason="the response begins beyond 10 % of the step"
         )
-    rise = step.find_rise(
+    rise = curves.find_rise(
         response.time_s, response.values, initial=response.initial, reference=response.reference
     )
     if rise is None:
@@ -74,7 +75,7 @@ def compute_rise_time(_: RunContext, response: Response) -> Result:
     applies=has_step,
 )
 def compute_peak(_: RunContext, response: Response) -> Result:
-    """See `step.find_peak_row`."""
+    """See `curves.find_peak_row`."""
     if _has_no_step(response):
         return _NO_STEP
     row = _find_peak_row(response)
@@ -90,7 +91,7 @@ def compute_peak(_: RunContext, response: Response) -> Result:
     applies=has_step,
 )
 def compute_peak_time(_: RunContext, response: Response) -> Result:
-    """See `step.find_peak_row`."""
+    """See `curves.find_peak_row`."""
     if _has_no_step(response):
         return _NO_STEP
     row = _find_peak_row(response)
@@ -106,10 +107,10 @@ def compute_peak_time(_: RunContext, response: Response) -> Result:
     applies=has_sides,
 )
 def compute_overshoot(_: RunContext, response: Response) -> Result:
-    """See `step.find_overshoot`."""
+    """See `curves.find_overshoot`."""
     if _has_no_step(response):
         return _NO_STEP
-    share = step.find_overshoot(
+    share = curves.find_overshoot(
         response.values, initial=response.initial, reference=response.reference
     )
     return Found(100.0 * share, _tell_time(response, _find_peak_row(response)))
@@ -124,10 +125,10 @@ def compute_overshoot(_: RunContext, response: Response) -> Result:
     applies=has_step,
 )
 def compute_undershoot(_: RunContext, response: Response) -> Result:
-    """See `step.find_undershoot`."""
+    """See `curves.find_undershoot`."""
     if _has_no_step(response):
         return _NO_STEP
-    share, row = step.find_undershoot(
+    share, row = curves.find_undershoot(
         response.values, initial=response.initial, reference=response.reference
     )
     return Found(100.0 * share, _tell_time(response, row))
@@ -142,10 +143,10 @@ def compute_undershoot(_: RunContext, response: Response) -> Result:
     applies=has_step,
 )
 def compute_settling_time(_: RunContext, response: Response) -> Result:
-    """See `step.find_settling_time`; where the law did not end the phase, `require_hold`."""
+    """See `curves.find_settling_time`; where the law did not end the phase, `require_hold`."""
     if _has_no_step(response):
         return _NO_STEP
-    settled_s = step.find_settling_time(
+    settled_s = curves.find_settling_time(
         response.time_s,
         response.values,
         initial=response.initial,
@@ -175,10 +176,10 @@ def require_hold(
     """Return why a response that entered the band may leave it again, None where it has settled.
 
     Somebody else ended it: it has settled where it stayed in the band for at least
-    `step.SHORTEST_HOLD_S`, and for a period of the oscillation that remains.
+    `curves.SHORTEST_HOLD_S`, and for a period of the oscillation that remains.
     """
-    period_s = step.find_swing_period(time_s, values, reference=reference, half_width=half_width)
-    held_s, needed_s = float(time_s[-1]) - settled_s, max(step.SHORTEST_HOLD_S, period_s)
+    period_s = curves.find_swing_period(time_s, values, reference=reference, half_width=half_width)
+    held_s, needed_s = float(time_s[-1]) - settled_s, max(curves.SHORTEST_HOLD_S, period_s)
     if held_s >= needed_s:
         return None
     reason = (
@@ -192,8 +193,8 @@ def require_hold(
     "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
 )
 def compute_crossings(_: RunContext, response: Response) -> Result:
-    """See `step.find_crossing_rows`; taken at the first."""
-    rows = step.find_crossing_rows(response.values, response.reference)
+    """See `curves.find_crossing_rows`; taken at the first."""
+    rows = curves.find_crossing_rows(response.values, response.reference)
     return Found(float(len(rows)), _tell_time(response, int(rows[0])) if len(rows) else None)
 
 
@@ -205,10 +206,10 @@ def compute_crossings(_: RunContext, response: Response) -> Result:
     applies=has_sides,
 )
 def compute_decay_ratio(_: RunContext, response: Response) -> Result:
-    """See `step.find_decay_ratio`; taken at the second peak."""
+    """See `curves.find_decay_ratio`; taken at the second peak."""
     if _has_no_step(response):
         return _NO_STEP
-    found = step.find_decay_ratio(
+    found = curves.find_decay_ratio(
         response.values, initial=response.initial, reference=response.reference
     )
     if found is None:
@@ -227,7 +228,7 @@ def _begins_beyond(response: Response, level: float) -> bool:
 
 
 def _find_peak_row(response: Response) -> int:
-    return step.find_peak_row(
+    return curves.find_peak_row(
         response.values, initial=response.initial, reference=response.reference
     )
 
@@ -240,3 +241,63 @@ def _miss(share: str) -> Missing:
     return Missing(
         status=Status.NOT_REACHED, reason=f"the response does not come {share} of the step"
     )
+
+
+@loop_metric("final_error", "{value}", "Magnitude of the error of the {signal} at the end.")
+def compute_final_error(_: RunContext, response: Response) -> Result:
+    """Magnitude of the error in the last row."""
+    return Found(abs(float(response.error[-1])), _tell_end(response))
+
+
+@loop_metric(
+    "steady_state_error",
+    "{value}",
+    "What the {signal} lacks of the {goal} at the end, in the direction of the step; negative"
+    " beyond.",
+    better=None,
+    applies=has_step,
+)
+def compute_steady_state_error(_: RunContext, response: Response) -> Result:
+    """The last row's error, positive where the response has stayed short of its reference."""
+    direction = 1.0 if response.reference >= response.initial else -1.0
+    return Found(float(response.error[-1]) * direction, _tell_end(response))
+
+
+@loop_metric("largest_error", "{value}", "Largest magnitude of {goal} minus {signal}.", grows=True)
+def compute_largest_error(_: RunContext, response: Response) -> Result:
+    """The largest magnitude; at the start where nothing overshoots by more than the step."""
+    largest, row = find_largest(response.error)
+    return Found(largest, response.start_s + float(response.time_s[row]))
+
+
+@loop_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
+def compute_rms_error(_: RunContext, response: Response) -> Result:
+    """See `curves.compute_rms`."""
+    return Found(curves.compute_rms(response.step_s, response.error))
+
+
+@loop_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
+def compute_iae(_: RunContext, response: Response) -> Result:
+    """See `curves.integrate`."""
+    return Found(curves.integrate(*response.folded_error[1:]))
+
+
+@loop_metric("ise", "{signal}^2 s", "Integral of the square of the error.", grows=True)
+def compute_ise(_: RunContext, response: Response) -> Result:
+    """See `curves.integrate_square`."""
+    return Found(curves.integrate_square(response.step_s, response.error))
+
+
+@loop_metric(
+    "itae",
+    "{signal} s^2",
+    "Integral of time in the stretch times the magnitude of the error.",
+    grows=True,
+)
+def compute_itae(_: RunContext, response: Response) -> Result:
+    """See `curves.integrate_time_weighted`."""
+    return Found(curves.integrate_time_weighted(*response.folded_error))
+
+
+def _tell_end(response: Response) -> float:
+    return response.start_s + float(response.time_s[-1])

@@ -1,7 +1,7 @@
 """Runs in short, for tables of many: what they were, and how well they did, read file by file."""
 
 import multiprocessing
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
@@ -10,22 +10,24 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from turtlelog.compare.ids import is_metric_pattern, order_ids
 from turtlelog.errors import CompareError, TurtlelogError, suggest_names
 from turtlelog.expressions import evaluate_expression, parse_expression
+from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.log import TopicChoice
-from turtlelog.loops import Declaration
+from turtlelog.loops import RESERVED, Declaration
 from turtlelog.measure import (
     MeasureSettings,
     Metric,
     choose_metrics,
     find_metric_kind,
+    is_metric_pattern,
     list_essential_metrics,
     list_metrics,
     measure_run,
     miss_metric,
 )
 from turtlelog.run import Parameter, Run
+from turtlelog.scenario import Start
 
 TEXTS: Final = ("name", "source", "stop_reason")
 """What filters and orders may ask for besides parameters and metrics."""
@@ -85,6 +87,24 @@ class RunSummary:
         return miss_metric(self.declaration, name) if is_metric else None
 
 
+def complete_parameters(run: Run) -> Mapping[str, Parameter]:
+    """Return the parameters of a run with those that files leave out while they have their default.
+
+    Of a run that does not hold its whole scenario, or of a law that is not built in, nobody knows.
+    """
+    kind = run.parameters.get("law.kind")
+    if not run.scenario_is_complete or kind not in LAWS:
+        return run.parameters
+    defaults: dict[str, Any] = {
+        f"{table}.{found.name}": found.default
+        for table, values in (("start", Start), ("law", LAWS[str(kind)].Parameters))
+        for found in fields(values)
+        if found.metadata.keys() & ABSENT_BY_DEFAULT.keys()
+    }
+    absent = {key: value for key, value in defaults.items() if key not in run.parameters}
+    return {**run.parameters, **absent}
+
+
 def _rebuild(values: dict[str, Any]) -> RunSummary:
     return RunSummary(**values)
 
@@ -97,7 +117,7 @@ def summarise_run(
         name=run.name,
         source=run.source,
         stop_reason=run.stop_reason,
-        parameters=run.parameters,
+        parameters=complete_parameters(run),
         metrics=measure_run(run) if metrics is None else metrics,
         file=file,
         notes=run.notes,
@@ -205,6 +225,14 @@ def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
         usual = (f"{loop}.{name}" for loop in loops for name in _USUAL_OF_LOOP)
         chosen |= dict.fromkeys(name for name in usual if name in essential)
     return order_ids([*chosen, *_USUAL_OF_RUN])
+
+
+def order_ids(ids: Iterable[str]) -> tuple[str, ...]:
+    """Return ids of several laws, each once: loop by loop, then those of the end and the run."""
+    distinct = list(dict.fromkeys(ids))
+    loops = list(dict.fromkeys(name.rpartition(".")[0] for name in distinct))
+    ranks = {loop: (loop in RESERVED, rank) for rank, loop in enumerate(loops)}
+    return tuple(sorted(distinct, key=lambda name: ranks[name.rpartition(".")[0]]))
 
 
 def list_needed_metrics(

@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.angles import subtract_headings
-from turtlelog.explain.constant_recovery import find_quantile
+from turtlelog.explain.gain_fit import find_quantile
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, find_exactly, miss
 from turtlelog.explain.resimulation import count_lost_commands, read_pause
 from turtlelog.explain.search import START_KEYS, Fits
@@ -194,7 +194,7 @@ def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
         return {
             key: Finding(
                 value=value,
-                certainty=Certainty.BRACKETED,
+                certainty=Certainty.BOUNDED,
                 evidence="between the steps of logged poses; all poses agree with it",
                 interval=(low, high),
             )

@@ -1,4 +1,4 @@
-"""In which tick the plant took which command.
+"""What a plant recorded tick by tick, where that breaks off, and which command each tick took.
 
 A recording tells when a command was published, not when it was taken: queues and transport lie
 between. The applied velocity of each pose tells it. What is integrated is the COMMAND, in double
@@ -13,10 +13,167 @@ from math import hypot
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from turtlelog.plants.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
-from turtlelog.replay.discontinuities import RecordedMotion
-from turtlelog.run import CommandColumns
+from turtlelog.angles import subtract_headings
+from turtlelog.errors import ReplayError
+from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S, WORLD_SIZE_M
+from turtlelog.run import CommandColumns, Run
+
+_NEAR_TICK_NS: Final = 2_000_000
+"""How far the usual time between the poses of a real turtlesim may be from a tick [ns]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedMotion:
+    """Poses, one per tick, and the steps that lead to them; row i of a step ends at pose i + 1.
+
+    Attributes:
+        time_ns: Of each pose [ns], shape (n,).
+        xy_m: World frame [m], shape (n, 2).
+        heading_rad: Shape (n,).
+        speed_m_s: Magnitude of what the tick applied [m/s], shape (n,).
+        turn_rate_rad_s: What the tick applied [rad/s], shape (n,).
+        step_ns: Time between poses [ns], shape (n - 1,).
+        step_xy_m: How far the pose moved [m], shape (n - 1, 2).
+        step_rad: How far it turned, the shorter way [rad], shape (n - 1,).
+        is_simulated: Whether time stamps are exact multiples of a tick; a wall clock jitters.
+    """
+
+    time_ns: NDArray[np.int64]
+    xy_m: NDArray[np.float64]
+    heading_rad: NDArray[np.float64]
+    speed_m_s: NDArray[np.float64]
+    turn_rate_rad_s: NDArray[np.float64]
+    step_ns: NDArray[np.int64]
+    step_xy_m: NDArray[np.float64]
+    step_rad: NDArray[np.float64]
+    is_simulated: bool
+
+
+def read_motion(run: Run) -> RecordedMotion:
+    """Return the motion in a run of turtlesim's.
+
+    Raises:
+        ReplayError: Where it lacks the applied velocities, or its poses are no ticks.
+    """
+    poses = run.poses
+    speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
+    if speed is None or turn_rate is None:
+        raise ReplayError(
+            f"{run.name}: expected poses with the applied velocities, as turtlesim publishes them,"
+            f" found none: {run.source}"
+        )
+    step_ns = np.diff(poses.time_ns)
+    usual_ns = float(np.median(step_ns)) if len(step_ns) else TICK_NS
+    if abs(usual_ns - TICK_NS) > _NEAR_TICK_NS:
+        raise ReplayError(
+            f"{run.name}: expected a pose per tick of {TICK_NS / 1e6:g} ms,"
+            f" found one per {usual_ns / 1e6:.3g} ms: {run.source}"
+        )
+    return RecordedMotion(
+        time_ns=poses.time_ns,
+        xy_m=poses.xy_m,
+        heading_rad=poses.heading_rad,
+        speed_m_s=speed,
+        turn_rate_rad_s=turn_rate,
+        step_ns=step_ns,
+        step_xy_m=np.diff(poses.xy_m, axis=0),
+        step_rad=np.asarray(subtract_headings(poses.heading_rad[1:], poses.heading_rad[:-1])),
+        is_simulated=not (step_ns % TICK_NS).any(),
+    )
+
+
+_SLACK: Final = 1e-5
+"""What the 32-bit rounding of two poses cannot explain [m, rad]."""
+
+_STALL_TICKS: Final = 10
+"""A real turtlesim under load misses its timer for up to six ticks without losing a pose. While
+it stands, longer silence counts as a gap; while it moves, the motion tells how many are missing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Jump:
+    """A step that the applied velocity does not explain: somebody set the turtle elsewhere.
+
+    Attributes:
+        at_ns: Time of the first pose after it [ns].
+        kind: `spawn` where it stands at the spawn pose afterwards (reset, kill and spawn), or
+            `teleport`.
+        from_pose: x, y [m], heading [rad] before.
+        to_pose: The same after.
+    """
+
+    at_ns: int
+    kind: str
+    from_pose: tuple[float, float, float]
+    to_pose: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gap:
+    """A stretch of time whose poses are missing: after start_ns, before end_ns.
+
+    Attributes:
+        start_ns: Time of the last pose before it [ns].
+        end_ns: Time of the first pose after it [ns].
+        missing_ticks: How many, by the time stamps.
+    """
+
+    start_ns: int
+    end_ns: int
+    missing_ticks: int
+
+
+def find_breaks(motion: RecordedMotion) -> tuple[tuple[Jump, ...], tuple[Gap, ...], list[int]]:
+    """Return jumps, gaps, and the rows at which the motion starts again."""
+    if not len(motion.step_ns):
+        return (), (), []
+    ticks = np.maximum(np.rint(motion.step_ns / TICK_NS).astype(np.int64), 1)
+    moved = np.hypot(motion.step_xy_m[:, 0], motion.step_xy_m[:, 1])
+    turned = np.abs(motion.step_rad)
+    # What held between two poses may be what either tells.
+    speed = np.maximum(motion.speed_m_s[1:], motion.speed_m_s[:-1])
+    turn_rate = np.maximum(*np.abs([motion.turn_rate_rad_s[1:], motion.turn_rate_rad_s[:-1]]))
+    is_beyond_tick = (moved > motion.speed_m_s[1:] * TICK_S + _SLACK) | (
+        turned > np.abs(motion.turn_rate_rad_s[1:]) * TICK_S + _SLACK
+    )
+    # A wall clock's jitter may hide one tick more.
+    within = ticks if motion.is_simulated else ticks + 1
+    is_jump = is_beyond_tick & (
+        (moved > speed * within * TICK_S + _SLACK) | (turned > turn_rate * within * TICK_S + _SLACK)
+    )
+    if motion.is_simulated:
+        is_gap = ticks > 1
+    else:
+        tells_nothing = is_jump | ((moved == 0.0) & (turned == 0.0))
+        is_gap = np.where(tells_nothing, ticks > _STALL_TICKS, is_beyond_tick)
+    jumps = tuple(_build_jump(motion, int(row) + 1) for row in np.flatnonzero(is_jump))
+    gaps = tuple(
+        Gap(
+            start_ns=int(motion.time_ns[row]),
+            end_ns=int(motion.time_ns[row + 1]),
+            missing_ticks=max(int(ticks[row]) - 1, 1),
+        )
+        for row in np.flatnonzero(is_gap)
+    )
+    return jumps, gaps, (np.flatnonzero(is_jump | is_gap) + 1).tolist()
+
+
+def _build_jump(motion: RecordedMotion, row: int) -> Jump:
+    after = _get_pose(motion, row)
+    return Jump(
+        at_ns=int(motion.time_ns[row]),
+        kind="spawn" if after == (SPAWN_XY_M, SPAWN_XY_M, 0.0) else "teleport",
+        from_pose=_get_pose(motion, row - 1),
+        to_pose=after,
+    )
+
+
+def _get_pose(motion: RecordedMotion, row: int) -> tuple[float, float, float]:
+    x_m, y_m = motion.xy_m[row].tolist()
+    return x_m, y_m, float(motion.heading_rad[row])
+
 
 Velocity = tuple[float, float, float]
 """Forward [m/s], left [m/s], counter-clockwise [rad/s]."""

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.angles import wrap_angle
-from turtlelog.explain.command_fit import (
+from turtlelog.explain.gain_fit import (
     CommandFit,
     PoseNoise,
     Reproduce,
@@ -16,7 +16,6 @@ from turtlelog.explain.command_fit import (
     describe_limit,
     fit_command,
 )
-from turtlelog.explain.constant_recovery import find_round_number
 from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.loops import DONE, PAUSE
@@ -59,7 +58,7 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
         return {
             "law.kp_angular": miss(reason, 1.0),
             "limits.turn_rate_rad_s": miss(reason, math.inf),
-            "law.heading_tolerance_rad": bracket_heading_tolerance(trace, error, None),
+            "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, None),
             "law.wrap_error": miss(reason, assumed=False),
         }, None
     noise = PoseNoise(size=trace.noise_rad, grain=trace.grain_rad)
@@ -71,7 +70,7 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
     return {
         "law.kp_angular": describe_gain(fit),
         "limits.turn_rate_rad_s": describe_limit(fit),
-        "law.heading_tolerance_rad": bracket_heading_tolerance(trace, error, fit),
+        "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, fit),
         "law.wrap_error": wrap_finding,
     }, fit
 
@@ -104,7 +103,7 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
     return {
         "law.kp_linear": describe_gain(fit),
         "limits.speed_m_s": describe_limit(fit),
-        "law.position_tolerance_m": bracket_position_tolerance(errors, command, fit),
+        "law.position_tolerance_m": bound_position_tolerance(errors, command, fit),
         "law.projection": projection,
     }, fit
 
@@ -176,8 +175,8 @@ _SURE: Final = 4.0
 holds always, and no interval of 95 %."""
 
 
-def bracket_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
-    """Bracket it between the error that ended the rotation and the least that still turned."""
+def bound_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | None) -> Finding:
+    """Bound it between the error that ended the rotation and the least that still turned."""
     moving = slice(1, trace.rotating - trace.ended_rotation)
     ended = float(abs(error[trace.rotating - 1])) if trace.ended_rotation else 0.0
     if fit is not None and fit.gain is not None and not fit.is_certain:
@@ -186,31 +185,31 @@ def bracket_heading_tolerance(trace: Trace, error: Values, fit: CommandFit | Non
         # A command tells its error better than the noisy pose.
         commands = np.abs(trace.turn_rate_rad_s[moving])
         least = float(commands[commands > 0.0].min()) / fit.gain.interval[0]
-        return _bound(ended, least, fit.gain.noise, "rad", high_noise=0.0)
+        return _bound_by_noise(ended, least, fit.gain.noise, "rad", high_noise=0.0)
     if not np.any(trace.turn_rate_rad_s[moving]):
         return miss("the run has no command that turns", DEFAULT_TOLERANCE)
     high = float(np.abs(error[moving]).min(initial=math.inf))
     if not trace.ended_rotation:
-        return _bracket(0.0, high, "the rotation has no end", "rad")
-    return _bracket(ended, high, _LAST_TWO, "rad")
+        return _bound_between(0.0, high, "the rotation has no end", "rad")
+    return _bound_between(ended, high, _LAST_TWO, "rad")
 
 
-def bracket_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
-    """Bracket it between the error that ended the run and the least that still drove."""
+def bound_position_tolerance(errors: Values, command: Values, fit: CommandFit) -> Finding:
+    """Bound it between the error that ended the run and the least that still drove."""
     larger = np.abs(errors).max(axis=1)
     is_within = command[-1] == 0.0
     if fit.gain is not None and not fit.is_certain:
         if fit.obstacle:
             return miss(fit.obstacle, DEFAULT_TOLERANCE)
         driven = float(larger[command != 0.0][-1])
-        return _bound(float(larger[-1]) if is_within else 0.0, driven, fit.gain.noise, "m")
+        return _bound_by_noise(float(larger[-1]) if is_within else 0.0, driven, fit.gain.noise, "m")
     high = float(larger[command != 0.0].min())
     if not is_within:
-        return _bracket(0.0, high, "the run ends outside it", "m")
-    return _bracket(float(larger[-1]), high, _LAST_TWO, "m")
+        return _bound_between(0.0, high, "the run ends outside it", "m")
+    return _bound_between(float(larger[-1]), high, _LAST_TWO, "m")
 
 
-def _bound(
+def _bound_by_noise(
     low: float, high: float, noise: float, unit: str, *, high_noise: float | None = None
 ) -> Finding:
     """Return bounds from noisy errors, moved outwards by what noise may have done."""
@@ -224,7 +223,7 @@ def _bound(
     )
 
 
-def _bracket(low: float, high: float, evidence: str, unit: str) -> Finding:
+def _bound_between(low: float, high: float, evidence: str, unit: str) -> Finding:
     if low >= high:
         return miss("errors that moved are no larger than the one that ended", DEFAULT_TOLERANCE)
     if low <= 0.0 or math.isinf(high):
@@ -236,7 +235,7 @@ def _bracket(low: float, high: float, evidence: str, unit: str) -> Finding:
         )
     return Finding(
         value=_choose(low, high),
-        certainty=Certainty.BRACKETED,
+        certainty=Certainty.BOUNDED,
         evidence=evidence,
         interval=(low, high),
     )
@@ -253,3 +252,42 @@ def _name_bounds(low: float, high: float, unit: str) -> str:
     if low <= 0.0:
         return f"below {high:.4g} {unit}"
     return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
+
+
+_DIGITS: Final = 17
+"""This many significant digits tell every double."""
+
+_LEADING: Final = "1528346790"
+"""First digits, the more usual first."""
+
+
+def find_round_number(low: float, high: float) -> float:
+    """Return the roundest number in [low, high), 0 < high: fewest digits, then the usual ones."""
+    if low <= 0.0:
+        return _find_power_below(high)
+    for digits in range(1, _DIGITS + 1):
+        exponent = int(np.floor(np.log10(high))) - digits + 1
+        found = [
+            number
+            for place in range(exponent - 1, exponent + 1)
+            for number in _list_multiples(low, high, place)
+        ]
+        if found:
+            return min(found, key=lambda number: _rank(number))
+    return low
+
+
+def _list_multiples(low: float, high: float, place: int) -> list[float]:
+    first = int(np.ceil(low / 10.0**place))
+    numbers = [float(f"{multiple}e{place}") for multiple in range(first, first + 20)]
+    return [number for number in numbers if low <= number < high]
+
+
+def _rank(number: float) -> tuple[int, int]:
+    digits = f"{number:.16e}".split("e")[0].rstrip("0").replace(".", "")
+    return len(digits), _LEADING.index(digits[0])
+
+
+def _find_power_below(high: float) -> float:
+    exponent = int(np.ceil(np.log10(high))) - 1
+    return float(f"1e{exponent}")
