@@ -2,14 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.loops import DONE, PAUSE, ControlLoop
+from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
 from turtlelog.run import Run
@@ -17,24 +16,11 @@ from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
-REFERENCE: Final = "reference"
+REFERENCE: Final = REFERENCE_WORDS["recorded"]
 """Name of the curves of a reference that a law records."""
 
-BEARING_NOW: Final = "bearing of the goal"
+BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
-
-_LABELS: Final = MappingProxyType(
-    {
-        "goal_bearing": "goal bearing",
-        "goal_heading": "goal heading",
-        "goal_distance": "goal",
-        "zero": "zero",
-    }
-)
-
-_LIMITS: Final = MappingProxyType(
-    {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
-)
 
 Command = Literal["speed", "turn_rate"]
 
@@ -119,9 +105,9 @@ def list_levels(run: Run, signal: str) -> list[Level]:
     whose loops are not known it is the goal's bearing from the start.
     """
     levels = [
-        Level(label=_LABELS[loop.reference], value=value)
+        Level(label=REFERENCE_WORDS[loop.reference], value=value)
         for loop in list_loops(run, signal)
-        if isinstance(value := read_reference(run, loop), float) and loop.reference in _LABELS
+        if not loop.moves and isinstance(value := read_reference(run, loop), float)
     ]
     line = run.goal_line
     if line is not None and signal == "along_track" and line.length_m is not None:
@@ -161,9 +147,9 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
     """
     signal = read_signal(run, signal_name)
     for loop in list_loops(run, signal_name):
-        if loop.moves or not has_response(loop):
+        if loop.moves or not loop.has_theory:
             continue
-        kp, stretch = find_gain(run, loop), find_first_stretch(run, loop)
+        kp, stretch = loop.read_gain(run.parameters), find_first_stretch(run, loop)
         reference = read_reference(run, loop)
         if signal is None or kp is None or not stretch or not isinstance(reference, float):
             continue
@@ -181,25 +167,6 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
             initial=initial,
             reference=reference,
         )
-
-
-def has_response(loop: ControlLoop) -> bool:
-    """Whether the loop is theory's, an integrator under u = Kp e."""
-    return loop.is_integrator
-
-
-def find_gain(run: Run, loop: ControlLoop) -> float | None:
-    """Return the gain of a loop [1/s], None where it is not known or no positive number."""
-    kp = None if loop.gain is None else run.parameters.get(loop.gain)
-    if not isinstance(kp, int | float) or isinstance(kp, bool):
-        return None
-    return float(kp) if 0.0 < kp < np.inf else None
-
-
-def list_limit_keys(run: Run, command: str) -> tuple[str, ...]:
-    """Return the scenario keys of the limits of a command: its loops', or else its own."""
-    keys = [loop.limit_key for loop in run.declaration.loops if loop.command == command]
-    return tuple(dict.fromkeys(keys)) or (_LIMITS[command],)
 
 
 def find_end_of_turn(run: Run) -> int | None:

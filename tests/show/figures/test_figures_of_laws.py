@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from tests.show.laws import KINDS, forget_loops, simulate_law
+from tests.show.laws import KINDS, add_terms, forget_loops, simulate_law
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
 from turtlelog.show.figures.curves import list_targets, read_curve
@@ -132,6 +132,24 @@ def test_a_panel_is_no_higher_for_what_only_other_laws_have() -> None:
 )
 def test_theory_is_drawn_where_it_holds(signal: str, run: tl.Run, count: int) -> None:
     assert len(compute_ideals(run, signal)) == count
+
+
+@pytest.mark.parametrize("signal", ["heading", "heading_error", "x", "error_y", "distance"])
+def test_no_ideal_response_is_drawn_of_a_loop_with_an_integral(signal: str) -> None:
+    assert len(compute_ideals(KP4, signal)) == 1
+    assert compute_ideals(add_terms(KP4), signal) == []
+    assert [level.label for level in list_targets(add_terms(KP4), "heading")] == ["goal bearing"]
+
+
+def test_theorys_figures_are_of_proportional_loops_alone() -> None:
+    assert find_gains([add_terms(KP4)]) == ()
+    assert find_gains([add_terms(KP4), STRANGE]) == find_gains([STRANGE])
+    assert list_left_out([add_terms(KP4)], ["plant", "root-locus"]) == (
+        "left out plant, root-locus: expected a proportional loop, found none",
+    )
+    assert list_left_out([forget_loops(KP4)], ["plant"]) == (
+        "left out plant: expected the law's gain, found none",
+    )
 
 
 def test_levels_are_of_the_declared_references() -> None:

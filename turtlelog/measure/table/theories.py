@@ -54,7 +54,7 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share on
 
 def has_theory(loop: ControlLoop) -> bool:
     """Whether theory's loop, an integrator under u = Kp e, is one of this kind."""
-    return not loop.moves and loop.is_integrator
+    return not loop.moves and loop.has_theory
 
 
 @loop_metric(
@@ -92,12 +92,12 @@ def _deviate(theory: str, context: RunContext, response: Response) -> Values | M
 
 
 def _predict(theory: str, context: RunContext, response: Response) -> Values | Missing:
-    kp = _find_gain(context, response.loop)
+    kp = response.loop.read_gain(context.run.parameters)
     if kp is None:
         return _NO_GAIN
     if theory == "ideal":
-        return compute_ideal_response(
-            response.time_s, kp=kp, initial=response.initial, reference=response.reference
+        return compute_step_response(
+            kp, response.time_s, initial=response.initial, reference=response.reference
         )
     period_s = context.loop_period_s
     if period_s is None:
@@ -118,13 +118,6 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
     return _UNSTABLE if predicted is None else predicted
 
 
-def _find_gain(context: RunContext, loop: ControlLoop) -> float | None:
-    kp = None if loop.gain is None else context.run.parameters.get(loop.gain)
-    if not isinstance(kp, int | float) or isinstance(kp, bool):
-        return None
-    return float(kp) if 0.0 < kp < np.inf else None
-
-
 def _find_dead_time_samples(
     theory: str, context: RunContext, response: Response, period_s: float
 ) -> int | Missing:
@@ -138,13 +131,6 @@ def _find_dead_time_samples(
     if isinstance(ticks, Missing) or context.tick_s is None:
         return ticks if isinstance(ticks, Missing) else _ONE_TIME
     return min(round(ticks * context.tick_s / period_s), MOST_TICKS)
-
-
-def compute_ideal_response(
-    time_s: Values, *, kp: float, initial: float, reference: float
-) -> Values:
-    """Return the ideal loop at times from the start of the phase, shape (n,)."""
-    return compute_step_response(kp, time_s, initial=initial, reference=reference)
 
 
 def compute_sampled_response(

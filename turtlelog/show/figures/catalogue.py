@@ -61,7 +61,11 @@ def _lack_gain(runs: Sequence[Run]) -> str:
     """Say what theory lacks: python-control, which computes it, or a gain."""
     if find_spec("control") is None:
         return "python-control"
-    return "" if find_gains(runs) else "the law's gain"
+    if find_gains(runs):
+        return ""
+    loops = [loop for run in runs for loop in run.declaration.loops]
+    has_others = any(loop.gain and not loop.is_proportional for loop in loops)
+    return "a proportional loop" if has_others else "the law's gain"
 
 
 _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(

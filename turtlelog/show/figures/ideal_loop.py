@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from turtlelog.run import Run
-from turtlelog.show.aims import LoopStep, find_gain, find_steps, has_response
+from turtlelog.show.aims import LoopStep, find_steps
 from turtlelog.show.figures.curves import Curve, read_curve
 from turtlelog.show.figures.page import REFERENCE, choose_lines
 from turtlelog.theory import (
@@ -106,11 +106,14 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
-    """Return the gains of the loops that are theory's in rising order; without runs the paper's."""
+    """Return the gains of the loops that theory knows in rising order; without runs the paper's."""
     if not runs:
         return PAPER_GAINS
     found = {
-        find_gain(run, loop) for run in runs for loop in run.declaration.loops if has_response(loop)
+        loop.read_gain(run.parameters)
+        for run in runs
+        for loop in run.declaration.loops
+        if loop.has_theory
     }
     return tuple(sorted(gain for gain in found if gain is not None))
 

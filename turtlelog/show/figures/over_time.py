@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import SymmetricalLogLocator
 
+from turtlelog.loops import COMMAND_UNITS
 from turtlelog.run import Run
-from turtlelog.show.aims import Command, list_limit_keys
+from turtlelog.show.aims import Command
 from turtlelog.show.figures.curves import (
     draw_curve,
     draw_level,
@@ -28,7 +29,6 @@ _TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.po
 _AIMED = frozenset({"heading", "x", "y", "along_track"})
 """Signals that come to something else than zero."""
 
-_UNITS = {"speed": "m/s", "turn_rate": "rad/s"}
 _LIMIT = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "limit"}
 _TOLERANCE = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "tolerance"}
 
@@ -82,7 +82,7 @@ def draw_command(axes: Axes, runs: Sequence[Run], *, command: Command, label: st
         for run, looks in _style_runs(runs):
             if (curve := read_command(run, command)) is not None:
                 draw_curve(axes, curve, **looks)
-    _finish(axes, runs, f"{label} [{_UNITS[command]}]")
+    _finish(axes, runs, f"{label} [{COMMAND_UNITS[command]}]")
     _keep_to_limits(axes, runs, command)
 
 
@@ -96,7 +96,7 @@ def draw_wanted(axes: Axes, runs: Sequence[Run], *, command: Command, label: str
     for run, looks in _style_runs(runs):
         if (curve := read_curve(run, f"wanted_{command}")) is not None:
             draw_curve(axes, curve, **looks)
-    _finish(axes, runs, f"{label} [{_UNITS[command]}]")
+    _finish(axes, runs, f"{label} [{COMMAND_UNITS[command]}]")
 
 
 def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
@@ -152,7 +152,7 @@ def _draw_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
 
 
 def _find_limits(runs: Sequence[Run], command: Command) -> list[float]:
-    keys = dict.fromkeys(key for run in runs for key in list_limit_keys(run, command))
+    keys = dict.fromkeys(key for run in runs for key in run.declaration.list_limits(command))
     return sorted({limit for key in keys for limit in _find_parameters(runs, key)})
 
 

@@ -15,7 +15,6 @@ from turtlelog.show.aims import (
     Command,
     list_aims,
     list_levels,
-    list_limit_keys,
     read_commanded,
     read_distance_to_reference,
     read_world_velocity,
@@ -170,7 +169,9 @@ def _list_commands(run: Run, plot: str) -> Iterator[Series]:
 
 def _find_limits(runs: Sequence[Run], command: Command) -> set[float]:
     """Return the limits of runs with both signs, none where they are infinite or not known."""
-    limits = {run.parameters.get(key) for run in runs for key in list_limit_keys(run, command)}
+    limits = {
+        run.parameters.get(key) for run in runs for key in run.declaration.list_limits(command)
+    }
     sizes = {float(limit) for limit in limits if isinstance(limit, int | float)}
     return {sign * size for size in sizes if np.isfinite(size) for sign in (-1.0, 1.0)}
 
