@@ -3,7 +3,7 @@
 python-control is loaded by the functions that say so, and by nothing else.
 """
 
-from turtlelog.theory.plant import (
+from turtlelog.theory.continuous_loop import (
     PLANT,
     PLANT_INPUTS,
     BiboVerdict,

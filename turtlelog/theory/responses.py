@@ -16,7 +16,7 @@ from turtlelog.theory.inputs import (
     require_positive,
     require_times,
 )
-from turtlelog.theory.plant import PLANT, load_control, require_even_times
+from turtlelog.theory.continuous_loop import PLANT, load_control, require_even_times
 
 LARGEST_DEVIATION: Final = 1e9
 """Where the response of an unstable loop is stopped, in steps from the reference."""
