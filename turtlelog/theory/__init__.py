@@ -9,26 +9,24 @@ from turtlelog.theory.continuous_loop import (
     BiboVerdict,
     FinalValue,
     FinalValueStatus,
-    compute_plant_response,
-    find_final_value,
-    find_plant_final_value,
-    judge_bibo,
-)
-from turtlelog.theory.responses import (
     compute_closed_loop_response,
     compute_exact_settling_time,
+    compute_plant_response,
     compute_root_locus,
-    compute_sampled_step_response,
     compute_saturated_settling_time,
     compute_settling_time,
     compute_step_response,
     compute_time_constant,
+    find_final_value,
+    find_plant_final_value,
+    judge_bibo,
 )
 from turtlelog.theory.sampled_loop import (
     SampledLoop,
     analyse_sampled_loop,
     compute_overshoot_gain,
     compute_sampled_poles,
+    compute_sampled_step_response,
     compute_stability_gain,
 )
 

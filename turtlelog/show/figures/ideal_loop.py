@@ -17,7 +17,6 @@ from turtlelog.theory import (
     compute_plant_response,
     compute_root_locus,
     compute_settling_time,
-    compute_step_response,
     find_plant_final_value,
 )
 
@@ -82,7 +81,7 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
         values = compute_closed_loop_response(gain, time_s)
         axes.plot(time_s, values, label=f"Kp = {gain:g}", **looks)
         settled_s = compute_settling_time(gain)
-        level = compute_step_response(gain, np.array([settled_s]))
+        level = compute_closed_loop_response(gain, [0.0, settled_s])[-1]
         label = "4 τ" if gain == gains[-1] else None
         axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"], label=label)
     axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
@@ -94,7 +93,8 @@ def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
     left = -1.25 * max(gains)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
     axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
-    axes.plot([0.0, left], [0.0, 0.0], color="0.3", label="s = -Kp")
+    branch = compute_root_locus([0.0, -left])
+    axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
     axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
     poles = compute_root_locus(gains)
     for gain, pole, looks in zip(gains, poles, choose_lines(len(gains)), strict=True):
