@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show.aims import (
+from turtlelog.show.shared_curves import (
     REFERENCE,
     Command,
     Level,

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from turtlelog.run import Run
-from turtlelog.show.aims import LoopStep, find_steps
 from turtlelog.show.figures.curves import Curve, read_curve
 from turtlelog.show.figures.page import REFERENCE, choose_lines
+from turtlelog.show.shared_curves import LoopStep, find_steps
 from turtlelog.theory import (
     PLANT_INPUTS,
     compute_closed_loop_response,

@@ -11,7 +11,6 @@ from matplotlib.patches import Circle, Rectangle
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
-from turtlelog.show.aims import REFERENCE as AIMED
 from turtlelog.show.close_up import (
     CloseUp,
     Label,
@@ -23,6 +22,7 @@ from turtlelog.show.close_up import (
 )
 from turtlelog.show.figures.curves import draw_thinned
 from turtlelog.show.figures.page import AIM, REFERENCE, choose_lines, label_runs
+from turtlelog.show.shared_curves import REFERENCE as AIMED
 
 Values = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show.aims import find_end_of_turn
 from turtlelog.show.close_up import CloseUp, find_close_up
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.plots import LevelLines, Series
 from turtlelog.show.rerun.world import Bounds, find_plane_bounds
+from turtlelog.show.shared_curves import find_end_of_turn
 
 _HEADROOM = 1.25
 _ROOM = 0.08

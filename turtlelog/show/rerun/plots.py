@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
 from turtlelog.show import palette
-from turtlelog.show.aims import (
+from turtlelog.show.palette import Color
+from turtlelog.show.rerun import entities
+from turtlelog.show.shared_curves import (
     REFERENCE,
     Command,
     list_aims,
@@ -19,8 +21,6 @@ from turtlelog.show.aims import (
     read_distance_to_reference,
     read_world_velocity,
 )
-from turtlelog.show.palette import Color
-from turtlelog.show.rerun import entities
 
 _POSE_SIGNALS: Final = (
     (entities.HEADING, "heading", "heading"),

@@ -12,7 +12,6 @@ from matplotlib.ticker import SymmetricalLogLocator
 
 from turtlelog.loops import COMMAND_UNITS
 from turtlelog.run import Run
-from turtlelog.show.aims import Command
 from turtlelog.show.figures.curves import (
     draw_curve,
     draw_level,
@@ -24,6 +23,7 @@ from turtlelog.show.figures.curves import (
 )
 from turtlelog.show.figures.ideal_loop import compute_ideals
 from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
+from turtlelog.show.shared_curves import Command
 
 _TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
 _AIMED = frozenset({"heading", "x", "y", "along_track"})
