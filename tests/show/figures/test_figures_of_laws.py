@@ -13,8 +13,8 @@ import turtlelog as tl
 from tests.show.laws import KINDS, add_terms, forget_loops, simulate_law
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
-from turtlelog.show.figures.curves import list_targets, read_curve
-from turtlelog.show.figures.ideal_loop import compute_ideals, find_gains
+from turtlelog.show.figures.curves import compute_ideals, find_gains
+from turtlelog.show.shared_curves import list_levels, read_curve
 
 STRANGE, EXAMPLE, FOLLOWER = map(simulate_law, ("strange", "example", "Follower"))
 KP4 = tl.simulate_run(get_preset("paper-kp4"))
@@ -138,7 +138,7 @@ def test_theory_is_drawn_where_it_holds(signal: str, run: tl.Run, count: int) ->
 def test_no_ideal_response_is_drawn_of_a_loop_with_an_integral(signal: str) -> None:
     assert len(compute_ideals(KP4, signal)) == 1
     assert compute_ideals(add_terms(KP4), signal) == []
-    assert [level.label for level in list_targets(add_terms(KP4), "heading")] == ["goal bearing"]
+    assert [level.label for level in list_levels(add_terms(KP4), "heading")] == ["goal bearing"]
 
 
 def test_theorys_figures_are_of_proportional_loops_alone() -> None:
@@ -153,10 +153,10 @@ def test_theorys_figures_are_of_proportional_loops_alone() -> None:
 
 
 def test_levels_are_of_the_declared_references() -> None:
-    assert [level.label for level in list_targets(KP4, "heading")] == ["goal bearing"]
-    assert [level.label for level in list_targets(FOLLOWER, "heading")] == ["zero"]
-    assert list_targets(STRANGE, "heading") == []
-    assert [level.label for level in list_targets(forget_loops(STRANGE), "heading")] == [
+    assert [level.label for level in list_levels(KP4, "heading")] == ["goal bearing"]
+    assert [level.label for level in list_levels(FOLLOWER, "heading")] == ["zero"]
+    assert list_levels(STRANGE, "heading") == []
+    assert [level.label for level in list_levels(forget_loops(STRANGE), "heading")] == [
         "goal bearing"
     ]
 

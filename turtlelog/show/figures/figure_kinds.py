@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.run import Run
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
-from turtlelog.show.figures.curves import read_applied, read_command, read_curve
-from turtlelog.show.figures.ideal_loop import (
+from turtlelog.show.figures.curves import (
     draw_plant_responses,
     draw_root_locus,
     draw_step_responses,
@@ -25,12 +24,18 @@ from turtlelog.show.figures.panels import (
     draw_columns,
     draw_command,
     draw_error_magnitude,
+    draw_plane,
     draw_signal,
     draw_stack,
     draw_wanted,
 )
-from turtlelog.show.figures.paths import draw_plane
-from turtlelog.show.shared_curves import Command, list_loops
+from turtlelog.show.shared_curves import (
+    Command,
+    list_loops,
+    read_applied,
+    read_command,
+    read_curve,
+)
 
 DrawFigure = Callable[[Figure, Sequence[Run]], None]
 Arrange = Callable[[Figure, Sequence[Run], Sequence[Draw]], None]
