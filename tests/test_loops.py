@@ -1,13 +1,25 @@
 """What a law may declare, and what is refused in one line."""
 
+import math
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 import turtlelog as tl
 from turtlelog.errors import RunError
-from turtlelog.loops import SIGNAL_NAMES, ControlLoop, Declaration
+from turtlelog.loops import (
+    COMMAND_UNITS,
+    COMMAND_WORDS,
+    LIMIT_KEYS,
+    REFERENCE_WORDS,
+    REFERENCES,
+    SIGNAL_NAMES,
+    SIGNAL_WORDS,
+    ControlLoop,
+    Declaration,
+)
 
 
 def make_loop(**changes: Any) -> ControlLoop:
@@ -28,6 +40,7 @@ def make_loop(**changes: Any) -> ControlLoop:
         ({"signal": "distance", "reference": "goal_bearing"}, "expected one of zero, recorded"),
         ({"gain": "gain"}, "loop a: gain: expected a key such as law.kp_angular, or None"),
         ({"limit": 1.0}, "loop a: limit: expected a key such as law.kp_angular, or None"),
+        ({"is_proportional": "no"}, "loop a: is_proportional: expected True or False, found 'no'"),
     ],
 )
 def test_loop_that_cannot_be_is_refused(changes: dict[str, Any], line: str) -> None:
@@ -110,3 +123,52 @@ def test_a_loop_is_theorys_where_its_signal_integrates_its_command(
 ) -> None:
     loop = ControlLoop(name="a", signal=signal, command=command, reference="zero")
     assert loop.is_integrator is integrates
+    assert loop.has_theory is integrates
+    assert not replace(loop, is_proportional=False).has_theory
+
+
+@pytest.mark.parametrize(
+    ("value", "gain"),
+    [
+        (2.0, 2.0),
+        (3, 3.0),
+        (0.0, None),
+        (-1.0, None),
+        (math.inf, None),
+        (math.nan, None),
+        (True, None),
+        ("2", None),
+        (None, None),
+    ],
+)
+def test_a_gain_is_a_positive_number_of_the_parameters(value: object, gain: float | None) -> None:
+    assert make_loop(gain="law.kp").read_gain({"law.kp": value}) == gain
+    assert make_loop().read_gain({"law.kp": value}) is None
+
+
+@pytest.mark.parametrize(
+    ("signal", "command", "unit"),
+    [
+        ("heading", "turn_rate", "1/s"),
+        ("distance", "speed", "1/s"),
+        ("heading", "speed", "m/(rad s)"),
+        ("cross_track", "turn_rate", "rad/(m s)"),
+    ],
+)
+def test_a_gain_has_the_unit_of_the_command_by_that_of_the_signal(
+    signal: str, command: str, unit: str
+) -> None:
+    assert make_loop(signal=signal, command=command).gain_unit == unit
+
+
+def test_limits_of_a_command_are_those_of_its_loops_or_else_its_own() -> None:
+    turn, again = make_loop(name="t"), make_loop(name="u", limit="law.most")
+    declared = Declaration(loops=(turn, again))
+    assert declared.list_limits("turn_rate") == ("limits.turn_rate_rad_s", "law.most")
+    assert declared.list_limits("speed") == ("limits.speed_m_s",)
+
+
+def test_every_signal_reference_and_command_has_a_word() -> None:
+    assert set(SIGNAL_WORDS) == set(REFERENCES)
+    assert set(REFERENCE_WORDS) == {name for known in REFERENCES.values() for name in known}
+    assert set(COMMAND_WORDS) == set(COMMAND_UNITS) == set(LIMIT_KEYS)

@@ -1,5 +1,6 @@
 """What a control law controls, as data: its loops, its phases, its states, its mechanisms."""
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -30,6 +31,35 @@ REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 - `recorded`: the reference pose that each sample records: its heading, or its projection on the
   line from start to goal; of `distance` the distance to that pose, which should be 0.
 """
+
+SIGNAL_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "heading": "heading",
+        "along_track": "along-track",
+        "cross_track": "cross-track",
+        "distance": "distance to the goal",
+    }
+)
+"""What texts call a controlled signal."""
+
+REFERENCE_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "goal_bearing": "goal bearing",
+        "bearing_now": "bearing of the goal",
+        "goal_heading": "goal heading",
+        "goal_distance": "goal",
+        "zero": "zero",
+        "recorded": "reference",
+    }
+)
+"""What texts and legends call a reference."""
+
+COMMAND_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {"turn_rate": "turn rate", "speed": "speed"}
+)
+"""What texts call a command, in the order in which it is listed."""
+
+COMMAND_UNITS: Final[Mapping[str, str]] = MappingProxyType({"turn_rate": "rad/s", "speed": "m/s"})
 
 MOVING: Final = frozenset({"recorded"})
 """References that the law moves: their loops have tracking metrics instead of step metrics."""
@@ -75,6 +105,8 @@ class ControlLoop:
         reference: What the signal should be, as `REFERENCES` lists.
         gain: Scenario key of the proportional gain (`law.kp_angular`), None where there is none.
         limit: Scenario key of the limit of its command; None for that of the command's kind.
+        is_proportional: Whether the command is gain times error and nothing else. False of a loop
+            with an integral or a derivative (PI, PD, PID): theory's lines do not hold for it.
 
     Raises:
         RunError: One line with the field, what was expected and what was found.
@@ -86,6 +118,7 @@ class ControlLoop:
     reference: str
     gain: str | None = None
     limit: str | None = None
+    is_proportional: bool = True
 
     def __post_init__(self) -> None:
         _require_name("loop", self.name)
@@ -94,12 +127,15 @@ class ControlLoop:
             raise RunError(f"loop: expected another name than {taken}, found {self.name!r}")
         place = f"loop {self.name}"
         _require_one_of(f"{place}: signal", self.signal, tuple(REFERENCES))
-        _require_one_of(f"{place}: command", self.command, ("turn_rate", "speed"))
+        _require_one_of(f"{place}: command", self.command, tuple(COMMAND_WORDS))
         _require_one_of(f"{place}: reference", self.reference, REFERENCES[self.signal])
         for field_name, key in (("gain", self.gain), ("limit", self.limit)):
             if key is not None and not (isinstance(key, str) and _KEY.fullmatch(key)):
                 expected = "a key such as law.kp_angular, or None"
                 raise RunError(f"{place}: {field_name}: expected {expected}, found {key!r}")
+        if not isinstance(self.is_proportional, bool):
+            found = f"{self.is_proportional!r:.60}"
+            raise RunError(f"{place}: is_proportional: expected True or False, found {found}")
 
     @property
     def moves(self) -> bool:
@@ -115,18 +151,38 @@ class ControlLoop:
         return (self.signal, self.command) in _INTEGRATED
 
     @property
+    def has_theory(self) -> bool:
+        """Whether theory knows the loop: an integrator under u = Kp e."""
+        return self.is_integrator and self.is_proportional
+
+    @property
+    def gain_unit(self) -> str:
+        """Unit of the gain: that of the command by that of the signal."""
+        if (self.signal == "heading") == (self.command == "turn_rate"):
+            return "1/s"
+        return "m/(rad s)" if self.signal == "heading" else "rad/(m s)"
+
+    def read_gain(self, parameters: Mapping[str, object]) -> float | None:
+        """Return the gain among a run's parameters; None if unknown or no positive number."""
+        kp = None if self.gain is None else parameters.get(self.gain)
+        if not isinstance(kp, int | float) or isinstance(kp, bool):
+            return None
+        return float(kp) if 0.0 < kp < math.inf else None
+
+    @property
     def limit_key(self) -> str:
         """Scenario key of the limit of its command."""
-        return self.limit or _LIMITS[self.command]
+        return self.limit or LIMIT_KEYS[self.command]
 
 
 _INTEGRATED: Final = frozenset(
     {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}
 )
 
-_LIMITS: Final = MappingProxyType(
+LIMIT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
     {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
 )
+"""Scenario keys of the limits of the commands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -211,6 +267,11 @@ class Declaration:
         """Return the scenario keys of the gains: of speed loops first, then of turn rate loops."""
         loops = sorted(self.loops, key=lambda loop: loop.command != "speed")
         return tuple(dict.fromkeys(loop.gain for loop in loops if loop.gain is not None))
+
+    def list_limits(self, command: str) -> tuple[str, ...]:
+        """Return the scenario keys of the limits of a command: its loops', or else its own."""
+        keys = [loop.limit_key for loop in self.loops if loop.command == command]
+        return tuple(dict.fromkeys(keys)) or (LIMIT_KEYS[command],)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -195,7 +195,8 @@ CROSSING = ControlLoop(
 def test_table_1_has_theorys_columns_where_they_hold_for_a_loop() -> None:
     theory = ["Kp", "tau", "4 tau"]
     assert read_titles(tl.tabulate_table1([declare(ONE, TURNING)]))[1:4] == theory
-    for loops in ((), (CROSSING,)):
+    with_integral = dataclasses.replace(TURNING, is_proportional=False)
+    for loops in ((), (CROSSING,), (with_integral,)):
         titles = read_titles(tl.tabulate_table1([declare(ONE, *loops)]))
         assert titles == ["run", "heading", "position"]
     (row,) = tl.tabulate_table1([declare(ONE, TURNING)]).rows

@@ -54,6 +54,16 @@ def test_loop_with_a_moving_reference_has_no_metric_of_a_step() -> None:
     assert not [name for name in names if "deviation" in name or "cross_track" in name]
 
 
+def test_loop_with_more_than_a_gain_is_not_measured_against_theory() -> None:
+    declared = STRANGE.declaration
+    loops = tuple(dataclasses.replace(loop, is_proportional=False) for loop in declared.loops)
+    run = dataclasses.replace(STRANGE, declaration=dataclasses.replace(declared, loops=loops))
+    names, known = set(tl.measure_run(run)), set(tl.measure_run(STRANGE))
+    left_out = {f"b.{theory}_deviation" for theory in ("ideal", "sampled", "delayed")}
+    assert known - names == {f"{name}_{kind}" for name in left_out for kind in ("max", "rms")}
+    assert names < known
+
+
 def test_moving_reference_is_measured_against_its_own_pose() -> None:
     time_s, error_rad = take_first_loop()
     assert read(STRANGE, "a.rms_error") == pytest.approx(

@@ -94,6 +94,15 @@ def test_another_declaration_is_told_beside_the_differences(strange: Run) -> Non
         assert str(told.replayed).endswith("; phases one (a), two (b)")
 
 
+def test_a_loop_that_is_no_longer_proportional_is_told(strange: Run) -> None:
+    declared = strange.declaration
+    loops = (replace(declared.loops[0], is_proportional=False), *declared.loops[1:])
+    found = replay_law(replace(strange, declaration=replace(declared, loops=loops)), trust_law=True)
+    assert found.declaration is not None
+    told, answered = str(found.declaration.recorded), str(found.declaration.replayed)
+    assert told.replace(", not proportional", "", 1) == answered != told
+
+
 def test_another_law_answers_what_it_can_and_the_rest_is_absent(strange: Run) -> None:
     found = replay_law(strange, change_scenario("textbook"))
     assert not {"memory", "reference_x"} & list_signals(found)

@@ -106,6 +106,12 @@ class Follower(_Plain):
         )
 
 
+def add_terms(run: tl.Run) -> tl.Run:
+    """Return a run as one of a law whose commands are more than gain times error."""
+    loops = tuple(replace(loop, is_proportional=False) for loop in run.declaration.loops)
+    return replace(run, declaration=replace(run.declaration, loops=loops))
+
+
 LAWS: Final = {name: f"{Path(__file__)}:{name}" for name in ("OpenLoop", "EightPhases", "Follower")}
 
 

@@ -142,13 +142,13 @@ def _have_theory(runs: Sequence[Run]) -> bool:
 
 
 def _list_theory_loops(run: Run) -> list[ControlLoop]:
-    """Return the loops with a gain whose ideal answer decays: a way by speed, a heading by turns.
+    """Return the loops with a gain that theory knows: a way by speed, a heading by turns.
 
-    A cross-track error, and a heading that the speed acts on, answer otherwise; a reference that
-    moves is no step.
+    A cross-track error, a heading that the speed acts on, and what has an integral or a derivative
+    answer otherwise; a reference that moves is no step.
     """
     loops = [loop for loop in run.declaration.loops if loop.gain is not None and not loop.moves]
-    return [loop for loop in loops if loop.is_integrator]
+    return [loop for loop in loops if loop.has_theory]
 
 
 def _get_gain(run: Run) -> float | None:

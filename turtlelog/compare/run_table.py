@@ -161,11 +161,11 @@ def _list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
         return []
     if all(has_one_gain(found) for found in known):
         loops = [loop for found in known for loop in _title_gains(found.declaration).values()]
-        return [_head_gain("Kp", [_find_unit(loop) for loop in loops])]
+        return [_head_gain("Kp", [loop.gain_unit for loop in loops])]
     titled: dict[str, list[str]] = {}
     for found in known:
         for title, loop in _title_gains(found.declaration).items():
-            titled.setdefault(title, []).append(_find_unit(loop))
+            titled.setdefault(title, []).append(loop.gain_unit)
     return [_head_gain(title, units) for title, units in titled.items()]
 
 
@@ -187,13 +187,6 @@ def _title_gains(declaration: Declaration) -> dict[str, ControlLoop]:
         f"Kp {_COMMAND_WORDS[loop.command] if counts[loop.command] == 1 else loop.name}": loop
         for loop in loops
     }
-
-
-def _find_unit(loop: ControlLoop) -> str:
-    """Return the unit of a loop's gain: of its command by that of its signal."""
-    if (loop.signal == "heading") == (loop.command == "turn_rate"):
-        return "1/s"
-    return "m/(rad s)" if loop.signal == "heading" else "rad/(m s)"
 
 
 def _get_gain(summary: RunSummary, title: str) -> Cell:

@@ -10,7 +10,7 @@ from math import degrees
 from types import MappingProxyType
 from typing import Final, Literal, TypedDict, TypeVar, Unpack
 
-from turtlelog.loops import ControlLoop
+from turtlelog.loops import COMMAND_WORDS, REFERENCE_WORDS, SIGNAL_WORDS, ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.response import Response
@@ -22,25 +22,6 @@ _OfRun = TypeVar("_OfRun", bound=OfRun)
 
 _CUT: Final = Missing(status=Status.TOO_SHORT, reason="the run was cut in this phase")
 
-_SIGNAL_WORDS: Final = MappingProxyType(
-    {
-        "heading": "heading",
-        "along_track": "along-track",
-        "cross_track": "cross-track",
-        "distance": "distance to the goal",
-    }
-)
-_REFERENCE_WORDS: Final = MappingProxyType(
-    {
-        "goal_bearing": "goal bearing",
-        "bearing_now": "bearing of the goal",
-        "goal_heading": "goal heading",
-        "goal_distance": "goal",
-        "zero": "zero",
-        "recorded": "reference",
-    }
-)
-_COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn rate", "speed": "speed"})
 _ANY_WORDS: Final = MappingProxyType(
     {"signal": "controlled signal", "goal": "reference", "command": "command"}
 )
@@ -131,9 +112,9 @@ class LoopMetricKind:
             return result
 
         words = {
-            "signal": _SIGNAL_WORDS[loop.signal],
-            "goal": _REFERENCE_WORDS[loop.reference],
-            "command": _COMMAND_WORDS[loop.command],
+            "signal": SIGNAL_WORDS[loop.signal],
+            "goal": REFERENCE_WORDS[loop.reference],
+            "command": COMMAND_WORDS[loop.command],
         }
         return self._build(unit, compute, words)
 

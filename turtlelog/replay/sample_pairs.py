@@ -111,7 +111,8 @@ def compare_declarations(run: Run, replayed: Declaration) -> Difference | None:
 def _describe_declaration(declaration: Declaration) -> tuple[str, ...]:
     loops = [
         f"{loop.name} ({loop.signal} by {loop.command} to {loop.reference},"
-        f" gain {loop.gain or 'none'}, limit {loop.limit_key})"
+        f" gain {loop.gain or 'none'}{'' if loop.is_proportional else ', not proportional'},"
+        f" limit {loop.limit_key})"
         for loop in declaration.loops
     ]
     phases = [

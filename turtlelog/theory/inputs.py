@@ -68,6 +68,17 @@ def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
     return times
 
 
+def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:
+    """Return times [s] that python-control can simulate over."""
+    times = require_times(time_s)
+    if times.ndim != 1 or len(times) < 2 or times[0] != 0.0:
+        raise TheoryError("time_s: expected at least 2 times from 0 on, found others")
+    steps = np.diff(times)
+    if not steps.min() > 0.0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
+        raise TheoryError("time_s: expected even steps forward, found uneven ones")
+    return times
+
+
 def _require_between(name: str, expected: str, value: Any) -> float:
     if not _is_real(value) or not value > 0.0:
         raise TheoryError(f"{name}: expected {expected} > 0, found {value!r}")

@@ -21,8 +21,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.theory.inputs import require_dead_time, require_gain, require_period
-from turtlelog.theory.responses import LARGEST_DEVIATION, compute_sampled_step_response
+from turtlelog.theory.inputs import (
+    require_count,
+    require_dead_time,
+    require_gain,
+    require_level,
+    require_period,
+)
+
+LARGEST_DEVIATION: Final = 1e9
+"""Where the response of an unstable loop is stopped, in steps from the reference."""
+
+_NEGLIGIBLE_DEVIATION: Final = 1e-20
+_ROUNDING: Final = 1e-9
+"""More than adding the reference to a response can change, as a share of it."""
 
 _LONGEST: Final = 2_000_000
 
@@ -122,6 +134,76 @@ def analyse_sampled_loop(kp: float, *, period_s: float, dead_time_ticks: int = 0
         phase_margin_rad=phase_margin_rad,
         delay_margin_ticks=delay_margin_ticks,
     )
+
+
+def compute_sampled_step_response(
+    kp: float,
+    count: int,
+    *,
+    period_s: float,
+    dead_time_ticks: int = 0,
+    initial: float = 0.0,
+    reference: float = 1.0,
+) -> NDArray[np.float64]:
+    """Return the sampled loop's response to a step of its reference at sample 0, unclipped.
+
+    y[k+1] = y[k] + Kp T (reference - y[k-d]), at rest before: the command that answers sample 0
+    first moves the plant between samples d and d + 1, so y[0] to y[d] are `initial`.
+
+    An unstable loop is stopped: from the first sample further than 1e9 steps from the reference
+    on, the response stays at that distance, on that side. Less than 1e-20 steps count as none.
+
+    Args:
+        kp: Gain [1/s].
+        count: Number of samples, at least 1.
+        period_s: Sampling period T [s].
+        dead_time_ticks: d [samples], 0 to 1000.
+        initial: Level before the step, in any unit.
+        reference: Level that is asked for, in the same unit.
+
+    Returns:
+        The response in that unit at the times 0, T, 2 T ..., shape (count,).
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
+    loop_gain = require_gain(kp) * require_period(period_s)
+    step = require_level("initial", initial) - require_level("reference", reference)
+    deviation = _compute_deviation(
+        loop_gain, require_count(count), require_dead_time(dead_time_ticks)
+    )
+    return reference + step * deviation
+
+
+def interpolate_sampled_response(
+    kp: float,
+    time_s: NDArray[np.float64],
+    *,
+    period_s: float,
+    dead_time_ticks: int,
+    initial: float,
+    reference: float,
+) -> NDArray[np.float64] | None:
+    """Return the sampled loop's response at times from the step [s], shape (n,), rising.
+
+    Its samples are at 0, T, 2 T ... and it moves along a line between them. None where the loop is
+    unstable and goes beyond `LARGEST_DEVIATION` before the last of the times. The arguments are
+    those of `compute_sampled_step_response`.
+    """
+    count = int(np.ceil(time_s[-1] / period_s)) + 2
+    values = compute_sampled_step_response(
+        kp,
+        count,
+        period_s=period_s,
+        dead_time_ticks=dead_time_ticks,
+        initial=initial,
+        reference=reference,
+    )
+    # Where theory stops an unstable loop, what follows is no response of that loop.
+    furthest = np.abs(values[:-1] - reference).max()
+    if furthest > (1.0 - _ROUNDING) * LARGEST_DEVIATION * abs(reference - initial) > 0.0:
+        return None
+    return np.interp(time_s, np.arange(count) * period_s, values)
 
 
 def _compute_overshoot_loop_gain(dead_time_ticks: int) -> float:
@@ -262,3 +344,35 @@ def _bisect(
         is_below = rise(middle) < 0.0
         low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
     return low + 0.5 * (high - low)
+
+
+def _compute_deviation(loop_gain: float, count: int, dead_time_ticks: int) -> NDArray[np.float64]:
+    """Return e[k+1] = e[k] - Kp T e[k-d] from e[0] = 1 and e[k] = 0 before it, shape (count,).
+
+    Each round doubles what is known. By superposition the samples that follow sample n are the
+    sum of this same response, once for every sample that the recursion still remembers at n:
+    scaled by e[n] and starting there, and scaled by -Kp T e[n-j] and starting d + 1 - j later.
+    """
+    deviation = np.ones(max(count, dead_time_ticks + 2))
+    deviation[dead_time_ticks + 1] -= loop_gain
+    known = dead_time_ticks + 2
+    stop = _find_stop(deviation[:known])
+    while known < count and stop is None:
+        remembered = deviation[known - 1 - dead_time_ticks : known]
+        if np.abs(remembered).max() < _NEGLIGIBLE_DEVIATION:
+            deviation[known:] = 0.0
+            break
+        kernel = np.concatenate((remembered[-1:], -loop_gain * remembered[:-1]))
+        new = deviation[known : 2 * known - 1]
+        new[:] = np.convolve(deviation[:known], kernel)[1 : len(new) + 1]
+        known += len(new)
+        stop = _find_stop(deviation[:known])
+    if stop is not None:
+        deviation[stop:] = np.copysign(LARGEST_DEVIATION, deviation[stop])
+    return deviation[:count]
+
+
+def _find_stop(deviation: NDArray[np.float64]) -> int | None:
+    """Return the first sample that is too far away, None where there is none."""
+    beyond = np.abs(deviation) > LARGEST_DEVIATION
+    return int(np.argmax(beyond)) if beyond.any() else None

@@ -52,6 +52,16 @@ def test_the_entry_is_as_the_format_page_shows() -> None:
     }
 
 
+def test_only_a_loop_that_is_not_proportional_says_so_and_comes_back() -> None:
+    assert "is_proportional" not in format_declaration(STRANGE)
+    assert all(loop.is_proportional for loop in parse_declaration(json.dumps(ENTRY)).loops)
+    second = replace(STRANGE.loops[1], is_proportional=False)
+    declaration = replace(STRANGE, loops=(STRANGE.loops[0], second))
+    text = format_declaration(declaration)
+    assert json.loads(text)["loops"][1] == LOOP | {"is_proportional": False}
+    assert parse_declaration(text) == declaration
+
+
 LOOP = ENTRY["loops"][1]
 WRONG = {
     "no object": ([], "Expected `object`, got `array`"),
@@ -61,6 +71,10 @@ WRONG = {
     "an unknown signal": (ENTRY | {"loops": [LOOP | {"signal": "luck"}]}, "loop a: signal: exp"),
     "a loop twice": (ENTRY | {"loops": [LOOP, LOOP]}, "loops: expected each name once"),
     "a loop called run": (ENTRY | {"loops": [LOOP | {"name": "run"}]}, "expected another name"),
+    "a truth that is none": (
+        ENTRY | {"loops": [LOOP | {"is_proportional": 1}]},
+        r"Expected `bool`, got `int` - at `\$\.loops\[0\]\.is_proportional`",
+    ),
     "a gain that is no key": (ENTRY | {"loops": [LOOP | {"gain": "k p"}]}, "expected a key"),
     "no phase": (ENTRY | {"phases": []}, "phases: expected 1 to 250, found 0"),
     "a phase twice": (ENTRY | {"phases": [ENTRY["phases"][0]] * 2}, "'two' twice"),
@@ -118,9 +132,11 @@ def test_a_million_states_are_refused_by_their_size(tmp_path: Path) -> None:
 def make_long(loops: int) -> Declaration:
     """Return a declaration whose phases name their loops again and again."""
     names = tuple(f"{'x' * 50}{number:03}" for number in range(loops))
-    loop = {"signal": "distance", "command": "speed", "reference": "zero"}
     return Declaration(
-        loops=tuple(ControlLoop(name=name, **loop) for name in names),
+        loops=tuple(
+            ControlLoop(name=name, signal="distance", command="speed", reference="zero")
+            for name in names
+        ),
         phases={f"p{number}": names for number in range(25)},
     )
 

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from tests.show.laws import KINDS, forget_loops, simulate_law
+from tests.show.laws import KINDS, add_terms, forget_loops, simulate_law
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
-from turtlelog.show.figures.curves import list_targets, read_curve
-from turtlelog.show.figures.ideal_loop import compute_ideals, find_gains
+from turtlelog.show.figures.curves import compute_ideals, find_gains
+from turtlelog.show.shared_curves import list_levels, read_curve
 
 STRANGE, EXAMPLE, FOLLOWER = map(simulate_law, ("strange", "example", "Follower"))
 KP4 = tl.simulate_run(get_preset("paper-kp4"))
@@ -134,11 +134,29 @@ def test_theory_is_drawn_where_it_holds(signal: str, run: tl.Run, count: int) ->
     assert len(compute_ideals(run, signal)) == count
 
 
+@pytest.mark.parametrize("signal", ["heading", "heading_error", "x", "error_y", "distance"])
+def test_no_ideal_response_is_drawn_of_a_loop_with_an_integral(signal: str) -> None:
+    assert len(compute_ideals(KP4, signal)) == 1
+    assert compute_ideals(add_terms(KP4), signal) == []
+    assert [level.label for level in list_levels(add_terms(KP4), "heading")] == ["goal bearing"]
+
+
+def test_theorys_figures_are_of_proportional_loops_alone() -> None:
+    assert find_gains([add_terms(KP4)]) == ()
+    assert find_gains([add_terms(KP4), STRANGE]) == find_gains([STRANGE])
+    assert list_left_out([add_terms(KP4)], ["plant", "root-locus"]) == (
+        "left out plant, root-locus: expected a proportional loop, found none",
+    )
+    assert list_left_out([forget_loops(KP4)], ["plant"]) == (
+        "left out plant: expected the law's gain, found none",
+    )
+
+
 def test_levels_are_of_the_declared_references() -> None:
-    assert [level.label for level in list_targets(KP4, "heading")] == ["goal bearing"]
-    assert [level.label for level in list_targets(FOLLOWER, "heading")] == ["zero"]
-    assert list_targets(STRANGE, "heading") == []
-    assert [level.label for level in list_targets(forget_loops(STRANGE), "heading")] == [
+    assert [level.label for level in list_levels(KP4, "heading")] == ["goal bearing"]
+    assert [level.label for level in list_levels(FOLLOWER, "heading")] == ["zero"]
+    assert list_levels(STRANGE, "heading") == []
+    assert [level.label for level in list_levels(forget_loops(STRANGE), "heading")] == [
         "goal bearing"
     ]
 

@@ -1,48 +1,79 @@
+"""Where the legends of a run's plots stand: on the right away from where its curves end."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
-import rerun.blueprint as rrb
+import pytest
 from numpy.typing import NDArray
 
-from turtlelog.show.rerun.content import choose_corners
-from turtlelog.show.rerun.marks import Mark
+from turtlelog.scenario import get_preset
+from turtlelog.show.rerun.content import Content, find_ends
+from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.plots import Series
+from turtlelog.show.rerun.run_scene import build_single
+from turtlelog.simulate import simulate_run
 
-TIMES_NS = np.arange(100)
-RANGES = {"speed": (0.0, 1.0)}
-USUAL = {"speed": rrb.Corner2D.RightTop}
-FLAT = np.full(100, 0.5)
-
-
-def choose(values: NDArray[np.float64], marks: tuple[Mark, ...] = ()) -> str:
-    series = Series(
-        entity="speed/commanded", labels=("",), time_ns=TIMES_NS, values=values[:, None]
-    )
-    return choose_corners([series], marks, RANGES, USUAL)["speed"].name
+TIMES_NS = np.arange(3)
+CONTENT = build_single(simulate_run(get_preset("paper-kp4"))).describe({})
 
 
-def make_mark(time_ns: int, level: float) -> Mark:
-    return Mark(plot="speed", label="", unit="s", shape="Up", time_ns=time_ns, level=level)
+def make_series(plot: str, values: Any) -> Series:
+    column: NDArray[np.float64] = np.array(values)[:, np.newaxis]
+    return Series(entity=plot, labels=("",), time_ns=TIMES_NS, values=column)
 
 
-def test_a_legend_stands_in_its_usual_corner_where_nothing_moves() -> None:
-    assert choose(FLAT) == "RightTop"
+def list_views(part: Any) -> Iterator[Any]:
+    for child in getattr(part, "contents", []) or []:
+        if hasattr(child, "class_identifier"):
+            yield child
+        else:
+            yield from list_views(child)
 
 
-def test_a_legend_avoids_what_moves() -> None:
-    ringing = np.where(TIMES_NS > 70, 0.8 + 0.1 * np.sin(TIMES_NS), 0.5)
-    assert choose(ringing) == "RightBottom"
+def read_corners(content: Content) -> dict[str, str]:
+    """Return the corner of each plot's legend by the plot's title."""
+    found = {}
+    for view in list_views(build_run_layout(content).root_container):
+        legend = view.properties.get("PlotLegend")
+        if legend is not None and legend.corner is not None:
+            corner = legend.corner.as_arrow_array().to_pylist()[0]
+            found[view.name] = {1: "LeftTop", 2: "RightTop", 3: "LeftBottom", 4: "RightBottom"}[
+                corner
+            ]
+    return found
 
 
-def test_a_legend_hides_a_jump_rather_than_a_slope() -> None:
-    fall = np.interp(TIMES_NS, [50, 99], [1.0, 0.0])
-    jump_and_fall = np.where(TIMES_NS < 20, 0.1, fall)
-    assert choose(jump_and_fall) in {"LeftBottom", "LeftTop"}
+def test_legends_stand_where_the_run_of_the_paper_leaves_room() -> None:
+    corners = read_corners(CONTENT)
+    assert corners["Heading [deg]"] == "RightBottom"
+    assert corners["Turn rate [rad/s]"] == "RightTop"
+    assert corners["Speed [m/s]"] == "LeftBottom"
 
 
-def test_a_legend_avoids_a_mark() -> None:
-    assert choose(FLAT, (make_mark(95, 0.9),)) == "RightBottom"
-    assert choose(FLAT, (make_mark(95, 0.9), make_mark(95, 0.1))) == "LeftBottom"
+@pytest.mark.parametrize(
+    ("end", "corner"), [(0.6, "RightBottom"), (0.4, "RightTop"), (0.5, "RightTop")]
+)
+def test_a_legend_on_the_right_avoids_where_the_curve_ends(end: float, corner: str) -> None:
+    ranges = dict.fromkeys(CONTENT.ranges, (0.0, 1.0))
+    content = replace(CONTENT, ranges=ranges, ends=dict.fromkeys(ranges, end))
+    corners = read_corners(content)
+    assert corners["Heading [deg]"] == corners["Turn rate [rad/s]"] == corner
+    assert corners["Speed [m/s]"] == "LeftBottom"
 
 
-def test_gaps_and_plots_without_curves_do_no_harm() -> None:
-    assert choose(np.full(100, np.nan)) == "RightTop"
-    assert choose_corners([], (), RANGES, USUAL) == {}
+def test_legends_stand_in_their_usual_places_while_a_run_grows() -> None:
+    corners = read_corners(replace(CONTENT, ends={}))
+    assert corners["Heading [deg]"] == "RightBottom"
+    assert corners["Distance [m]"] == "RightTop"
+
+
+def test_a_curve_ends_at_its_last_known_value_the_first_of_a_plot_counts() -> None:
+    ranges = {"speed": (0.0, 1.0)}
+    first = make_series("speed/wanted", [0.1, 0.2, np.nan])
+    second = make_series("speed/commanded", [0.1, 0.2, 0.9])
+    assert find_ends([first, second], ranges) == {"speed": 0.2}
+    assert find_ends([make_series("speed", [np.nan] * 3), second], ranges) == {"speed": 0.9}
+    assert find_ends([make_series("heading_deg", [1.0, 2.0, 3.0])], ranges) == {}
+    assert find_ends([], ranges) == {}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.show.laws import KINDS, forget_loops, simulate_law
+from tests.show.laws import KINDS, add_terms, forget_loops, simulate_law
 from tests.show.rerun.rrds import (
     list_entities,
     list_timelines,
@@ -131,6 +131,15 @@ def test_theory_stands_beside_the_distance_that_a_loop_controls() -> None:
     decay = ideal[0] * np.exp(-(times_ns - two.start_ns) / 1e9)
     np.testing.assert_allclose(ideal, decay, atol=1e-8)
     assert "/along_track/ideal" not in list_entities(write("strange"))
+
+
+def test_a_loop_with_an_integral_has_its_levels_and_no_response_of_theory(tmp_path: Path) -> None:
+    write_run_rrd(KP10, tmp_path / "p.rrd")
+    write_run_rrd(add_terms(KP10), tmp_path / "pid.rrd")
+    of_p, of_pid = list_entities(tmp_path / "p.rrd"), list_entities(tmp_path / "pid.rrd")
+    plots = ("heading_deg", "along_track")
+    assert of_p - of_pid == {f"/{plot}/{kind}" for plot in plots for kind in ("ideal", "sampled")}
+    assert of_pid < of_p
 
 
 def test_loops_that_follow_have_no_response_of_theory() -> None:

@@ -256,6 +256,7 @@ class _Loop(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     reference: str
     gain: str | None = None
     limit: str | None = None
+    is_proportional: bool = True
 
 
 class _Phase(msgspec.Struct, forbid_unknown_fields=True):
@@ -281,6 +282,7 @@ def format_declaration(declaration: Declaration) -> str:
                 reference=loop.reference,
                 gain=loop.gain,
                 limit=loop.limit,
+                is_proportional=loop.is_proportional,
             )
             for loop in declaration.loops
         ),

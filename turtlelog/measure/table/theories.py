@@ -25,13 +25,10 @@ from turtlelog.measure.measure_settings import MOST_TICKS
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response
-from turtlelog.theory import compute_sampled_step_response, compute_step_response
-from turtlelog.theory.responses import LARGEST_DEVIATION
+from turtlelog.theory import compute_step_response
+from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
 
 Values = NDArray[np.float64]
-
-_ROUNDING: Final = 1e-9
-"""More than adding the reference to a response can change, as a share of it."""
 
 THEORIES: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -54,7 +51,7 @@ _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="the samples share on
 
 def has_theory(loop: ControlLoop) -> bool:
     """Whether theory's loop, an integrator under u = Kp e, is one of this kind."""
-    return not loop.moves and loop.is_integrator
+    return not loop.moves and loop.has_theory
 
 
 @loop_metric(
@@ -92,12 +89,12 @@ def _deviate(theory: str, context: RunContext, response: Response) -> Values | M
 
 
 def _predict(theory: str, context: RunContext, response: Response) -> Values | Missing:
-    kp = _find_gain(context, response.loop)
+    kp = response.loop.read_gain(context.run.parameters)
     if kp is None:
         return _NO_GAIN
     if theory == "ideal":
-        return compute_ideal_response(
-            response.time_s, kp=kp, initial=response.initial, reference=response.reference
+        return compute_step_response(
+            kp, response.time_s, initial=response.initial, reference=response.reference
         )
     period_s = context.loop_period_s
     if period_s is None:
@@ -107,22 +104,15 @@ def _predict(theory: str, context: RunContext, response: Response) -> Values | M
     dead_time = _find_dead_time_samples(theory, context, response, period_s)
     if isinstance(dead_time, Missing):
         return dead_time
-    predicted = compute_sampled_response(
+    predicted = interpolate_sampled_response(
+        kp,
         response.time_s,
-        kp=kp,
         period_s=period_s,
         dead_time_ticks=dead_time,
         initial=response.initial,
         reference=response.reference,
     )
     return _UNSTABLE if predicted is None else predicted
-
-
-def _find_gain(context: RunContext, loop: ControlLoop) -> float | None:
-    kp = None if loop.gain is None else context.run.parameters.get(loop.gain)
-    if not isinstance(kp, int | float) or isinstance(kp, bool):
-        return None
-    return float(kp) if 0.0 < kp < np.inf else None
 
 
 def _find_dead_time_samples(
@@ -138,43 +128,6 @@ def _find_dead_time_samples(
     if isinstance(ticks, Missing) or context.tick_s is None:
         return ticks if isinstance(ticks, Missing) else _ONE_TIME
     return min(round(ticks * context.tick_s / period_s), MOST_TICKS)
-
-
-def compute_ideal_response(
-    time_s: Values, *, kp: float, initial: float, reference: float
-) -> Values:
-    """Return the ideal loop at times from the start of the phase, shape (n,)."""
-    return compute_step_response(kp, time_s, initial=initial, reference=reference)
-
-
-def compute_sampled_response(
-    time_s: Values,
-    *,
-    kp: float,
-    period_s: float,
-    dead_time_ticks: int,
-    initial: float,
-    reference: float,
-) -> Values | None:
-    """Return the sampled loop at times from the start of the phase, shape (n,).
-
-    Its samples are at 0, T, 2 T ... from there; `dead_time_ticks` counts in them. None where the
-    loop is unstable, and goes beyond `LARGEST_DEVIATION` before the last of the times.
-    """
-    count = int(np.ceil(time_s[-1] / period_s)) + 2
-    values = compute_sampled_step_response(
-        kp,
-        count,
-        period_s=period_s,
-        dead_time_ticks=dead_time_ticks,
-        initial=initial,
-        reference=reference,
-    )
-    # Where theory stops an unstable loop, what follows is no response of that loop.
-    furthest = np.abs(values[:-1] - reference).max()
-    if furthest > (1.0 - _ROUNDING) * LARGEST_DEVIATION * abs(reference - initial) > 0.0:
-        return None
-    return np.interp(time_s, np.arange(count) * period_s, values)
 
 
 for _theory, _described in THEORIES.items():

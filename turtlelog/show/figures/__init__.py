@@ -1,14 +1,14 @@
 """Figures for print: the paper's, from any recordings, with matplotlib.
 
-`catalogue` names them, `ideal_loop`, `over_time` and `paths` draw them, `page` gives them their
-size and looks, `writing` writes them.
+`figure_kinds` names them, `curves` and `panels` draw them, `page` gives them their size and looks,
+`writing` writes them.
 """
 
 from turtlelog.libraries import load_library
 
 load_library("matplotlib")
 
-from turtlelog.show.figures.catalogue import FIGURES, FigureKind, list_left_out
+from turtlelog.show.figures.figure_kinds import FIGURES, FigureKind, list_left_out
 from turtlelog.show.figures.page import Page
 from turtlelog.show.figures.writing import FIGURE_FORMATS, draw_figure, write_figures, write_tables
 

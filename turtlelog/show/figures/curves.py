@@ -1,108 +1,53 @@
-"""Curves of runs as figures draw them: in seconds from the first sample, in degrees, thinned."""
+"""Curves of figures: of runs, thinned, of the ideal loop beside them, and of theory alone."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show.aims import (
-    REFERENCE,
-    Command,
-    Level,
-    list_aims,
-    list_levels,
-    read_commanded,
-    read_world_velocity,
+from turtlelog.show.figures.page import REFERENCE, choose_lines
+from turtlelog.show.shared_curves import (
+    MOST_POINTS,
+    Curve,
+    LoopStep,
+    choose_rows,
+    find_steps,
+    read_curve,
 )
-from turtlelog.show.thinning import MOST_POINTS, choose_rows
+from turtlelog.theory import (
+    PLANT_INPUTS,
+    compute_closed_loop_response,
+    compute_plant_response,
+    compute_root_locus,
+    compute_settling_time,
+    find_plant_final_value,
+)
 
 Values = NDArray[np.float64]
 
+PAPER_GAINS: Final = (1.0, 2.0, 4.0, 10.0)
+_LAST_S: Final = 5.0
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Curve:
-    """One line of a figure.
+_ALONG: Final = ("along_track",)
+_DRIVEN_BY: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "heading": ("heading",),
+        "heading_error": ("heading",),
+        **dict.fromkeys(("x", "y", "error_x", "error_y", "along_track"), _ALONG),
+        **dict.fromkeys(("world_velocity_x", "world_velocity_y"), _ALONG),
+        "distance": ("along_track", "distance"),
+    }
+)
+"""Which loops' signals decide what theory expects of a curve: along the line all are the same."""
 
-    Attributes:
-        time_s: From the first sample of its run [s], shape (n,).
-        values: In the unit of its axis, shape (n,).
-        holds: Whether a value lasts until the next.
-        label: For the legend, where it is not the run's own.
-    """
-
-    time_s: Values
-    values: Values
-    holds: bool = False
-    label: str = ""
-
-
-def read_curve(run: Run, signal_name: str) -> Curve | None:
-    """Return a signal with headings in degrees, None where the run does not hold it.
-
-    Beside the named signals there are `world_velocity_x` and `world_velocity_y`: gain times error.
-    """
-    if signal_name.startswith("world_velocity_"):
-        return _read_world_velocity(run, "xy".index(signal_name[-1]))
-    signal = read_signal(run, signal_name)
-    if signal is None or not len(signal.values):
-        return None
-    is_angle = signal.kind.unit == "rad"
-    return Curve(
-        time_s=(signal.time_ns - run.start_ns) / 1e9,
-        values=np.degrees(signal.values) if is_angle else signal.values,
-        holds=signal.kind.resampling == "hold",
-    )
-
-
-def read_command(run: Run, command: Command) -> Curve | None:
-    """Return what was commanded, None where the run holds no commands."""
-    found = read_commanded(run, command)
-    if found is None:
-        return None
-    time_ns, values = found
-    return Curve(time_s=(time_ns - run.start_ns) / 1e9, values=values, holds=True)
-
-
-def read_applied(run: Run, command: Command) -> Curve | None:
-    """Return what the plant applied of `speed` or `turn_rate`, None where not recorded.
-
-    turtlesim publishes the magnitude of the applied speed, whichever way it drives.
-    """
-    poses = run.poses
-    values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
-    if values is None:
-        return None
-    return Curve(time_s=(poses.time_ns - run.start_ns) / 1e9, values=values, holds=True)
-
-
-def read_aims(run: Run, signal_name: str) -> list[Curve]:
-    """Return what the law, or the goal, asks of a signal where that moves."""
-    is_angle = signal_name == "heading"
-    return [
-        Curve(
-            time_s=(aim.time_ns - run.start_ns) / 1e9,
-            values=np.degrees(aim.values) if is_angle else aim.values,
-            holds=aim.label == REFERENCE,
-            label=aim.label,
-        )
-        for aim in list_aims(run, signal_name)
-    ]
-
-
-def list_targets(run: Run, signal_name: str) -> list[Level]:
-    """Return what a signal should be, where that stands still, in the unit of its curve."""
-    if signal_name in ("x", "y"):
-        goal = run.goal_xy_m
-        return [] if goal is None else [Level(label="goal", value=goal["xy".index(signal_name)])]
-    levels = list_levels(run, signal_name)
-    if signal_name != "heading":
-        return levels
-    return [replace(level, value=float(np.degrees(level.value))) for level in levels]
+_ERRORS: Final = frozenset(
+    {"heading_error", "error_x", "error_y", "distance", "world_velocity_x", "world_velocity_y"}
+)
 
 
 def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
@@ -131,9 +76,99 @@ def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:
         axes.axhline(level, zorder=1.5, **shown)
 
 
-def _read_world_velocity(run: Run, axis: int) -> Curve | None:
-    found = read_world_velocity(run)
-    if found is None:
+def compute_ideals(run: Run, signal_name: str) -> list[Curve]:
+    """Return how ideal loops of the same gains would bring a signal to where it belongs.
+
+    Each starts where and when its loop starts. None for signals that no loop of theory's drives,
+    and where the reference moves, or the gain or the goal is not known.
+    """
+    measured = read_curve(run, signal_name)
+    if measured is None or signal_name not in _DRIVEN_BY:
+        return []
+    steps = [step for driven in _DRIVEN_BY[signal_name] for step in find_steps(run, driven)]
+    # Along the line, all but the way itself comes to where it belongs at the goal alone.
+    elsewhere = {"along_track"} - {signal_name}
+    found = [
+        _compute_ideal(run, signal_name, measured, step)
+        for step in steps
+        if step.loop.signal not in elsewhere or step.loop.reference == "goal_distance"
+    ]
+    return [curve for curve in found if curve is not None]
+
+
+def draw_plant_responses(figure: Figure, runs: Sequence[Run]) -> None:  # noqa: ARG001
+    """Draw the plant 1/s answering an impulse, a step and a ramp."""
+    time_s = np.linspace(0.0, _LAST_S, 201)
+    for axes, kind in zip(figure.subplots(1, 3), PLANT_INPUTS, strict=True):
+        axes.plot(time_s, compute_plant_response(kind, time_s), **choose_lines(1)[0])
+        end = "unbounded" if find_plant_final_value(kind).value is None else "bounded"
+        axes.set(xlabel="time [s]", title=f"{kind}: {end}", xlim=(0.0, _LAST_S), ylim=(0.0, None))
+    figure.axes[0].set(ylabel="response of 1/s", ylim=(0.0, 1.25))
+
+
+def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the closed loop's step response for each gain, with the 2 % band and 4 tau marked."""
+    axes, gains = figure.subplots(), find_gains(runs)
+    last_s = 1.25 * compute_settling_time(min(gains))
+    time_s = np.linspace(0.0, last_s, 601)
+    axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
+    axes.axhline(1.0, **REFERENCE)
+    for gain, looks in zip(gains, choose_lines(len(gains)), strict=True):
+        values = compute_closed_loop_response(gain, time_s)
+        axes.plot(time_s, values, label=f"Kp = {gain:g}", **looks)
+        settled_s = compute_settling_time(gain)
+        level = compute_closed_loop_response(gain, [0.0, settled_s])[-1]
+        label = "4 τ" if gain == gains[-1] else None
+        axes.plot(settled_s, level, "o", ms=3.5, color=looks["color"], label=label)
+    axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
+
+
+def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the closed loop's pole s = -Kp, from the plant's at the origin leftward."""
+    axes, gains = figure.subplots(), find_gains(runs)
+    left = -1.25 * max(gains)
+    axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
+    axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")
+    branch = compute_root_locus([0.0, -left])
+    axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
+    axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
+    poles = compute_root_locus(gains)
+    for gain, pole, looks in zip(gains, poles, choose_lines(len(gains)), strict=True):
+        axes.plot(
+            [pole.real], [pole.imag], "o", ms=4.5, color=looks["color"], label=f"Kp = {gain:g}"
+        )
+    axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
+    axes.set_ylim(-1.0, 1.0)
+
+
+def find_gains(runs: Sequence[Run]) -> tuple[float, ...]:
+    """Return the gains of the loops that theory knows in rising order; without runs the paper's."""
+    if not runs:
+        return PAPER_GAINS
+    found = {
+        loop.read_gain(run.parameters)
+        for run in runs
+        for loop in run.declaration.loops
+        if loop.has_theory
+    }
+    return tuple(sorted(gain for gain in found if gain is not None))
+
+
+def _compute_ideal(run: Run, signal_name: str, measured: Curve, step: LoopStep) -> Curve | None:
+    target = _find_target(run, signal_name, step)
+    start_s = (step.start_ns - run.start_ns) / 1e9
+    after = measured.time_s >= start_s
+    if target is None or not after.any():
         return None
-    time_ns, velocity = found
-    return Curve(time_s=(time_ns - run.start_ns) / 1e9, values=velocity[:, axis], holds=True)
+    initial = float(measured.values[after][0])
+    values = step.respond(measured.time_s[after] - start_s, initial=initial, target=target)
+    return Curve(start_ns=run.start_ns, time_ns=measured.time_ns[after], values=values)
+
+
+def _find_target(run: Run, signal_name: str, step: LoopStep) -> float | None:
+    """Return the value that a loop brings a signal to, in the unit of its curve."""
+    if signal_name in _ERRORS:
+        return 0.0
+    if signal_name in ("x", "y"):
+        return None if run.goal_xy_m is None else run.goal_xy_m["xy".index(signal_name)]
+    return step.reference

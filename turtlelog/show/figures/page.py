@@ -14,8 +14,8 @@ from matplotlib.textpath import text_to_path
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
-from turtlelog.show.aims import BEARING_NOW, REFERENCE as AIMED
 from turtlelog.show.palette import FEW, choose_run_colors
+from turtlelog.show.shared_curves import BEARING_NOW, REFERENCE as AIMED
 
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0

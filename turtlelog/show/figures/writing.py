@@ -22,7 +22,7 @@ from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
-from turtlelog.show.figures.catalogue import FIGURES, FigureKind, has_table1
+from turtlelog.show.figures.figure_kinds import FIGURES, FigureKind, has_table1
 from turtlelog.show.figures.page import LOOKS, Page, add_legend
 from turtlelog.show.output_files import replace_together
 from turtlelog.show.table_formats import format_latex

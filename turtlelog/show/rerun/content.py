@@ -1,22 +1,18 @@
-"""What a recording holds, as far as its layout must know, and where its legends have room."""
+"""What a recording holds, as far as its layout must know."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
 
 import numpy as np
-import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
-from turtlelog.show.aims import find_end_of_turn
 from turtlelog.show.close_up import CloseUp, find_close_up
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
-from turtlelog.show.rerun.marks import Mark
 from turtlelog.show.rerun.plots import LevelLines, Series
 from turtlelog.show.rerun.world import Bounds, find_plane_bounds
+from turtlelog.show.shared_curves import find_end_of_turn
 
 _HEADROOM = 1.25
 _ROOM = 0.08
@@ -25,31 +21,6 @@ _LEAST_SIDE = 0.15
 _CLOSE_UP = 2.0
 _MOST_IN_PLOT = 4
 _SMALLEST_CLOSE_UP_DEG = 0.1
-
-Corners = Mapping[str, rrb.Corner2D]
-
-_CORNERS: Final = (
-    rrb.Corner2D.RightBottom,
-    rrb.Corner2D.RightTop,
-    rrb.Corner2D.LeftBottom,
-    rrb.Corner2D.LeftTop,
-)
-
-_LEGEND_WIDTH: Final = 0.4  # of the plot's, as are the others
-_LINE_HEIGHT: Final = 0.125
-_MOST_HEIGHT: Final = 0.9
-_OTHER_LINES: Final = 2  # levels, events, marks
-
-_JUMP: Final = 0.05
-"""What a jump counts at most, in heights of the plot: to hide an upright line hides little."""
-_FLAT: Final = 0.05
-"""What a curve counts that stands still."""
-_MARK: Final = 0.3
-"""What a mark counts."""
-_ENOUGH: Final = 0.04
-"""A corner that is better by less is not taken in place of the usual one."""
-
-_MOST_ROWS: Final = 300
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +43,8 @@ class Content:
         goal: What the close-up of the goal shows, None without one.
         ranges: Fixed ranges of values, by plot.
         close_ups: Plots whose range does not hold all of their curves.
+        ends: Last values of the first curves of plots, where they have come to their end.
         controlled: Plots of signals that a loop of a run controls.
-        corners: Where the legends of plots stand, if not in their usual places.
     """
 
     prefixes: tuple[str, ...]
@@ -91,8 +62,8 @@ class Content:
     goal: CloseUp | None
     ranges: Mapping[str, tuple[float, float]]
     close_ups: frozenset[str] = frozenset()
+    ends: Mapping[str, float] = field(default_factory=dict)
     controlled: frozenset[str] = frozenset()
-    corners: Corners = field(default_factory=dict)
 
     def list_states(self) -> list[str]:
         """Return the plots of the laws' states, in order."""
@@ -158,49 +129,14 @@ def find_largest(content: Content) -> float:
     return max((abs(bound) for bounds in content.ranges.values() for bound in bounds), default=1.0)
 
 
-@dataclass(frozen=True, slots=True)
-class _Curve:
-    """A curve, or a mark as one row, in widths and heights of its plot: shapes (n,), (n, k)."""
-
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-
-    def measure_hidden(self, corner: rrb.Corner2D, height: float) -> tuple[float, bool]:
-        """Return how far it goes up and down beneath a legend, and whether it is there at all."""
-        if corner.name.startswith("Right"):
-            y = self.y[np.searchsorted(self.x, 1.0 - _LEGEND_WIDTH) :]
-        else:
-            y = self.y[: np.searchsorted(self.x, _LEGEND_WIDTH)]
-        low, high = (1.0 - height, 1.0) if corner.name.endswith("Top") else (0.0, height)
-        beneath = np.minimum(np.maximum(y, low), high)
-        moves = np.minimum(np.abs(beneath[1:] - beneath[:-1]), _JUMP)
-        return float(moves.sum()), bool((beneath == y).any())
-
-
-def choose_corners(
-    series: Sequence[Series],
-    marks: Sequence[Mark],
-    ranges: Mapping[str, tuple[float, float]],
-    usual: Corners,
-) -> Corners:
-    """Return a corner for the legend of each plot: the usual one, unless another hides less."""
-    times_ns = [int(curves.time_ns[row]) for curves in series for row in (0, -1)]
-    if not times_ns or min(times_ns) == max(times_ns):
-        return {}
-    span_ns = (min(times_ns), max(times_ns))
-    chosen = {}
-    for plot, corner in ((plot, usual[plot]) for plot in usual.keys() & ranges.keys()):
-        curves = [
-            _place_in_plot(found, span_ns, ranges[plot]) for found in series if found.plot == plot
-        ]
-        points = [
-            _place_in_plot(mark, span_ns, ranges[plot]) for mark in marks if mark.plot == plot
-        ]
-        if curves:
-            hidden = {at: _measure_hidden(at, curves, points) for at in _CORNERS}
-            best = min(_CORNERS, key=lambda at: hidden[at])
-            chosen[plot] = best if hidden[best] + _ENOUGH < hidden[corner] else corner
-    return chosen
+def find_ends(series: Sequence[Series], ranges: Mapping[str, object]) -> dict[str, float]:
+    """Return the last known value of the first curve of each plot that has a range."""
+    ends: dict[str, float] = {}
+    for curves in series:
+        known = curves.values[np.isfinite(curves.values[:, 0]), 0]
+        if len(known) and curves.plot in ranges:
+            ends.setdefault(curves.plot, float(known[-1]))
+    return ends
 
 
 def _find_ranges(
@@ -257,34 +193,3 @@ def _find_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
         largest_deg = max(largest_deg, float(np.degrees(after.max(initial=0.0))))
     half_deg = max(_CLOSE_UP * largest_deg, _SMALLEST_CLOSE_UP_DEG)
     return {entities.HEADING_ERROR: (-half_deg, half_deg)}
-
-
-def _place_in_plot(
-    found: Series | Mark, span_ns: tuple[int, int], limits: tuple[float, float]
-) -> _Curve:
-    """Return its rows, or of many some."""
-    if isinstance(found, Mark):
-        time_ns, values = np.array([found.time_ns]), np.array([[found.level]])
-    else:
-        step = len(found.time_ns) // _MOST_ROWS + 1
-        time_ns, values = found.time_ns[::step], found.values[::step]
-    known = np.isfinite(values).all(axis=1)
-    (start_ns, end_ns), (low, high) = span_ns, limits
-    return _Curve(
-        (time_ns[known] - start_ns) / (end_ns - start_ns), (values[known] - low) / (high - low)
-    )
-
-
-def _measure_hidden(
-    corner: rrb.Corner2D, curves: Sequence[_Curve], marks: Sequence[_Curve]
-) -> float:
-    """Return how much a legend there hides."""
-    height = min(_LINE_HEIGHT * (len(curves) + _OTHER_LINES), _MOST_HEIGHT)
-    hidden = 0.0
-    for found, weight in (
-        *((curve, _FLAT) for curve in curves),
-        *((mark, _MARK) for mark in marks),
-    ):
-        moves, is_there = found.measure_hidden(corner, height)
-        hidden += moves + weight * is_there
-    return hidden

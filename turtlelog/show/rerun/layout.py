@@ -1,6 +1,6 @@
 """Layouts: which views a recording opens with, and where. A view without data is left out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
@@ -10,12 +10,14 @@ import rerun.blueprint as rrb
 from turtlelog.show import palette
 from turtlelog.show.close_up import CloseUp
 from turtlelog.show.rerun import entities
-from turtlelog.show.rerun.content import Content, Corners
+from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.drawing import arrange_names, choose_names, name_document
 from turtlelog.show.rerun.entities import TIMELINE, join_path
 from turtlelog.show.rerun.world import Bounds
 
-RUN_LEGENDS: Final[Corners] = MappingProxyType(
+Corners = Mapping[str, rrb.Corner2D]
+
+_RUN_LEGENDS: Final[Corners] = MappingProxyType(
     {
         entities.HEADING: rrb.Corner2D.RightBottom,
         entities.HEADING_ERROR: rrb.Corner2D.RightBottom,
@@ -25,11 +27,11 @@ RUN_LEGENDS: Final[Corners] = MappingProxyType(
         entities.POSITION_ERROR: rrb.Corner2D.RightTop,
         entities.CROSS_TRACK: rrb.Corner2D.LeftBottom,
         entities.DISTANCE: rrb.Corner2D.RightTop,
-        entities.SPEED: rrb.Corner2D.RightTop,
+        entities.SPEED: rrb.Corner2D.LeftBottom,
         entities.WORLD_VELOCITY: rrb.Corner2D.RightTop,
     }
 )
-"""Where curves usually leave room."""
+"""Where curves usually leave room; on the right, above or below where they end."""
 
 _TURNING: Final = (
     (entities.HEADING,),
@@ -85,7 +87,8 @@ class LinkedBlueprint(rrb.Blueprint):
 
 def build_run_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run alone: plane, heading loop, position loop, phases below."""
-    return _build_blueprint(content, (_TURNING, _RUN_MOVING), {**RUN_LEGENDS, **content.corners})
+    corners = {plot: _avoid_end(content, plot, usual) for plot, usual in _RUN_LEGENDS.items()}
+    return _build_blueprint(content, (_TURNING, _RUN_MOVING), corners)
 
 
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
@@ -96,6 +99,14 @@ def build_comparison_layout(content: Content) -> rrb.Blueprint:
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run beside its what-ifs: a comparison's, with the shares as bars."""
     return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), {})
+
+
+def _avoid_end(content: Content, plot: str, usual: rrb.Corner2D) -> rrb.Corner2D:
+    """Return a corner on the same side, on the right away from where the plot's curve ends."""
+    if plot not in content.ends or usual.name.startswith("Left"):
+        return usual
+    is_high = content.ends[plot] > sum(content.ranges[plot]) / 2.0
+    return rrb.Corner2D.RightBottom if is_high else rrb.Corner2D.RightTop
 
 
 def _choose_legend(content: Content) -> Corners:

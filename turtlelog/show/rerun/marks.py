@@ -12,11 +12,11 @@ from turtlelog.loops import PAUSE, ControlLoop, Declaration
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show import palette
-from turtlelog.show.aims import LoopStep, Values, find_steps
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.plots import Series
 from turtlelog.show.rerun.timelines import RunStream
+from turtlelog.show.shared_curves import LoopStep, Values, find_steps
 from turtlelog.theory import compute_sampled_step_response
 
 Shape = Literal["Circle", "Diamond", "Right", "Up"]

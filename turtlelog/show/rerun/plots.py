@@ -7,21 +7,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure import read_signal
 from turtlelog.run import Run
 from turtlelog.show import palette
-from turtlelog.show.aims import (
-    REFERENCE,
+from turtlelog.show.palette import Color
+from turtlelog.show.rerun import entities
+from turtlelog.show.shared_curves import (
     Command,
+    find_limits,
     list_aims,
     list_levels,
-    list_limit_keys,
-    read_commanded,
+    read_applied,
+    read_command,
+    read_curve,
     read_distance_to_reference,
     read_world_velocity,
 )
-from turtlelog.show.palette import Color
-from turtlelog.show.rerun import entities
 
 _POSE_SIGNALS: Final = (
     (entities.HEADING, "heading", "heading"),
@@ -102,8 +102,8 @@ def list_series(run: Run) -> tuple[Series, ...]:
         *_list_logarithms(poses),
         *_list_aims(run),
         *_list_states(run),
-        *_list_commands(run, entities.SPEED),
-        *_list_commands(run, entities.TURN_RATE),
+        *_list_commands(run, entities.SPEED, "speed"),
+        *_list_commands(run, entities.TURN_RATE, "turn_rate"),
     )
     return tuple(curves for curves in series if len(curves.time_ns) > 1)
 
@@ -134,14 +134,14 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
     levels = (
         (entities.HEADING, _list_levels(runs, "heading")),
         (entities.HEADING_ERROR, _name("zero", zeros if _hold(runs, "heading_error") else ())),
-        (entities.POSITION, _name("goal", goals)),
+        (entities.POSITION, _list_levels(runs, "x", "y")),
         (entities.POSITION_ERROR, _name("zero", zeros if goals else ())),
         (entities.ALONG_TRACK, _list_levels(runs, "along_track")),
         (entities.CROSS_TRACK, _name("zero", zeros if _hold(runs, "cross_track") else ())),
         (entities.DISTANCE, _name("zero", zeros if goals or _follow_distance(runs) else ())),
         (entities.SPEED, _name("limit", _find_limits(runs, "speed"))),
         (entities.TURN_RATE, _name("limit", _find_limits(runs, "turn_rate"))),
-        (entities.WORLD_VELOCITY, _name("zero", zeros if _hold_world_velocity(runs) else ())),
+        (entities.WORLD_VELOCITY, _name("zero", zeros if _hold(runs, "world_velocity_x") else ())),
     )
     return tuple(
         LevelLines(
@@ -154,34 +154,37 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
     )
 
 
-def _list_commands(run: Run, plot: str) -> Iterator[Series]:
+def _list_commands(run: Run, plot: str, command: Command) -> Iterator[Series]:
     """Yield what was wanted, commanded and applied; the thick one shows beneath the others."""
-    poses = run.poses
-    applied = poses.speed_m_s if plot == entities.SPEED else poses.turn_rate_rad_s
-    wanted = read_signal(run, f"wanted_{plot}")
-    if wanted is not None:
-        yield _build_command(plot, entities.WANTED, wanted.time_ns, wanted.values, palette.WANTED)
-    commanded = read_commanded(run, "speed" if plot == entities.SPEED else "turn_rate")
-    if commanded is not None:
-        yield _build_command(plot, entities.COMMANDED, *commanded, palette.MAIN)
-    if applied is not None:
-        yield _build_command(plot, entities.APPLIED, poses.time_ns, applied, palette.SECOND)
+    found = (
+        (entities.WANTED, read_curve(run, f"wanted_{command}"), palette.WANTED),
+        (entities.COMMANDED, read_command(run, command), palette.MAIN),
+        (entities.APPLIED, read_applied(run, command), palette.SECOND),
+    )
+    for kind, curve, color in found:
+        if curve is None:
+            continue
+        is_main = kind == entities.COMMANDED
+        yield Series(
+            entity=f"{plot}/{kind}",
+            labels=(kind,),
+            colors=(color,),
+            time_ns=curve.time_ns,
+            values=curve.values[:, np.newaxis],
+            width=_COMMANDED_WIDTH if is_main else _THIN_WIDTH,
+            holds=True,
+            is_main=is_main,
+        )
 
 
 def _find_limits(runs: Sequence[Run], command: Command) -> set[float]:
-    """Return the limits of runs with both signs, none where they are infinite or not known."""
-    limits = {run.parameters.get(key) for run in runs for key in list_limit_keys(run, command)}
-    sizes = {float(limit) for limit in limits if isinstance(limit, int | float)}
-    return {sign * size for size in sizes if np.isfinite(size) for sign in (-1.0, 1.0)}
+    """Return the limits of runs with both signs."""
+    return {sign * limit for limit in find_limits(runs, command) for sign in (-1.0, 1.0)}
 
 
-def _list_levels(runs: Sequence[Run], signal: str) -> set[tuple[float, str]]:
-    found = [level for run in runs for level in list_levels(run, signal)]
-    is_angle = signal == "heading"
-    return {
-        (float(np.degrees(level.value)) if is_angle else level.value, level.label)
-        for level in found
-    }
+def _list_levels(runs: Sequence[Run], *signals: str) -> set[tuple[float, str]]:
+    found = [level for run in runs for name in signals for level in list_levels(run, name)]
+    return {(level.value, level.label) for level in found}
 
 
 def _name(label: str, levels: Iterable[float]) -> set[tuple[float, str]]:
@@ -189,11 +192,7 @@ def _name(label: str, levels: Iterable[float]) -> set[tuple[float, str]]:
 
 
 def _hold(runs: Sequence[Run], signal: str) -> bool:
-    return any(read_signal(run, signal) is not None for run in runs)
-
-
-def _hold_world_velocity(runs: Sequence[Run]) -> bool:
-    return any(read_world_velocity(run) is not None for run in runs)
+    return any(read_curve(run, signal) is not None for run in runs)
 
 
 def _follow_distance(runs: Sequence[Run]) -> bool:
@@ -242,29 +241,24 @@ def _build_pair(
 
 def _list_pose_series(run: Run) -> Iterable[Series]:
     for entity, signal_name, label in _POSE_SIGNALS:
-        signal = read_signal(run, signal_name)
-        if signal is None:
-            continue
-        values = np.degrees(signal.values) if signal.kind.unit == "rad" else signal.values
-        yield Series(
-            entity=entity, labels=(label,), time_ns=signal.time_ns, values=values[:, np.newaxis]
-        )
+        curve = read_curve(run, signal_name)
+        if curve is not None:
+            values = curve.values[:, np.newaxis]
+            yield Series(entity=entity, labels=(label,), time_ns=curve.time_ns, values=values)
 
 
 def _list_aims(run: Run) -> Iterable[Series]:
     """Yield what moves and a signal of a loop should be, or is recorded as reference."""
     for signal, plot in entities.PLOTS.items():
         for aim in list_aims(run, signal):
-            is_recorded = aim.label == REFERENCE
-            values = np.degrees(aim.values) if signal == "heading" else aim.values
             yield Series(
-                entity=f"{plot}/{entities.AIMED if is_recorded else entities.BEARING_NOW}",
+                entity=f"{plot}/{entities.AIMED if aim.holds else entities.BEARING_NOW}",
                 labels=(aim.label,),
                 colors=(palette.REFERENCE,),
                 time_ns=aim.time_ns,
-                values=values[:, np.newaxis],
+                values=aim.values[:, np.newaxis],
                 width=_AIM_WIDTH,
-                holds=is_recorded,
+                holds=aim.holds,
                 is_main=False,
             )
     away_m = read_distance_to_reference(run)
@@ -281,13 +275,13 @@ def _list_aims(run: Run) -> Iterable[Series]:
 
 def _list_states(run: Run) -> Iterable[Series]:
     for name in run.declaration.states:
-        signal = read_signal(run, name)
-        if signal is not None:
+        curve = read_curve(run, name)
+        if curve is not None:
             yield Series(
                 entity=f"{entities.STATE}/{name}",
                 labels=(name,),
-                time_ns=signal.time_ns,
-                values=signal.values[:, np.newaxis],
+                time_ns=curve.time_ns,
+                values=curve.values[:, np.newaxis],
                 holds=True,
             )
 
@@ -301,22 +295,3 @@ def _list_logarithms(series: Iterable[Series]) -> Iterable[Series]:
         sizes = np.abs(curves.values)
         values = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
         yield replace(curves, entity=entity_of[curves.entity], values=values)
-
-
-def _build_command(
-    plot: str,
-    kind: str,
-    time_ns: NDArray[np.int64],
-    values: NDArray[np.float64],
-    color: Color,
-) -> Series:
-    return Series(
-        entity=f"{plot}/{kind}",
-        labels=(kind,),
-        colors=(color,),
-        time_ns=time_ns,
-        values=values[:, np.newaxis],
-        width=_COMMANDED_WIDTH if kind == entities.COMMANDED else _THIN_WIDTH,
-        holds=True,
-        is_main=kind == entities.COMMANDED,
-    )

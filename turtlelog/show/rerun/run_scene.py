@@ -16,9 +16,9 @@ from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import drawing, entities, plane
-from turtlelog.show.rerun.content import Content, choose_corners, describe_content, find_largest
+from turtlelog.show.rerun.content import Content, describe_content, find_ends, find_largest
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
-from turtlelog.show.rerun.layout import RUN_LEGENDS, build_run_layout
+from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks, list_responses
 from turtlelog.show.rerun.plots import LevelLines, Series, list_references, list_series
 from turtlelog.show.rerun.rrd_file import open_recording, send_run_properties
@@ -112,7 +112,7 @@ class Single:
         content = describe_content([self.run], [""], [self.series], self.references, documents)
         return replace(
             content,
-            corners=choose_corners(self.series, self.marks, content.ranges, RUN_LEGENDS),
+            ends=find_ends(self.series, content.ranges),
             series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
             lines=(join_path(_EVENT_LINES),) if self.run.events else (),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,

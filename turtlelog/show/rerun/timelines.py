@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Run
 from turtlelog.show.rerun.entities import PHASE_TIMELINE, TICKS, TIMELINE, WALL_TIMELINE, join_path
-from turtlelog.show.thinning import choose_rows
+from turtlelog.show.shared_curves import choose_rows
 
 Times = NDArray[np.int64]
 

@@ -11,21 +11,34 @@ from matplotlib.figure import Figure
 
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.run import Run
-from turtlelog.show.aims import Command, list_loops
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
-from turtlelog.show.figures import over_time
-from turtlelog.show.figures.curves import read_applied, read_command, read_curve
-from turtlelog.show.figures.ideal_loop import (
+from turtlelog.show.figures.curves import (
     draw_plant_responses,
     draw_root_locus,
     draw_step_responses,
     find_gains,
 )
 from turtlelog.show.figures.page import label_runs
-from turtlelog.show.figures.paths import draw_plane
+from turtlelog.show.figures.panels import (
+    Draw,
+    draw_columns,
+    draw_command,
+    draw_error_magnitude,
+    draw_plane,
+    draw_signal,
+    draw_stack,
+    draw_wanted,
+)
+from turtlelog.show.shared_curves import (
+    Command,
+    list_loops,
+    read_applied,
+    read_command,
+    read_curve,
+)
 
 DrawFigure = Callable[[Figure, Sequence[Run]], None]
-Arrange = Callable[[Figure, Sequence[Run], Sequence[over_time.Draw]], None]
+Arrange = Callable[[Figure, Sequence[Run], Sequence[Draw]], None]
 
 _MOST_NAMED: Final = 3
 """So many runs are named that a figure does not show; of more it is said how many."""
@@ -61,7 +74,11 @@ def _lack_gain(runs: Sequence[Run]) -> str:
     """Say what theory lacks: python-control, which computes it, or a gain."""
     if find_spec("control") is None:
         return "python-control"
-    return "" if find_gains(runs) else "the law's gain"
+    if find_gains(runs):
+        return ""
+    loops = [loop for run in runs for loop in run.declaration.loops]
+    has_others = any(loop.gain and not loop.is_proportional for loop in loops)
+    return "a proportional loop" if has_others else "the law's gain"
 
 
 _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
@@ -102,7 +119,7 @@ class Panel:
 
     name: str
     needs: str
-    draw: over_time.Draw
+    draw: Draw
     loop: str = ""
     is_usual: bool = True
 
@@ -137,7 +154,7 @@ class FigureKind:
     needs: str = "poses"
     draw: DrawFigure | None = None
     panels: tuple[Panel, ...] = ()
-    arrange: Arrange = over_time.draw_stack
+    arrange: Arrange = draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return what is missing to draw it, None where nothing is; theory needs no runs."""
@@ -224,18 +241,18 @@ def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Se
 
 
 def _signal(signal: str, label: str, needs: str, loop: str = "", *, is_usual: bool = True) -> Panel:
-    draw = partial(over_time.draw_signal, signal=signal, label=label)
+    draw = partial(draw_signal, signal=signal, label=label)
     name = signal.replace("_", " ")
     return Panel(name=name, needs=needs, draw=draw, loop=loop, is_usual=is_usual)
 
 
 def _magnitude(signal: str, label: str, needs: str, loop: str = "") -> Panel:
-    draw = partial(over_time.draw_error_magnitude, signal=signal, label=label)
+    draw = partial(draw_error_magnitude, signal=signal, label=label)
     return Panel(name=signal.replace("_", " "), needs=needs, draw=draw, loop=loop)
 
 
 def _command(command: Command, label: str) -> Panel:
-    draw = partial(over_time.draw_command, command=command, label=label)
+    draw = partial(draw_command, command=command, label=label)
     return Panel(name=label, needs=command, draw=draw)
 
 
@@ -302,7 +319,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
                 Panel(
                     name="wanted speed",
                     needs="wanted",
-                    draw=partial(over_time.draw_wanted, command="speed", label="wanted speed"),
+                    draw=partial(draw_wanted, command="speed", label="wanted speed"),
                 ),
             ),
         ),
@@ -343,7 +360,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
                 _command("turn_rate", "turn rate"),
                 _command("speed", "speed"),
             ),
-            arrange=over_time.draw_columns,
+            arrange=draw_columns,
             height=0.85,
         ),
     }

@@ -1,9 +1,11 @@
-"""The plant 1/s: a command is a rate, the output its integral.
+"""The plant 1/s, a command's integral, and the ideal loop around it, Kp / (s + Kp).
 
 Transfer functions are pairs of coefficients, highest power of s first, without common factors
-other than powers of s.
+other than powers of s. python-control computes what theory's figures draw; the formulas here serve
+what is measured, without it and at times that are not even.
 """
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Final
@@ -12,13 +14,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
-from turtlelog.theory.inputs import require_times
+from turtlelog.theory.inputs import (
+    require_even_times,
+    require_gain,
+    require_gains,
+    require_level,
+    require_positive,
+    require_times,
+)
 
 PLANT: Final = ((1.0,), (1.0, 0.0))
 """Numerator and denominator of 1/s."""
 
 PLANT_INPUTS: Final = ("impulse", "step", "ramp")
 """Inputs of the paper's figure 2: a unit impulse, 1 and t, with the transforms 1, 1/s and 1/s^2."""
+
+
+_DECAYED: Final = 750.0
+"""exp(-750) is 0 in double precision: later times need no product that could overflow."""
 
 
 class FinalValueStatus(Enum):
@@ -144,6 +157,107 @@ def judge_bibo(numerator: ArrayLike, denominator: ArrayLike) -> BiboVerdict:
     return BiboVerdict(stable=False, reason=f"it has a pole {place}: its own motion does not fade")
 
 
+def compute_time_constant(kp: float) -> float:
+    """Return tau = 1 / Kp [s] of the closed loop of an integrator with gain Kp [1/s].
+
+    Raises:
+        TheoryError: Where the gain is not a positive number.
+    """
+    return 1.0 / require_gain(kp)
+
+
+def compute_settling_time(kp: float) -> float:
+    """Return 4 tau [s], the textbook's rule for the 2 % settling time."""
+    return 4.0 * compute_time_constant(kp)
+
+
+def compute_exact_settling_time(kp: float) -> float:
+    """Return ln 50 tau [s], when exp(-t / tau) is 2 %: 3.912 tau."""
+    return math.log(50.0) * compute_time_constant(kp)
+
+
+def compute_saturated_settling_time(kp: float, *, step: float, limit: float) -> float:
+    """Return the 2 % settling time [s] of the ideal loop whose command is clipped to a limit.
+
+    While Kp e > limit the error falls at that rate; the rest decays: with E = limit / Kp < step it
+    takes (step - E) / limit + tau ln(E / (0.02 step)), or 0.98 step / limit where E is inside 2 %.
+
+    Args:
+        kp: Gain [1/s].
+        step: How far the reference is away, > 0, in m or rad.
+        limit: Largest rate, > 0, in the same unit per second.
+
+    Raises:
+        TheoryError: Where one of them is not a positive number.
+    """
+    tau_s = compute_time_constant(kp)
+    step, limit = require_positive("step", step), require_positive("limit", limit)
+    unclipped = limit * tau_s
+    if unclipped >= step:
+        return compute_exact_settling_time(kp)
+    if unclipped <= 0.02 * step:
+        return 0.98 * step / limit
+    return (step - unclipped) / limit + tau_s * math.log(unclipped / (0.02 * step))
+
+
+def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.float64]:
+    """Return the unit step response of Kp / (s + Kp), by python-control (figure 4).
+
+    Args:
+        kp: Gain [1/s].
+        time_s: Times [s], shape (n,), from 0 in even steps, n at least 2.
+
+    Raises:
+        TheoryError: Where the gain is not a positive number, or times are not even.
+    """
+    control = load_control()
+    kp, times = require_gain(kp), require_even_times(time_s)
+    response = control.step_response(control.tf([kp], [1.0, kp]), times)
+    return np.asarray(response.outputs, dtype=np.float64)
+
+
+def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
+    """Return the closed loop's pole for gains from 0 up, by python-control (figure 5).
+
+    Args:
+        kp: Gains [1/s], shape (n,), none negative.
+
+    Returns:
+        Poles in the s plane [1/s], shape (n,): -Kp, from the plant's pole at 0 to the left.
+
+    Raises:
+        TheoryError: Where a gain is negative or no number.
+    """
+    control, gains = load_control(), require_gains(kp)
+    loci = control.root_locus_map(control.tf(*PLANT), gains=gains).loci
+    return np.asarray(loci, dtype=np.complex128).reshape(len(gains))
+
+
+def compute_step_response(
+    kp: float, time_s: ArrayLike, *, initial: float = 0.0, reference: float = 1.0
+) -> NDArray[np.float64]:
+    """Return the ideal loop's response to a step of its reference at time 0.
+
+    y(t) = reference + (initial - reference) exp(-Kp t): the inverse Laplace transform of
+    Kp / (s + Kp) 1 / s. Before time 0 it is `initial`.
+
+    Args:
+        kp: Gain [1/s].
+        time_s: Times [s], any shape.
+        initial: Level before the step, in any unit.
+        reference: Level that is asked for, in the same unit.
+
+    Returns:
+        The response in that unit, in the shape of `time_s`.
+
+    Raises:
+        TheoryError: Where the gain is not positive or a number is not finite.
+    """
+    kp, times = require_gain(kp), require_times(time_s)
+    step = require_level("initial", initial) - require_level("reference", reference)
+    return reference + step * np.exp(-kp * np.clip(times, 0.0, _DECAYED / kp))
+
+
 def load_control() -> Any:
     """Return python-control, which is loaded only where it is needed.
 
@@ -155,17 +269,6 @@ def load_control() -> Any:
     except ImportError as err:
         raise TheoryError("python-control: expected `pip install control`, found none") from err
     return control
-
-
-def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:
-    """Return times [s] that python-control can simulate over."""
-    times = require_times(time_s)
-    if times.ndim != 1 or len(times) < 2 or times[0] != 0.0:
-        raise TheoryError("time_s: expected at least 2 times from 0 on, found others")
-    steps = np.diff(times)
-    if not steps.min() > 0.0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
-        raise TheoryError("time_s: expected even steps forward, found uneven ones")
-    return times
 
 
 def _require_kind(kind: str) -> None:

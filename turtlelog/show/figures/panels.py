@@ -1,37 +1,56 @@
-"""Figures over time: what the robot did, what it missed, and what it was told."""
+"""What figures of runs draw: panels over time, and the plane with how each run ends."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import SymmetricalLogLocator
+from numpy.typing import NDArray
 
+from turtlelog.loops import COMMAND_UNITS
 from turtlelog.run import Run
-from turtlelog.show.aims import Command, list_limit_keys
-from turtlelog.show.figures.curves import (
-    draw_curve,
-    draw_level,
-    list_targets,
-    read_aims,
+from turtlelog.show.close_up import (
+    CloseUp,
+    Label,
+    Lettering,
+    find_close_up,
+    find_tolerance,
+    list_miss_labels,
+    list_ring_labels,
+)
+from turtlelog.show.figures.curves import compute_ideals, draw_curve, draw_level, draw_thinned
+from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
+from turtlelog.show.shared_curves import (
+    REFERENCE as AIMED,
+    Command,
+    find_limits,
+    find_parameters,
+    list_aims,
+    list_levels,
     read_applied,
     read_command,
     read_curve,
 )
-from turtlelog.show.figures.ideal_loop import compute_ideals
-from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
+
+Values = NDArray[np.float64]
 
 _TOLERANCES = {"heading_error": "law.heading_tolerance_rad", "distance": "law.position_tolerance_m"}
 _AIMED = frozenset({"heading", "x", "y", "along_track"})
 """Signals that come to something else than zero."""
 
-_UNITS = {"speed": "m/s", "turn_rate": "rad/s"}
 _LIMIT = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "limit"}
 _TOLERANCE = {**REFERENCE, "linestyle": (0, (5, 2)), "label": "tolerance"}
 
+_WORDS_POINTS: Final = 6.5
+_RING: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
+)
 
 Draw = Callable[[Axes, Sequence[Run]], None]
 """Draws one panel of some runs."""
@@ -43,7 +62,7 @@ def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> 
     for run, looks in _style_runs(runs):
         for ideal in compute_ideals(run, signal):
             draw_curve(axes, ideal, **{**looks, **IDEAL})
-        for aim in read_aims(run, signal):
+        for aim in list_aims(run, signal):
             draw_curve(axes, aim, **{**looks, **AIM, "label": aim.label})
         if (curve := read_curve(run, signal)) is not None:
             draw_curve(axes, curve, **looks)
@@ -82,7 +101,7 @@ def draw_command(axes: Axes, runs: Sequence[Run], *, command: Command, label: st
         for run, looks in _style_runs(runs):
             if (curve := read_command(run, command)) is not None:
                 draw_curve(axes, curve, **looks)
-    _finish(axes, runs, f"{label} [{_UNITS[command]}]")
+    _finish(axes, runs, f"{label} [{COMMAND_UNITS[command]}]")
     _keep_to_limits(axes, runs, command)
 
 
@@ -96,7 +115,7 @@ def draw_wanted(axes: Axes, runs: Sequence[Run], *, command: Command, label: str
     for run, looks in _style_runs(runs):
         if (curve := read_curve(run, f"wanted_{command}")) is not None:
             draw_curve(axes, curve, **looks)
-    _finish(axes, runs, f"{label} [{_UNITS[command]}]")
+    _finish(axes, runs, f"{label} [{COMMAND_UNITS[command]}]")
 
 
 def draw_stack(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
@@ -122,13 +141,28 @@ def draw_columns(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) ->
             axes.tick_params(labelbottom=True)
 
 
+def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the paths from start to goal, and beside them, where runs arrive, how each ends."""
+    close_up = find_close_up(runs)
+    grid = figure.subplots(1, 1 if close_up is None else 2, squeeze=False)[0]
+    _draw_paths(grid[0], runs)
+    points = np.concatenate(
+        [*(run.poses.xy_m for run in runs), _list_goals(runs), *_list_aims(runs)]
+    )
+    _show_square(grid[0], points.min(axis=0), points.max(axis=0), 0.08)
+    grid[0].set(title="whole paths")
+    if close_up is not None:
+        _draw_paths(grid[1], runs)
+        _close_up(grid[1], runs, close_up, _measure_letters(figure))
+
+
 def _style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
     styled = zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True)
     return [(run, {**looks, "label": name}) for run, name, looks in styled]
 
 
 def _draw_tolerances(axes: Axes, runs: Sequence[Run], signal: str) -> None:
-    found = _find_parameters(runs, _TOLERANCES[signal])
+    found = find_parameters(runs, _TOLERANCES[signal])
     levels = np.degrees(found) if signal == "heading_error" else found
     draw_level(axes, list(levels), **_TOLERANCE)
 
@@ -139,7 +173,7 @@ def _draw_targets(axes: Axes, runs: Sequence[Run], signal: str) -> None:
         draw_level(axes, [0.0], **REFERENCE, label=None)
         return
     named: dict[str, set[float]] = {}
-    for level in (level for run in runs for level in list_targets(run, signal)):
+    for level in (level for run in runs for level in list_levels(run, signal)):
         named.setdefault(level.label, set()).add(level.value)
     for name, levels in named.items():
         draw_level(axes, sorted(levels), **REFERENCE, label=name)
@@ -147,19 +181,8 @@ def _draw_targets(axes: Axes, runs: Sequence[Run], signal: str) -> None:
 
 def _draw_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     draw_level(axes, [0.0], color="0.8", linewidth=0.5)
-    levels = [sign * limit for limit in _find_limits(runs, command) for sign in (1.0, -1.0)]
+    levels = [sign * limit for limit in find_limits(runs, command) for sign in (1.0, -1.0)]
     draw_level(axes, levels, **_LIMIT)
-
-
-def _find_limits(runs: Sequence[Run], command: Command) -> list[float]:
-    keys = dict.fromkeys(key for run in runs for key in list_limit_keys(run, command))
-    return sorted({limit for key in keys for limit in _find_parameters(runs, key)})
-
-
-def _find_parameters(runs: Sequence[Run], key: str) -> list[float]:
-    """Return the values that the runs have of a parameter; what is boundless is none."""
-    found = {run.parameters.get(key) for run in runs}
-    return sorted(float(value) for value in found if isinstance(value, int | float) and value < 1e9)
 
 
 def _draw_stages(axes: Axes, run: Run, command: Command) -> None:
@@ -178,7 +201,7 @@ def _draw_stages(axes: Axes, run: Run, command: Command) -> None:
 
 def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     """End the axis a little beyond the limits: what was wanted may lie far outside."""
-    limits = _find_limits(runs, command)
+    limits = find_limits(runs, command)
     if not limits:
         return
     curves = [read_command(run, command) for run in runs]
@@ -192,3 +215,74 @@ def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
     axes.set(xlabel=f"time from the first {' or '.join(firsts)} [s]", ylabel=label)
     axes.margins(x=0.01)
     axes.locator_params(axis="x", nbins=6)
+
+
+def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
+    for run, name, looks in zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True):
+        xy_m = run.poses.xy_m
+        draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
+        axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
+        for aims_m in _list_aims([run]):
+            draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM}, label=AIMED)
+    starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
+    axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
+    goals = _list_goals(runs)
+    if len(goals):
+        axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+
+def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Lettering) -> None:
+    """Show what lies around the goal: rings, and how far from it each run ends."""
+    goal = np.array(close_up.goal_xy_m)
+    _show_square(axes, goal - close_up.half_m, goal + close_up.half_m)
+    for run in runs:
+        if run.goal_xy_m is not None and (tolerance_m := find_tolerance(run)) is not None:
+            corner = (run.goal_xy_m[0] - tolerance_m, run.goal_xy_m[1] - tolerance_m)
+            side_m = 2 * tolerance_m
+            axes.add_patch(
+                Rectangle(corner, side_m, side_m, fill=False, label="tolerance", **REFERENCE)
+            )
+    for ring_m in close_up.rings_m:
+        axes.add_patch(Circle(close_up.goal_xy_m, ring_m, fill=False, **_RING))
+    misses = list_miss_labels(close_up, lettering)
+    lines = choose_lines(len(runs))
+    for label in misses:
+        color = lines[label.runs[0]]["color"] if len(label.runs) == 1 else "0.2"
+        _write(axes, label, color)
+    for label in list_ring_labels(close_up, runs[0].poses.xy_m[0], misses, lettering):
+        _write(axes, label, "0.45")
+    axes.set(title=f"how each run ends{close_up.count_outside()}", ylabel="")
+    axes.locator_params(nbins=5)
+
+
+def _write(axes: Axes, label: Label, color: Any) -> None:
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8}
+    words = axes.text(*label.xy_m, label.text, color=color, fontsize=_WORDS_POINTS)
+    words.set(ha="center", va="center", bbox=box)
+
+
+def _measure_letters(figure: Figure) -> Lettering:
+    """Return the room that words take: a close-up is about two fifths of the figure wide."""
+    half_points, size = 0.2 * figure.get_figwidth() * 72.0, _WORDS_POINTS
+    return Lettering(
+        letter=0.62 * size / half_points, line=1.5 * size / half_points, gap=8.0 / half_points
+    )
+
+
+def _list_aims(runs: Sequence[Run]) -> list[Values]:
+    """Return the places where laws wanted their robots to be, of each run that records them."""
+    found = [run.samples.reference_xy_m for run in runs]
+    known = [xy_m[np.isfinite(xy_m[:, 0])] for xy_m in found if xy_m is not None]
+    return [xy_m for xy_m in known if len(xy_m)]
+
+
+def _list_goals(runs: Sequence[Run]) -> Values:
+    goals = sorted({run.goal_xy_m for run in runs if run.goal_xy_m is not None})
+    return np.array(goals).reshape(-1, 2)
+
+
+def _show_square(axes: Axes, low: Values, high: Values, margin: float = 0.0) -> None:
+    center, half = (low + high) / 2.0, max(float((high - low).max()) * (0.5 + margin), 1e-3)
+    axes.set_xlim(center[0] - half, center[0] + half)
+    axes.set_ylim(center[1] - half, center[1] + half)

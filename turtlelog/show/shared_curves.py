@@ -1,15 +1,17 @@
-"""What the loops of a run aim at, what they were commanded, and theory's steps."""
+"""What is drawn of a run on screen and on paper alike: curves, aims of its loops, theory's steps.
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from types import MappingProxyType
+Headings are in degrees. Of long curves those rows are chosen that draw the same.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.loops import DONE, PAUSE, ControlLoop
+from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
 from turtlelog.measure.signals import project_on_line
 from turtlelog.run import Run
@@ -17,26 +19,40 @@ from turtlelog.theory import compute_step_response
 
 Values = NDArray[np.float64]
 
-REFERENCE: Final = "reference"
+REFERENCE: Final = REFERENCE_WORDS["recorded"]
 """Name of the curves of a reference that a law records."""
 
-BEARING_NOW: Final = "bearing of the goal"
+BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
 
-_LABELS: Final = MappingProxyType(
-    {
-        "goal_bearing": "goal bearing",
-        "goal_heading": "goal heading",
-        "goal_distance": "goal",
-        "zero": "zero",
-    }
-)
-
-_LIMITS: Final = MappingProxyType(
-    {"turn_rate": "limits.turn_rate_rad_s", "speed": "limits.speed_m_s"}
-)
+MOST_POINTS: Final = 20_000
+"""How many points of a curve are drawn; a page 7 inches wide at 600 dpi has 4,300 columns."""
 
 Command = Literal["speed", "turn_rate"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Curve:
+    """What a run holds of one quantity, or should.
+
+    Attributes:
+        start_ns: First sample of the run, in the run's own time [ns].
+        time_ns: In the run's own time [ns], shape (n,).
+        values: In deg, m, m/s or rad/s, shape (n,); NaN where there is nothing to draw.
+        holds: Whether a value lasts until the next.
+        label: For the legend, where it is not the run's own.
+    """
+
+    start_ns: int
+    time_ns: NDArray[np.int64]
+    values: Values
+    holds: bool = False
+    label: str = ""
+
+    @property
+    def time_s(self) -> Values:
+        """Times from the first sample [s], shape (n,)."""
+        return np.asarray((self.time_ns - self.start_ns) / 1e9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,26 +61,11 @@ class Level:
 
     Attributes:
         label: For a legend.
-        value: In rad or m.
+        value: In deg or m.
     """
 
     label: str
     value: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Aim:
-    """What a signal should be, where that moves.
-
-    Attributes:
-        label: For a legend.
-        time_ns: In the run's own time [ns], shape (n,).
-        values: In rad or m, shape (n,); NaN where there is no such reference.
-    """
-
-    label: str
-    time_ns: NDArray[np.int64]
-    values: Values
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +104,49 @@ class LoopStep:
         )
 
 
+def read_curve(run: Run, signal_name: str) -> Curve | None:
+    """Return a signal, None where the run does not hold it.
+
+    Beside the named signals there are `world_velocity_x` and `world_velocity_y`: gain times error.
+    """
+    if signal_name.startswith("world_velocity_"):
+        velocity = read_world_velocity(run)
+        if velocity is None:
+            return None
+        values = velocity[1][:, "xy".index(signal_name[-1])]
+        return Curve(start_ns=run.start_ns, time_ns=velocity[0], values=values, holds=True)
+    signal = read_signal(run, signal_name)
+    if signal is None or not len(signal.values):
+        return None
+    return Curve(
+        start_ns=run.start_ns,
+        time_ns=signal.time_ns,
+        values=np.degrees(signal.values) if signal.kind.unit == "rad" else signal.values,
+        holds=signal.kind.resampling == "hold",
+    )
+
+
+def read_command(run: Run, command: Command) -> Curve | None:
+    """Return what was commanded, None where the run holds no commands."""
+    table = run.samples if len(run.samples) else run.commands
+    if not len(table):
+        return None
+    values = table.speed_m_s if command == "speed" else table.turn_rate_rad_s
+    return Curve(start_ns=run.start_ns, time_ns=table.time_ns, values=values, holds=True)
+
+
+def read_applied(run: Run, command: Command) -> Curve | None:
+    """Return what the plant applied of `speed` or `turn_rate`, None where not recorded.
+
+    turtlesim publishes the magnitude of the applied speed, whichever way it drives.
+    """
+    poses = run.poses
+    values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
+    if values is None:
+        return None
+    return Curve(start_ns=run.start_ns, time_ns=poses.time_ns, values=values, holds=True)
+
+
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:
     """Return the loops that control a signal, as declared.
 
@@ -115,23 +159,40 @@ def list_loops(run: Run, signal: str) -> list[ControlLoop]:
 def list_levels(run: Run, signal: str) -> list[Level]:
     """Return what a signal should be, where that stands still.
 
-    That is what its loops are declared to aim at, and along the line to the goal the goal. Of a run
-    whose loops are not known it is the goal's bearing from the start.
+    That is what its loops are declared to aim at, and of `x`, `y` and along the line to it the
+    goal. Of a run whose loops are not known it is the goal's bearing from the start.
     """
+    if signal in ("x", "y"):
+        goal = run.goal_xy_m
+        return [] if goal is None else [Level(label="goal", value=goal["xy".index(signal)])]
     levels = [
-        Level(label=_LABELS[loop.reference], value=value)
+        Level(label=REFERENCE_WORDS[loop.reference], value=value)
         for loop in list_loops(run, signal)
-        if isinstance(value := read_reference(run, loop), float) and loop.reference in _LABELS
+        if not loop.moves and isinstance(value := read_reference(run, loop), float)
     ]
     line = run.goal_line
     if line is not None and signal == "along_track" and line.length_m is not None:
         levels.append(Level(label="goal", value=line.length_m))
     if line is not None and signal == "heading" and not run.declaration.loops:
         levels.append(Level(label="goal bearing", value=line.bearing_rad))
+    if signal == "heading":
+        levels = [replace(level, value=float(np.degrees(level.value))) for level in levels]
     return list(dict.fromkeys(levels))
 
 
-def list_aims(run: Run, signal: str) -> list[Aim]:
+def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
+    """Return the limits of a command that runs have, rising."""
+    keys = dict.fromkeys(key for run in runs for key in run.declaration.list_limits(command))
+    return sorted({limit for key in keys for limit in find_parameters(runs, key)})
+
+
+def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
+    """Return the values that runs have of a parameter, rising; what is boundless is none."""
+    found = {run.parameters.get(key) for run in runs}
+    return sorted(float(value) for value in found if isinstance(value, int | float) and value < 1e9)
+
+
+def list_aims(run: Run, signal: str) -> list[Curve]:
     """Return what a signal should be, where that moves: of `x`, `y` and the signals of loops.
 
     Recorded references are those of the samples; headings are near those of the robot, which are
@@ -161,9 +222,9 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
     """
     signal = read_signal(run, signal_name)
     for loop in list_loops(run, signal_name):
-        if loop.moves or not has_response(loop):
+        if loop.moves or not loop.has_theory:
             continue
-        kp, stretch = find_gain(run, loop), find_first_stretch(run, loop)
+        kp, stretch = loop.read_gain(run.parameters), find_first_stretch(run, loop)
         reference = read_reference(run, loop)
         if signal is None or kp is None or not stretch or not isinstance(reference, float):
             continue
@@ -183,25 +244,6 @@ def find_steps(run: Run, signal_name: str) -> Iterator[LoopStep]:
         )
 
 
-def has_response(loop: ControlLoop) -> bool:
-    """Whether the loop is theory's, an integrator under u = Kp e."""
-    return loop.is_integrator
-
-
-def find_gain(run: Run, loop: ControlLoop) -> float | None:
-    """Return the gain of a loop [1/s], None where it is not known or no positive number."""
-    kp = None if loop.gain is None else run.parameters.get(loop.gain)
-    if not isinstance(kp, int | float) or isinstance(kp, bool):
-        return None
-    return float(kp) if 0.0 < kp < np.inf else None
-
-
-def list_limit_keys(run: Run, command: str) -> tuple[str, ...]:
-    """Return the scenario keys of the limits of a command: its loops', or else its own."""
-    keys = [loop.limit_key for loop in run.declaration.loops if loop.command == command]
-    return tuple(dict.fromkeys(keys)) or (_LIMITS[command],)
-
-
 def find_end_of_turn(run: Run) -> int | None:
     """Return when the heading's loops first cease to act, before their pause [ns].
 
@@ -219,21 +261,6 @@ def find_end_of_turn(run: Run) -> int | None:
     return None
 
 
-def read_commanded(
-    run: Run, command: Command
-) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
-    """Return times [ns] and values as commanded; None where the run holds no commands.
-
-    Args:
-        run: Whose commands.
-        command: `speed` [m/s] or `turn_rate` [rad/s].
-    """
-    table = run.samples if len(run.samples) else run.commands
-    if not len(table):
-        return None
-    return table.time_ns, table.speed_m_s if command == "speed" else table.turn_rate_rad_s
-
-
 def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
     """Return gain times error along x and y [m/s] at the times of the samples [ns] that hold it.
 
@@ -246,7 +273,28 @@ def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
     return (time_ns, velocity) if known.all() else (time_ns[known], velocity[known])
 
 
-def _read_recorded(run: Run, signal: str) -> Aim | None:
+def choose_rows(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.int64] | None:
+    """Return the rows of a curve to draw, None where all of them are few enough.
+
+    The rows are split into equal stretches; of each the first row and the rows of the least and
+    the greatest value of every column stay, and the very last row. NaN is neither.
+
+    Args:
+        values: Shape (n,) or (n, columns).
+        most: About how many rows may stay.
+    """
+    columns = values.reshape(len(values), -1)
+    if len(columns) <= most:
+        return None
+    stretches = max(1, most // (2 * columns.shape[1] + 1))
+    length = -(-len(columns) // stretches)
+    kept = [np.arange(0, len(columns), length), np.array([len(columns) - 1])]
+    for column in columns.T:
+        kept += _find_extremes(column, length)
+    return np.unique(np.concatenate(kept))
+
+
+def _read_recorded(run: Run, signal: str) -> Curve | None:
     """Return the reference poses of the samples, as a signal tells them."""
     samples = run.samples
     xy_m, heading_rad = samples.reference_xy_m, samples.reference_heading_rad
@@ -262,10 +310,12 @@ def _read_recorded(run: Run, signal: str) -> Aim | None:
         values = project_on_line(xy_m, run.goal_line, along=signal == "along_track")
     else:
         return None
-    return Aim(label=REFERENCE, time_ns=samples.time_ns, values=values)
+    return Curve(
+        start_ns=run.start_ns, time_ns=samples.time_ns, values=values, holds=True, label=REFERENCE
+    )
 
 
-def _read_bearings(run: Run) -> Aim | None:
+def _read_bearings(run: Run) -> Curve | None:
     """Return the bearing from the present position, wherever a loop of it acts."""
     loops = [loop for loop in list_loops(run, "heading") if loop.reference == "bearing_now"]
     bearings = read_reference(run, loops[0])
@@ -279,11 +329,28 @@ def _read_bearings(run: Run) -> Aim | None:
             first, last = np.searchsorted(time_ns, [span.start_ns, span.end_ns])
             acts[first : last + 1] = True
     near = _bring_near(run, bearings, np.arange(len(time_ns)))
-    return Aim(label=BEARING_NOW, time_ns=time_ns, values=np.where(acts, near, np.nan))
+    values = np.where(acts, near, np.nan)
+    return Curve(start_ns=run.start_ns, time_ns=time_ns, values=values, label=BEARING_NOW)
 
 
 def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Values:
-    """Return headings with the full turns that bring them nearest to those of some poses."""
+    """Return headings [deg] with the full turns that bring them nearest to those of some poses."""
     signal = read_signal(run, "heading")
     measured = run.poses.heading_rad if signal is None else signal.values
-    return np.asarray(measured[rows] + subtract_headings(heading_rad, measured[rows]))
+    return np.degrees(measured[rows] + subtract_headings(heading_rad, measured[rows]))
+
+
+def _find_extremes(column: NDArray[np.float64], length: int) -> list[NDArray[np.int64]]:
+    """Return the first row of the least and of the greatest value in each stretch of a length."""
+    is_nan = np.isnan(column)
+    has_nan = bool(is_nan.any())
+    low = np.where(is_nan, np.inf, column) if has_nan else column
+    high = np.where(is_nan, -np.inf, column) if has_nan else column
+    whole = len(column) // length * length
+    starts = np.arange(0, len(column), length)
+    found = []
+    for values, find in ((low, np.argmin), (high, np.argmax)):
+        rows = find(values[:whole].reshape(-1, length), axis=1)
+        last = [find(values[whole:])] if whole < len(column) else []
+        found.append(starts + np.append(rows, last).astype(np.int64))
+    return found
