@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.catalogue import Catalogue
+from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.integrity import DamageError, check_start

@@ -12,7 +12,7 @@ from mcap.records import Statistics
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets, build_indexed_block, walk_blocks
-from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.integrity import DamageError, Ends, check_data, read_ends
 from turtlelog.log.engine.limits import Allowance

@@ -11,7 +11,7 @@ from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
-from turtlelog.log.engine.catalogue import Catalogue
+from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.integrity import DamageError, UnfinishedError
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
-from turtlelog.log.engine.catalogue import TopicPlan
+from turtlelog.log.engine.channels import TopicPlan
 from turtlelog.log.engine.decode import Order, decode_messages
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,

@@ -10,7 +10,7 @@ from mcap.records import Attachment, Metadata
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
-from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import read_type

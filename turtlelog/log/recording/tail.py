@@ -11,7 +11,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.log.complete_files import is_live
 from turtlelog.log.engine.blocks import build_walked_block
-from turtlelog.log.engine.catalogue import Catalogue
+from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.integrity import check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.source import Selection, read_piece

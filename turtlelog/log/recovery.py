@@ -17,7 +17,7 @@ from turtlelog.log.engine.summary import SalvagedSummary, salvage_summary
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.recording.losses import RECOVERY, Loss, format_recovery
-from turtlelog.log.recovery.rewriting import Numbering, Rewriter
+from turtlelog.log.rewriting import Numbering, Rewriter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
