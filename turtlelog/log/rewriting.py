@@ -1,7 +1,7 @@
 """The messages of one file written to another, whoever described their channels, and where."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from hashlib import blake2b
@@ -44,8 +44,8 @@ class Numbering:
 
     def __init__(
         self,
-        schemas: Mapping[int, Schema],
-        channels: Mapping[int, Channel],
+        schemas: Iterable[Schema],
+        channels: Iterable[Channel],
         allowance: Allowance,
     ) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -58,9 +58,9 @@ class Numbering:
         self._known_schemas: dict[object, Schema] = {}
         self._known_channels: dict[object, Pair] = {}
         self._awaited: set[int] = set()
-        for schema in schemas.values():
+        for schema in schemas:
             self.add_schema(schema)
-        for channel in channels.values():
+        for channel in channels:
             self.add_channel(channel)
 
     def add_schema(self, schema: Schema) -> None:

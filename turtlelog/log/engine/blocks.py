@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
+from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.integrity import DamageError, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
@@ -30,7 +30,6 @@ from turtlelog.log.engine.parsing import (
     parse_record,
     take_apart,
 )
-from turtlelog.log.engine.summary import ChunkEntry
 from turtlelog.log.engine.walk import Damage, Section, walk_sections
 
 T = TypeVar("T")
@@ -80,14 +79,7 @@ def build_indexed_block(entry: ChunkEntry, stored: bytes, largest: int = LARGEST
             f" found opcode {opcode} with {RECORD.size + length}"
         )
     body = memoryview(stored)[RECORD.size : entry.length]
-    head = parse_chunk_head(body, byte, largest)
-    found = (head.start_ns, head.end_ns, head.size)
-    if found != (entry.start_ns, entry.end_ns, entry.size):
-        expected = f"times {entry.start_ns} to {entry.end_ns} and {entry.size} bytes"
-        raise DamageError(
-            f"byte {byte}: expected a chunk of {expected} as its index says, found {found}"
-        )
-    data = open_chunk(head, body, byte)
+    data = open_chunk(entry, body, largest)
     offsets = _parse_indexes(stored[entry.length :], byte + entry.length)
     rest = _check_tiling(data, offsets, byte)
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)

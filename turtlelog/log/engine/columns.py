@@ -171,9 +171,7 @@ def read_raw(path: str | Path) -> RawContents:
         source = Source(stream)
         source.check_data()
         messages: list[Message] = []
-        found: list[Any] = []
-        if source.index is not None:
-            found += source.read_lone(_LONE)
+        found: list[Any] = list(source.read_lone(_LONE))
         for block, of_block in source.map_blocks(lambda block: (block, _list_messages(block))):
             messages += of_block
             found += block.rest

@@ -73,9 +73,9 @@ def _survey_damaged(stream: BinaryIO) -> Survey:
 
 def _survey_source(stream: BinaryIO) -> Survey:
     source = Source(stream)
-    lone = () if source.index is None else tuple(source.read_lone(_LONE))
+    lone = tuple(source.read_lone(_LONE))
     statistics, tally = source.statistics, _Tally(source.catalogue, source.allowance)
-    if source.index is None:
+    if not source.is_indexed:
         for _ in walk_through(stream, tally.take_section):
             pass
         return tally.sum_up((), (), is_finished=True)

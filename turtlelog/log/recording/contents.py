@@ -78,7 +78,7 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
             raise
         source.check_data()  # where a byte is wrong, that is the reason
         raise
-    if source.index is not None:  # last: it names no place
+    if source.is_indexed:  # last: it names no place
         source.check_data()
     return contents
 
@@ -91,9 +91,8 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
 
 def _read_source(source: Source) -> Contents:
     parts: dict[str, list[Rows]] = {}
-    found: list[Any] = []
-    if source.index is not None:
-        found += source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT))
+    found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
+    if source.is_indexed:
         # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
         _find_head(found)
     for piece in iterate_pieces(source, _OWN):
@@ -117,8 +116,9 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
-    ending = salvage_summary(stream)
-    catalogue.add((*ending.schemas.values(), *ending.channels.values()), 0)
+    summary = salvage_summary(stream)
+    if summary is not None:
+        catalogue.add((*summary.schemas, *summary.channels), 0)
     for block in walk_blocks(stream, catalogue, allowance, damages=damages):
         found += _keep_notes(block.rest)
         known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
