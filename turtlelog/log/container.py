@@ -65,37 +65,6 @@ class ChunkRows:
     end_ns: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PackedChunk:
-    """A chunk ready to be written: the same messages, compressed.
-
-    Attributes:
-        rows: What it holds.
-        chunk: The record.
-        front: Bytes of schemas and channels before the first message.
-    """
-
-    rows: ChunkRows
-    chunk: Chunk
-    front: int
-
-
-def pack_chunk(rows: ChunkRows) -> PackedChunk:
-    """Compress a chunk; may run in any thread."""
-    described = [record for pair in rows.channels for record in pair if record is not None]
-    front = _join_records(described)
-    data = b"".join((front, rows.records))
-    chunk = Chunk(
-        compression=_COMPRESSION,
-        data=zstandard.ZstdCompressor().compress(data),
-        message_start_time=rows.start_ns,
-        message_end_time=rows.end_ns,
-        uncompressed_crc=zlib.crc32(data),
-        uncompressed_size=len(data),
-    )
-    return PackedChunk(rows=rows, chunk=chunk, front=len(front))
-
-
 @dataclass(slots=True)
 class _Summary:
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -161,12 +130,22 @@ class McapFile:
         known.schemas |= {schema.id: schema for schema in new_schemas}
         known.channels |= {channel.id: channel for channel in new_channels}
 
-    def add_chunk(self, packed: PackedChunk) -> None:
-        """Write a chunk and its message indexes."""
-        rows, chunk, start = packed.rows, packed.chunk, self.end
+    def add_chunk(self, rows: ChunkRows) -> None:
+        """Compress messages, and write them as a chunk with its message indexes."""
+        described = [record for pair in rows.channels for record in pair if record is not None]
+        front = _join_records(described)
+        data, start = b"".join((front, rows.records)), self.end
+        chunk = Chunk(
+            compression=_COMPRESSION,
+            data=zstandard.ZstdCompressor().compress(data),
+            message_start_time=rows.start_ns,
+            message_end_time=rows.end_ns,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
         record = _join_records([chunk])
         indexes = [
-            _format_index(channel, entries, packed.front) for channel, entries in rows.index.items()
+            _format_index(channel, entries, len(front)) for channel, entries in rows.index.items()
         ]
         ends = np.cumsum([start + len(record), *map(len, indexes)]).tolist()
         self._write(b"".join((record, *indexes)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.complete_files import replace_when_complete
-from turtlelog.log.container import ChunkRows, McapFile, pack_chunk
+from turtlelog.log.container import ChunkRows, McapFile
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.log.records import Records, encode_records
@@ -75,7 +75,7 @@ def write_columns(
             for name, data in attachments.items():
                 file.add_attachment(name, data)
             for rows in cut_chunks(channels):
-                file.add_chunk(pack_chunk(rows))
+                file.add_chunk(rows)
             file.finish()
     except (LogError, UnicodeEncodeError) as err:
         raise name_write_error(path, err) from err

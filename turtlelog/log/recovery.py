@@ -14,9 +14,9 @@ from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.parsing import take_apart
 from turtlelog.log.engine.summary import FileSummary, salvage_summary
-from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.recording.losses import RECOVERY, Loss, format_recovery
+from turtlelog.log.recording.losses import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 
 
@@ -141,12 +141,11 @@ def _copy_records(
     rewriter = Rewriter(output, Numbering(schemas, channels, allowance), allowance)
     copied, is_at_end = _Copied(rewriter=rewriter), False
     for found in _walk(source):
-        if isinstance(found, Damage):
-            loss = Loss(start=found.start, end=found.end, reason=found.reason)
+        if isinstance(found, Loss):
             if is_at_end:  # all that is told there is that the checksum of the data fails
-                copied.mismatch = loss
+                copied.mismatch = found
             else:
-                copied.lose(loss)
+                copied.lose(found)
             continue
         is_checked, place = found.is_checked, found.start
         for reason in _take_section(rewriter, found, allowance):
@@ -170,7 +169,7 @@ def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) ->
     return rewriter.take_stretch(stretch, section.start, is_checked=section.is_checked)
 
 
-def _walk(path: Path) -> Iterator[Section | Damage]:
+def _walk(path: Path) -> Iterator[Section | Loss]:
     # Errors of writing what comes are not this file's.
     with name_file(path, expected="an MCAP file"), open_file(path) as stream:
         yield from walk_sections(stream)

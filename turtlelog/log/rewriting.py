@@ -14,7 +14,7 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.container import LIBRARY, ChunkRows, McapFile, pack_chunk
+from turtlelog.log.container import LIBRARY, ChunkRows, McapFile
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, NOTES, Allowance
 from turtlelog.log.engine.parsing import RecordStretch, parse_body
@@ -240,7 +240,7 @@ class Rewriter:
             places = np.cumsum(ends - starts) - (ends - starts)
             chunk = self._build_chunk(_join(stretch.data, starts, ends), places, heads)
             self._begin()
-            self._file.add_chunk(pack_chunk(chunk))
+            self._file.add_chunk(chunk)
             self._count(chunk, is_checked=is_checked)
 
     def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> list[int]:

@@ -30,7 +30,7 @@ from turtlelog.log.engine.parsing import (
     parse_record,
     take_apart,
 )
-from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.engine.walk import Loss, Section, walk_sections
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -108,7 +108,7 @@ def walk_blocks(
     catalogue: Catalogue,
     allowance: Allowance,
     *,
-    damages: list[Damage] | None = None,
+    damages: list[Loss] | None = None,
 ) -> Iterator[Block]:
     """Yield everything in a file as blocks, in its order, and fill the catalogue meanwhile.
 
@@ -127,7 +127,7 @@ def walk_blocks(
 
 
 def walk_through(
-    stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Damage] | None = None
+    stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Loss] | None = None
 ) -> Iterator[T]:
     """Yield what `work` makes of every section of a file, in its order.
 
@@ -136,7 +136,7 @@ def walk_through(
     """
     check_start(stream)
     for section in walk_sections(stream):
-        if isinstance(section, Damage):
+        if isinstance(section, Loss):
             if damages is None:
                 raise DamageError(f"byte {section.start}: {section.reason}")
             damages.append(section)
@@ -147,7 +147,7 @@ def walk_through(
             if damages is None:
                 raise
             end = section.start + len(section.data)
-            damages.append(Damage(start=section.start, end=end, reason=str(err)))
+            damages.append(Loss(start=section.start, end=end, reason=str(err)))
             continue
         yield found
 

@@ -16,7 +16,7 @@ from turtlelog.log.engine.integrity import DamageError, UnfinishedError
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
 from turtlelog.log.engine.source import Source
-from turtlelog.log.engine.walk import Damage, Section
+from turtlelog.log.engine.walk import Loss, Section
 
 _LONE: Final = (Opcode.METADATA, Opcode.ATTACHMENT)
 
@@ -39,7 +39,7 @@ class Survey:
     span_ns: tuple[int, int] | None
     records: tuple[Any, ...]
     is_finished: bool
-    damages: tuple[Damage, ...] = ()
+    damages: tuple[Loss, ...] = ()
 
 
 def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
@@ -64,7 +64,7 @@ def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
 
 
 def _survey_damaged(stream: BinaryIO) -> Survey:
-    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Damage]()
+    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Loss]()
     tally = _Tally(Catalogue(allowance), allowance)
     for _ in walk_through(stream, tally.take_section, damages=damages):
         pass
@@ -124,7 +124,7 @@ class _Tally:
             self._times = [min(known), max(known)]
 
     def sum_up(
-        self, lone: tuple[Any, ...], damages: Collection[Damage], *, is_finished: bool
+        self, lone: tuple[Any, ...], damages: Collection[Loss], *, is_finished: bool
     ) -> Survey:
         """Return what has come, and records that stand elsewhere."""
         present = np.flatnonzero(self._counts)

@@ -17,7 +17,7 @@ from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
 from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import Rows, TopicColumns, build_columns, make_empty_rows
-from turtlelog.log.engine.walk import Damage
+from turtlelog.log.engine.walk import Loss
 from turtlelog.log.recording.head import HEAD, Head, parse_head
 from turtlelog.log.recording.losses import describe_recovery, reconcile_topics
 from turtlelog.log.recording.topics import (
@@ -48,7 +48,7 @@ class Contents:
     head: Head
     attachments: Mapping[str, bytes]
     topics: Mapping[str, TopicColumns]
-    damages: tuple[Damage, ...] = ()
+    damages: tuple[Loss, ...] = ()
     recovered: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -112,7 +112,7 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     Raises:
         LogError: Where the file is no MCAP, or a topic of ours has another type.
     """
-    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Damage]()
+    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Loss]()
     catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
@@ -126,11 +126,11 @@ def salvage_contents(stream: BinaryIO) -> Contents:
             piece = read_piece(catalogue, _OWN, block, known)
         except LogError as err:
             end = block.byte + len(block.data)
-            damages.append(Damage(start=block.byte, end=end, reason=str(err)))
+            damages.append(Loss(start=block.byte, end=end, reason=str(err)))
             continue
         for number in block.offsets.keys() - known.keys():
             reason = f"channel {number}: expected its record, found messages only"
-            damages.append(Damage(start=block.byte, end=block.byte, reason=reason))
+            damages.append(Loss(start=block.byte, end=block.byte, reason=reason))
         for topic, rows in piece.rows.items():
             parts.setdefault(topic, []).append(rows)
     return build_contents(found, catalogue, parts, damages)
@@ -140,7 +140,7 @@ def build_contents(
     records: Collection[Any],
     catalogue: Catalogue,
     parts: Mapping[str, list[Rows]],
-    damages: Collection[Damage],
+    damages: Collection[Loss],
 ) -> Contents:
     """Return what records outside chunks, and the rows of topics in parts, make together.
 

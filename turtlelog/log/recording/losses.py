@@ -1,7 +1,7 @@
 """What is lost of a recording: notes of it, a recovered file's record, rows that still match."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.engine.walk import Damage
+from turtlelog.log.engine.walk import Loss
 from turtlelog.log.recording.head import CHECKSUM, sum_up
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -107,7 +107,7 @@ def _take(columns: TopicColumns, rows: NDArray[np.bool_]) -> TopicColumns:
     )
 
 
-def describe_damages(damages: Sequence[Damage]) -> str:
+def describe_damages(damages: Sequence[Loss]) -> str:
     """Say in one line how much is lost; the first place stands for all."""
     if not damages:
         return "no data is lost, only the summary is damaged"
@@ -121,21 +121,6 @@ def _describe_dropped(samples: int) -> str:
     if not samples:
         return ""
     return f"; {samples} samples without their pose, states or reference are dropped"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Loss:
-    """A stretch of a file that could not be recovered.
-
-    Attributes:
-        start: First byte in the file.
-        end: Byte after the last one; where it equals `start`, something is missing there.
-        reason: One clause: what was expected, what was found.
-    """
-
-    start: int
-    end: int
-    reason: str
 
 
 def format_recovery(
