@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.container import ChunkRows, McapFile
-from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.log.records import Records, encode_records
 

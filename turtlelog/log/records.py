@@ -12,6 +12,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
     TEXT,
@@ -21,7 +22,6 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     read_type,
 )
-from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""

@@ -11,12 +11,13 @@ from mcap.records import Attachment, Metadata
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
 from turtlelog.log.engine.channels import Catalogue, TopicPlan
+from turtlelog.log.engine.columns import TopicColumns, build_columns
+from turtlelog.log.engine.decode import Rows, make_empty_rows
 from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
 from turtlelog.log.engine.summary import salvage_summary
-from turtlelog.log.engine.topic_columns import Rows, TopicColumns, build_columns, make_empty_rows
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.recording.head import HEAD, Head, parse_head
 from turtlelog.log.recording.losses import describe_recovery, reconcile_topics

@@ -11,7 +11,7 @@ from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.recording.head import CHECKSUM, sum_up
 from turtlelog.log.recording.topics import (

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.survey import survey_file
-from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.recording.contents import (
     Contents,

@@ -12,10 +12,10 @@ from mcap.writer import MCAP0_MAGIC
 from turtlelog.log.complete_files import is_live
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.decode import Rows
 from turtlelog.log.engine.integrity import check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.source import Selection, read_piece
-from turtlelog.log.engine.topic_columns import Rows
 from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.recording.contents import build_contents, reconcile_contents
