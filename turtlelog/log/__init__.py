@@ -2,12 +2,12 @@
 
 from turtlelog.log.any_file import TopicChoice, read_file_info, read_run
 from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.container import write_columns
 from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
-from turtlelog.log.interleaving import write_columns
 from turtlelog.log.recording.losses import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_recording
 from turtlelog.log.recording.recorder import Recorder

@@ -1,7 +1,7 @@
 """File -> columns, topic by topic: the one way to read messages. And raw records."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -63,6 +63,16 @@ class TopicColumns:
 
     def __len__(self) -> int:
         return len(self.log_time_ns)
+
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "TopicColumns":
+        """Return some of the messages, or all of them in another order."""
+        return replace(
+            self,
+            log_time_ns=self.log_time_ns[rows],
+            publish_time_ns=self.publish_time_ns[rows],
+            sequence=self.sequence[rows],
+            fields=MappingProxyType(select_rows(self.fields, rows)),
+        )
 
 
 def read_columns(

@@ -52,10 +52,10 @@ def reconcile_topics(
     ]
     numbers = _intersect({name: topics[name] for name in pose_topics})
     for name in pose_topics:
-        topics[name] = _take(topics[name], np.isin(topics[name].sequence, numbers))
+        topics[name] = topics[name].select(np.isin(topics[name].sequence, numbers))
     samples = topics[CONTROL.name]
     read = samples.fields["pose_sequence"]
-    kept = _take(samples, np.isin(read, numbers))
+    kept = samples.select(np.isin(read, numbers))
     if declaration is not None:
         kept = _take_described(kept, topics, declaration)
     rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
@@ -69,15 +69,15 @@ def _take_described(
 ) -> TopicColumns:
     """Return the samples whose states and reference are there, and drop the rows of all others."""
     if declaration.states:
-        samples = _take(samples, np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
+        samples = samples.select(np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
     if declaration.has_reference:
         due = np.isin(samples.fields["phase"], _list_reference_phases(declaration))
         is_there = np.isin(samples.fields["sequence"], topics[REFERENCE64.name].sequence)
-        samples = _take(samples, is_there | ~due)
+        samples = samples.select(is_there | ~due)
     for name in (LAW_STATE, REFERENCE.name, REFERENCE64.name):
         if name in topics:
             is_kept = np.isin(topics[name].sequence, samples.fields["sequence"])
-            topics[name] = _take(topics[name], is_kept)
+            topics[name] = topics[name].select(is_kept)
     return samples
 
 
@@ -95,16 +95,6 @@ def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
             raise LogError(f"topic {name}: expected poses numbered in order, found others")
         numbers = np.intersect1d(numbers, columns.sequence)
     return numbers
-
-
-def _take(columns: TopicColumns, rows: NDArray[np.bool_]) -> TopicColumns:
-    return replace(
-        columns,
-        log_time_ns=columns.log_time_ns[rows],
-        publish_time_ns=columns.publish_time_ns[rows],
-        sequence=columns.sequence[rows],
-        fields=MappingProxyType({name: values[rows] for name, values in columns.fields.items()}),
-    )
 
 
 def describe_damages(damages: Sequence[Loss]) -> str:

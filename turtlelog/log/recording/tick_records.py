@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from turtlelog.log.container import ChunkRows
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.recording.run_writer import describe_event, describe_pose
 from turtlelog.log.recording.topics import (
@@ -29,7 +28,7 @@ from turtlelog.log.recording.topics import (
     describe_topics,
     list_topics,
 )
-from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, encode_fields
+from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, ChunkRows, encode_message
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario
@@ -227,12 +226,10 @@ class TickRecords:
         """Add a message; without a number of its own it is numbered from 0."""
         messages = self._messages[topic.name]
         kind = read_type(topic.schema, SCHEMAS[topic.schema])
-        body = encode_fields(kind.fields, values)
+        stamp = messages.count if number is None else number, time_ns, time_ns
+        record = encode_message(kind.fields, values, messages.number, stamp)
         messages.entries += (time_ns, len(self._records))
-        length = HEAD.size - UNCOUNTED + len(body)
-        sequence = messages.count if number is None else number
-        head = length, messages.number, sequence, time_ns, time_ns, ENCAPSULATION
-        self._records += HEAD.pack(_MESSAGE, *head) + body
+        self._records += record
         messages.count += 1
 
     def _collect(self) -> ChunkRows:
