@@ -39,6 +39,7 @@ from turtlelog.log.recording.losses import PartialRecordingWarning, describe_dam
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
+    CONTROL_COLUMNS,
     EVENT,
     GOAL,
     LAW_STATE,
@@ -251,8 +252,8 @@ def _build_poses(columns: Mapping[str, TopicColumns], head: Head) -> PoseColumns
     turn_rate = velocity["angular.z" if "angular.z" in velocity else "angular_velocity"]
     return PoseColumns(
         time_ns=pose.log_time_ns,
-        xy_m=_pair(position["x"], position["y"]),
-        heading_rad=_widen(position["theta"]),
+        xy_m=_gather(position, ("x", "y")),
+        heading_rad=_gather(position, ("theta",)),
         speed_m_s=_unless_nan(head, "poses.speed_m_s", speed),
         turn_rate_rad_s=_unless_nan(head, "poses.turn_rate_rad_s", turn_rate),
     )
@@ -283,29 +284,25 @@ def _build_samples(
     columns: Mapping[str, TopicColumns], head: Head, declaration: Declaration
 ) -> SampleColumns:
     samples = columns[CONTROL.name]
-    control, sequence = samples.fields, samples.fields["sequence"]
+    sequence = samples.fields["sequence"]
     reference_xy_m, reference_heading_rad = _build_reference(columns, head, sequence)
-    recorded = {
-        "bearing_rad": control["bearing"],
-        "heading_error_rad": control["heading_error"],
-        "error_xy_m": _pair(control["error_x"], control["error_y"]),
-        "distance_m": control["distance"],
-        "world_velocity_m_s": _pair(control["world_v_x"], control["world_v_y"]),
-        "wanted_speed_m_s": control["wanted_speed"],
-        "wanted_turn_rate_rad_s": control["wanted_turn_rate"],
+    found: dict[str, Any] = {
+        name: _gather(samples.fields, fields) for name, fields in CONTROL_COLUMNS.items()
     }
+    found |= {name: _if_recorded(head, name, found[name]) for name in MAY_BE_ABSENT}
     return SampleColumns(
         time_ns=samples.log_time_ns,
-        sequence=sequence.astype(np.int64),
-        pose_sequence=control["pose_sequence"].astype(np.int64),
-        phase=control["phase"].astype(np.int64),
-        speed_m_s=control["speed"],
-        turn_rate_rad_s=control["turn_rate"],
-        **{name: _if_recorded(head, name, values) for name, values in recorded.items()},
+        **found,
         states=_build_states(columns, declaration.states, sequence),
         reference_xy_m=reference_xy_m,
         reference_heading_rad=reference_heading_rad,
     )
+
+
+def _gather(fields: Mapping[str, Column], names: tuple[str, ...]) -> Column:
+    """Return a field, or several side by side, as 64-bit numbers."""
+    values = fields[names[0]] if len(names) == 1 else np.column_stack([fields[n] for n in names])
+    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64, copy=False)
 
 
 def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
@@ -356,12 +353,4 @@ def _build_events(columns: TopicColumns) -> tuple[Event, ...]:
 
 
 def _unless_nan(head: Head, name: str, values: Column) -> Values | None:
-    return None if name in head.nan_columns else _widen(values)
-
-
-def _widen(values: Column) -> Values:
-    return values.astype(np.float64)
-
-
-def _pair(x: Column, y: Column) -> Values:
-    return np.column_stack([_widen(x), _widen(y)])
+    return None if name in head.nan_columns else values.astype(np.float64, copy=False)

@@ -14,6 +14,7 @@ from turtlelog.log.recording.run_writer import describe_event, describe_pose
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
+    CONTROL_COLUMNS,
     EVENT,
     GOAL,
     LAW_STATE,
@@ -38,15 +39,14 @@ _MESSAGE: Final = int(Opcode.MESSAGE)
 _REFERENCE_BYTES: Final = 160
 """What the two messages of a reference pose take, about."""
 
+_FIELDS: Final = [field for fields in CONTROL_COLUMNS.values() for field in fields]
 _PLACES: Final = {
-    "bearing_rad": (3,),
-    "heading_error_rad": (4,),
-    "error_xy_m": (5, 6),
-    "distance_m": (7,),
+    name: [_FIELDS.index(field) for field in CONTROL_COLUMNS[name]]
+    for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
 }
 """Where a sample's row holds what it lacks without a goal."""
 
-_WORLD: Final = slice(12, 14)
+_WORLD: Final = slice(_FIELDS.index("world_v_x"), _FIELDS.index("world_v_y") + 1)
 
 
 def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
