@@ -22,7 +22,7 @@ from tests.torture.recordings import COMPRESSIONS, list_records, make_recording,
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns, read_info, read_recording
 from turtlelog.log.engine import read_raw
-from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.recovery import recover_recording
 
 
@@ -115,7 +115,7 @@ def test_padded_recordings_are_read_as_their_twins(
 
 def list_reasons(data: bytes) -> list[str]:
     walked = walk_sections(BytesIO(data))
-    return [found.reason for found in walked if isinstance(found, Damage)]
+    return [found.reason for found in walked if isinstance(found, Loss)]
 
 
 @pytest.mark.parametrize("records", [3, 4])
@@ -150,7 +150,7 @@ def test_a_checksum_vouches_for_a_padded_record_that_damage_follows(
             damaged = data[:after] + b"\xff" * HEAD + data[after + HEAD :]
             walked = list(walk_sections(BytesIO(damaged)))
             assert any(isinstance(one, Section) and one.start == place for one in walked)
-            assert any(isinstance(one, Damage) for one in walked)
+            assert any(isinstance(one, Loss) for one in walked)
 
 
 def make_attachment(size: int, name: bytes = b"a") -> bytes:
@@ -200,7 +200,7 @@ def test_what_stands_before_a_cut_of_a_padded_file_is_recovered(
         found = [one.start for one in walked if isinstance(one, Section) and one.is_chunk]
         whole = [place for place, size in chunks if place + size - len(padding) <= length]
         assert found == whole
-        assert isinstance(walked[-1], Damage)
+        assert isinstance(walked[-1], Loss)
 
 
 @pytest.mark.parametrize("surplus", [3, 4])

@@ -2,16 +2,16 @@
 
 from turtlelog.log.any_file import TopicChoice, read_file_info, read_run
 from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.container import write_columns
 from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
+from turtlelog.log.engine.walk import Loss
 from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
-from turtlelog.log.interleaving import write_columns
-from turtlelog.log.recording.losses import Loss, PartialRecordingWarning
-from turtlelog.log.recording.reader import read_recording
+from turtlelog.log.recording.losses import PartialRecordingWarning
+from turtlelog.log.recording.reader import RecordingTail, read_recording
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.log.recording.run_writer import write_recording
-from turtlelog.log.recording.tail import RecordingTail
 from turtlelog.log.recovery import RecoveryReport, recover_recording
 from turtlelog.log.ros2 import read_bag, read_bag_info
 

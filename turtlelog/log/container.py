@@ -1,4 +1,4 @@
-"""MCAP records -> file: its head, chunks with their message indexes, summary and checksums.
+"""Topics or MCAP records -> file: its head, chunks with their indexes, summary and checksums.
 
 Every chunk brings the schemas and channels of its messages: any chunk that survives can be read
 alone.
@@ -7,8 +7,9 @@ alone.
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from struct import Struct
+from types import MappingProxyType
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -34,10 +35,18 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
+from turtlelog.errors import LogError
+from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.recording.topics import SCHEMAS, describe_topics
+from turtlelog.log.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
 from turtlelog.version import __version__
 
 LIBRARY: Final = f"turtlelog/{__version__}"
 """What wrote a file, as its header names it."""
+
+_NOTHING: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType({})
+_NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
 
 _COMPRESSION: Final = "zstd"
 _INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries
@@ -45,55 +54,65 @@ _MEDIA_TYPES: Final = {".toml": "application/toml"}
 _FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChunkRows:
-    """The messages of one chunk.
+def write_columns(
+    topics: Sequence[TopicColumns],
+    path: str | Path,
+    *,
+    definitions: Mapping[str, str] = SCHEMAS,
+    metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
+    attachments: Mapping[str, bytes] = _NO_FILES,
+) -> None:
+    """Write topics as an MCAP file in order of log time; the same columns give the same bytes.
 
-    Attributes:
-        channels: Their channels, each with its schema, if it has one.
-        records: Message records, one after the other.
-        index: By channel number: log time [ns] and place in `records` of each of its messages,
-            shape (n, 2).
-        start_ns: Least log time [ns].
-        end_ns: Greatest log time [ns].
+    Args:
+        topics: As `read_columns` returns them; a field left out is 0 or empty. Messages of one
+            time stand in the order of the topics.
+        path: The file, replaced when all is written.
+        definitions: The `ros2msg` text of every message type that occurs.
+        metadata: Metadata records by name.
+        attachments: Attached files by name.
+
+    Raises:
+        LogError: Where the place cannot be written, or a column does not fit its type.
     """
-
-    channels: Sequence[tuple[Schema | None, Channel]]
-    records: bytes | bytearray | memoryview
-    index: Mapping[int, NDArray[np.uint64]]
-    start_ns: int
-    end_ns: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PackedChunk:
-    """A chunk ready to be written: the same messages, compressed.
-
-    Attributes:
-        rows: What it holds.
-        chunk: The record.
-        front: Bytes of schemas and channels before the first message.
-    """
-
-    rows: ChunkRows
-    chunk: Chunk
-    front: int
+    try:
+        channels = list(_encode_topics(topics, definitions))
+        with replace_when_complete(path) as temporary, temporary.open("wb") as stream:
+            file = McapFile(stream)
+            file.begin()
+            for name, entries in metadata.items():
+                file.add_metadata(name, entries)
+            for name, data in attachments.items():
+                file.add_attachment(name, data)
+            for rows in cut_chunks(channels):
+                file.add_chunk(rows)
+            file.finish()
+    except (LogError, UnicodeEncodeError) as err:
+        raise name_write_error(path, err) from err
 
 
-def pack_chunk(rows: ChunkRows) -> PackedChunk:
-    """Compress a chunk; may run in any thread."""
-    described = [record for pair in rows.channels for record in pair if record is not None]
-    front = _join_records(described)
-    data = b"".join((front, rows.records))
-    chunk = Chunk(
-        compression=_COMPRESSION,
-        data=zstandard.ZstdCompressor().compress(data),
-        message_start_time=rows.start_ns,
-        message_end_time=rows.end_ns,
-        uncompressed_crc=zlib.crc32(data),
-        uncompressed_size=len(data),
-    )
-    return PackedChunk(rows=rows, chunk=chunk, front=len(front))
+def name_write_error(path: str | Path, err: Exception) -> LogError:
+    """Return an error of what cannot be written, with the file's name."""
+    if isinstance(err, UnicodeEncodeError):
+        return LogError(f"{path}: expected text, found characters that UTF-8 lacks: {err}")
+    # What cannot be written is named already.
+    text = str(err)
+    return LogError(text if text.startswith(f"{path}: ") else f"{path}: {text}")
+
+
+def _encode_topics(
+    topics: Sequence[TopicColumns], definitions: Mapping[str, str]
+) -> Iterator[ChannelRecords]:
+    names = [columns.topic for columns in topics]
+    for name in names:
+        if names.count(name) > 1:
+            raise LogError(f"topic {name}: expected once, found {names.count(name)} times")
+    channels = describe_topics([(columns.topic, columns.type) for columns in topics], definitions)
+    for columns, (schema, channel) in zip(topics, channels, strict=True):
+        try:
+            yield encode_records(columns, schema, channel)
+        except LogError as err:
+            raise LogError(f"topic {columns.topic}: {err}") from err
 
 
 @dataclass(slots=True)
@@ -161,12 +180,22 @@ class McapFile:
         known.schemas |= {schema.id: schema for schema in new_schemas}
         known.channels |= {channel.id: channel for channel in new_channels}
 
-    def add_chunk(self, packed: PackedChunk) -> None:
-        """Write a chunk and its message indexes."""
-        rows, chunk, start = packed.rows, packed.chunk, self.end
+    def add_chunk(self, rows: ChunkRows) -> None:
+        """Compress messages, and write them as a chunk with its message indexes."""
+        described = [record for pair in rows.channels for record in pair if record is not None]
+        front = _join_records(described)
+        data, start = b"".join((front, rows.records)), self.end
+        chunk = Chunk(
+            compression=_COMPRESSION,
+            data=zstandard.ZstdCompressor().compress(data),
+            message_start_time=rows.start_ns,
+            message_end_time=rows.end_ns,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        )
         record = _join_records([chunk])
         indexes = [
-            _format_index(channel, entries, packed.front) for channel, entries in rows.index.items()
+            _format_index(channel, entries, len(front)) for channel, entries in rows.index.items()
         ]
         ends = np.cumsum([start + len(record), *map(len, indexes)]).tolist()
         self._write(b"".join((record, *indexes)))

@@ -1,17 +1,19 @@
-"""The columns of a topic -> message records: whole columns at once where the type has one size."""
+"""The columns of topics -> message records, those of one size all at once -> chunks by time."""
 
 import struct
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from struct import Struct
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
     TEXT,
@@ -21,7 +23,6 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     read_type,
 )
-from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""
@@ -42,33 +43,63 @@ CODES: Final = MappingProxyType(
 _PACKERS: Final = MappingProxyType({kind: Struct(f"<{code}") for kind, code in CODES.items()})
 
 
+CHUNK_BYTES: Final = 2**20
+"""What a chunk of a file that is written at once may hold, schemas and channels not counted."""
+
+Numbers = NDArray[np.int64]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Records:
+class ChannelRecords:
     """The message records of one channel, in order of log time.
 
     Attributes:
+        schema: Of the channel.
+        channel: Which its records name.
         log_time_ns: Of each [ns], shape (n,), not decreasing.
         data: The records one after the other, shape (bytes,).
         sizes: Of each [bytes], shape (n,).
     """
 
-    log_time_ns: NDArray[np.int64]
+    schema: Schema
+    channel: Channel
+    log_time_ns: Numbers
     data: NDArray[np.uint8]
-    sizes: NDArray[np.int64]
+    sizes: Numbers
 
 
-def encode_records(columns: TopicColumns, definition: str, channel: int) -> Records:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChunkRows:
+    """The messages of one chunk.
+
+    Attributes:
+        channels: Their channels, each with its schema, if it has one.
+        records: Message records, one after the other.
+        index: By channel number: log time [ns] and place in `records` of each of its messages,
+            shape (n, 2).
+        start_ns: Least log time [ns].
+        end_ns: Greatest log time [ns].
+    """
+
+    channels: Sequence[tuple[Schema | None, Channel]]
+    records: bytes | bytearray | memoryview
+    index: Mapping[int, NDArray[np.uint64]]
+    start_ns: int
+    end_ns: int
+
+
+def encode_records(columns: TopicColumns, schema: Schema, channel: Channel) -> ChannelRecords:
     """Return the messages of a topic as records in order of log time.
 
     Args:
         columns: In any order of time; a field left out is 0 or empty.
-        definition: Of their type, as `ros2msg`.
-        channel: The number that the records carry.
+        schema: Of their type, as `ros2msg`.
+        channel: Of the topic.
 
     Raises:
         LogError: Where a column is not one of the type, has another length, or does not fit.
     """
-    kind = read_type(columns.type, definition)
+    kind = read_type(columns.type, schema.data.decode())
     fields, layout = kind.fields, kind.layout
     known = dict.fromkeys(_name_fields(fields, ""))
     for name in columns.fields:
@@ -79,31 +110,20 @@ def encode_records(columns: TopicColumns, definition: str, channel: int) -> Reco
     for name, rows in lengths.items():
         if rows != len(columns):
             raise LogError(f"{name}: expected {len(columns)} rows, found {rows}")
-    columns = _sort(columns)
+    if (np.diff(columns.log_time_ns) < 0).any():
+        columns = columns.select(np.argsort(columns.log_time_ns, kind="stable"))
     stamps = {
         "log_time": _fit("log_time_ns", columns.log_time_ns, "<u8"),
         "publish_time": _fit("publish_time_ns", columns.publish_time_ns, "<u8"),
         "sequence": _fit("sequence", columns.sequence, "<u4"),
     }
     if layout is None:
-        data, sizes = _encode_varied(fields, columns.fields, stamps, channel)
+        data, sizes = _encode_varied(fields, columns.fields, stamps, channel.id)
     else:
-        records = _encode_fixed(layout, columns.fields, stamps, channel)
+        records = _encode_fixed(layout, columns.fields, stamps, channel.id)
         data, sizes = records.view(np.uint8), np.full(len(columns), records.itemsize)
-    return Records(log_time_ns=columns.log_time_ns, data=data, sizes=sizes)
-
-
-def _sort(columns: TopicColumns) -> TopicColumns:
-    times = columns.log_time_ns
-    if (np.diff(times) >= 0).all():
-        return columns
-    order = np.argsort(times, kind="stable")
-    return replace(
-        columns,
-        log_time_ns=times[order],
-        publish_time_ns=columns.publish_time_ns[order],
-        sequence=columns.sequence[order],
-        fields={name: values[order] for name, values in columns.fields.items()},
+    return ChannelRecords(
+        schema=schema, channel=channel, log_time_ns=columns.log_time_ns, data=data, sizes=sizes
     )
 
 
@@ -135,16 +155,15 @@ def _encode_varied(
     data, sizes = bytearray(), []
     times = zip(*(values.tolist() for values in stamps.values()), strict=True)
     for row, (log_time, publish_time, sequence) in enumerate(times):
+        values = {name: column[row] for name, column in columns.items()}
         try:
-            body = encode_fields(fields, {name: values[row] for name, values in columns.items()})
+            record = encode_message(fields, values, channel, (sequence, log_time, publish_time))
         except UnicodeEncodeError:
             raise
         except (struct.error, TypeError, ValueError, AttributeError) as err:
             raise LogError(f"row {row}: expected values of the type's kinds, found: {err}") from err
-        length = HEAD.size - UNCOUNTED + len(body)
-        stamp = (sequence, log_time, publish_time)
-        data += HEAD.pack(Opcode.MESSAGE, length, channel, *stamp, ENCAPSULATION) + body
-        sizes.append(UNCOUNTED + length)
+        data += record
+        sizes.append(len(record))
     return np.frombuffer(data, np.uint8), np.array(sizes, dtype=np.int64)
 
 
@@ -174,19 +193,27 @@ def _name_fields(fields: tuple[Field, ...], prefix: str) -> Iterator[str]:
                 yield from _name_fields(field.kind, f"{prefix}{part}.")
 
 
-def encode_fields(fields: tuple[Field, ...], values: Mapping[str, Any]) -> bytes:
-    """Return the bytes of one message behind its encapsulation.
+def encode_message(
+    fields: tuple[Field, ...],
+    values: Mapping[str, Any],
+    channel: int,
+    stamp: tuple[int, int, int],
+) -> bytes:
+    """Return the record of one message.
 
     Args:
         fields: Of the message type.
         values: By dotted name, as a row of `TopicColumns`; one left out is 0 or empty.
+        channel: The number that the record carries.
+        stamp: Sequence, log time and publish time [ns].
 
     Raises:
         struct.error, TypeError, ValueError: Where a value is not of its field's kind.
     """
     body = bytearray()
     _append_fields(body, fields, values, "")
-    return bytes(body)
+    length = HEAD.size - UNCOUNTED + len(body)
+    return HEAD.pack(Opcode.MESSAGE, length, channel, *stamp, ENCAPSULATION) + body
 
 
 def _append_fields(
@@ -228,3 +255,91 @@ def _append_item(body: bytearray, kind: str | tuple[Field, ...], value: Any) -> 
         packer = _PACKERS[kind]
         body += bytes(-len(body) % packer.size)
         body += packer.pack(0 if value is None else value)
+
+
+def cut_chunks(
+    channels: Sequence[ChannelRecords], *, chunk_bytes: int = CHUNK_BYTES
+) -> Iterator[ChunkRows]:
+    """Yield the chunks of all records in order of log time; those of one time channel by channel.
+
+    Args:
+        channels: With their records in order of log time.
+        chunk_bytes: What a chunk may hold; one larger record makes a chunk of its own.
+    """
+    filled = [content for content in channels if len(content.sizes)]
+    if not filled:
+        return
+    times = np.concatenate([content.log_time_ns for content in filled])
+    sizes = np.concatenate([content.sizes for content in filled])
+    order = np.argsort(times, kind="stable")
+    ends, times = np.cumsum(sizes[order]), times[order]
+    starts = np.empty_like(ends)
+    starts[order] = ends - sizes[order]
+    placed = list(_split(filled, starts))
+    for first, last in _find_borders(ends, chunk_bytes):
+        start = int(ends[first - 1]) if first else 0
+        yield _fill_chunk(placed, start, int(ends[last]), (int(times[first]), int(times[last])))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Placed:
+    """The records of a channel, and where each goes in the stream of all channels [bytes]."""
+
+    content: ChannelRecords
+    starts: Numbers
+    ends_in_data: Numbers
+
+
+def _split(channels: Sequence[ChannelRecords], starts: Numbers) -> Iterator[_Placed]:
+    first = 0
+    for content in channels:
+        sizes = content.sizes
+        own = starts[first : first + len(sizes)]
+        yield _Placed(content=content, starts=own, ends_in_data=np.cumsum(sizes))
+        first += len(sizes)
+
+
+def _find_borders(ends: Numbers, chunk_bytes: int) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last row of every chunk."""
+    first, start = 0, 0
+    while first < len(ends):
+        after = int(np.searchsorted(ends, start + chunk_bytes, side="right"))
+        last = max(after - 1, first)
+        yield first, last
+        first, start = last + 1, int(ends[last])
+
+
+def _fill_chunk(
+    placed: Sequence[_Placed], start: int, end: int, times_ns: tuple[int, int]
+) -> ChunkRows:
+    buffer = bytearray(end - start)
+    index, channels = {}, []
+    for channel in placed:
+        first, after = np.searchsorted(channel.starts, (start, end)).tolist()
+        if first == after:
+            continue
+        places = channel.starts[first:after] - start
+        _scatter(buffer, places, channel, first, after)
+        content = channel.content
+        times = content.log_time_ns[first:after]
+        index[content.channel.id] = np.column_stack([times, places]).astype(np.uint64)
+        channels.append((content.schema, content.channel))
+    return ChunkRows(
+        channels=channels, records=buffer, index=index, start_ns=times_ns[0], end_ns=times_ns[1]
+    )
+
+
+def _scatter(buffer: bytearray, places: Numbers, channel: _Placed, first: int, after: int) -> None:
+    """Copy rows [first, after) of a channel to their places."""
+    sizes = channel.content.sizes[first:after]
+    begin = int(channel.ends_in_data[first] - sizes[0])
+    data = channel.content.data[begin : int(channel.ends_in_data[after - 1])]
+    size = int(sizes[0])
+    if (sizes == size).all():
+        # The view lets every byte of the buffer start a row: all rows go in one step.
+        rows = len(buffer) - size + 1
+        view = np.ndarray((rows,), f"V{size}", buffer=buffer, strides=(1,))
+        view[places] = data.view(f"V{size}")
+        return
+    within = np.arange(len(data)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    np.frombuffer(buffer, np.uint8)[np.repeat(places, sizes) + within] = data

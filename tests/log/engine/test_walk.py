@@ -7,7 +7,7 @@ from mcap.stream_reader import StreamReader
 
 from tests.log.runs import find_shared
 from tests.torture.recordings import COMPRESSIONS, list_records, make_recording, pack_again
-from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.engine.walk import Loss, Section, walk_sections
 
 CHUNK, INDEX, METADATA, DATA_END, HEAD = 6, 7, 12, 15, 9
 KINDS = {1: "Header", 3: "Schema", 4: "Channel", 5: "Message", 9: "Attachment", 12: "Metadata"}
@@ -25,10 +25,10 @@ def lone(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return pack_again(whole, "none", use_chunking=False)
 
 
-def walk(data: bytes) -> tuple[list[Section], list[Damage]]:
+def walk(data: bytes) -> tuple[list[Section], list[Loss]]:
     found = list(walk_sections(BytesIO(data)))
     sections = [section for section in found if isinstance(section, Section)]
-    return sections, [damage for damage in found if isinstance(damage, Damage)]
+    return sections, [damage for damage in found if isinstance(damage, Loss)]
 
 
 def split(sections: list[Section]) -> list[bytes]:

@@ -13,9 +13,8 @@ from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import write_recording
-from turtlelog.log.engine.columns import read_columns
-from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.interleaving import write_columns
+from turtlelog.log.container import write_columns
+from turtlelog.log.engine.columns import TopicColumns, read_columns
 from turtlelog.log.recording.topics import SCHEMAS
 
 MIXED = "mine_msgs/msg/Mixed"

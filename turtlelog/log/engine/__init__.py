@@ -1,6 +1,11 @@
 """Files as columns: chunks walked, gathered and written by the thousand, not message by message."""
 
-from turtlelog.log.engine.columns import RawContents, iter_columns, read_columns, read_raw
-from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.engine.columns import (
+    RawContents,
+    TopicColumns,
+    iter_columns,
+    read_columns,
+    read_raw,
+)
 
 __all__ = ["RawContents", "TopicColumns", "iter_columns", "read_columns", "read_raw"]

@@ -15,8 +15,8 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.catalogue import Catalogue
-from turtlelog.log.engine.chunks import open_chunk, parse_chunk_head
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.integrity import DamageError, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
@@ -30,8 +30,7 @@ from turtlelog.log.engine.parsing import (
     parse_record,
     take_apart,
 )
-from turtlelog.log.engine.summary import ChunkEntry
-from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.engine.walk import Loss, Section, walk_sections
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -80,14 +79,7 @@ def build_indexed_block(entry: ChunkEntry, stored: bytes, largest: int = LARGEST
             f" found opcode {opcode} with {RECORD.size + length}"
         )
     body = memoryview(stored)[RECORD.size : entry.length]
-    head = parse_chunk_head(body, byte, largest)
-    found = (head.start_ns, head.end_ns, head.size)
-    if found != (entry.start_ns, entry.end_ns, entry.size):
-        expected = f"times {entry.start_ns} to {entry.end_ns} and {entry.size} bytes"
-        raise DamageError(
-            f"byte {byte}: expected a chunk of {expected} as its index says, found {found}"
-        )
-    data = open_chunk(head, body, byte)
+    data = open_chunk(entry, body, largest)
     offsets = _parse_indexes(stored[entry.length :], byte + entry.length)
     rest = _check_tiling(data, offsets, byte)
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)
@@ -116,7 +108,7 @@ def walk_blocks(
     catalogue: Catalogue,
     allowance: Allowance,
     *,
-    damages: list[Damage] | None = None,
+    damages: list[Loss] | None = None,
 ) -> Iterator[Block]:
     """Yield everything in a file as blocks, in its order, and fill the catalogue meanwhile.
 
@@ -135,7 +127,7 @@ def walk_blocks(
 
 
 def walk_through(
-    stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Damage] | None = None
+    stream: BinaryIO, work: Callable[[Section], T], *, damages: list[Loss] | None = None
 ) -> Iterator[T]:
     """Yield what `work` makes of every section of a file, in its order.
 
@@ -144,7 +136,7 @@ def walk_through(
     """
     check_start(stream)
     for section in walk_sections(stream):
-        if isinstance(section, Damage):
+        if isinstance(section, Loss):
             if damages is None:
                 raise DamageError(f"byte {section.start}: {section.reason}")
             damages.append(section)
@@ -155,7 +147,7 @@ def walk_through(
             if damages is None:
                 raise
             end = section.start + len(section.data)
-            damages.append(Damage(start=section.start, end=end, reason=str(err)))
+            damages.append(Loss(start=section.start, end=end, reason=str(err)))
             continue
         yield found
 

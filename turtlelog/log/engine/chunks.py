@@ -26,36 +26,45 @@ _STEP: Final = 2**22  # bytes unpacked at a time, where the header may lie
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChunkHead:
-    """The head of a chunk record.
+class ChunkEntry:
+    """What the summary says of a chunk.
 
     Attributes:
+        start: Byte in the file.
+        length: Of its record [bytes].
+        index_length: Of the message indexes behind it [bytes].
         start_ns: Least log time of its messages, 0 where it has none.
         end_ns: Greatest log time.
+        channels: Ids of the channels of which it holds messages.
         size: Of the records in it, decompressed [bytes].
-        crc: Of these bytes, 0 where there is none.
-        compression: `zstd`, `lz4` or empty.
-        data_start: Where the compressed bytes start in the record's body.
-        data_size: Their number.
     """
 
+    start: int
+    length: int
+    index_length: int
     start_ns: int
     end_ns: int
+    channels: frozenset[int]
     size: int
-    crc: int
-    compression: str
-    data_start: int
-    data_size: int
+
+    @property
+    def end(self) -> int:
+        """The byte behind its message indexes."""
+        return self.start + self.length + self.index_length
 
 
-def parse_chunk_head(
-    body: bytes | memoryview, byte: int, largest: int = LARGEST_CHUNK
-) -> ChunkHead:
-    """Return the head of a chunk record; `byte` is where it stands in the file.
+def open_chunk(entry: ChunkEntry, body: bytes | memoryview, largest: int = LARGEST_CHUNK) -> bytes:
+    """Return the records in a chunk, decompressed, their checksum checked.
+
+    Args:
+        entry: What the summary says of it.
+        body: Of its record.
+        largest: What it may hold unpacked [bytes].
 
     Raises:
-        DamageError: Where the body is too short for what it says, or that is more than `largest`.
+        DamageError: Where it is too short for what it says, or not what was written or indexed.
     """
+    byte = entry.start
     try:
         start_ns, end_ns, size, crc, length = CHUNK_HEAD.unpack_from(body)
         name = bytes(body[CHUNK_HEAD.size : CHUNK_HEAD.size + length])
@@ -69,34 +78,27 @@ def parse_chunk_head(
             f"byte {byte}: expected a chunk of up to {len(body) - data_start} bytes for up to"
             f" {largest}, found {data_size} for {size}"
         )
-    return ChunkHead(
-        start_ns=start_ns,
-        end_ns=end_ns,
-        size=size,
-        crc=crc,
-        compression=compression,
-        data_start=data_start,
-        data_size=data_size,
-    )
+    found = (start_ns, end_ns, size)
+    if found != (entry.start_ns, entry.end_ns, entry.size):
+        expected = f"times {entry.start_ns} to {entry.end_ns} and {entry.size} bytes"
+        raise DamageError(
+            f"byte {byte}: expected a chunk of {expected} as its index says, found {found}"
+        )
+    packed = body[data_start : data_start + data_size]
+    return _unpack_checked(compression, packed, size, crc, byte)
 
 
-def open_chunk(head: ChunkHead, body: bytes | memoryview, byte: int) -> bytes:
-    """Return the records in a chunk, decompressed, their checksum checked.
-
-    Raises:
-        DamageError: Where they are not those that were written; `byte` is where the chunk stands.
-    """
-    packed = body[head.data_start : head.data_start + head.data_size]
+def _unpack_checked(
+    compression: str, packed: bytes | memoryview, size: int, crc: int, byte: int
+) -> bytes:
     try:
-        data = unpack_chunk(head.compression, packed, head.size)
+        data = unpack_chunk(compression, packed, size)
     except LogError as err:
         raise DamageError(f"byte {byte}: chunk: {err}") from err
-    if len(data) != head.size:
-        raise DamageError(f"byte {byte}: chunk: expected {head.size} bytes, found {len(data)}")
-    if head.crc and head.crc != (found := zlib.crc32(data)):
-        raise DamageError(
-            f"byte {byte}: chunk: expected checksum {head.crc:#010x}, found {found:#010x}"
-        )
+    if len(data) != size:
+        raise DamageError(f"byte {byte}: chunk: expected {size} bytes, found {len(data)}")
+    if crc and crc != (found := zlib.crc32(data)):
+        raise DamageError(f"byte {byte}: chunk: expected checksum {crc:#010x}, found {found:#010x}")
     return data
 
 

@@ -1,17 +1,28 @@
 """File -> columns, topic by topic: the one way to read messages. And raw records."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block
+from turtlelog.log.engine.decode import (
+    LOG_TIME,
+    PUBLISH_TIME,
+    SEQUENCE,
+    Rows,
+    make_empty_rows,
+    select_rows,
+)
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
 from turtlelog.log.engine.source import (
     EVER,
@@ -21,19 +32,47 @@ from turtlelog.log.engine.source import (
     count_rows,
     iterate_pieces,
 )
-from turtlelog.log.engine.topic_columns import (
-    LOG_TIME,
-    Rows,
-    RowStore,
-    TopicColumns,
-    build_columns,
-    make_empty_rows,
-)
 from turtlelog.log.error_boundary import name_file, open_file
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
 
 _LONE: Final = (Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TopicColumns:
+    """The messages of one topic, as columns in order of log time; equal times as in the file.
+
+    Attributes:
+        topic: Its name.
+        type: Of its messages, as its schema calls it.
+        log_time_ns: When each was recorded [ns], shape (n,).
+        publish_time_ns: When each was published [ns], shape (n,).
+        sequence: Number that the publisher gave each, shape (n,).
+        fields: By dotted name in the order of the schema. A fixed array of k numbers has shape
+            (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a list,
+            one of messages a list of dictionaries by dotted name, each in a column of objects.
+    """
+
+    topic: str
+    type: str
+    log_time_ns: NDArray[np.int64]
+    publish_time_ns: NDArray[np.int64]
+    sequence: NDArray[np.uint32]
+    fields: Mapping[str, Column]
+
+    def __len__(self) -> int:
+        return len(self.log_time_ns)
+
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> "TopicColumns":
+        """Return some of the messages, or all of them in another order."""
+        return replace(
+            self,
+            log_time_ns=self.log_time_ns[rows],
+            publish_time_ns=self.publish_time_ns[rows],
+            sequence=self.sequence[rows],
+            fields=MappingProxyType(select_rows(self.fields, rows)),
+        )
 
 
 def read_columns(
@@ -108,16 +147,46 @@ def iter_columns(
 def collect_columns(source: Source, selection: Selection) -> Mapping[str, TopicColumns]:
     """Return the columns of an open file, those of topics without messages included."""
     expected = count_rows(source, selection)
-    stores: dict[str, RowStore] = {}
+    stores: dict[str, _RowStore] = {}
     for piece in iterate_pieces(source, selection):
         for topic, found in piece.rows.items():
             if topic not in stores:
-                stores[topic] = RowStore(expected.get(topic, 0))
+                stores[topic] = _RowStore(expected.get(topic, 0))
             stores[topic].take(found)
     parts = {}
     for topic, plan in selection.choose_plans(source.catalogue).items():
         parts[topic] = stores[topic].parts if topic in stores else [make_empty_rows(plan)]
     return build_columns(parts, source.catalogue.types)
+
+
+def _join_rows(parts: list[Rows]) -> Rows:
+    """Return the rows of all parts in order of log time; those of one time keep their order."""
+    if len(parts) == 1:
+        rows = parts[0]
+    else:
+        rows = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    times = rows[LOG_TIME]
+    if len(times) > 1 and (times[1:] < times[:-1]).any():
+        rows = select_rows(rows, np.argsort(times, kind="stable"))
+    return rows
+
+
+def build_columns(
+    parts: Mapping[str, list[Rows]], types: Mapping[str, str]
+) -> Mapping[str, TopicColumns]:
+    """Return rows of topics as columns, in order of the topics' names; `types` says theirs."""
+    topics = {}
+    for topic in sorted(parts):
+        rows = _join_rows(parts[topic])
+        topics[topic] = TopicColumns(
+            topic=topic,
+            type=types[topic],
+            log_time_ns=rows.pop(LOG_TIME),
+            publish_time_ns=rows.pop(PUBLISH_TIME),
+            sequence=rows.pop(SEQUENCE),
+            fields=MappingProxyType(rows),
+        )
+    return MappingProxyType(topics)
 
 
 def _select_topics(
@@ -138,6 +207,36 @@ def _is_over(batch: Mapping[str, list[Rows]], piece: Piece, most_rows: int) -> b
         sum(len(part[LOG_TIME]) for part in batch.get(topic, [])) + len(found[LOG_TIME]) > most_rows
         for topic, found in piece.rows.items()
     )
+
+
+class _RowStore:
+    """Rows of one topic, part by part; where their number is known, each is copied only once."""
+
+    def __init__(self, expected: int) -> None:
+        self._expected, self._used = expected, 0
+        self._whole: Rows = {}
+        self._others: list[Rows] = []
+
+    def take(self, part: Rows) -> None:
+        """Add rows behind those that are there."""
+        end = self._used + len(part[LOG_TIME])
+        if self._others or end > self._expected:
+            self._others.append(part)
+            return
+        if not self._whole:
+            self._whole = {
+                name: np.empty((self._expected, *values.shape[1:]), values.dtype)
+                for name, values in part.items()
+            }
+        for name, values in part.items():
+            self._whole[name][self._used : end] = values
+        self._used = end
+
+    @property
+    def parts(self) -> list[Rows]:
+        """All rows, in one part where their number was right."""
+        whole = [select_rows(self._whole, slice(self._used))] if self._used else []
+        return [*whole, *self._others]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,9 +270,7 @@ def read_raw(path: str | Path) -> RawContents:
         source = Source(stream)
         source.check_data()
         messages: list[Message] = []
-        found: list[Any] = []
-        if source.index is not None:
-            found += source.read_lone(_LONE)
+        found: list[Any] = list(source.read_lone(_LONE))
         for block, of_block in source.map_blocks(lambda block: (block, _list_messages(block))):
             messages += of_block
             found += block.rest

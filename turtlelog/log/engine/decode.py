@@ -1,18 +1,37 @@
-"""Messages with text or sequences -> columns: field by field, all messages of a stretch at once."""
+"""The messages of a topic in a block -> rows: one size all at once, others field by field."""
 
+from collections.abc import Mapping
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.message_types import TEXT, Column, Field, name_parts
-from turtlelog.log.engine.parsing import gather_bytes
+from turtlelog.log.engine.blocks import Block, Offsets
+from turtlelog.log.engine.channels import TopicPlan
+from turtlelog.log.engine.message_types import (
+    BIG_ENDIAN,
+    ENCAPSULATION,
+    LITTLE_ENDIAN,
+    MESSAGE,
+    TEXT,
+    Column,
+    Field,
+    Layout,
+    name_parts,
+    split_rows,
+)
+from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
 
+Rows = dict[str, Column]
 Order = Literal["<", ">"]
-Places = NDArray[np.int64]
+
+LOG_TIME: Final = "#log_time"
+PUBLISH_TIME: Final = "#publish_time"
+SEQUENCE: Final = "#sequence"
 
 _PADDING: Final = 4  # some middlewares fill a message up to a multiple of this [bytes]
+_LENGTH: Final = 22  # bytes of a message record that its length counts, before its data
 
 # Before it writes a message, ROS 2 with Fast DDS estimates its size as if an empty sequence were
 # padded for the numbers that it lacks, and hands on what is left over. After a sequence's length
@@ -20,8 +39,101 @@ _PADDING: Final = 4  # some middlewares fill a message up to a multiple of this 
 _LARGEST_NUMBER: Final = 8
 
 
-def decode_messages(
-    fields: tuple[Field, ...], data: bytes, starts: Places, ends: Places, order: Order
+def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
+    """Return the messages that start at these places as columns: fields, times and sequence.
+
+    Raises:
+        LogError: Where a message is not of the topic's type.
+    """
+    try:
+        if plan.layout is None:
+            return _read_differing(plan, block, starts)
+        return _read_fixed(plan.layout, block, starts)
+    except LogError as err:
+        raise LogError(f"byte {block.byte}: topic {plan.topic}: {err}") from err
+
+
+def make_empty_rows(plan: TopicPlan) -> Rows:
+    """Return the columns of a topic without messages."""
+    block = Block(data=b"", byte=0, offsets={}, rest=())
+    return read_rows(plan, block, np.empty(0, np.int64))
+
+
+def select_rows(
+    rows: Mapping[str, Column], chosen: NDArray[np.bool_] | NDArray[np.int64] | slice
+) -> Rows:
+    """Return some of the rows."""
+    return {name: values[chosen] for name, values in rows.items()}
+
+
+def _read_fixed(layout: Layout, block: Block, starts: Offsets) -> Rows:
+    size = layout.little.itemsize
+    if len(starts) and starts[-1] > len(block.data) - size:
+        # The last one is too short: found by the check, which needs no more than its head.
+        _check_sizes(_read_lengths(block, starts), layout)
+    rows = gather_bytes(block.data, starts, size)
+    heads = rows.view(layout.little)
+    _check_sizes(heads["#length"], layout)
+    _check_heads(heads)
+    return split_rows(layout, rows)
+
+
+def _read_lengths(block: Block, starts: Offsets) -> NDArray[np.uint64]:
+    lengths: NDArray[np.uint64] = gather_bytes(block.data, starts, MESSAGE_HEAD).view(HEADING)[
+        "length"
+    ]
+    return lengths
+
+
+def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:
+    extra = lengths - np.uint64(_LENGTH + layout.size)  # wraps where it is below
+    if len(extra) and extra.max() >= _PADDING:
+        number = int((extra >= _PADDING).argmax())
+        found = int(lengths[number]) - _LENGTH
+        raise LogError(f"message {number}: expected {layout.size} bytes, found {found}")
+
+
+def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
+    lengths = _read_lengths(block, starts).astype(np.int64)
+    if (lengths < _LENGTH + ENCAPSULATION).any():
+        number = int((lengths < _LENGTH + ENCAPSULATION).argmax())
+        found = lengths[number] - _LENGTH
+        raise LogError(f"message {number}: expected at least 4 bytes, found {found}")
+    heads = gather_bytes(block.data, starts, MESSAGE.itemsize).view(MESSAGE)
+    _check_heads(heads)
+    firsts, ends = starts + MESSAGE.itemsize, starts + 9 + lengths
+    columns: Rows = {
+        LOG_TIME: heads[LOG_TIME].astype(np.int64),
+        PUBLISH_TIME: heads[PUBLISH_TIME].astype(np.int64),
+        SEQUENCE: heads[SEQUENCE].astype(np.uint32),
+    }
+    is_big = heads["#encapsulation"] == BIG_ENDIAN
+    if not is_big.any():
+        return columns | _decode_messages(plan.fields, block.data, firsts, ends, "<")
+    orders: tuple[tuple[Order, NDArray[np.bool_]], ...] = (("<", ~is_big), (">", is_big))
+    for order, rows in orders:
+        found = _decode_messages(plan.fields, block.data, firsts[rows], ends[rows], order)
+        for name, values in found.items():
+            shape = (len(starts), *values.shape[1:])
+            columns.setdefault(name, np.empty(shape, values.dtype))[rows] = values
+    return columns
+
+
+def _check_heads(heads: NDArray[np.void]) -> None:
+    """Check that every message is plain CDR, and of a time that 63 bits hold."""
+    kinds = heads["#encapsulation"]
+    wrong = kinds != LITTLE_ENDIAN
+    if wrong.any() and (wrong := wrong & (kinds != BIG_ENDIAN)).any():
+        number = int(wrong.argmax())
+        found = kinds[number].tobytes().hex()
+        raise LogError(f"message {number}: expected the CDR header 0001 or 0000, found {found}")
+    for name in (LOG_TIME, PUBLISH_TIME):
+        if len(heads) and heads[name].max() >= 2**63:
+            raise LogError(f"expected times below 2^63 ns, found {heads[name].max()}")
+
+
+def _decode_messages(
+    fields: tuple[Field, ...], data: bytes, starts: Offsets, ends: Offsets, order: Order
 ) -> dict[str, Column]:
     """Return the fields of messages as columns, by dotted name.
 
@@ -57,7 +169,7 @@ class _Cursor:
         overestimates: How many bytes too many a writer may have set aside so far, shape (n,).
     """
 
-    def __init__(self, data: bytes, starts: Places, ends: Places, order: Order) -> None:
+    def __init__(self, data: bytes, starts: Offsets, ends: Offsets, order: Order) -> None:
         self.places, self.overestimates = starts.copy(), np.zeros_like(starts)
         self._data, self._starts, self._ends, self._order = data, starts, ends, order
         self._numbers = np.arange(len(starts))
@@ -99,7 +211,7 @@ class _Cursor:
     def _finish(self, values: Column, field: Field) -> Column:
         return values != 0 if field.kind == "?" else np.ascontiguousarray(values)
 
-    def _require(self, sizes: Places) -> None:
+    def _require(self, sizes: Offsets) -> None:
         short = self.places + sizes > self._ends
         if short.any():
             row = int(short.argmax())
@@ -138,7 +250,7 @@ class _Cursor:
             ) from err
         return texts
 
-    def _take_arrays(self, kind: str, lengths: Places) -> Column:
+    def _take_arrays(self, kind: str, lengths: Offsets) -> Column:
         code = np.dtype(kind.replace("?", "u1"))
         # An empty sequence is not padded.
         self.places += np.where(lengths > 0, (self._starts - self.places) % code.itemsize, 0)
@@ -153,7 +265,7 @@ class _Cursor:
         self.places += lengths * code.itemsize
         return arrays
 
-    def _take_lists(self, kind: str | tuple[Field, ...], lengths: Places) -> Column:
+    def _take_lists(self, kind: str | tuple[Field, ...], lengths: Offsets) -> Column:
         """Take the k-th value of every message that has one, for k = 0, 1, ..."""
         lists = np.empty(len(lengths), dtype=object)
         lists[:] = [[] for _ in range(len(lengths))]

@@ -33,31 +33,20 @@ class UnfinishedError(DamageError):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SummaryBytes:
-    """The summary section of a file, its checksum held where it has one.
-
-    Attributes:
-        start: Its byte in the file; where it is empty, that of the footer.
-        data: Its records, summary offsets included.
-    """
-
-    start: int
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Ends:
     """Where the parts of a whole file are.
 
     Attributes:
         data_end: Byte of the record that ends the data section.
         data_crc: Checksum of all bytes before it, 0 where there is none.
-        summary: What comes after it.
+        summary_start: Byte of the summary section; where it is empty, that of the footer.
+        summary: Its records, summary offsets included.
     """
 
     data_end: int
     data_crc: int
-    summary: SummaryBytes
+    summary_start: int
+    summary: bytes
 
 
 def check_start(stream: BinaryIO) -> None:
@@ -98,22 +87,22 @@ def read_ends(stream: BinaryIO) -> Ends:
         DamageError: Where it is cut short, or its summary is damaged.
     """
     check_start(stream)
-    footer = _read_footer(stream)
-    data_end, data_crc = _read_data_end(stream, footer.summary_start)
-    summary = _read_summary(stream, footer)
-    return Ends(data_end=data_end, data_crc=data_crc, summary=summary)
+    place, start, checksum = _read_footer(stream)
+    data_end, data_crc = _read_data_end(stream, start)
+    summary = _read_summary(stream, place, start, checksum)
+    return Ends(data_end=data_end, data_crc=data_crc, summary_start=start, summary=summary)
 
 
-def read_summary(stream: BinaryIO) -> SummaryBytes:
-    """Return the summary section of a file, whatever its data are like.
+def read_summary(stream: BinaryIO) -> tuple[int, bytes]:
+    """Return start and records of the summary section of a file, whatever its data are like.
 
     Raises:
         DamageError: Where the file is cut short, or its footer or summary is damaged.
     """
-    footer = _read_footer(stream)
-    if not footer.checksum:  # then only this bears out where it starts
-        _read_data_end(stream, footer.summary_start)
-    return _read_summary(stream, footer)
+    place, start, checksum = _read_footer(stream)
+    if not checksum:  # then only this bears out where it starts
+        _read_data_end(stream, start)
+    return start, _read_summary(stream, place, start, checksum)
 
 
 def check_data(stream: BinaryIO, ends: Ends) -> None:
@@ -130,22 +119,11 @@ def check_data(stream: BinaryIO, ends: Ends) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Footer:
-    """The last record.
+def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
+    """Return where the footer stands and the summary starts, and the checksum of both, 0 if none.
 
-    Attributes:
-        place: Its byte in the file.
-        summary_start: Byte of the summary section; where it is empty, that of the footer.
-        checksum: Of the summary and the footer up to it, 0 where there is none.
+    Where the summary is empty, it starts where the footer does.
     """
-
-    place: int
-    summary_start: int
-    checksum: int
-
-
-def _read_footer(stream: BinaryIO) -> _Footer:
     size = stream.seek(0, io.SEEK_END)
     place = size - _FOOTER.size - len(MCAP0_MAGIC)
     stream.seek(max(place, 0))
@@ -158,19 +136,18 @@ def _read_footer(stream: BinaryIO) -> _Footer:
     opcode, length, start, _, checksum = _FOOTER.unpack(footer)
     if opcode != Opcode.FOOTER or length != 20 or start > place:
         raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")
-    return _Footer(place=place, summary_start=start or place, checksum=checksum)
+    return place, start or place, checksum
 
 
-def _read_summary(stream: BinaryIO, footer: _Footer) -> SummaryBytes:
-    start, expected = footer.summary_start, footer.checksum
-    end = footer.place + _FOOTER.size - 4  # the checksum covers the footer up to itself
+def _read_summary(stream: BinaryIO, footer: int, start: int, expected: int) -> bytes:
+    end = footer + _FOOTER.size - 4  # the checksum covers the footer up to itself
     # Held before anything is read: a damaged footer may claim that all of the file is summary.
     if expected and expected != (found := _compute_checksum(stream, start, end)):
         raise DamageError(
             f"byte {start}: expected a summary of checksum {expected:#010x}, found {found:#010x}"
         )
     stream.seek(start)
-    return SummaryBytes(start=start, data=stream.read(footer.place - start))
+    return stream.read(footer - start)
 
 
 def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:

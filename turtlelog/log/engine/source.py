@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 from typing import Any, BinaryIO, Final, TypeVar
 
 import numpy as np
-from mcap.records import Statistics
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets, build_indexed_block, walk_blocks
-from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, TopicPlan
+from turtlelog.log.engine.chunks import ChunkEntry
+from turtlelog.log.engine.decode import LOG_TIME, Rows, read_rows, select_rows
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.integrity import DamageError, Ends, check_data, read_ends
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import TEXT, Field
-from turtlelog.log.engine.parsing import Place, read_record
-from turtlelog.log.engine.summary import ChunkEntry, find_lone_records, parse_summary
-from turtlelog.log.engine.topic_columns import LOG_TIME, Rows, read_rows, select_rows
+from turtlelog.log.engine.parsing import read_record
+from turtlelog.log.engine.summary import find_lone_records, parse_summary
 
 T = TypeVar("T")
 
@@ -29,27 +29,13 @@ EVER: Final = 2**64
 """A log time after all others [ns]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Index:
-    """What the summary of a file says, where it tells all.
-
-    Attributes:
-        chunks: In the order of the file.
-        lone: The records outside chunks that are read one by one.
-        statistics: None where there are none.
-    """
-
-    chunks: tuple[ChunkEntry, ...]
-    lone: tuple[Place, ...]
-    statistics: Statistics | None
-
-
 class Source:
     """An open file, its ends and its summary checked.
 
     Attributes:
         catalogue: Channels and schemas; without an index it fills as blocks are read.
-        index: None where the file has none that tells all.
+        is_indexed: Whether the summary tells where all is.
+        statistics: None where there are none.
         ends: Where its parts are.
         allowance: What may be asked for.
     """
@@ -58,21 +44,18 @@ class Source:
         self._stream = stream
         self.ends: Ends = read_ends(stream)
         self.allowance = Allowance(stream.seek(0, os.SEEK_END))
-        summary = parse_summary(self.ends.summary, self.allowance)
+        summary = parse_summary(self.ends.summary, self.ends.summary_start, self.allowance)
         self.catalogue = Catalogue(self.allowance)
-        self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary.start)
+        self.catalogue.add((*summary.schemas, *summary.channels), self.ends.summary_start)
         lone = find_lone_records(stream, self.ends, summary, self.allowance)
-        self.statistics = summary.statistics
-        self._named = summary.named
-        self.index = None
-        if lone is not None:
-            self.index = Index(chunks=summary.chunks, lone=lone, statistics=summary.statistics)
+        self.statistics, self.is_indexed = summary.statistics, lone is not None
+        self._lone, self._summary = lone or (), summary
 
     def read_lone(self, opcodes: Collection[int]) -> Iterator[Any]:
-        """Yield the records of some rare kinds that stand outside chunks; needs an index."""
-        assert self.index is not None
-        named = {byte: of for byte, of in self._named.items() if of[0] in opcodes}
-        for place in self.index.lone:
+        """Yield the records of some rare kinds outside chunks; none where there is no index."""
+        named = self._summary.named if self.is_indexed else {}
+        named = {byte: of for byte, of in named.items() if of[0] in opcodes}
+        for place in self._lone:
             if place.opcode not in opcodes:
                 continue
             record, byte = read_record(self._stream, place), place.start - RECORD.size
@@ -83,6 +66,11 @@ class Source:
             yield record
         for byte, (_, name) in named.items():
             raise DamageError(f"byte {byte}: expected a record named {name}, found another")
+
+    @property
+    def index_length(self) -> int:
+        """Bytes of all message indexes."""
+        return sum(entry.index_length for entry in self._summary.chunks)
 
     def check_data(self) -> None:
         """Check the checksum of the whole data section; costs a pass over the file."""
@@ -100,12 +88,12 @@ class Source:
         With an index it runs on threads, over the chunks that hold one of the channels and overlap
         the time; otherwise over everything; there the checksum of all data comes at the end.
         """
-        if self.index is None:
+        if not self.is_indexed:
             yield from map(work, walk_blocks(self._stream, self.catalogue, self.allowance))
             return
         wanted = [
             entry
-            for entry in self.index.chunks
+            for entry in self._summary.chunks
             if (channels is None or not entry.channels.isdisjoint(channels))
             and entry.start_ns < end_ns
             and entry.end_ns >= start_ns
@@ -218,7 +206,7 @@ def iterate_pieces(
         DamageError: Where something read is damaged, or more or less than the statistics say.
     """
     catalogue, channels = source.catalogue, None
-    if source.index is not None:
+    if source.is_indexed:
         selection.require_topics(catalogue)
         plans = selection.choose_plans(catalogue)
         known = catalogue.channels.values()
@@ -246,9 +234,9 @@ def count_rows(source: Source, selection: Selection) -> Mapping[str, int]:
 
     No more than the message indexes have room for: no one is believed who promises billions.
     """
-    if source.index is None or source.statistics is None or not selection.is_ever:
+    if not source.is_indexed or source.statistics is None or not selection.is_ever:
         return {}
-    room = sum(entry.index_length for entry in source.index.chunks) // 16
+    room = source.index_length // 16
     counts: Counter[str] = Counter()
     for number, count in source.statistics.channel_message_counts.items():
         if number in source.catalogue:
@@ -341,6 +329,6 @@ def _check_counts(source: Source, counts: Counter[int], channels: Collection[int
     for channel, expected in statistics.channel_message_counts.items() if statistics else ():
         if (channels is None or channel in channels) and counts[channel] != expected:
             raise DamageError(
-                f"byte {source.ends.summary.start}: channel {channel}: expected {expected} messages"
+                f"byte {source.ends.summary_start}: channel {channel}: expected {expected} messages"
                 f" as the statistics say, found {counts[channel]}"
             )

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from io import SEEK_END
 from typing import BinaryIO, Final
 
@@ -12,8 +12,9 @@ from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statis
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError, describe_error
+from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.integrity import DamageError, Ends, SummaryBytes, read_summary
+from turtlelog.log.engine.integrity import DamageError, Ends, read_summary
 from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 
@@ -38,34 +39,6 @@ _KINDS: Final[Mapping[int, str]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ChunkEntry:
-    """What the summary says of a chunk.
-
-    Attributes:
-        start: Byte in the file.
-        length: Of its record [bytes].
-        index_length: Of the message indexes behind it [bytes].
-        start_ns: Least log time of its messages.
-        end_ns: Greatest log time.
-        channels: Ids of the channels of which it holds messages.
-        size: Of the records in it, decompressed [bytes].
-    """
-
-    start: int
-    length: int
-    index_length: int
-    start_ns: int
-    end_ns: int
-    channels: frozenset[int]
-    size: int
-
-    @property
-    def end(self) -> int:
-        """The byte behind its message indexes."""
-        return self.start + self.length + self.index_length
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class FileSummary:
     """What stands in the summary section.
 
@@ -84,8 +57,8 @@ class FileSummary:
     named: Mapping[int, tuple[int, str]]
 
 
-def parse_summary(section: SummaryBytes, allowance: Allowance) -> FileSummary:
-    """Return what the summary section says.
+def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
+    """Return what the summary section says; `byte` is where it starts in the file.
 
     Raises:
         DamageError: Where a record in it makes no sense, or there are too many.
@@ -94,7 +67,6 @@ def parse_summary(section: SummaryBytes, allowance: Allowance) -> FileSummary:
     schemas: list[Schema] = []
     channels: list[Channel] = []
     statistics, named = None, dict[int, tuple[int, str]]()
-    data, byte = section.data, section.start
     for place in iterate_places(data, 0, len(data), byte):
         if place.opcode == Opcode.CHUNK_INDEX:
             chunks.append(_parse_entry(data, place, byte))
@@ -204,34 +176,13 @@ def _parse_entry(data: bytes, place: Place, byte: int) -> ChunkEntry:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SalvagedSummary:
-    """What a summary says.
-
-    Attributes:
-        schemas: By id.
-        channels: By id.
-        counts: Messages by channel; None where there are no statistics.
-        is_sound: Whether the file ends as it should, with a summary that agrees with its
-            checksum or no summary at all.
-    """
-
-    schemas: Mapping[int, Schema] = field(default_factory=dict)
-    channels: Mapping[int, Channel] = field(default_factory=dict)
-    counts: Mapping[int, int] | None = None
-    is_sound: bool = False
-
-
-def salvage_summary(stream: BinaryIO) -> SalvagedSummary:
-    """Return what the summary says; nothing where there is none, or its checksum fails."""
+def salvage_summary(stream: BinaryIO) -> FileSummary | None:
+    """Return what the summary says, of each id the last; None if the end or its checksum fails."""
     try:
-        summary = parse_summary(read_summary(stream), Allowance(stream.seek(0, SEEK_END)))
+        start, data = read_summary(stream)
+        summary = parse_summary(data, start, Allowance(stream.seek(0, SEEK_END)))
     except DamageError:
-        return SalvagedSummary()
-    statistics = summary.statistics
-    return SalvagedSummary(
-        schemas={schema.id: schema for schema in summary.schemas},
-        channels={channel.id: channel for channel in summary.channels},
-        counts=None if statistics is None else dict(statistics.channel_message_counts),
-        is_sound=True,
-    )
+        return None
+    schemas = {schema.id: schema for schema in summary.schemas}
+    channels = {channel.id: channel for channel in summary.channels}
+    return replace(summary, schemas=tuple(schemas.values()), channels=tuple(channels.values()))

@@ -64,8 +64,8 @@ class Section:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Damage:
-    """A stretch that could not be read.
+class Loss:
+    """A stretch of a file that could not be read.
 
     Attributes:
         start: First byte in the file.
@@ -78,7 +78,7 @@ class Damage:
     reason: str
 
 
-def walk_sections(stream: BinaryIO) -> Iterator[Section | Damage]:
+def walk_sections(stream: BinaryIO) -> Iterator[Section | Loss]:
     """Yield everything in the data section in the order of the file, and what could not be read.
 
     Walking goes on after damage: where a header makes no sense, at the next record that bears
@@ -89,7 +89,7 @@ def walk_sections(stream: BinaryIO) -> Iterator[Section | Damage]:
     """
     window, damaged = FileWindow(stream), False
     for found in _walk_records(window):
-        if isinstance(found, Damage):
+        if isinstance(found, Loss):
             damaged = True
         elif not damaged and not found.is_chunk and found.data[0] == Opcode.DATA_END:
             yield from _check_data(window, found)
@@ -113,30 +113,30 @@ def walk_growing(stream: BinaryIO, place: int) -> Iterator[tuple[Section | None,
         if not found:
             yield None, place
         for section in found:
-            if isinstance(section, Damage):
+            if isinstance(section, Loss):
                 return
             yield section, place
 
 
-def _walk_records(window: FileWindow) -> Iterator[Section | Damage]:
+def _walk_records(window: FileWindow) -> Iterator[Section | Loss]:
     place: int | None = len(MCAP0_MAGIC)
     reason = find_wrong_start(window.read(0, START_SIZE))
     if reason is not None:
-        yield Damage(start=0, end=min(len(MCAP0_MAGIC), window.size), reason=reason)
+        yield Loss(start=0, end=min(len(MCAP0_MAGIC), window.size), reason=reason)
     kind = 0  # what stood first: chunks, messages of their own, or what comes before both
     while place is not None:
         start = place
         try:
             found, place = _read_record(window, place, kind)
-            window.allowance.spend(DAMAGES, sum(isinstance(one, Damage) for one in found))
+            window.allowance.spend(DAMAGES, sum(isinstance(one, Loss) for one in found))
         except LogError as err:
             if not window.allowance.count_left(DAMAGES):
-                yield Damage(start=start, end=window.size, reason=str(err))
+                yield Loss(start=start, end=window.size, reason=str(err))
                 return
             window.allowance.spend(DAMAGES)
             place = find_next_record(window, start + 1, is_lone=kind == Opcode.MESSAGE)
             end = window.size if place is None else place
-            yield Damage(start=start, end=end, reason=str(err))
+            yield Loss(start=start, end=end, reason=str(err))
             continue
         yield from found
         if kind not in {Opcode.CHUNK, Opcode.MESSAGE} and start < window.size:
@@ -145,7 +145,7 @@ def _walk_records(window: FileWindow) -> Iterator[Section | Damage]:
 
 def _read_record(
     window: FileWindow, place: int, kind: int
-) -> tuple[list[Section | Damage], int | None]:
+) -> tuple[list[Section | Loss], int | None]:
     """Return what stands at `place`, and where to go on, if anywhere.
 
     Raises:
@@ -153,7 +153,7 @@ def _read_record(
     """
     if place >= window.size:
         reason = "expected the end of the data, found that of the file: cut short, or not finished"
-        return [Damage(start=window.size, end=window.size, reason=reason)], None
+        return [Loss(start=window.size, end=window.size, reason=reason)], None
     if window.read(place, 1)[0] == Opcode.CHUNK:
         return _read_chunk(window, place)
     if window.read(place, 1)[0] == Opcode.ATTACHMENT:
@@ -167,7 +167,7 @@ def _read_record(
         raise LogError(f"expected data, found a record of the summary (opcode {opcode})")
     if opcode == Opcode.FOOTER:
         reason = "expected the end of the data, found that of the file"
-        return [Damage(start=place, end=place, reason=reason)], None
+        return [Loss(start=place, end=place, reason=reason)], None
     if opcode not in _LONE:
         return [], end
     data = _read_run(window, place, opcode)
@@ -191,7 +191,7 @@ def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     return b"".join(parts)
 
 
-def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Damage], int]:
+def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Loss], int]:
     fault = None
     last = measure_record(window, place, Opcode.ATTACHMENT, window.size)
     try:
@@ -207,17 +207,17 @@ def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Dam
         raise fault
     if checksum and not is_checked:
         reason = f"expected an attachment with checksum {checksum:#010x}, found {found:#010x}"
-        return [Damage(start=place, end=end, reason=reason)], end
+        return [Loss(start=place, end=end, reason=reason)], end
     # Bytes behind the checksum are left out; the length is then that of the rest.
     data = data[:1] + (last - place - RECORD.size).to_bytes(8, "little") + data[RECORD.size :]
     section = Section(data=data, start=place, is_chunk=False, is_checked=is_checked)
     if fault is None:
         return [section], end
     # The checksum holds, so it is the length that is wrong, or what follows.
-    return [section, Damage(start=place, end=place, reason=str(fault))], end
+    return [section, Loss(start=place, end=place, reason=str(fault))], end
 
 
-def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage], int]:
+def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Loss], int]:
     front = RECORD.size + CHUNK_HEAD.size
     head = window.read(place, front)
     if len(head) < front:
@@ -256,11 +256,11 @@ def _read_chunk(window: FileWindow, place: int) -> tuple[list[Section | Damage],
             reason = (
                 "expected a chunk with lengths that agree, or a sound record after it, found none"
             )
-        return [section, Damage(start=place, end=start, reason=reason)], end
+        return [section, Loss(start=place, end=start, reason=reason)], end
     if not after:
         raise LogError(reason)
     end = by_record if agree else after[0]
-    return [Damage(start=place, end=end, reason=reason)], end
+    return [Loss(start=place, end=end, reason=reason)], end
 
 
 def _unpack(allowance: Allowance, compression: str, packed: bytes, size: int) -> bytes:
@@ -283,7 +283,7 @@ def _check_chunk(data: bytes, size: int, checksum: int, *, agree: bool) -> None:
         raise LogError(f"expected a chunk of {size} bytes, found {len(data)} and no checksum")
 
 
-def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Damage]:
+def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Loss]:
     """Hold the checksum of the data section, where there is one, against the file."""
     expected, found = int.from_bytes(end.data[-4:], "little"), 0
     for place in range(0, end.start if expected else 0, _BATCH):
@@ -291,4 +291,4 @@ def _check_data(window: FileWindow, end: Section) -> Iterator[Section | Damage]:
     yield replace(end, is_checked=expected != 0 and found == expected)
     if found != expected:
         reason = f"expected data with the checksum {expected:#010x}, found {found:#010x}"
-        yield Damage(start=end.start, end=end.start, reason=reason)
+        yield Loss(start=end.start, end=end.start, reason=reason)

@@ -10,14 +10,15 @@ from mcap.records import Attachment, Metadata
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
-from turtlelog.log.engine.catalogue import Catalogue, TopicPlan
+from turtlelog.log.engine.channels import Catalogue, TopicPlan
+from turtlelog.log.engine.columns import TopicColumns, build_columns
+from turtlelog.log.engine.decode import Rows, make_empty_rows
 from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
 from turtlelog.log.engine.summary import salvage_summary
-from turtlelog.log.engine.topic_columns import Rows, TopicColumns, build_columns, make_empty_rows
-from turtlelog.log.engine.walk import Damage
+from turtlelog.log.engine.walk import Loss
 from turtlelog.log.recording.head import HEAD, Head, parse_head
 from turtlelog.log.recording.losses import describe_recovery, reconcile_topics
 from turtlelog.log.recording.topics import (
@@ -48,7 +49,7 @@ class Contents:
     head: Head
     attachments: Mapping[str, bytes]
     topics: Mapping[str, TopicColumns]
-    damages: tuple[Damage, ...] = ()
+    damages: tuple[Loss, ...] = ()
     recovered: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -78,7 +79,7 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
             raise
         source.check_data()  # where a byte is wrong, that is the reason
         raise
-    if source.index is not None:  # last: it names no place
+    if source.is_indexed:  # last: it names no place
         source.check_data()
     return contents
 
@@ -91,9 +92,8 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
 
 def _read_source(source: Source) -> Contents:
     parts: dict[str, list[Rows]] = {}
-    found: list[Any] = []
-    if source.index is not None:
-        found += source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT))
+    found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
+    if source.is_indexed:
         # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
         _find_head(found)
     for piece in iterate_pieces(source, _OWN):
@@ -113,12 +113,13 @@ def salvage_contents(stream: BinaryIO) -> Contents:
     Raises:
         LogError: Where the file is no MCAP, or a topic of ours has another type.
     """
-    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Damage]()
+    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Loss]()
     catalogue = Catalogue(allowance)
     parts: dict[str, list[Rows]] = {}
     found: list[Any] = []
-    ending = salvage_summary(stream)
-    catalogue.add((*ending.schemas.values(), *ending.channels.values()), 0)
+    summary = salvage_summary(stream)
+    if summary is not None:
+        catalogue.add((*summary.schemas, *summary.channels), 0)
     for block in walk_blocks(stream, catalogue, allowance, damages=damages):
         found += _keep_notes(block.rest)
         known = {number: block.offsets[number] for number in block.offsets if number in catalogue}
@@ -126,11 +127,11 @@ def salvage_contents(stream: BinaryIO) -> Contents:
             piece = read_piece(catalogue, _OWN, block, known)
         except LogError as err:
             end = block.byte + len(block.data)
-            damages.append(Damage(start=block.byte, end=end, reason=str(err)))
+            damages.append(Loss(start=block.byte, end=end, reason=str(err)))
             continue
         for number in block.offsets.keys() - known.keys():
             reason = f"channel {number}: expected its record, found messages only"
-            damages.append(Damage(start=block.byte, end=block.byte, reason=reason))
+            damages.append(Loss(start=block.byte, end=block.byte, reason=reason))
         for topic, rows in piece.rows.items():
             parts.setdefault(topic, []).append(rows)
     return build_contents(found, catalogue, parts, damages)
@@ -140,7 +141,7 @@ def build_contents(
     records: Collection[Any],
     catalogue: Catalogue,
     parts: Mapping[str, list[Rows]],
-    damages: Collection[Damage],
+    damages: Collection[Loss],
 ) -> Contents:
     """Return what records outside chunks, and the rows of topics in parts, make together.
 

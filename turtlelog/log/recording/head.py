@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import msgspec
@@ -274,18 +274,7 @@ class _Entry(msgspec.Struct, forbid_unknown_fields=True):
 def format_declaration(declaration: Declaration) -> str:
     """Return a declaration as JSON; phases are a list, for their order counts."""
     entry = _Entry(
-        loops=tuple(
-            _Loop(
-                name=loop.name,
-                signal=loop.signal,
-                command=loop.command,
-                reference=loop.reference,
-                gain=loop.gain,
-                limit=loop.limit,
-                is_proportional=loop.is_proportional,
-            )
-            for loop in declaration.loops
-        ),
+        loops=tuple(_Loop(**asdict(loop)) for loop in declaration.loops),
         phases=tuple(_Phase(name=name, loops=of) for name, of in declaration.phases.items()),
         states=declaration.states,
         uses_goal=declaration.uses_goal,

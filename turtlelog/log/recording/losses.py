@@ -1,7 +1,7 @@
 """What is lost of a recording: notes of it, a recovered file's record, rows that still match."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -11,8 +11,8 @@ from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.engine.walk import Damage
+from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.walk import Loss
 from turtlelog.log.recording.head import CHECKSUM, sum_up
 from turtlelog.log.recording.topics import (
     CONTROL,
@@ -52,10 +52,10 @@ def reconcile_topics(
     ]
     numbers = _intersect({name: topics[name] for name in pose_topics})
     for name in pose_topics:
-        topics[name] = _take(topics[name], np.isin(topics[name].sequence, numbers))
+        topics[name] = topics[name].select(np.isin(topics[name].sequence, numbers))
     samples = topics[CONTROL.name]
     read = samples.fields["pose_sequence"]
-    kept = _take(samples, np.isin(read, numbers))
+    kept = samples.select(np.isin(read, numbers))
     if declaration is not None:
         kept = _take_described(kept, topics, declaration)
     rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
@@ -69,15 +69,15 @@ def _take_described(
 ) -> TopicColumns:
     """Return the samples whose states and reference are there, and drop the rows of all others."""
     if declaration.states:
-        samples = _take(samples, np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
+        samples = samples.select(np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
     if declaration.has_reference:
         due = np.isin(samples.fields["phase"], _list_reference_phases(declaration))
         is_there = np.isin(samples.fields["sequence"], topics[REFERENCE64.name].sequence)
-        samples = _take(samples, is_there | ~due)
+        samples = samples.select(is_there | ~due)
     for name in (LAW_STATE, REFERENCE.name, REFERENCE64.name):
         if name in topics:
             is_kept = np.isin(topics[name].sequence, samples.fields["sequence"])
-            topics[name] = _take(topics[name], is_kept)
+            topics[name] = topics[name].select(is_kept)
     return samples
 
 
@@ -97,17 +97,7 @@ def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
     return numbers
 
 
-def _take(columns: TopicColumns, rows: NDArray[np.bool_]) -> TopicColumns:
-    return replace(
-        columns,
-        log_time_ns=columns.log_time_ns[rows],
-        publish_time_ns=columns.publish_time_ns[rows],
-        sequence=columns.sequence[rows],
-        fields=MappingProxyType({name: values[rows] for name, values in columns.fields.items()}),
-    )
-
-
-def describe_damages(damages: Sequence[Damage]) -> str:
+def describe_damages(damages: Sequence[Loss]) -> str:
     """Say in one line how much is lost; the first place stands for all."""
     if not damages:
         return "no data is lost, only the summary is damaged"
@@ -121,21 +111,6 @@ def _describe_dropped(samples: int) -> str:
     if not samples:
         return ""
     return f"; {samples} samples without their pose, states or reference are dropped"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Loss:
-    """A stretch of a file that could not be recovered.
-
-    Attributes:
-        start: First byte in the file.
-        end: Byte after the last one; where it equals `start`, something is missing there.
-        reason: One clause: what was expected, what was found.
-    """
-
-    start: int
-    end: int
-    reason: str
 
 
 def format_recovery(

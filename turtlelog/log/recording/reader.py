@@ -1,23 +1,35 @@
-"""File -> Run."""
+"""File -> Run, once it is finished or while it grows."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO, Final
+from types import TracebackType
+from typing import Any, BinaryIO, Final, Self
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.integrity import DamageError
+from turtlelog.log.complete_files import is_live
+from turtlelog.log.engine.blocks import build_walked_block
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.decode import Rows
+from turtlelog.log.engine.integrity import DamageError, check_start
+from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
-from turtlelog.log.engine.survey import survey_file
-from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.engine.source import Selection, read_piece
+from turtlelog.log.engine.walk import Section, walk_growing
 from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.info import survey_file
 from turtlelog.log.recording.contents import (
     Contents,
     ForeignFileError,
+    build_contents,
     read_contents,
     reconcile_contents,
     salvage_contents,
@@ -27,6 +39,7 @@ from turtlelog.log.recording.losses import PartialRecordingWarning, describe_dam
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
+    CONTROL_COLUMNS,
     EVENT,
     GOAL,
     LAW_STATE,
@@ -42,6 +55,8 @@ from turtlelog.scenario import flatten_tables
 Values = NDArray[np.float64]
 
 _FOUND_LATE: Final = frozenset(MAY_BE_ABSENT) - {"wanted_speed_m_s", "wanted_turn_rate_rad_s"}
+_EVERYTHING: Final = Selection()
+_ANY_SIZE: Final = 2**40  # bytes; nobody knows how large it becomes
 _ADVICE: Final = "turtlelog recover FILE -o OUT rewrites what it still holds"
 
 
@@ -106,6 +121,94 @@ def _build_whole_run(contents: Contents) -> Run:
     return build_run(replace(reconciled, recovered=notes))
 
 
+class RecordingTail:
+    """An open recording of turtlelog's own that may still grow.
+
+    Attributes:
+        is_finished: Whether its end has been read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open it.
+
+        Raises:
+            LogError: Where it cannot be read, or is no MCAP file.
+        """
+        self.is_finished = False
+        self._path, self._place = Path(path), len(MCAP0_MAGIC)
+        self._allowance = Allowance(_ANY_SIZE)
+        self._catalogue = Catalogue(self._allowance)
+        self._records: list[Any] = []
+        self._parts: dict[str, list[Rows]] = {}
+        with ExitStack() as closing, name_file(path, expected="a turtlelog recording"):
+            self._stream = closing.enter_context(open_file(self._path))
+            check_start(self._stream)
+            closing.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stream.close()
+
+    @property
+    def is_live(self) -> bool:
+        """Whether a program still writes to it; False where the system has no locks to tell."""
+        return is_live(self._path)
+
+    def read_run(self) -> Run | None:
+        """Return the run so far, None where nothing came since the last call, or no pose yet.
+
+        Raises:
+            LogError: Where it is no recording by turtlelog.
+        """
+        with name_file(self._path, expected="a turtlelog recording"):
+            has_grown = [self._take(section) for section in self._read_sections()]
+            return self._build() if any(has_grown) and POSE.name in self._parts else None
+
+    def read_last_run(self) -> Run:
+        """Return the run so far, however little of it is there.
+
+        Raises:
+            LogError: Where it is no recording by turtlelog, or holds no pose.
+        """
+        self.read_run()
+        with name_file(self._path, expected="a turtlelog recording"):
+            return self._build()
+
+    def _build(self) -> Run:
+        # What is built takes its parts over, and these are needed again.
+        parts = {topic: [dict(rows) for rows in found] for topic, found in self._parts.items()}
+        contents = build_contents(self._records, self._catalogue, parts, ())
+        return build_run(reconcile_contents(contents)[0])
+
+    def _read_sections(self) -> Iterator[Section]:
+        for section, place in walk_growing(self._stream, self._place):
+            self._place = place
+            if section is not None:
+                yield section
+
+    def _take(self, section: Section) -> bool:
+        """Add a section; return whether there is something to see in it."""
+        if not section.is_chunk and section.data[0] == Opcode.DATA_END:
+            self.is_finished = True
+            return False
+        block = build_walked_block(
+            section.data, section.start, self._allowance, is_chunk=section.is_chunk
+        )
+        self._catalogue.add(block.rest, block.byte)
+        self._records += block.rest
+        piece = read_piece(self._catalogue, _EVERYTHING, block, block.offsets)
+        for topic, rows in piece.rows.items():
+            self._parts.setdefault(topic, []).append(rows)
+        return True
+
+
 def build_run(contents: Contents) -> Run:
     """Return the run that a recording holds.
 
@@ -149,8 +252,8 @@ def _build_poses(columns: Mapping[str, TopicColumns], head: Head) -> PoseColumns
     turn_rate = velocity["angular.z" if "angular.z" in velocity else "angular_velocity"]
     return PoseColumns(
         time_ns=pose.log_time_ns,
-        xy_m=_pair(position["x"], position["y"]),
-        heading_rad=_widen(position["theta"]),
+        xy_m=_gather(position, ("x", "y")),
+        heading_rad=_gather(position, ("theta",)),
         speed_m_s=_unless_nan(head, "poses.speed_m_s", speed),
         turn_rate_rad_s=_unless_nan(head, "poses.turn_rate_rad_s", turn_rate),
     )
@@ -181,29 +284,25 @@ def _build_samples(
     columns: Mapping[str, TopicColumns], head: Head, declaration: Declaration
 ) -> SampleColumns:
     samples = columns[CONTROL.name]
-    control, sequence = samples.fields, samples.fields["sequence"]
+    sequence = samples.fields["sequence"]
     reference_xy_m, reference_heading_rad = _build_reference(columns, head, sequence)
-    recorded = {
-        "bearing_rad": control["bearing"],
-        "heading_error_rad": control["heading_error"],
-        "error_xy_m": _pair(control["error_x"], control["error_y"]),
-        "distance_m": control["distance"],
-        "world_velocity_m_s": _pair(control["world_v_x"], control["world_v_y"]),
-        "wanted_speed_m_s": control["wanted_speed"],
-        "wanted_turn_rate_rad_s": control["wanted_turn_rate"],
+    found: dict[str, Any] = {
+        name: _gather(samples.fields, fields) for name, fields in CONTROL_COLUMNS.items()
     }
+    found |= {name: _if_recorded(head, name, found[name]) for name in MAY_BE_ABSENT}
     return SampleColumns(
         time_ns=samples.log_time_ns,
-        sequence=sequence.astype(np.int64),
-        pose_sequence=control["pose_sequence"].astype(np.int64),
-        phase=control["phase"].astype(np.int64),
-        speed_m_s=control["speed"],
-        turn_rate_rad_s=control["turn_rate"],
-        **{name: _if_recorded(head, name, values) for name, values in recorded.items()},
+        **found,
         states=_build_states(columns, declaration.states, sequence),
         reference_xy_m=reference_xy_m,
         reference_heading_rad=reference_heading_rad,
     )
+
+
+def _gather(fields: Mapping[str, Column], names: tuple[str, ...]) -> Column:
+    """Return a field, or several side by side, as 64-bit numbers."""
+    values = fields[names[0]] if len(names) == 1 else np.column_stack([fields[n] for n in names])
+    return values.astype(np.float64 if values.dtype.kind == "f" else np.int64, copy=False)
 
 
 def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
@@ -254,12 +353,4 @@ def _build_events(columns: TopicColumns) -> tuple[Event, ...]:
 
 
 def _unless_nan(head: Head, name: str, values: Column) -> Values | None:
-    return None if name in head.nan_columns else _widen(values)
-
-
-def _widen(values: Column) -> Values:
-    return values.astype(np.float64)
-
-
-def _pair(x: Column, y: Column) -> Values:
-    return np.column_stack([_widen(x), _widen(y)])
+    return None if name in head.nan_columns else values.astype(np.float64, copy=False)

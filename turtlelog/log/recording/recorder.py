@@ -13,7 +13,7 @@ from typing import BinaryIO, Final, Self
 
 from turtlelog.errors import LogError
 from turtlelog.log.complete_files import mark_live
-from turtlelog.log.container import McapFile, pack_chunk
+from turtlelog.log.container import McapFile
 from turtlelog.log.interrupts import exit_on_terminate, hold_stop
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
@@ -171,7 +171,7 @@ class Recorder:
     def _write_ticks(self) -> None:
         if self._is_open and self._ticks:
             with self._guard():
-                self._file.add_chunk(pack_chunk(self._records.encode(self._ticks)))
+                self._file.add_chunk(self._records.encode(self._ticks))
                 self._safe_ns = self._ticks[-1].time_ns
                 self._stop_reason = self._ticks[-1].stop_reason or self._stop_reason
                 self._ticks, self._size = [], 0

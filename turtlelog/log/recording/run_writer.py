@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.container import name_write_error, write_columns
+from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.message_types import Column
-from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.interleaving import name_write_error, write_columns
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
+    CONTROL_COLUMNS,
     EVENT,
     GOAL,
     LAW_STATE,
@@ -177,25 +178,13 @@ def _build_velocities64(poses: PoseColumns) -> TopicColumns:
 
 
 def _build_samples(samples: SampleColumns) -> TopicColumns:
-    rows = len(samples)
-    error_x, error_y = _split_or_nan(samples.error_xy_m, rows)
-    world_v_x, world_v_y = _split_or_nan(samples.world_velocity_m_s, rows)
-    columns = {
-        "sequence": samples.sequence,
-        "pose_sequence": samples.pose_sequence,
-        "phase": samples.phase,
-        "bearing": _or_nan(samples.bearing_rad, rows),
-        "heading_error": _or_nan(samples.heading_error_rad, rows),
-        "error_x": error_x,
-        "error_y": error_y,
-        "distance": _or_nan(samples.distance_m, rows),
-        "wanted_speed": _or_nan(samples.wanted_speed_m_s, rows),
-        "wanted_turn_rate": _or_nan(samples.wanted_turn_rate_rad_s, rows),
-        "speed": samples.speed_m_s,
-        "turn_rate": samples.turn_rate_rad_s,
-        "world_v_x": world_v_x,
-        "world_v_y": world_v_y,
-    }
+    columns: dict[str, Column] = {}
+    for name, fields in CONTROL_COLUMNS.items():
+        values = getattr(samples, name)
+        if values is None:
+            columns |= dict.fromkeys(fields, _or_nan(None, len(samples)))
+        else:
+            columns |= zip(fields, values.T.reshape(len(fields), -1), strict=True)
     return _collect(CONTROL, samples.time_ns, columns, samples.sequence.astype(np.uint32))
 
 
@@ -264,13 +253,6 @@ def _stamp(time_ns: int) -> dict[str, int]:
 
 def _or_nan(values: NDArray[np.float64] | None, rows: int) -> NDArray[np.float64]:
     return np.full(rows, math.nan) if values is None else values
-
-
-def _split_or_nan(
-    pairs: NDArray[np.float64] | None, rows: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    x, y = _or_nan(None, 2 * rows).reshape(2, rows) if pairs is None else pairs.T
-    return x, y
 
 
 def _fits_float32(values: NDArray[np.float64] | None) -> bool:

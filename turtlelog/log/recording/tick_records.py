@@ -9,12 +9,12 @@ from typing import Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
-from turtlelog.log.container import ChunkRows
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.recording.run_writer import describe_event, describe_pose
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
+    CONTROL_COLUMNS,
     EVENT,
     GOAL,
     LAW_STATE,
@@ -29,7 +29,7 @@ from turtlelog.log.recording.topics import (
     describe_topics,
     list_topics,
 )
-from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, encode_fields
+from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, ChunkRows, encode_message
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario
@@ -39,15 +39,14 @@ _MESSAGE: Final = int(Opcode.MESSAGE)
 _REFERENCE_BYTES: Final = 160
 """What the two messages of a reference pose take, about."""
 
+_FIELDS: Final = [field for fields in CONTROL_COLUMNS.values() for field in fields]
 _PLACES: Final = {
-    "bearing_rad": (3,),
-    "heading_error_rad": (4,),
-    "error_xy_m": (5, 6),
-    "distance_m": (7,),
+    name: [_FIELDS.index(field) for field in CONTROL_COLUMNS[name]]
+    for name in ("bearing_rad", "heading_error_rad", "error_xy_m", "distance_m")
 }
 """Where a sample's row holds what it lacks without a goal."""
 
-_WORLD: Final = slice(12, 14)
+_WORLD: Final = slice(_FIELDS.index("world_v_x"), _FIELDS.index("world_v_y") + 1)
 
 
 def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Struct:
@@ -227,12 +226,10 @@ class TickRecords:
         """Add a message; without a number of its own it is numbered from 0."""
         messages = self._messages[topic.name]
         kind = read_type(topic.schema, SCHEMAS[topic.schema])
-        body = encode_fields(kind.fields, values)
+        stamp = messages.count if number is None else number, time_ns, time_ns
+        record = encode_message(kind.fields, values, messages.number, stamp)
         messages.entries += (time_ns, len(self._records))
-        length = HEAD.size - UNCOUNTED + len(body)
-        sequence = messages.count if number is None else number
-        head = length, messages.number, sequence, time_ns, time_ns, ENCAPSULATION
-        self._records += HEAD.pack(_MESSAGE, *head) + body
+        self._records += record
         messages.count += 1
 
     def _collect(self) -> ChunkRows:

@@ -43,6 +43,24 @@ VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
 """One message per sample, at the time at which its pose was answered."""
 
+CONTROL_COLUMNS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "sequence": ("sequence",),
+        "pose_sequence": ("pose_sequence",),
+        "phase": ("phase",),
+        "bearing_rad": ("bearing",),
+        "heading_error_rad": ("heading_error",),
+        "error_xy_m": ("error_x", "error_y"),
+        "distance_m": ("distance",),
+        "wanted_speed_m_s": ("wanted_speed",),
+        "wanted_turn_rate_rad_s": ("wanted_turn_rate",),
+        "speed_m_s": ("speed",),
+        "turn_rate_rad_s": ("turn_rate",),
+        "world_velocity_m_s": ("world_v_x", "world_v_y"),
+    }
+)
+"""Columns of `SampleColumns` and the fields of that message that hold each, in its order."""
+
 LAW_STATE: Final = "/turtle1/law_state"
 """The numbers of the law's own, one message per sample; the type is the law's."""
 
@@ -136,33 +154,18 @@ _STATES: Final = """\
 # messages carry, on /turtle1/control.
 """
 
+_DIGESTS: Final = """\
+geometry_msgs/msg/Pose2D d68efa5b46e70f7b16ca23085474fdac5a44b638783ec42f661da64da4724ccc
+geometry_msgs/msg/PoseStamped 10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8
+geometry_msgs/msg/Twist 9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a
+rcl_interfaces/msg/Log e28ce254ca8abc06abf92773b74602cdbf116ed34fbaf294fb9f81da9f318eac
+std_msgs/msg/String df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18
+turtlelog_msgs/msg/ControlSample 53260607615135d6bf11cc8adaf06aa06e43587b77f3f4c4e3b507e39c602cb9
+turtlesim/msg/Pose 739beba26bcba6920404ba722b7b8321348512f92ea5be235c47251940dd8aa9
+"""
+
 TYPE_HASHES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        name: f"RIHS01_{digest}"
-        for name, digest in {
-            "geometry_msgs/msg/Pose2D": (
-                "d68efa5b46e70f7b16ca23085474fdac5a44b638783ec42f661da64da4724ccc"
-            ),
-            "geometry_msgs/msg/PoseStamped": (
-                "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8"
-            ),
-            "geometry_msgs/msg/Twist": (
-                "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"
-            ),
-            "rcl_interfaces/msg/Log": (
-                "e28ce254ca8abc06abf92773b74602cdbf116ed34fbaf294fb9f81da9f318eac"
-            ),
-            "std_msgs/msg/String": (
-                "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
-            ),
-            "turtlelog_msgs/msg/ControlSample": (
-                "53260607615135d6bf11cc8adaf06aa06e43587b77f3f4c4e3b507e39c602cb9"
-            ),
-            "turtlesim/msg/Pose": (
-                "739beba26bcba6920404ba722b7b8321348512f92ea5be235c47251940dd8aa9"
-            ),
-        }.items()
-    }
+    {name: f"RIHS01_{digest}" for name, digest in map(str.split, _DIGESTS.splitlines())}
 )
 """Hash by message type, for every key of `SCHEMAS`: its texts and these change together.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.engine.columns import TopicColumns
 
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
@@ -80,13 +80,13 @@ def _widen(values: NDArray[Any]) -> Values:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OrderedRows:
-    """OrderedRows in order of time.
+    """The rows of a topic in order of time.
 
     Attributes:
         time_ns: As in the file [ns], shape (n,), not decreasing.
         columns: By name, each of shape (n,).
-        late: OrderedRows that stood behind a later one.
-        duplicates: OrderedRows that were there twice, to the last bit, and were dropped.
+        late: Rows that stood behind a later one.
+        duplicates: Rows that were there twice, to the last bit, and were dropped.
     """
 
     time_ns: NDArray[np.int64]
@@ -126,7 +126,7 @@ def order_rows(
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:
     """Return strictly increasing times, and how many had to move: by 1 ns behind the one before.
 
-    OrderedRows of one time are as many ticks; to drop one would lose a step of the motion.
+    Rows of one time are as many ticks; to drop one would lose a step of the motion.
     """
     rows = np.arange(len(time_ns))
     moved = np.maximum.accumulate(time_ns - rows) + rows

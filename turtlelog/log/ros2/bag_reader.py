@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
@@ -10,10 +10,9 @@ from typing import Final
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import read_flat_columns
-from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
+from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.recording.topics import CONTROL, GOAL, LAW_STATE, REFERENCE64
 from turtlelog.log.ros2.bag_columns import (
     Fields,
@@ -50,20 +49,12 @@ _TURTLE: Final = re.compile(r"/turtle\d+/pose")
 _TURTLE_COMMANDS: Final = re.compile(r"/turtle\d+/cmd_vel")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChosenTopic:
-    """A topic and the type of its messages."""
-
-    topic: str
-    type: str
-
-
 def read_bag(
     path: str | Path, *, pose_topic: str | None = None, command_topic: str | None = None
 ) -> Run:
     """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
 
-    Times count from the first pose or command. OrderedRows are sorted by time and exact duplicates
+    Times count from the first pose or command. Rows are sorted by time and exact duplicates
     dropped; of several poses of one time the later ones move on by 1 ns each. The run's notes count
     all of it.
 
@@ -87,14 +78,15 @@ def read_bag(
                 f"{file}: expected the end of an MCAP file, found none: cut short, or never"
                 f" finished: {info.notes['partial']}"
             )
-    topics = {file: info.topics for file, info in infos.items()}
-    distinct = _merge([topic for of_file in topics.values() for topic in of_file])
+    distinct = merge_topics(topic for info in infos.values() for topic in info.topics)
     with name_file(path, expected="a bag"):
         poses = choose_pose_topic(distinct, pose_topic)
         commands = choose_command_topic(distinct, command_topic, pose_topic=poses.topic)
     names = {choice.topic for choice in (poses, commands) if choice}
     found = [
-        read_flat_columns(file, names & {topic.topic for topic in topics[file] if topic.count})
+        read_flat_columns(
+            file, names & {topic.topic for topic in infos[file].topics if topic.count}
+        )
         for file in files
     ]
     with name_file(path, expected="a bag"):
@@ -118,19 +110,8 @@ def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
     return {name: text for info in infos for name, text in info.notes.items()}
 
 
-def _merge(topics: Sequence[TopicInfo]) -> list[TopicInfo]:
-    """Return the topics of several files, each once."""
-    counts: dict[tuple[str, str], int] = {}
-    for found in topics:
-        key = found.topic, found.type
-        counts[key] = counts.get(key, 0) + found.count
-    return [
-        TopicInfo(topic=topic, type=kind, count=count) for (topic, kind), count in counts.items()
-    ]
-
-
 def _build_run(
-    path: Path, found: _Found, pose_topic: ChosenTopic, command_topic: ChosenTopic | None
+    path: Path, found: _Found, pose_topic: TopicInfo, command_topic: TopicInfo | None
 ) -> Run:
     poses = _order(found, pose_topic, extract_poses)
     commands = None if command_topic is None else _order(found, command_topic, extract_commands)
@@ -168,7 +149,7 @@ def _build_run(
 
 
 def _order(
-    found: _Found, choice: ChosenTopic, extract: Callable[[str, Fields], dict[str, Values]]
+    found: _Found, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
 ) -> OrderedRows:
     """Return the rows of a topic from all files."""
     messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]
@@ -221,7 +202,7 @@ def _format_time(time_ns: int) -> str:
         return f"{time_ns} ns"
 
 
-def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> ChosenTopic:
+def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
     """Return the topic that was asked for, or else the one that can be meant.
 
     Raises:
@@ -241,7 +222,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> ChosenT
 
 def choose_command_topic(
     topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
-) -> ChosenTopic | None:
+) -> TopicInfo | None:
     """Return the topic that was asked for, or the one that can be meant; None where there is none.
 
     The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others.
@@ -265,10 +246,10 @@ def choose_command_topic(
 
 def _find_asked(
     present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
-) -> ChosenTopic:
+) -> TopicInfo:
     for topic in present:
         if topic.topic == asked and topic.type in types:
-            return ChosenTopic(topic=topic.topic, type=topic.type)
+            return topic
     found = next((f"{topic.type}" for topic in present if topic.topic == asked), None)
     if found is None:
         names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
@@ -280,11 +261,11 @@ def _list_fitting(present: Collection[TopicInfo], types: tuple[str, ...]) -> lis
     return [topic for topic in present if topic.type in types]
 
 
-def _require_one(chosen: list[TopicInfo], name: str, option: str) -> ChosenTopic:
+def _require_one(chosen: list[TopicInfo], name: str, option: str) -> TopicInfo:
     if len(chosen) > 1:
         names = ", ".join(topic.topic for topic in chosen)
         raise LogError(f"{name}: expected one topic, found {names}: choose with {option}")
-    return ChosenTopic(topic=chosen[0].topic, type=chosen[0].type)
+    return chosen[0]
 
 
 def _shorten(text: str) -> str:

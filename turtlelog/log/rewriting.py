@@ -1,7 +1,7 @@
 """The messages of one file written to another, whoever described their channels, and where."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from hashlib import blake2b
@@ -14,10 +14,11 @@ from mcap.records import Attachment, Channel, Header, Metadata, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.container import LIBRARY, ChunkRows, McapFile, pack_chunk
+from turtlelog.log.container import LIBRARY, McapFile
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import CHANGES, CHUNK_CHANNELS, NOTES, Allowance
 from turtlelog.log.engine.parsing import RecordStretch, parse_body
+from turtlelog.log.records import ChunkRows
 
 _CHANNEL: Final = 9  # where in a message record the number of its channel stands, u16
 _MOST_FAULTS: Final = 100  # that are told of one stretch
@@ -44,8 +45,8 @@ class Numbering:
 
     def __init__(
         self,
-        schemas: Mapping[int, Schema],
-        channels: Mapping[int, Channel],
+        schemas: Iterable[Schema],
+        channels: Iterable[Channel],
         allowance: Allowance,
     ) -> None:
         self.schemas: dict[int, Schema] = {}
@@ -58,9 +59,9 @@ class Numbering:
         self._known_schemas: dict[object, Schema] = {}
         self._known_channels: dict[object, Pair] = {}
         self._awaited: set[int] = set()
-        for schema in schemas.values():
+        for schema in schemas:
             self.add_schema(schema)
-        for channel in channels.values():
+        for channel in channels:
             self.add_channel(channel)
 
     def add_schema(self, schema: Schema) -> None:
@@ -240,7 +241,7 @@ class Rewriter:
             places = np.cumsum(ends - starts) - (ends - starts)
             chunk = self._build_chunk(_join(stretch.data, starts, ends), places, heads)
             self._begin()
-            self._file.add_chunk(pack_chunk(chunk))
+            self._file.add_chunk(chunk)
             self._count(chunk, is_checked=is_checked)
 
     def _note_unknown(self, numbers: NDArray[np.uint16], byte: int) -> list[int]:

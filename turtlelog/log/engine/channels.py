@@ -14,6 +14,7 @@ from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
     Field,
     Layout,
+    MessageType,
     read_type,
 )
 
@@ -46,7 +47,7 @@ class Catalogue:
         self._allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
-        self._types: dict[int, _Parsed] = {}
+        self._types: dict[int, MessageType | str] = {}
 
     @property
     def topics(self) -> Collection[str]:
@@ -138,46 +139,35 @@ class Catalogue:
     def _plan(self, channel: Channel) -> TopicPlan:
         schema = self.schemas.get(channel.schema_id)
         kind = "" if schema is None else schema.name
-        encoding = channel.message_encoding
+        encoding, reason = channel.message_encoding, ""
         if encoding != MessageEncoding.CDR:
-            parsed = _Parsed(reason=f"messages in cdr expected, found {encoding!r}")
+            reason = f"messages in cdr expected, found {encoding!r}"
         elif schema is None:
-            parsed = _Parsed(reason="a schema expected, found none")
+            reason = "a schema expected, found none"
         elif schema.encoding != SchemaEncoding.ROS2:
-            parsed = _Parsed(reason=f"a schema in ros2msg expected, found {schema.encoding!r}")
+            reason = f"a schema in ros2msg expected, found {schema.encoding!r}"
+        elif isinstance(found := self._read_type(schema), MessageType):
+            fields, layout = found.fields, found.layout
+            return TopicPlan(topic=channel.topic, type=kind, fields=fields, layout=layout)
         else:
-            if schema.id not in self._types:
+            reason = found
+        return TopicPlan(topic=channel.topic, type=kind, reason=reason)
+
+    def _read_type(self, schema: Schema) -> MessageType | str:
+        """Return the type, or why there is none."""
+        if schema.id not in self._types:
+            try:
                 self._types[schema.id] = _parse(schema, self._allowance)
-            parsed = self._types[schema.id]
-        return TopicPlan(
-            topic=channel.topic,
-            type=kind,
-            reason=parsed.reason,
-            fields=parsed.fields,
-            layout=parsed.layout,
-        )
+            except (LogError, UnicodeDecodeError) as err:
+                self._types[schema.id] = str(err)
+        return self._types[schema.id]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Parsed:
-    reason: str = ""
-    fields: tuple[Field, ...] = ()
-    layout: Layout | None = None
-
-
-def _parse(schema: Schema, allowance: Allowance) -> _Parsed:
-    """Return the fields, or why there are none."""
-    try:
-        _check_length(schema)
-        allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
-        found = read_type(schema.name, schema.data.decode())
-        allowance.spend(FIELDS, found.size)
-    except (LogError, UnicodeDecodeError) as err:
-        return _Parsed(reason=str(err))
-    return _Parsed(fields=found.fields, layout=found.layout)
-
-
-def _check_length(schema: Schema) -> None:
-    found = len(schema.data)
-    if found > LONGEST_TEXT:
-        raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {found}")
+def _parse(schema: Schema, allowance: Allowance) -> MessageType:
+    size = len(schema.data)
+    if size > LONGEST_TEXT:
+        raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")
+    allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
+    found = read_type(schema.name, schema.data.decode())
+    allowance.spend(FIELDS, found.size)
+    return found

@@ -13,11 +13,11 @@ from turtlelog.errors import LogError
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.parsing import take_apart
-from turtlelog.log.engine.summary import SalvagedSummary, salvage_summary
-from turtlelog.log.engine.walk import Damage, Section, walk_sections
+from turtlelog.log.engine.summary import FileSummary, salvage_summary
+from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.recording.losses import RECOVERY, Loss, format_recovery
-from turtlelog.log.recovery.rewriting import Numbering, Rewriter
+from turtlelog.log.recording.losses import RECOVERY, format_recovery
+from turtlelog.log.rewriting import Numbering, Rewriter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,18 +67,18 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
     with name_file(source, expected="an MCAP file"), open_file(source) as stream:
         if target.exists() and source.samefile(target):
             raise LogError(f"expected another file to write to, found the same: {target}")
-        ending = salvage_summary(stream)
+        summary = salvage_summary(stream)
     with replace_when_complete(target) as temporary, temporary.open("wb") as output:
-        copied = _copy_records(source, output, ending, ending.schemas, ending.channels)
+        known = ((), ()) if summary is None else (summary.schemas, summary.channels)
+        copied = _copy_records(source, output, *known, is_sound=summary is not None)
         if copied.is_described_late:
             # Behind its messages, by a later chunk: now it is known from the start.
             output.seek(0)
             output.truncate()
-            known = copied.rewriter.numbering
-            copied = _copy_records(
-                source, output, ending, known.first_schemas, known.first_channels
-            )
-        report = _build_report(str(source), copied, ending)
+            first = copied.rewriter.numbering
+            known = (tuple(first.first_schemas.values()), tuple(first.first_channels.values()))
+            copied = _copy_records(source, output, *known, is_sound=summary is not None)
+        report = _build_report(str(source), copied, summary)
         note = format_recovery(report.lost, report.missing, report.unchecked)
         copied.rewriter.finish({} if report.complete else {RECOVERY: note})
     return report
@@ -131,27 +131,28 @@ class _Copied:
 def _copy_records(
     source: Path,
     output: BinaryIO,
-    ending: SalvagedSummary,
-    schemas: Mapping[int, Schema],
-    channels: Mapping[int, Channel],
+    schemas: tuple[Schema, ...],
+    channels: tuple[Channel, ...],
+    *,
+    is_sound: bool,
 ) -> _Copied:
+    """Copy what can be read; `is_sound` says whether the source has a sound summary."""
     allowance = Allowance(source.stat().st_size)
     rewriter = Rewriter(output, Numbering(schemas, channels, allowance), allowance)
     copied, is_at_end = _Copied(rewriter=rewriter), False
     for found in _walk(source):
-        if isinstance(found, Damage):
-            loss = Loss(start=found.start, end=found.end, reason=found.reason)
+        if isinstance(found, Loss):
             if is_at_end:  # all that is told there is that the checksum of the data fails
-                copied.mismatch = loss
+                copied.mismatch = found
             else:
-                copied.lose(loss)
+                copied.lose(found)
             continue
         is_checked, place = found.is_checked, found.start
         for reason in _take_section(rewriter, found, allowance):
             copied.lose(Loss(start=place, end=place, reason=reason))
         if not found.is_chunk and found.data[0] == Opcode.DATA_END:
             is_at_end, copied.is_vouched = True, is_checked
-            if not ending.is_sound:
+            if not is_sound:
                 start, reason = place + len(found.data), "expected a sound summary, found none"
                 copied.summary = Loss(start=start, end=source.stat().st_size, reason=reason)
     return copied
@@ -168,16 +169,16 @@ def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) ->
     return rewriter.take_stretch(stretch, section.start, is_checked=section.is_checked)
 
 
-def _walk(path: Path) -> Iterator[Section | Damage]:
+def _walk(path: Path) -> Iterator[Section | Loss]:
     # Errors of writing what comes are not this file's.
     with name_file(path, expected="an MCAP file"), open_file(path) as stream:
         yield from walk_sections(stream)
 
 
-def _build_report(file: str, copied: _Copied, ending: SalvagedSummary) -> RecoveryReport:
+def _build_report(file: str, copied: _Copied, summary: FileSummary | None) -> RecoveryReport:
     rewriter, span_ns = copied.rewriter, copied.rewriter.span_ns
     lost = [*copied.lost, *(_describe_unknown(rewriter, number) for number in rewriter.unknown)]
-    missing = _count_missing(copied, ending, is_whole=not lost)
+    missing = _count_missing(copied, summary, is_whole=not lost)
     if span_ns is None:
         raise _describe_nothing(file, rewriter, lost)
     for loss in (copied.mismatch, copied.summary):
@@ -198,12 +199,12 @@ def _build_report(file: str, copied: _Copied, ending: SalvagedSummary) -> Recove
 
 
 def _count_missing(
-    copied: _Copied, ending: SalvagedSummary, *, is_whole: bool
+    copied: _Copied, summary: FileSummary | None, *, is_whole: bool
 ) -> dict[str, int] | None:
-    if ending.counts is None:
+    if summary is None or summary.statistics is None:
         return {} if is_whole and copied.is_vouched else None
     channels, expected = copied.rewriter.numbering.first_channels, Counter[str]()
-    for number, count in ending.counts.items():
+    for number, count in summary.statistics.channel_message_counts.items():
         known = channels.get(number)
         expected[f"channel {number}" if known is None else known.topic] += count
     return dict(sorted((expected - copied.rewriter.recovered).items()))
