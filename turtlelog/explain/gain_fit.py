@@ -272,7 +272,7 @@ def describe_gain(fit: CommandFit) -> Finding:
     if fit.gain is None:
         return Finding(
             certainty=Certainty.UNKNOWN,
-            evidence=f"all {fit.rows} commands stand at {fit.largest:g}: at least {fit.least:.4g}",
+            evidence=f"all {fit.rows} commands are at {fit.largest:g}: at least {fit.least:.4g}",
             interval=(fit.least, math.inf),
             assumed=max(1.0, math.ceil(fit.least * 1.001)),
         )
@@ -300,12 +300,12 @@ def describe_gain(fit: CommandFit) -> Finding:
 def describe_limit(fit: CommandFit) -> Finding:
     """Return the limit, or the largest command where none is clipped."""
     if fit.gain is None:
-        reason = f"all {fit.rows} commands stand at {fit.largest:g}: a limit, or the law's only one"
+        reason = f"all {fit.rows} commands are at {fit.largest:g}: a limit, or the law's only one"
         return miss(reason, fit.largest)
     if fit.limit is None:
         return miss(f"no command is clipped; the largest is {fit.largest:.4g}", math.inf)
     clipped = int(fit.rows - fit.gain.rows)
-    return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands stand there")
+    return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands are there")
 
 
 def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:

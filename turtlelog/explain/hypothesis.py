@@ -226,7 +226,7 @@ def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
     """
     if isinstance(found, Missing) or abs(found.whiteness - 1.0) < WHITE:
         return found
-    reason = f"no one dead time explains the motion; {found.ticks} ticks are the nearest"
+    reason = f"no single dead time explains the motion; {found.ticks} ticks are the nearest"
     return Missing(status=Status.UNDETERMINED, reason=reason)
 
 
@@ -283,13 +283,13 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
     largest = float(np.abs(sent).max())
     seen = f"the largest of {len(sent)} commands is {largest:.4g}"
     if wanted is None:
-        return miss(f"{seen}; what the law wanted is not logged")
+        return miss(f"{seen}; unclipped commands are not logged")
     clipped = wanted != sent
     if not clipped.any():
         return miss(f"no command is clipped; {seen}")
     if not np.array_equal(np.clip(wanted, -largest, largest), sent):
-        return miss(f"no one limit makes the commands of those that the law wanted; {seen}")
-    return find_exactly(largest, f"{int(clipped.sum())} of {len(sent)} commands stand there")
+        return miss(f"no single limit clips the unclipped commands to those sent; {seen}")
+    return find_exactly(largest, f"{int(clipped.sum())} of {len(sent)} commands are there")
 
 
 def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
@@ -297,7 +297,7 @@ def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
         return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason
     if again is None:
-        return miss("only a re-simulation tells which rule of the law ended the run")
+        return miss("only a re-simulation shows which rule of the law ended the run")
     if run.stop_reason is None or run.stop_reason in CUT_SHORT:
         return miss("the run was cut")
     if again != run.stop_reason:

@@ -159,7 +159,7 @@ def identify_plant(run: Run) -> Identification:
     for key, command in largest.items():
         if len(command):
             seen = f"the largest of {len(command)} commands is {np.abs(command).max():.4g}"
-            findings[key] = miss(f"{seen}; without the error nobody knows if it was clipped")
+            findings[key] = miss(f"{seen}; without the error it is unknown whether it was clipped")
     return give_up(run.name, {**findings, "lost_commands": _count_lost(run)}, _NO_SAMPLES)
 
 

@@ -204,7 +204,7 @@ def _withhold_law(
 def _find_other_law(run: Run) -> str | None:
     """Return why the law is not sequential-p, by its name or by its loops."""
     kind = run.parameters.get("law.kind", DEFAULT_LAW)
-    told = f"only of {DEFAULT_LAW} the commands tell the parameters"
+    told = f"parameters are identified from commands only for {DEFAULT_LAW}"
     if kind != DEFAULT_LAW:
         return f"its law is {kind}: {told}"
     if not all(run.declaration.find_loop(name) for name in PHASES):
@@ -267,7 +267,7 @@ def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -
     if fits.is_close:
         return ["the re-simulation agrees to rounding, not bit for bit"]
     if resimulation.is_exact:
-        return ["poses and commands come again, but not the times at which they were answered"]
+        return ["poses and commands are reproduced, but not the times at which they were answered"]
     reach = _describe_reach(trace, fits)
     if not fits.is_fitted:
         return [f"{reach}: no setting explains the motion: {_UNEXPLAINED}"]

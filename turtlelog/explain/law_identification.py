@@ -139,7 +139,7 @@ def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
     if bearing is None or heading is None:
         signed = [name for name, fit in fits.items() if fit.has_signs]
         assumed = signed[0] if len(signed) == 1 else "bearing"
-        return miss("every command stands at its limit", assumed)
+        return miss("every command is at its limit", assumed)
     if bearing.is_exact == heading.is_exact and (bearing.is_exact or bearing.is_close):
         return _leave_open(tuple(fits), "both reproduce every command", "heading")
     for name, gain in (("bearing", bearing), ("heading", heading)):
@@ -165,7 +165,7 @@ def _leave_open(candidates: tuple[str, ...], evidence: str, likeliest: str) -> F
 
 
 DEFAULT_TOLERANCE: Final = 0.001
-"""Of heading [rad] and position [m], where the log does not tell."""
+"""Of heading [rad] and position [m], where the log does not show."""
 
 _LAST_TWO: Final = "the errors at the end and before it"
 _NOISY: Final = "noise; from the last errors and commands"

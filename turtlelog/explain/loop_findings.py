@@ -54,7 +54,7 @@ def _describe_turn(trace: Trace, fits: Fits) -> Finding:
     ended = trace.rotating - 1
     jumped = [row for row in trace.jumps if row > ended]
     if jumped:
-        return miss("the pose jumps after the rotation: nobody knows how far the robot turned")
+        return miss("the pose jumps after the rotation: how far the robot turned is unknown")
     turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
     evidence = "heading at the end, less at the rotation's"
     if fits.is_exact or fits.is_close:
@@ -143,7 +143,7 @@ def _write_none(fits: Fits, chosen: Any) -> str:
 def _describe_lost(fits: Fits) -> Finding:
     if not fits.is_exact:
         never = "no setting reproduces every sample"
-        return miss("only a re-simulation tells" if fits.is_driven else never)
+        return miss("only a re-simulation shows" if fits.is_driven else never)
     counts = sorted({count_lost_commands(scenario) for scenario in fits.scenarios})
     if len(counts) > 1:
         return Finding(

@@ -219,7 +219,7 @@ def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
             evidence=f"{value:.6g} would end the run as the log does",
             assumed=value,
         )
-    reason = "the log says that the run ended, and no rule does with its usual value"
+    reason = "the log says that the run ended, and no rule with its usual value ends it"
     if len(likely) < 2:
         known = [f"; with another {rule.name} would" for rule in likely]
         return Ending(reason=miss("".join([reason, *known])), rules=findings)

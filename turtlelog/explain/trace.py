@@ -43,7 +43,7 @@ class Trace:
         rotating: How many samples the first phase has, from the first one: of sequential-p the
             rotation. All of a law whose phases are not known.
         translating: How many samples the phase after it has: of sequential-p the translation.
-        goal_xy_m: Goal position [m], None where the log does not tell.
+        goal_xy_m: Goal position [m], None where the log does not show.
         period_ticks: Ticks between the poses that are answered.
         has_exact_clock: Whether times are simulated: whole ticks.
         has_ticks: Whether there is a pose per tick, whether it was answered or not.
