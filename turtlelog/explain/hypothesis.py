@@ -279,7 +279,7 @@ def _describe_limits(run: Run) -> dict[str, Finding]:
 
 
 def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
-    """Return where commands are clipped, which those that the law wanted show."""
+    """Return where commands are clipped, which the unclipped ones show."""
     largest = float(np.abs(sent).max())
     seen = f"the largest of {len(sent)} commands is {largest:.4g}"
     if wanted is None:
