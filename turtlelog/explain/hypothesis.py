@@ -16,10 +16,10 @@ from turtlelog.explain.identification import (
     DEAD_TIME,
     LAW_KEYS,
     LOOP_KEYS,
-    Certainty,
     Finding,
     Identification,
     find_exactly,
+    fit_value,
     miss,
 )
 from turtlelog.explain.loop_findings import describe_goal, describe_loop, describe_start
@@ -261,11 +261,10 @@ def describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Find
         changed += f"; {change.before} until {run.poses.time_ns[row] / 1e9:.2f} s"
     if found.is_exact:
         return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
-    return Finding(
-        value=found.ticks,
-        certainty=Certainty.FITTED,
-        evidence=f"least squares; the next best leaves {found.margin:.3g} times",
-        interval=(found.ticks, found.ticks),
+    return fit_value(
+        found.ticks,
+        f"least squares; the next best leaves {found.margin:.3g} times",
+        (found.ticks, found.ticks),
     )
 
 

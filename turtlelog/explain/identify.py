@@ -22,6 +22,7 @@ from turtlelog.explain.identification import (
     Finding,
     Identification,
     disclaim_law,
+    fit_value,
     give_up,
     identify_plant,
     miss,
@@ -173,11 +174,10 @@ def _describe_dead_times_again(
         )
         dead_time = find_dead_time(again, loop)
         if is_hidden and isinstance(dead_time, DeadTime):
-            found[f"{DEAD_TIME}{loop}"] = Finding(
-                value=dead_time.ticks,
-                certainty=Certainty.FITTED,
-                evidence="of the settings that explain the motion",
-                interval=(dead_time.ticks, dead_time.ticks),
+            found[f"{DEAD_TIME}{loop}"] = fit_value(
+                dead_time.ticks,
+                "of the settings that explain the motion",
+                (dead_time.ticks, dead_time.ticks),
             )
     return found
 
