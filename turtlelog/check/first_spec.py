@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from turtlelog.check.cut import RunEnding, find_ending
+from turtlelog.check.vocabulary import RunEnding, find_ending
 from turtlelog.loops import Declaration
 from turtlelog.measure import Metric, MetricKind, list_metrics, measure_run
 from turtlelog.run import Run
