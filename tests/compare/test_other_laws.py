@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import numpy as np
 import pytest
 
 import turtlelog as tl
@@ -14,19 +13,10 @@ from turtlelog.run import Run
 ONE = simulate_strange()
 TWO = simulate_strange(law__gain_b=2.0, name="faster")
 PAPER = tl.simulate_run(tl.load_scenario("paper-kp4"))
-CLOSE = tl.Tolerance(abs=0.1, reason="as close as that")
 
 
 def read_titles(table: tl.Table) -> list[str]:
     return [column.title for column in table.columns]
-
-
-def judge(reference: Run, run: Run, **names: str) -> tl.CheckResult:
-    ((kind, name),) = names.items()
-    tolerance = dataclasses.replace(CLOSE, abs=0.0) if name == "phase" else CLOSE
-    tolerances = tl.Tolerances(**{f"{kind}s": {name: tolerance}})
-    (result,) = tl.match_run(run, reference, tolerances)
-    return result
 
 
 def test_tables_have_the_columns_of_the_loops_that_the_runs_have() -> None:
@@ -95,39 +85,6 @@ def test_runs_stand_in_the_order_of_the_gains_that_their_laws_declare() -> None:
 def test_states_are_signals_where_both_runs_have_them() -> None:
     largest = {found.signal: found.largest for found in tl.compare_runs(ONE, TWO).signals}
     assert largest["memory"] > 1.0
-    assert judge(ONE, ONE, signal="memory").verdict == "PASS"
-    assert judge(ONE, TWO, signal="memory").verdict == "FAIL"
-
-
-def test_a_state_of_another_law_is_not_held_and_what_nobody_has_is_told_with_the_nearest() -> None:
-    result = judge(PAPER, ONE, signal="memory")
-    expected = "paper-kp4 does not hold it: no state of its law (it has none)"
-    assert (result.verdict, result.reason) == ("FAIL", expected)
-    result = judge(ONE, TWO, signal="memry")
-    expected = (
-        "neither a signal nor a state of these laws (they have memory); the nearest are memory"
-    )
-    assert (result.verdict, result.reason) == ("FAIL", expected)
-
-
-def renumber(run: Run) -> Run:
-    """Return the same run of a law that lists its phases the other way round."""
-    names = dict(reversed(list(run.declaration.phases.items())))
-    declared = dataclasses.replace(run.declaration, phases=names)
-    numbers = np.array([declared.phase_names.index(name) for name in run.phase_names])
-    samples = dataclasses.replace(run.samples, phase=numbers[run.samples.phase])
-    return dataclasses.replace(run, declaration=declared, samples=samples)
-
-
-def test_phases_are_compared_by_name() -> None:
-    again = renumber(ONE)
-    assert (again.samples.phase != ONE.samples.phase).all()
-    assert judge(ONE, again, signal="phase").verdict == "PASS"
-    result = judge(PAPER, ONE, signal="phase")
-    assert (result.verdict, result.reason) == (
-        "FAIL",
-        "one where the reference has rotate at 0.000 s",
-    )
 
 
 def test_runs_are_brought_together_at_any_phase_that_both_have() -> None:
@@ -140,14 +97,10 @@ def test_runs_are_brought_together_at_any_phase_that_both_have() -> None:
         tl.compare_runs(ONE, TWO, alignment="phase:tow")
 
 
-def test_metrics_of_both_laws_are_paired_and_one_that_neither_has_does_not_pass() -> None:
+def test_metrics_of_both_laws_are_paired() -> None:
     pairs = {pair.metric.id: pair for pair in tl.compare_runs(PAPER, ONE).metrics}
     assert pairs["rotate.overshoot"].metric.status == "no_phase"
     assert pairs["a.rms_error"].reference.status == "no_phase"
-    assert judge(ONE, ONE, metric="a.rms_error").verdict == "PASS"
-    result = judge(ONE, ONE, metric="rotate.overshoot")
-    expected = "no_phase (the run declares no loop rotate (it declares a, b))"
-    assert (result.verdict, result.reason) == ("FAIL", expected)
 
 
 def swap_signals(run: Run) -> Run:
@@ -167,9 +120,6 @@ def test_metrics_of_one_id_and_two_units_are_not_compared() -> None:
     ids = {pair.metric.id for pair in comparison.metrics}
     assert ("b.rms_error" in ids, "b.duration" in ids) == (False, True)
     assert any("The loop b controls another signal" in note for note in comparison.notes)
-    result = judge(ONE, other, metric="b.rms_error")
-    assert (result.verdict, result.value) == ("FAIL", None)
-    assert result.reason == "in deg, where the reference has m: not compared"
     summaries = [tl.summarise_run(run) for run in (ONE, other)]
     table = tl.tabulate_runs(summaries, only=["b.rms_error", "b.duration"])
     assert [str(row[-2]).rpartition(" ")[2] for row in table.rows] == ["m", "deg"]

@@ -228,7 +228,7 @@ def test_what_a_drive_leaves_is_noise_up_to_a_whiteness_of_a_half(
 
 
 def test_every_parameter_of_the_law_is_known_to_its_identification() -> None:
-    # `exact` says that no other value reproduces the commands: with a further one others might.
+    # `exact` says that no other value reproduces the commands: with another parameter one might.
     told = [key for key in (*LAW_KEYS, *LOOP_KEYS, *RULE_KEYS) if key.startswith("law.")]
     assert sorted(told) == sorted(f"law.{field.name}" for field in fields(SequentialPParameters))
 

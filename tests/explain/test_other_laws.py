@@ -300,7 +300,7 @@ def test_recorded_settings_that_reproduce_a_law_with_naps_are_found() -> None:
     assert found.findings["lost_commands"].value is not None
     dead_time = found.findings["dead_time.control"]
     assert dead_time.value is None
-    assert dead_time.evidence.startswith("no one dead time explains the motion")
+    assert dead_time.evidence.startswith("no single dead time explains the motion")
 
 
 @pytest.mark.parametrize(

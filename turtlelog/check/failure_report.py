@@ -71,7 +71,7 @@ def _list_violation(run: Run, result: CheckResult) -> Iterator[str]:
     if not result.is_decided:
         return
     if at_s is None:
-        yield f"  first violated  at no one moment ({describe_clock(run)})"
+        yield f"  first violated  no single moment ({describe_clock(run)})"
         return
     yield f"  first violated  {at_s:.3f} s ({describe_clock(run)})"
     for line in tabulate_surroundings(run, result.names, at_s):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from turtlelog.check.cut import RunEnding, find_ending
+from turtlelog.check.vocabulary import RunEnding, find_ending
 from turtlelog.loops import Declaration
 from turtlelog.measure import Metric, MetricKind, list_metrics, measure_run
 from turtlelog.run import Run
@@ -112,7 +112,7 @@ def _list_arrival(run: Run) -> Iterator[str]:
         return
     yield ""
     if find_ending(run) in {RunEnding.CUT, RunEnding.LOST}:
-        yield "# always(abs(cross_track) <= ...): not read off, as nobody knows how the run went on"
+        yield "# always(abs(cross_track) <= ...): not read off, as how the run went on is unknown"
         return
     bound, spare = choose_bound(metric.value, metric.unit, up=True)
     yield "[checks.track]"

@@ -5,10 +5,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from turtlelog.check.cut import RunEnding, find_ending
 from turtlelog.check.result import UndecidedError
 from turtlelog.check.robustness import FormulaWalk
-from turtlelog.check.vocabulary import FormulaTrace, Signals, check_names, find_kind, read_signals
+from turtlelog.check.vocabulary import (
+    FormulaTrace,
+    RunEnding,
+    Signals,
+    check_names,
+    find_ending,
+    find_kind,
+    read_signals,
+)
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import (
     Call,

@@ -15,7 +15,6 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.check.cut import RunEnding
 from turtlelog.check.piecewise_constant import (
     Steps,
     align_steps,
@@ -25,7 +24,7 @@ from turtlelog.check.piecewise_constant import (
     slide_maximum,
     slide_minimum,
 )
-from turtlelog.check.vocabulary import FormulaTrace, Signals
+from turtlelog.check.vocabulary import FormulaTrace, RunEnding, Signals
 from turtlelog.expressions import (
     Comparison,
     Expression,

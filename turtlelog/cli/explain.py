@@ -51,7 +51,7 @@ def explain(
 
     First it identifies, from the samples of the controller (the poses that it read and the commands
     that it gave): gains, limits, tolerances, dead times, queues, start backlog and pause, each with
-    its evidence or the reason why the log does not tell. The identified scenario is simulated again
+    its evidence or the reason why the log does not show. The identified scenario is simulated again
     and compared with the log, sample by sample.
 
     Of another law than sequential-p no parameter is identified. Where its recording holds the whole

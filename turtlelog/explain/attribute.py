@@ -44,7 +44,7 @@ _MOST: Final = 6
 them."""
 
 _AGREEMENT: Final = 0.1
-"""Of what the effects add together: a re-simulation further away from the log does not tell what
+"""Of what the effects add together: a re-simulation further away from the log does not show what
 is in the log."""
 
 _SAME: Final = 1e-6
@@ -276,11 +276,11 @@ def _compare_with_log(found: Attribution) -> str:
 
 
 def _withhold_alone(share: Share, findings: Mapping[str, Finding]) -> Share:
-    """Return a property without its value where it hangs on a gain that the log does not tell."""
+    """Return a property without its value where it hangs on a gain that the log does not show."""
     unknown = [key for key in _list_gains(share.mechanism) if findings[key].value is None]
     if not unknown:
         return share
-    return replace(share, alone=None, ending=f"the log does not tell {' and '.join(unknown)}")
+    return replace(share, alone=None, ending=f"the log does not show {' and '.join(unknown)}")
 
 
 def _list_gains(mechanism: str) -> tuple[str, ...]:
@@ -308,4 +308,4 @@ def _list_doubts(findings: Mapping[str, Finding], acting: Sequence[Mechanism]) -
             for key in keys
             if findings[key].certainty is Certainty.UNKNOWN
         ]
-        yield f"Assumed, as the log does not tell: {', '.join(assumed)}."
+        yield f"Assumed, as the log does not show: {', '.join(assumed)}."

@@ -8,7 +8,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
+from turtlelog.explain.identification import (
+    Finding,
+    bound_value,
+    find_exactly,
+    fit_value,
+    miss,
+)
 
 Values = NDArray[np.float64]
 
@@ -270,11 +276,10 @@ def _shows_clipping(error: Values, noise: float) -> bool:
 def describe_gain(fit: CommandFit) -> Finding:
     """Return the gain, or by how much or why the commands do not tell it."""
     if fit.gain is None:
-        return Finding(
-            certainty=Certainty.UNKNOWN,
-            evidence=f"all {fit.rows} commands stand at {fit.largest:g}: at least {fit.least:.4g}",
-            interval=(fit.least, math.inf),
-            assumed=max(1.0, math.ceil(fit.least * 1.001)),
+        return miss(
+            f"all {fit.rows} commands are at {fit.largest:g}: at least {fit.least:.4g}",
+            max(1.0, math.ceil(fit.least * 1.001)),
+            (fit.least, math.inf),
         )
     if fit.obstacle:
         return miss(fit.obstacle, max(fit.gain.value, _TINY))
@@ -283,29 +288,21 @@ def describe_gain(fit: CommandFit) -> Finding:
     if found.is_exact:
         return find_exactly(found.value, f"reproduces {found.rows} unclipped {noun}")
     if found.is_close:
-        return Finding(
-            value=found.value,
-            certainty=Certainty.BOUNDED,
-            evidence=f"reproduces {found.rows} unclipped {noun} to rounding",
-            interval=found.interval,
+        return bound_value(
+            found.value, f"reproduces {found.rows} unclipped {noun} to rounding", found.interval
         )
-    return Finding(
-        value=found.value,
-        certainty=Certainty.FITTED,
-        evidence=f"least squares of {found.rows}, 95 %",
-        interval=found.interval,
-    )
+    return fit_value(found.value, f"least squares of {found.rows}, 95 %", found.interval)
 
 
 def describe_limit(fit: CommandFit) -> Finding:
     """Return the limit, or the largest command where none is clipped."""
     if fit.gain is None:
-        reason = f"all {fit.rows} commands stand at {fit.largest:g}: a limit, or the law's only one"
+        reason = f"all {fit.rows} commands are at {fit.largest:g}: a limit, or the law's only one"
         return miss(reason, fit.largest)
     if fit.limit is None:
         return miss(f"no command is clipped; the largest is {fit.largest:.4g}", math.inf)
     clipped = int(fit.rows - fit.gain.rows)
-    return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands stand there")
+    return find_exactly(fit.limit, f"{clipped} of {fit.rows} commands are there")
 
 
 def compute_misfit(fit: CommandFit, command: Values, error: Values) -> float:

@@ -16,10 +16,10 @@ from turtlelog.explain.identification import (
     DEAD_TIME,
     LAW_KEYS,
     LOOP_KEYS,
-    Certainty,
     Finding,
     Identification,
     find_exactly,
+    fit_value,
     miss,
 )
 from turtlelog.explain.loop_findings import describe_goal, describe_loop, describe_start
@@ -226,7 +226,7 @@ def require_noise(found: DeadTime | Missing) -> DeadTime | Missing:
     """
     if isinstance(found, Missing) or abs(found.whiteness - 1.0) < WHITE:
         return found
-    reason = f"no one dead time explains the motion; {found.ticks} ticks are the nearest"
+    reason = f"no single dead time explains the motion; {found.ticks} ticks are the nearest"
     return Missing(status=Status.UNDETERMINED, reason=reason)
 
 
@@ -261,11 +261,10 @@ def describe_dead_time(found: DeadTime | Missing, motion: Run, run: Run) -> Find
         changed += f"; {change.before} until {run.poses.time_ns[row] / 1e9:.2f} s"
     if found.is_exact:
         return find_exactly(found.ticks, f"explains all {found.rows} steps to rounding{changed}")
-    return Finding(
-        value=found.ticks,
-        certainty=Certainty.FITTED,
-        evidence=f"least squares; the next best leaves {found.margin:.3g} times",
-        interval=(found.ticks, found.ticks),
+    return fit_value(
+        found.ticks,
+        f"least squares; the next best leaves {found.margin:.3g} times",
+        (found.ticks, found.ticks),
     )
 
 
@@ -279,17 +278,17 @@ def _describe_limits(run: Run) -> dict[str, Finding]:
 
 
 def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
-    """Return where commands are clipped, which those that the law wanted show."""
+    """Return where commands are clipped, which the unclipped ones show."""
     largest = float(np.abs(sent).max())
     seen = f"the largest of {len(sent)} commands is {largest:.4g}"
     if wanted is None:
-        return miss(f"{seen}; what the law wanted is not logged")
+        return miss(f"{seen}; unclipped commands are not logged")
     clipped = wanted != sent
     if not clipped.any():
         return miss(f"no command is clipped; {seen}")
     if not np.array_equal(np.clip(wanted, -largest, largest), sent):
-        return miss(f"no one limit makes the commands of those that the law wanted; {seen}")
-    return find_exactly(largest, f"{int(clipped.sum())} of {len(sent)} commands stand there")
+        return miss(f"no single limit clips the unclipped commands to those sent; {seen}")
+    return find_exactly(largest, f"{int(clipped.sum())} of {len(sent)} commands are there")
 
 
 def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
@@ -297,7 +296,7 @@ def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
         return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason
     if again is None:
-        return miss("only a re-simulation tells which rule of the law ended the run")
+        return miss("only a re-simulation shows which rule of the law ended the run")
     if run.stop_reason is None or run.stop_reason in CUT_SHORT:
         return miss("the run was cut")
     if again != run.stop_reason:

@@ -63,9 +63,33 @@ def find_exactly(value: Any, evidence: str) -> Finding:
     return Finding(value=value, certainty=Certainty.EXACT, evidence=evidence)
 
 
-def miss(evidence: str, assumed: Any = None) -> Finding:
-    """Return why there is no value, and what a re-simulation takes in its place."""
-    return Finding(certainty=Certainty.UNKNOWN, evidence=evidence, assumed=assumed)
+def fit_value(value: Any, evidence: str, interval: tuple[Any, Any] | None = None) -> Finding:
+    """Return a value with its interval of 95 %, or the likeliest of those tried."""
+    return Finding(value=value, certainty=Certainty.FITTED, evidence=evidence, interval=interval)
+
+
+def bound_value(value: Any, evidence: str, interval: tuple[float, float]) -> Finding:
+    """Return a value of an interval in which anything fits."""
+    return Finding(value=value, certainty=Certainty.BOUNDED, evidence=evidence, interval=interval)
+
+
+def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Finding:
+    """Return the likeliest of several values that fit alike."""
+    return Finding(
+        value=likeliest,
+        certainty=Certainty.AMBIGUOUS,
+        evidence=evidence,
+        candidates=tuple(candidates),
+    )
+
+
+def miss(
+    evidence: str, assumed: Any = None, interval: tuple[float, float] | None = None
+) -> Finding:
+    """Return why there is no value, what a re-simulation takes instead, and bounds if known."""
+    return Finding(
+        certainty=Certainty.UNKNOWN, evidence=evidence, assumed=assumed, interval=interval
+    )
 
 
 LAW_KEYS: Final = (
@@ -175,7 +199,7 @@ def identify_plant(run: Run) -> Identification:
     for key, command in largest.items():
         if len(command):
             seen = f"the largest of {len(command)} commands is {np.abs(command).max():.4g}"
-            findings[key] = miss(f"{seen}; without the error nobody knows if it was clipped")
+            findings[key] = miss(f"{seen}; without the error it is unknown whether it was clipped")
     return give_up(run.name, {**findings, "lost_commands": _count_lost(run)}, _NO_SAMPLES)
 
 

@@ -22,6 +22,7 @@ from turtlelog.explain.identification import (
     Finding,
     Identification,
     disclaim_law,
+    fit_value,
     give_up,
     identify_plant,
     miss,
@@ -173,11 +174,10 @@ def _describe_dead_times_again(
         )
         dead_time = find_dead_time(again, loop)
         if is_hidden and isinstance(dead_time, DeadTime):
-            found[f"{DEAD_TIME}{loop}"] = Finding(
-                value=dead_time.ticks,
-                certainty=Certainty.FITTED,
-                evidence="of the settings that explain the motion",
-                interval=(dead_time.ticks, dead_time.ticks),
+            found[f"{DEAD_TIME}{loop}"] = fit_value(
+                dead_time.ticks,
+                "of the settings that explain the motion",
+                (dead_time.ticks, dead_time.ticks),
             )
     return found
 
@@ -204,7 +204,7 @@ def _withhold_law(
 def _find_other_law(run: Run) -> str | None:
     """Return why the law is not sequential-p, by its name or by its loops."""
     kind = run.parameters.get("law.kind", DEFAULT_LAW)
-    told = f"only of {DEFAULT_LAW} the commands tell the parameters"
+    told = f"parameters are identified from commands only for {DEFAULT_LAW}"
     if kind != DEFAULT_LAW:
         return f"its law is {kind}: {told}"
     if not all(run.declaration.find_loop(name) for name in PHASES):
@@ -267,7 +267,7 @@ def _describe_difference(trace: Trace, fits: Fits, resimulation: Resimulation) -
     if fits.is_close:
         return ["the re-simulation agrees to rounding, not bit for bit"]
     if resimulation.is_exact:
-        return ["poses and commands come again, but not the times at which they were answered"]
+        return ["poses and commands are reproduced, but not the times at which they were answered"]
     reach = _describe_reach(trace, fits)
     if not fits.is_fitted:
         return [f"{reach}: no setting explains the motion: {_UNEXPLAINED}"]

@@ -16,7 +16,14 @@ from turtlelog.explain.gain_fit import (
     describe_limit,
     fit_command,
 )
-from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
+from turtlelog.explain.identification import (
+    Finding,
+    bound_value,
+    find_exactly,
+    fit_value,
+    leave_open,
+    miss,
+)
 from turtlelog.explain.trace import Trace, Values
 from turtlelog.loops import DONE, PAUSE
 from turtlelog.measure.dead_time import CERTAIN
@@ -131,7 +138,7 @@ def _choose_wrapping(
     left = compute_misfit(wrapped, command, wrap_angle(error))
     chosen = left < compute_misfit(plain, command, error)
     evidence = "the heading error exceeds half a turn"
-    return chosen, Finding(value=chosen, certainty=Certainty.FITTED, evidence=evidence)
+    return chosen, fit_value(chosen, evidence)
 
 
 def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
@@ -139,9 +146,9 @@ def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
     if bearing is None or heading is None:
         signed = [name for name, fit in fits.items() if fit.has_signs]
         assumed = signed[0] if len(signed) == 1 else "bearing"
-        return miss("every command stands at its limit", assumed)
+        return miss("every command is at its limit", assumed)
     if bearing.is_exact == heading.is_exact and (bearing.is_exact or bearing.is_close):
-        return _leave_open(tuple(fits), "both reproduce every command", "heading")
+        return leave_open(tuple(fits), "both reproduce every command", "heading")
     for name, gain in (("bearing", bearing), ("heading", heading)):
         if gain.is_exact:
             return find_exactly(name, f"reproduces {gain.rows} unclipped commands")
@@ -149,23 +156,12 @@ def _choose_projection(fits: dict[str, CommandFit]) -> Finding:
     found = fits[better].gain or other
     ratio = other.noise / found.noise if found.noise > 0.0 else math.inf
     if found.rows * math.log(max(ratio, 1.0)) < CERTAIN:
-        return _leave_open(tuple(fits), "noise hides the difference", better)
-    return Finding(
-        value=better, certainty=Certainty.FITTED, evidence=f"the other leaves {ratio:.3g} times"
-    )
-
-
-def _leave_open(candidates: tuple[str, ...], evidence: str, likeliest: str) -> Finding:
-    return Finding(
-        value=likeliest,
-        certainty=Certainty.AMBIGUOUS,
-        evidence=evidence,
-        candidates=candidates,
-    )
+        return leave_open(tuple(fits), "noise hides the difference", better)
+    return fit_value(better, f"the other leaves {ratio:.3g} times")
 
 
 DEFAULT_TOLERANCE: Final = 0.001
-"""Of heading [rad] and position [m], where the log does not tell."""
+"""Of heading [rad] and position [m], where the log does not show."""
 
 _LAST_TWO: Final = "the errors at the end and before it"
 _NOISY: Final = "noise; from the last errors and commands"
@@ -215,30 +211,15 @@ def _bound_by_noise(
     """Return bounds from noisy errors, moved outwards by what noise may have done."""
     low = max(low - _SURE * noise, 0.0)
     high += _SURE * (noise if high_noise is None else high_noise)
-    return Finding(
-        certainty=Certainty.UNKNOWN,
-        evidence=f"{_NOISY}: {_name_bounds(low, high, unit)}",
-        interval=(low, high),
-        assumed=_choose(low, high),
-    )
+    return miss(f"{_NOISY}: {_name_bounds(low, high, unit)}", _choose(low, high), (low, high))
 
 
 def _bound_between(low: float, high: float, evidence: str, unit: str) -> Finding:
     if low >= high:
         return miss("errors that moved are no larger than the one that ended", DEFAULT_TOLERANCE)
     if low <= 0.0 or math.isinf(high):
-        return Finding(
-            certainty=Certainty.UNKNOWN,
-            evidence=f"{evidence}: {_name_bounds(low, high, unit)}",
-            interval=(low, high),
-            assumed=_choose(low, high),
-        )
-    return Finding(
-        value=_choose(low, high),
-        certainty=Certainty.BOUNDED,
-        evidence=evidence,
-        interval=(low, high),
-    )
+        return miss(f"{evidence}: {_name_bounds(low, high, unit)}", _choose(low, high), (low, high))
+    return bound_value(_choose(low, high), evidence, (low, high))
 
 
 def _choose(low: float, high: float) -> float:

@@ -6,7 +6,15 @@ import numpy as np
 
 from turtlelog.angles import subtract_headings
 from turtlelog.explain.gain_fit import find_quantile
-from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, find_exactly, miss
+from turtlelog.explain.identification import (
+    LOOP_KEYS,
+    Finding,
+    bound_value,
+    find_exactly,
+    fit_value,
+    leave_open,
+    miss,
+)
 from turtlelog.explain.resimulation import count_lost_commands, read_pause
 from turtlelog.explain.search import START_KEYS, Fits
 from turtlelog.explain.trace import Trace
@@ -54,7 +62,7 @@ def _describe_turn(trace: Trace, fits: Fits) -> Finding:
     ended = trace.rotating - 1
     jumped = [row for row in trace.jumps if row > ended]
     if jumped:
-        return miss("the pose jumps after the rotation: nobody knows how far the robot turned")
+        return miss("the pose jumps after the rotation: how far the robot turned is unknown")
     turned = subtract_headings(float(trace.heading_rad[-1]), float(trace.heading_rad[ended]))
     evidence = "heading at the end, less at the rotation's"
     if fits.is_exact or fits.is_close:
@@ -63,12 +71,7 @@ def _describe_turn(trace: Trace, fits: Fits) -> Finding:
         return miss("no setting explains the motion")
     # Each of the two headings has its own noise.
     reach = find_quantile(fits.drive.rows) * float(np.sqrt(2.0)) * fits.drive.noise[2]
-    return Finding(
-        value=turned,
-        certainty=Certainty.FITTED,
-        evidence=evidence,
-        interval=(turned - reach, turned + reach),
-    )
+    return fit_value(turned, evidence, (turned - reach, turned + reach))
 
 
 def _describe_queues(fits: Fits) -> dict[str, Finding]:
@@ -91,12 +94,7 @@ def _describe_queues(fits: Fits) -> dict[str, Finding]:
 def _settle(values: list[Any], evidence: str) -> Finding:
     if len(values) == 1:
         return find_exactly(values[0], evidence)
-    return Finding(
-        value=values[0],
-        certainty=Certainty.AMBIGUOUS,
-        evidence="the settings that fit differ in it",
-        candidates=tuple(values),
-    )
+    return leave_open(tuple(values), "the settings that fit differ in it", values[0])
 
 
 def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
@@ -108,12 +106,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
         return miss("a deeper queue gives the same run", chosen)
     if len(values) > 1:
         how = "reproduces every sample" if is_reproduced else "leaves as little as the others"
-        return Finding(
-            value=chosen,
-            certainty=Certainty.AMBIGUOUS,
-            evidence=f"each {how}",
-            candidates=values,
-        )
+        return leave_open(values, f"each {how}", chosen)
     also = "; so does a command queue of 1" if chosen == "newest" else ""
     if fits.is_exact:
         if key == "loop.period_ticks":
@@ -126,12 +119,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     if fits.is_close:
         evidence = f"reproduces all {len(trace)} samples to rounding, none bit for bit"
     is_number = isinstance(chosen, int)
-    return Finding(
-        value=chosen,
-        certainty=Certainty.FITTED,
-        evidence=evidence + also,
-        interval=(chosen, chosen) if is_number else None,
-    )
+    return fit_value(chosen, evidence + also, (chosen, chosen) if is_number else None)
 
 
 def _write_none(fits: Fits, chosen: Any) -> str:
@@ -143,14 +131,13 @@ def _write_none(fits: Fits, chosen: Any) -> str:
 def _describe_lost(fits: Fits) -> Finding:
     if not fits.is_exact:
         never = "no setting reproduces every sample"
-        return miss("only a re-simulation tells" if fits.is_driven else never)
+        return miss("only a re-simulation shows" if fits.is_driven else never)
     counts = sorted({count_lost_commands(scenario) for scenario in fits.scenarios})
     if len(counts) > 1:
-        return Finding(
-            value=count_lost_commands(fits.scenario),
-            certainty=Certainty.AMBIGUOUS,
-            evidence="the settings that fit lose different numbers",
-            candidates=tuple(counts),
+        return leave_open(
+            tuple(counts),
+            "the settings that fit lose different numbers",
+            count_lost_commands(fits.scenario),
         )
     return find_exactly(counts[0], "the re-simulation's plant never takes them")
 
@@ -192,11 +179,8 @@ def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
     if fits.bounds is not None:
         bounds = zip(read, fits.bounds.middle, fits.bounds.low, fits.bounds.high, strict=True)
         return {
-            key: Finding(
-                value=value,
-                certainty=Certainty.BOUNDED,
-                evidence="between the steps of logged poses; all poses agree with it",
-                interval=(low, high),
+            key: bound_value(
+                value, "between the steps of logged poses; all poses agree with it", (low, high)
             )
             for key, value, low, high in bounds
         }
@@ -208,12 +192,7 @@ def _describe_pose(fits: Fits, read: dict[str, Any]) -> dict[str, Finding]:
         return {key: miss(reason, value) for key, value in read.items()}
     found = zip(read, fits.drive.start, fits.drive.reach, strict=True)
     return {
-        key: Finding(
-            value=value,
-            certainty=Certainty.FITTED,
-            evidence="least squares of all poses, 95 %",
-            interval=(value - reach, value + reach),
-        )
+        key: fit_value(value, "least squares of all poses, 95 %", (value - reach, value + reach))
         for key, value, reach in found
     }
 
@@ -226,7 +205,7 @@ def _describe_precision(fits: Fits, precision: str) -> Finding:
         evidence = "poses have more than 32 bits"
     if fits.is_exact:
         return find_exactly(precision, evidence)
-    return Finding(value=precision, certainty=Certainty.FITTED, evidence=evidence)
+    return fit_value(precision, evidence)
 
 
 def _is_single(trace: Trace) -> bool:

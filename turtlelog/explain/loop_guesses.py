@@ -7,13 +7,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.explain.trace import Trace
+from turtlelog.explain.trace import Trace, count_leading
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.scenario import LoopSettings
 
 Guess = Mapping[str, Any]
 """Values by key of the scenario."""
+
+PAUSE_KEY: Final = "law.pause_ticks"
+
+DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
 
 _LARGEST_BACKLOG: Final = 12
 """Start backlogs that are tried where the clock does not tell: beyond the queue's usual depth of 10
@@ -57,19 +61,15 @@ def read_hints(trace: Trace) -> Hints:
     step_ns = np.diff(trace.time_ns)
     quick = step_ns < _QUICK * trace.period_ticks * TICK_NS
     ended = trace.rotating - 1
-    burst = 1 + _count_leading(quick[ended + 1 :]) if trace.shows_pause else 0
+    burst = 1 + count_leading(quick[ended + 1 :]) if trace.shows_pause else 0
     pause_s = float(step_ns[ended]) / 1e9 if trace.shows_pause else None
     return Hints(
-        backlogs=_list_backlogs(trace, 1 + _count_leading(quick)),
+        backlogs=_list_backlogs(trace, 1 + count_leading(quick)),
         pauses=_list_pauses(trace, pause_s),
         pause_s=pause_s,
         burst=burst,
         pose_queue=_find_pose_queue(trace, burst),
     )
-
-
-def _count_leading(holds: Any) -> int:
-    return len(holds) if holds.all() else int(holds.argmin())
 
 
 def _list_backlogs(trace: Trace, answered: int) -> tuple[int, ...]:
@@ -194,3 +194,26 @@ def _list_guesses(
 
 def _list_unique(*values: int | None) -> list[int]:
     return [*dict.fromkeys(value for value in values if value is not None)]
+
+
+def list_neighbours(guess: Guess) -> list[Guess]:
+    """Return the settings that differ from one in a single value, by one step."""
+    counts = {"loop.start_backlog": 1, **dict.fromkeys(DEPTHS, 1), "loop.transport_delay_ticks": 0}
+    near = [
+        {**guess, key: guess[key] + step}
+        for key, least in counts.items()
+        for step in (-1, 1)
+        if guess[key] + step >= least
+    ]
+    policies = {"newest": "one-per-tick", "one-per-tick": "newest"}
+    return [*near, {**guess, "loop.queue_policy": policies[guess["loop.queue_policy"]]}]
+
+
+def set_pause(guess: Guess, ticks: int | None) -> Guess:
+    """Return a guess with this pause; None: of a law without a known one, as it is."""
+    return guess if ticks is None else {**guess, PAUSE_KEY: ticks}
+
+
+def drop_pause(guess: Guess) -> Guess:
+    """Return a guess that leaves the pause open."""
+    return {key: value for key, value in guess.items() if key != PAUSE_KEY}

@@ -12,10 +12,10 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import subtract_headings
+from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
-from turtlelog.explain.trace import Trace, Values, list_breaks
+from turtlelog.explain.trace import OFF_GRID, Trace, Values, list_breaks
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
@@ -27,7 +27,7 @@ _UNKNOWN_TICKS: Final = 20
 WHITE: Final = 0.5
 """How far from 1 the whiteness of noise may be: a wrong setting leaves a curve, below 0.1."""
 
-FLOOR: Final = 1e-7
+_FLOOR: Final = 1e-7
 """Below the rounding of a 32-bit pose of a few metres nothing is told [m, rad]."""
 
 _MOST_STEPS: Final = 4.0
@@ -228,14 +228,14 @@ def _compare(trace: Trace, left: Values, read: Values, count: int) -> Drive | No
             after[stretch] = left[stretch] - slopes[stretch] @ found
             if number == 0:
                 offsets, spread = found, covariance
-        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + FLOOR
+        noise = np.sqrt(np.mean(after[kept] ** 2, axis=0)) + _FLOOR
     whiteness = _measure_whiteness(after, stretches)
     grains = np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
     quantile = find_quantile(int(kept.sum()) - 2)
     reach = quantile * np.sqrt(np.diag(spread)) * widen_for_runs(whiteness)
     start = np.array([*trace.xy_m[0] - left[0, :2], trace.heading_rad[0] - left[0, 2]]) + offsets
     is_noise = np.abs(whiteness - 1.0) < WHITE
-    is_rounding = noise < np.maximum(grains, 2.0 * FLOOR)
+    is_rounding = noise < np.maximum(grains, 2.0 * _FLOOR)
     return Drive(
         rows=int(kept.sum()),
         whiteness=whiteness,
@@ -292,12 +292,31 @@ class StartBounds:
     high: tuple[float, float, float]
 
 
-def bound_start(drive: Drive, half_steps: Values) -> StartBounds | None:
-    """Return where a plant may start so that every pose of the first stretch rounds as logged.
+def bound_start(drive: Drive | None, trace: Trace) -> StartBounds | None:
+    """Return where a plant may start so that every pose of the log rounds as logged.
 
-    None where no start does. `half_steps`: half the step that each value is rounded to, shape
-    (rows, 3).
+    None where no start does, or where what is left is more than rounding.
     """
+    if drive is None or not drive.explains or trace.missing or trace.jumps:
+        return None
+    poses = np.column_stack([trace.xy_m, trace.heading_rad])
+    half_steps = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
+    grains = 0.5 * np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
+    coarse = grains > 2.0 * half_steps.max(axis=0)
+    half_steps = np.where(coarse, grains * (1.0 + OFF_GRID), half_steps)
+    if (np.array(drive.noise) > 2.0 * half_steps.max(axis=0) + _FLOOR).any():
+        return None
+    return _solve_bounds(drive, half_steps)
+
+
+def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the nearest pose at which a scenario may start."""
+    x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
+    return x_m, y_m, wrap_angle(pose[2])
+
+
+def _solve_bounds(drive: Drive, half_steps: Values) -> StartBounds | None:
+    """Return the bounds for half the step that each value is rounded to, shape (rows, 3)."""
     rows = drive.left.reshape(-1)
     slopes = drive.slopes.reshape(-1, 3)
     half = half_steps.reshape(-1)

@@ -8,21 +8,29 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.angles import wrap_angle
-from turtlelog.explain.loop_guesses import Guess, Hints, agrees_with_clock, list_queues
+from turtlelog.explain.loop_guesses import (
+    DEPTHS,
+    PAUSE_KEY,
+    Guess,
+    Hints,
+    agrees_with_clock,
+    drop_pause,
+    list_neighbours,
+    list_queues,
+    set_pause,
+)
 from turtlelog.explain.open_loop import (
-    FLOOR,
     Drive,
     StartBounds,
     bound_start,
     drive_plant,
     join_starts,
+    keep_in_world,
 )
 from turtlelog.explain.resimulation import Row, count_equal, find_end_s, list_rows
 from turtlelog.explain.trace import Trace
 from turtlelog.measure import DeadTime, Missing
 from turtlelog.measure.dead_time import CERTAIN
-from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.scenario import Scenario, build_scenario, nest_parameters
 
 _MOST_TICKS: Final = 150_000
@@ -35,13 +43,6 @@ _SPARE_S: Final = 3.0
 """How much longer than the log a simulation may take before it counts as another [s]."""
 
 _USUAL_S: Final = Scenario().max_duration_s
-
-_OFF_GRID: Final = 0.02
-"""How far a logged value may be off its step, in steps: rounded to 32 bits after it."""
-
-_DEPTHS: Final = ("loop.command_queue", "loop.pose_queue")
-
-_PAUSE: Final = "law.pause_ticks"
 
 START_KEYS: Final = ("start.x_m", "start.y_m", "start.heading_rad")
 
@@ -123,7 +124,7 @@ def search_loop(
     tiers = list_queues(trace, hints, dead_times[0], dead_times[-1])
     if recorded is not None:
         others = [[guess for guess in tier if guess != recorded] for tier in tiers]
-        tiers = [[recorded, *_list_neighbours(recorded)], *others]
+        tiers = [[recorded, *list_neighbours(recorded)], *others]
     found = search.find_in_tiers(tiers)
     if found is None:
         likeliest = search.find_likeliest(next(filter(None, tiers)))
@@ -194,9 +195,9 @@ class _Search:
         alike = [
             guess
             for guess in queues
-            if self._count(_pause(guess, first), rotation) >= len(rotation)
+            if self._count(set_pause(guess, first), rotation) >= len(rotation)
         ]
-        guesses = [_pause(guess, pause) for pause, guess in product(self._pauses, alike)]
+        guesses = [set_pause(guess, pause) for pause, guess in product(self._pauses, alike)]
         guesses.sort(key=self.contradict_clock)
         for _, group in groupby(guesses, key=self.contradict_clock):
             counted = [(guess, self._count(guess, self._rows)) for guess in group]
@@ -208,7 +209,7 @@ class _Search:
     def contradict_clock(self, guess: Guess) -> tuple[bool, bool]:
         """Return whether time stamps and pose numbers contradict the pause, and the backlog."""
         return (
-            guess.get(_PAUSE) not in self._near,
+            guess.get(PAUSE_KEY) not in self._near,
             guess["loop.start_backlog"] not in self._hints.backlogs,
         )
 
@@ -216,7 +217,7 @@ class _Search:
         """Return the settings found, as scenarios that end where the log does."""
         hidden = {
             key
-            for key in _DEPTHS
+            for key in DEPTHS
             if any(
                 self._count({**guess, key: guess[key] + 1}, self._rows) >= len(self._rows)
                 for guess, _ in exact
@@ -240,7 +241,7 @@ class _Search:
         """Return the settings with which the log's commands move the plant as logged."""
         first = self._near[0]
         before = self._drive(queues, [first], rows=self._trace.rotating)
-        guesses = [guess for guess, _ in before] or [_pause(queues[0], first)]
+        guesses = [guess for guess, _ in before] or [set_pause(queues[0], first)]
         driven = self._drive(guesses, self._near, rows=None)
         if not driven:
             guesses = guesses[:1]
@@ -260,7 +261,7 @@ class _Search:
         agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
         drives = [drive for _, drive in agreeing]
         hidden = {
-            key for key in _DEPTHS if any(self._is_deeper_alike(*one, key) for one in agreeing)
+            key for key in DEPTHS if any(self._is_deeper_alike(*one, key) for one in agreeing)
         }
         return Fits(
             guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
@@ -305,7 +306,8 @@ class _Search:
         ticks = (len(self._rows) if rows is None else rows) * self._trace.period_ticks
         ticks += pauses[0] or 0
         tried = [
-            _pause(guess, pause) for pause, guess in product(pauses, [_unpause(g) for g in guesses])
+            set_pause(guess, pause)
+            for pause, guess in product(pauses, [drop_pause(g) for g in guesses])
         ][: max(int(_MOST_TICKS / max(ticks, 1)), 1)]
         self._tried += len(tried)
         alike = self.is_driven
@@ -335,7 +337,7 @@ class _Search:
             scenarios=scenarios,
             is_exact=False,
             drive=drive,
-            bounds=self._bound_start(drive),
+            bounds=bound_start(drive, self._trace),
             reproduced=counts[0],
             tried=self._tried,
             ranges=self._list_ranges(),
@@ -345,24 +347,10 @@ class _Search:
         for key, value in (pair for guess in guesses for pair in guess.items()):
             self._values.setdefault(key, set()).add(value)
         if self._hints.pauses:
-            self._values.setdefault(_PAUSE, set()).update(pauses)
+            self._values.setdefault(PAUSE_KEY, set()).update(pauses)
 
     def _list_ranges(self) -> dict[str, tuple[Any, ...]]:
         return {key: tuple(sorted(values)) for key, values in self._values.items()}
-
-    def _bound_start(self, drive: Drive | None) -> StartBounds | None:
-        """Return bounds of the start, where what is left is no more than rounding."""
-        trace = self._trace
-        if drive is None or not drive.explains or trace.missing or trace.jumps:
-            return None
-        poses = np.column_stack([trace.xy_m, trace.heading_rad])
-        half = 0.5 * np.abs(np.spacing(poses.astype(np.float32))).astype(np.float64)
-        grains = 0.5 * np.array([trace.grain_m, trace.grain_m, trace.grain_rad])
-        coarse = grains > 2.0 * half.max(axis=0)
-        half = np.where(coarse, grains * (1.0 + _OFF_GRID), half)
-        if (np.array(drive.noise) > 2.0 * half.max(axis=0) + FLOOR).any():
-            return None
-        return bound_start(drive, half)
 
     def _list_rotation(self) -> list[Row | None]:
         return self._rows[: int(self._trace.number[self._trace.rotating - 1]) + 1]
@@ -379,30 +367,3 @@ class _Search:
             return replace(scenario, max_duration_s=max(_USUAL_S, ceil(self._most_s)))
         end_s = find_end_s(self._trace, scenario, len(self._rows))
         return replace(scenario, max_duration_s=end_s)
-
-
-def keep_in_world(pose: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the nearest pose at which a scenario may start."""
-    x_m, y_m = (min(max(value, 0.0), WORLD_SIZE_M) for value in pose[:2])
-    return x_m, y_m, wrap_angle(pose[2])
-
-
-def _list_neighbours(guess: Guess) -> list[Guess]:
-    """Return the settings that differ from one in a single value, by one step."""
-    counts = {"loop.start_backlog": 1, **dict.fromkeys(_DEPTHS, 1), "loop.transport_delay_ticks": 0}
-    near = [
-        {**guess, key: guess[key] + step}
-        for key, least in counts.items()
-        for step in (-1, 1)
-        if guess[key] + step >= least
-    ]
-    policies = {"newest": "one-per-tick", "one-per-tick": "newest"}
-    return [*near, {**guess, "loop.queue_policy": policies[guess["loop.queue_policy"]]}]
-
-
-def _pause(guess: Guess, ticks: int | None) -> Guess:
-    return guess if ticks is None else {**guess, _PAUSE: ticks}
-
-
-def _unpause(guess: Guess) -> Guess:
-    return {key: value for key, value in guess.items() if key != _PAUSE}

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.explain.identification import Certainty, Finding, find_exactly, miss
+from turtlelog.explain.identification import Certainty, Finding, find_exactly, leave_open, miss
 from turtlelog.explain.law_identification import find_round_number
 from turtlelog.explain.loop_guesses import Hints
 from turtlelog.explain.trace import Trace
@@ -198,11 +198,10 @@ def _count_held(holds: Any) -> Any:
 def _describe_beyond(rule: _Rule) -> Finding:
     seen = max(rule.longest, rule.before - rule.slack)
     is_count = rule.key == "law.standstill_samples"
-    return Finding(
-        certainty=Certainty.UNKNOWN,
-        evidence=f"the run goes on after {seen:.4g}: more than the usual {rule.usual:g}",
-        interval=(seen, math.inf),
-        assumed=_ENDLESS_SAMPLES if is_count else math.inf,
+    return miss(
+        f"the run goes on after {seen:.4g}: more than the usual {rule.usual:g}",
+        _ENDLESS_SAMPLES if is_count else math.inf,
+        (seen, math.inf),
     )
 
 
@@ -214,22 +213,13 @@ def _guess_rule(rules: list[_Rule], contradicted: dict[str, Finding]) -> Ending:
     likely.sort(key=lambda rule: len(f"{_round_value(rule):.12g}".strip("0.")))
     for rule in likely[:1]:
         value = _round_value(rule)
-        findings[rule.key] = Finding(
-            certainty=Certainty.UNKNOWN,
-            evidence=f"{value:.6g} would end the run as the log does",
-            assumed=value,
-        )
-    reason = "the log says that the run ended, and no rule does with its usual value"
+        findings[rule.key] = miss(f"{value:.6g} would end the run as the log does", value)
+    reason = "the log says that the run ended, and no rule with its usual value ends it"
     if len(likely) < 2:
         known = [f"; with another {rule.name} would" for rule in likely]
         return Ending(reason=miss("".join([reason, *known])), rules=findings)
     return Ending(
-        reason=Finding(
-            value=likely[0].name,
-            certainty=Certainty.AMBIGUOUS,
-            evidence=reason,
-            candidates=tuple(rule.name for rule in likely),
-        ),
+        reason=leave_open(tuple(rule.name for rule in likely), reason, likely[0].name),
         rules=findings,
     )
 

@@ -17,7 +17,7 @@ Values = NDArray[np.float64]
 _FEWEST_DIFFERENT: Final = 10
 """Fewer different values may have a common step by chance."""
 
-_OFF_GRID: Final = 0.02
+OFF_GRID: Final = 0.02
 """How far a 32-bit float may be off the multiple of a step that it was rounded from, in steps:
 4e-7 m of 1e-4 m, and a margin."""
 
@@ -43,7 +43,7 @@ class Trace:
         rotating: How many samples the first phase has, from the first one: of sequential-p the
             rotation. All of a law whose phases are not known.
         translating: How many samples the phase after it has: of sequential-p the translation.
-        goal_xy_m: Goal position [m], None where the log does not tell.
+        goal_xy_m: Goal position [m], None where the log does not show.
         period_ticks: Ticks between the poses that are answered.
         has_exact_clock: Whether times are simulated: whole ticks.
         has_ticks: Whether there is a pose per tick, whether it was answered or not.
@@ -133,8 +133,8 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
     rotating, translating = len(samples), 0
     if phases is not None:
         names = np.array(run.phase_names)[samples.phase]
-        rotating = _count_leading(names == phases[0])
-        translating = _count_leading(names[rotating:] == phases[1])
+        rotating = count_leading(names == phases[0])
+        translating = count_leading(names[rotating:] == phases[1])
     has_ticks = _has_ticks(run)
     return Trace(
         run=run,
@@ -170,7 +170,7 @@ def find_grain(values: Values) -> float:
     multiples = np.cumsum(np.rint(steps / steps.min()))
     step = float((different[1:] - different[0]) @ multiples / (multiples @ multiples))
     left = (different[1:] - different[0]) - step * multiples
-    is_common = bool((np.abs(left) < _OFF_GRID * step).all()) and step > spacing
+    is_common = bool((np.abs(left) < OFF_GRID * step).all()) and step > spacing
     return step if is_common else spacing
 
 
@@ -185,7 +185,8 @@ def estimate_noise(values: Values) -> float:
     return float(np.median(bends)) / (0.6745 * float(np.sqrt(6.0)))
 
 
-def _count_leading(holds: NDArray[np.bool_]) -> int:
+def count_leading(holds: NDArray[np.bool_]) -> int:
+    """Return how many hold from the first one on."""
     return len(holds) if holds.all() else int(holds.argmin())
 
 

@@ -87,7 +87,7 @@ class SequentialPParameters:
         settled_within_m: Error coordinates below this count as settled [m].
         settled_for_s: Translation ends when they have been settled for longer [s]; inf: never.
         standstill_samples: Translation ends after more consecutive samples at a standstill.
-        standstill_below: A sample is at a standstill if its wanted speed is below this [m/s].
+        standstill_below: A sample is at a standstill if its unclipped speed is below this [m/s].
     """
 
     kp_angular: Annotated[float, Meta(gt=0)] = 1.0

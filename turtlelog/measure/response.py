@@ -43,7 +43,7 @@ class CommandStretch:
 
     @cached_property
     def is_saturated(self) -> NDArray[np.bool_] | None:
-        """Whether each command stands at its limit, None where that is not recorded."""
+        """Whether each command is at its limit, None where that is not recorded."""
         return None if self.limit is None else np.abs(self.values) >= self.limit
 
     @cached_property
@@ -86,6 +86,11 @@ class Response:
     commands: CommandStretch
     was_cut: bool
     ended_itself: bool
+
+    @property
+    def step_ends(self) -> dict[str, float]:
+        """What the step leads from and to, by the names that `curves` gives them."""
+        return {"initial": self.initial, "reference": self.reference}
 
     @cached_property
     def error(self) -> Values:

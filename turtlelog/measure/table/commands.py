@@ -40,7 +40,7 @@ def _command_metric(
 
 _NO_LIMIT: Final = Missing(status=Status.ABSENT, reason="the recording does not hold the limit")
 _NO_WANTED: Final = Missing(
-    status=Status.ABSENT, reason="the recording does not hold the wanted command"
+    status=Status.ABSENT, reason="the recording does not hold the unclipped command"
 )
 _ONE_TIME: Final = Missing(status=Status.TOO_SHORT, reason="all commands share one time")
 
@@ -94,9 +94,7 @@ def measure_reversals(commands: CommandStretch) -> Result:
     return Found(float(count_reversals(commands.values)))
 
 
-@_command_metric(
-    "largest_wanted", "{command}/s", "Largest {command} that the law asked for.", grows=True
-)
+@_command_metric("largest_wanted", "{command}/s", "Largest {command} before clipping.", grows=True)
 def measure_largest_wanted(commands: CommandStretch) -> Result:
     """The largest magnitude before clipping."""
     wanted = commands.wanted
@@ -109,7 +107,7 @@ def measure_largest_wanted(commands: CommandStretch) -> Result:
 @_command_metric(
     "saturated_share",
     "1",
-    "Share of the samples whose {command} stands at its limit.",
+    "Share of the samples whose {command} is at its limit.",
     needs_whole=False,
 )
 def measure_saturated_share(commands: CommandStretch) -> Result:
@@ -123,7 +121,7 @@ def measure_saturated_share(commands: CommandStretch) -> Result:
 @_command_metric(
     "saturated_time_share",
     "1",
-    "Share of the time during which the {command} stands at its limit.",
+    "Share of the time during which the {command} is at its limit.",
     needs_whole=False,
 )
 def measure_saturated_time_share(commands: CommandStretch) -> Result:
@@ -142,7 +140,7 @@ def measure_saturated_time_share(commands: CommandStretch) -> Result:
 @_command_metric(
     "longest_saturation",
     "s",
-    "Longest time for which the {command} stands at its limit without a break.",
+    "Longest time for which the {command} is at its limit without a break.",
     grows=True,
 )
 def measure_longest_saturation(commands: CommandStretch) -> Result:

@@ -24,7 +24,7 @@ _NO_BEARING: Final = Missing(status=Status.ABSENT, reason="the goal bearing is n
 @run_metric(
     "final.heading_error",
     "deg",
-    "Magnitude at the end of what the heading should be minus heading.",
+    "Magnitude of reference heading minus heading at the end.",
 )
 def _compute_heading_error(context: RunContext, at_s: float | None = None) -> Result:
     error_rad = _find_heading_error(context, at_s)
@@ -61,7 +61,7 @@ def _compute_cross_track(context: RunContext) -> Result:
 @run_metric(
     "final.goal_heading_error",
     "deg",
-    "Magnitude of the heading that the goal asks for minus heading at the end.",
+    "Magnitude of the goal's heading minus heading at the end.",
 )
 def _compute_goal_heading_error(context: RunContext) -> Result:
     goal_rad = context.run.goal_heading_rad

@@ -53,7 +53,7 @@ def _on_distance(
 @run_metric(
     "run.time_to_goal",
     "s",
-    "Last time the distance to the goal falls to 2 % of the first, or as asked.",
+    "Time after which the distance stays within 2 % (or `band`) of its initial value.",
     is_awaited=True,
 )
 @_on_distance
