@@ -15,7 +15,7 @@ from turtlelog.errors import ShowError
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show.output_files import replace_file
-from turtlelog.show.rerun.entities import APPLICATION_ID
+from turtlelog.show.rerun.entities import APPLICATION_ID, name_document
 
 _PATIENCE_S: Final = 5.0
 """A file that has not grown for so long, though there is more to write, will not grow any more."""
@@ -136,6 +136,13 @@ def send_comparison_properties(
     ids = dict.fromkeys(name for known in metrics for name in known)
     values = {name: [_get_value(known.get(name)) for known in metrics] for name in ids}
     stream.send_property(METRICS, _Properties(values))
+
+
+def draw_documents(stream: rr.RecordingStream, documents: Mapping[str, str]) -> None:
+    """Store Markdown documents under their titles."""
+    for title, text in documents.items():
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        stream.log(name_document(title), document, static=True)
 
 
 class _Properties(rr.AsComponents):
