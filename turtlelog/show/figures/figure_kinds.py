@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.run import Run
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
-from turtlelog.show.figures.curves import (
+from turtlelog.show.figures.figure_curves import (
     draw_plant_responses,
     draw_root_locus,
     draw_step_responses,

@@ -116,7 +116,7 @@ def write_explanation_rrd(
     dead_times = _list_dead_times(recorded, metrics[0])
     lines = {
         "pause": (palette.WANTED, _list_pause_times(recorded)),
-        "dead_time": (palette.SAMPLED, [span.end_ns for span in dead_times]),
+        "dead_time": (palette.SAMPLED, [end_ns for _, end_ns in dead_times]),
     }
     drawn = {name: found for name, found in lines.items() if found[1]}
     content = replace(
@@ -235,14 +235,6 @@ def _draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Seque
     stream.log(join_path(entities.LEGEND), points, static=True)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _DeadSpan:
-    """From a loop's first sample until its command acts, in the run's own time [ns]."""
-
-    start_ns: int
-    end_ns: int
-
-
 def _name_recording(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= 4 else f"{names[0]} to {names[-1]}, {len(names)} runs"
 
@@ -294,10 +286,11 @@ def _tabulate_shares(
     return format_markdown(table)
 
 
-def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[_DeadSpan, ...]:
+def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
     """Return the dead time at the start of each loop, where it is known, in order of time.
 
-    Of loops that begin together it is the longest.
+    Each is a start and an end in the run's own time [ns], from a loop's first sample until its
+    command acts. Of loops that begin together it is the longest.
     """
     ends_ns: dict[int, int] = {}
     for loop in run.declaration.loops:
@@ -306,19 +299,19 @@ def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[_DeadSpan
             start_ns = stretch[0].start_ns
             end_ns = start_ns + round(metric.value * 1e9)
             ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
-    return tuple(_DeadSpan(start_ns=start, end_ns=end) for start, end in sorted(ends_ns.items()))
+    return sorted(ends_ns.items())
 
 
-def _draw_dead_times(run_stream: RunStream, spans: Sequence[_DeadSpan]) -> None:
+def _draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
     """Draw them as a bar of their own."""
-    if not spans:
+    if not spans_ns:
         return
     style = rr.StateConfiguration(
         values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
     )
     run_stream.log(entities.DEAD_TIME, style)
-    times_ns = [time_ns for span in spans for time_ns in (span.start_ns, span.end_ns)]
-    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans))
+    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
     run_stream.send_few(entities.DEAD_TIME, times_ns, columns)
 
 
