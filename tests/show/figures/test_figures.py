@@ -21,7 +21,7 @@ from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
-from turtlelog.show.figures.curves import find_gains
+from turtlelog.show.figures.figure_curves import find_gains
 from turtlelog.show.figures.page import choose_lines
 
 Columns = TypeVar("Columns", SampleColumns, CommandColumns)

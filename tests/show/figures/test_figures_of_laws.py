@@ -13,7 +13,7 @@ import turtlelog as tl
 from tests.show.laws import KINDS, add_terms, forget_loops, simulate_law
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
-from turtlelog.show.figures.curves import compute_ideals, find_gains
+from turtlelog.show.figures.figure_curves import compute_ideals, find_gains
 from turtlelog.show.shared_curves import list_levels, read_curve
 
 STRANGE, EXAMPLE, FOLLOWER = map(simulate_law, ("strange", "example", "Follower"))

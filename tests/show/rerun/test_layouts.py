@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from tests.show.rerun.rrds import list_entities, read_blueprint_parts, read_layout
-from turtlelog.show.rerun.drawing import name_document
+from turtlelog.show.rerun.entities import name_document
 
 SCENES = ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"]
 SCENES += ["follower_rrd", "laws_rrd"]

@@ -1,7 +1,7 @@
 """Figures for print: the paper's, from any recordings, with matplotlib.
 
-`figure_kinds` names them, `curves` and `panels` draw them, `page` gives them their size and looks,
-`writing` writes them.
+`figure_kinds` names them, `figure_curves` and `panels` draw them, `page` gives them their size and
+looks, `writing` writes them.
 """
 
 from turtlelog.libraries import load_library

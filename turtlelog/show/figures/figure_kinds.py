@@ -13,7 +13,7 @@ from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.display import NamedValues
 from turtlelog.run import Run
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
-from turtlelog.show.figures.curves import (
+from turtlelog.show.figures.figure_curves import (
     draw_plant_responses,
     draw_root_locus,
     draw_step_responses,

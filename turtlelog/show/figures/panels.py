@@ -24,7 +24,12 @@ from turtlelog.show.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
-from turtlelog.show.figures.curves import compute_ideals, draw_curve, draw_level, draw_thinned
+from turtlelog.show.figures.figure_curves import (
+    compute_ideals,
+    draw_curve,
+    draw_level,
+    draw_thinned,
+)
 from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
 from turtlelog.show.shared_curves import (
     REFERENCE as AIMED,

@@ -15,13 +15,25 @@ from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_runs
 from turtlelog.show.palette import Color, choose_run_colors
-from turtlelog.show.rerun import drawing, entities, plane
+from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
-from turtlelog.show.rerun.layout import build_comparison_layout, build_explanation_layout
-from turtlelog.show.rerun.marks import draw_lines
-from turtlelog.show.rerun.plots import LevelLines, Series, list_compared_series, list_references
-from turtlelog.show.rerun.rrd_file import open_recording, send_comparison_properties
+from turtlelog.show.rerun.layout import (
+    arrange_names,
+    build_comparison_layout,
+    build_explanation_layout,
+    choose_names,
+)
+from turtlelog.show.rerun.marks import draw_events, draw_lines, draw_phases
+from turtlelog.show.rerun.plots import (
+    LevelLines,
+    Series,
+    draw_references,
+    draw_series,
+    list_compared_series,
+    list_references,
+)
+from turtlelog.show.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
 from turtlelog.show.rerun.timelines import (
     RunStream,
     Timelines,
@@ -33,6 +45,7 @@ from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
 from turtlelog.show.table_formats import format_markdown
 
 _RECORDED: Final = "recorded"
+_LEGEND_RADIUS: Final = 5.0  # [points]
 _BAR_WIDTH: Final = 0.8
 _LEGEND_SHARE: Final = 0.35
 
@@ -63,7 +76,7 @@ def write_comparison_rrd(
     layout = build_comparison_layout(content)
     with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
         _draw_overlay(stream, overlay, content, metrics)
-        drawing.draw_documents(stream, documents)
+        draw_documents(stream, documents)
 
 
 def write_explanation_rrd(
@@ -103,7 +116,7 @@ def write_explanation_rrd(
     dead_times = _list_dead_times(recorded, metrics[0])
     lines = {
         "pause": (palette.WANTED, _list_pause_times(recorded)),
-        "dead_time": (palette.SAMPLED, [span.end_ns for span in dead_times]),
+        "dead_time": (palette.SAMPLED, [end_ns for _, end_ns in dead_times]),
     }
     drawn = {name: found for name, found in lines.items() if found[1]}
     content = replace(
@@ -121,7 +134,7 @@ def write_explanation_rrd(
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
             draw_lines(run_stream, entity, label, color, times_ns, largest=find_largest(content))
         _draw_dead_times(run_stream, dead_times)
-        drawing.draw_documents(stream, texts)
+        draw_documents(stream, texts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,19 +195,19 @@ def _draw_overlay(
     send_comparison_properties(stream, overlay.runs, overlay.names, overlay.prefixes, metrics)
     draw_surroundings(stream, overlay.runs)
     span = read_span(overlay.runs, overlay.timelines)
-    drawing.draw_references(stream, overlay.references, span)
+    draw_references(stream, overlay.references, span)
     if content.legend_names:
-        drawing.draw_legend(stream, overlay.names, overlay.colors)
+        _draw_legend(stream, overlay.names, overlay.colors)
     streams = []
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
         plane.draw_trace(run_stream, run, overlay.colors[number])
         plane.draw_reference_path(run_stream, run)
         plane.draw_turtle(run_stream, run, overlay.colors[number], content.plane.half_size_m)
-        drawing.draw_phases(run_stream, run)
-        drawing.draw_events(run_stream, run, overlay.names[number])
+        draw_phases(run_stream, run)
+        draw_events(run_stream, run, overlay.names[number])
         for curves in overlay.series[number]:
-            drawing.draw_series(run_stream, curves)
+            draw_series(run_stream, curves)
         streams.append(run_stream)
     if content.goal is not None:
         draw_close_up(
@@ -208,12 +221,18 @@ def _draw_overlay(
     return streams
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _DeadSpan:
-    """From a loop's first sample until its command acts, in the run's own time [ns]."""
-
-    start_ns: int
-    end_ns: int
+def _draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
+    """Draw runs' names in their colours."""
+    chosen = choose_names(len(names))
+    shown = [names[number] for number in chosen]
+    points = rr.Points2D(
+        arrange_names(shown),
+        radii=rr.Radius.ui_points(_LEGEND_RADIUS),
+        colors=[colors[number] for number in chosen],
+        labels=shown,
+        show_labels=True,
+    )
+    stream.log(join_path(entities.LEGEND), points, static=True)
 
 
 def _name_recording(names: Sequence[str]) -> str:
@@ -267,10 +286,11 @@ def _tabulate_shares(
     return format_markdown(table)
 
 
-def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[_DeadSpan, ...]:
+def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
     """Return the dead time at the start of each loop, where it is known, in order of time.
 
-    Of loops that begin together it is the longest.
+    Each is a start and an end in the run's own time [ns], from a loop's first sample until its
+    command acts. Of loops that begin together it is the longest.
     """
     ends_ns: dict[int, int] = {}
     for loop in run.declaration.loops:
@@ -279,19 +299,19 @@ def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> tuple[_DeadSpan
             start_ns = stretch[0].start_ns
             end_ns = start_ns + round(metric.value * 1e9)
             ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
-    return tuple(_DeadSpan(start_ns=start, end_ns=end) for start, end in sorted(ends_ns.items()))
+    return sorted(ends_ns.items())
 
 
-def _draw_dead_times(run_stream: RunStream, spans: Sequence[_DeadSpan]) -> None:
+def _draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
     """Draw them as a bar of their own."""
-    if not spans:
+    if not spans_ns:
         return
     style = rr.StateConfiguration(
         values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
     )
     run_stream.log(entities.DEAD_TIME, style)
-    times_ns = [time_ns for span in spans for time_ns in (span.start_ns, span.end_ns)]
-    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans))
+    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
     run_stream.send_few(entities.DEAD_TIME, times_ns, columns)
 
 

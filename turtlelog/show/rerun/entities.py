@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+from rerun import escape_entity_path_part
+
 APPLICATION_ID: Final = "turtlelog"
 TIMELINE: Final = "sim_time"
 TICKS: Final = "tick"
@@ -99,3 +101,8 @@ TITLES: Final[Mapping[str, str]] = MappingProxyType(
 def join_path(*parts: str) -> str:
     """Return an entity path from parts that are escaped already; empty ones are left out."""
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))
+
+
+def name_document(title: str) -> str:
+    """Return the entity path of a document."""
+    return join_path(DOCUMENTS, escape_entity_path_part(title))

@@ -4,15 +4,16 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from turtlelog.show import palette
 from turtlelog.show.close_up import CloseUp
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
-from turtlelog.show.rerun.drawing import arrange_names, choose_names, name_document
-from turtlelog.show.rerun.entities import TIMELINE, join_path
+from turtlelog.show.rerun.entities import TIMELINE, join_path, name_document
 from turtlelog.show.rerun.world import Bounds
 
 Corners = Mapping[str, rrb.Corner2D]
@@ -74,6 +75,13 @@ _CROWDED: Final = frozenset({entities.HEADING, entities.ALONG_TRACK})
 """Plots whose legends have no room for more."""
 
 
+_LEGEND_WIDTH: Final = 12.0  # in heights of a row
+_LEGEND_LETTERS: Final = 48
+_MOST_COLUMNS: Final = 4
+_MOST_NAMES: Final = 28
+"""In four columns and seven lines, which a window of 1200 x 860 has room for."""
+
+
 class LinkedBlueprint(rrb.Blueprint):
     """A layout whose time axes are linked and show all there is, on every timeline.
 
@@ -99,6 +107,25 @@ def build_comparison_layout(content: Content) -> rrb.Blueprint:
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run beside its what-ifs: a comparison's, with the shares as bars."""
     return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), {})
+
+
+def choose_names(count: int) -> tuple[int, ...]:
+    """Return which of many runs are named: as many as there is room for, the last among them.
+
+    Colours of many runs follow their order, so that those between are known from their neighbours.
+    """
+    if count <= _MOST_NAMES:
+        return tuple(range(count))
+    return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
+
+
+def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
+    """Return places in a grid, y downward, shape (n, 2): the longest name sets its columns."""
+    longest = max(len(name) for name in names)
+    columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
+    number = np.arange(len(names))
+    across = (number % columns + 0.5) * (_LEGEND_WIDTH / columns)
+    return np.column_stack([across, number // columns])
 
 
 def _avoid_end(content: Content, plot: str, usual: rrb.Corner2D) -> rrb.Corner2D:
@@ -280,13 +307,15 @@ def _view_shares(title: str) -> rrb.View:
 def _view_legend(names: Sequence[str]) -> rrb.View:
     """Show the names of many runs in their colours."""
     shown = [names[number] for number in choose_names(len(names))]
-    grid = arrange_names(shown)
+    last_row = float(arrange_names(shown)[-1, 1])
     return rrb.Spatial2DView(
         origin="/",
         contents=[join_path(entities.LEGEND)],
         name="Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs",
         background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=grid.x_range, y_range=grid.y_range),
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(0.0, _LEGEND_WIDTH), y_range=(-0.5, last_row + 1.0)
+        ),
     )
 
 

@@ -12,13 +12,21 @@ from turtlelog.errors import ShowError
 from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
-from turtlelog.show.rerun import drawing, entities, plane
+from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import Content, describe_content
 from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE, join_path
 from turtlelog.show.rerun.layout import build_run_layout
-from turtlelog.show.rerun.plots import LevelLines, list_references, list_series
+from turtlelog.show.rerun.marks import draw_events, draw_phases
+from turtlelog.show.rerun.plots import (
+    LevelLines,
+    draw_references,
+    draw_series,
+    list_references,
+    list_series,
+)
 from turtlelog.show.rerun.rrd_file import (
     abandon_stream,
+    draw_documents,
     require_enabled,
     strict_mode,
 )
@@ -148,7 +156,7 @@ class LiveScene:
             self._stream.begin_round(len(run.poses), is_last=True)
             self._arrange(run, content)
             draw_single(self._stream, single, content)
-            drawing.draw_documents(self._stream, documents)
+            draw_documents(self._stream, documents)
             _flush(self._stream)
 
     def _draw(self, run: Run) -> None:
@@ -165,16 +173,16 @@ class LiveScene:
         if stream.is_due:
             plane.draw_trace_by_phase(run_stream, run)
             plane.draw_reference_path(run_stream, run)
-            drawing.draw_references(stream, references, read_span([run], [timelines]))
+            draw_references(stream, references, read_span([run], [timelines]))
         plane.draw_turtle(run_stream, run, palette.MAIN, self._half_size_m)
         plane.draw_reference_pose(run_stream, run, self._half_size_m)
         plane.draw_arrows(run_stream, run)
-        drawing.draw_phases(run_stream, run)
+        draw_phases(run_stream, run)
         if run.events:
             plane.draw_event_places(run_stream, run)
-            drawing.draw_events(run_stream, run)
+            draw_events(run_stream, run)
         for curves in series:
-            drawing.draw_series(run_stream, curves)
+            draw_series(run_stream, curves)
         _flush(stream)
 
     def _arrange(self, run: Run, content: Content) -> None:

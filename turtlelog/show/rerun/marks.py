@@ -1,4 +1,4 @@
-"""What metrics and theory add to the plots of a run: marks on curves, upright lines, responses."""
+"""What is marked in plots or beside them: metrics, upright lines, theory, phases, events."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.loops import PAUSE, ControlLoop, Declaration
+from turtlelog.loops import DONE, PAUSE, ControlLoop, Declaration
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show import palette
@@ -173,6 +173,35 @@ def list_responses(run: Run, metrics: Mapping[str, Metric]) -> tuple[Series, ...
                 dead_time = metrics.get(f"{step.loop.name}.dead_time")
                 found += [_compute_ideal(step, of), *_compute_sampled(step, of, run, dead_time)]
     return tuple(found)
+
+
+def draw_phases(run_stream: RunStream, run: Run) -> None:
+    """Draw the phases as a bar that ends in `done`, or in nothing where the run was cut."""
+    spans = run.find_phase_spans()
+    if not spans:
+        return
+    style = rr.StateConfiguration(
+        values=list(run.phase_names),
+        # The pause is too short for its name; the title of the view explains its colour.
+        labels=[" " if name == PAUSE else name for name in run.phase_names],
+        colors=[found.bar for found in palette.choose_phase_colors(run.phase_names)],
+    )
+    run_stream.log(entities.PHASE, style)
+    last = DONE if run.is_complete else ""
+    columns = rr.StateChange.columns(state=[*(span.phase for span in spans), last])
+    starts_ns = [*(span.start_ns for span in spans), run.end_ns]
+    run_stream.send_few(entities.PHASE, starts_ns, columns)
+
+
+def draw_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
+    """List the events as a text log, each after the speaker's name if there is one."""
+    if not run.events:
+        return
+    columns = rr.TextLog.columns(
+        text=[f"{speaker}: {event.text}" if speaker else event.text for event in run.events],
+        level=["INFO" if event.kind == "stop" else "WARN" for event in run.events],
+    )
+    run_stream.send_few(entities.EVENTS, [event.time_ns for event in run.events], columns)
 
 
 def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_MarkKind]:

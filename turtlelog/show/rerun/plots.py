@@ -1,16 +1,19 @@
-"""The curves of a run, and the levels beside them: what stands in which plot."""
+"""The curves of a run, and the levels beside them: what stands in which plot, and drawing it."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.timelines import RunStream, Times, Values, build_index
 from turtlelog.show.shared_curves import (
     Command,
     find_limits,
@@ -32,6 +35,7 @@ _POSE_SIGNALS: Final = (
 )
 
 _AIM_WIDTH: Final = 1.0  # [points]
+_REFERENCE_WIDTH: Final = 1.0
 
 _LOGARITHMS: Final = (
     (entities.HEADING_ERROR, entities.HEADING_ERROR_LOG),
@@ -152,6 +156,37 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
         for plot, named in levels
         if named
     )
+
+
+def draw_series(run_stream: RunStream, series: Series) -> None:
+    """Draw curves into their plot."""
+    style = rr.SeriesLines(
+        names=series.labels,
+        colors=palette.pack_colors(series.colors),
+        widths=[series.width] * len(series.labels),
+        interpolation_mode="StepAfter" if series.holds else "Linear",
+        aggregation_policy="MinMax",
+    )
+    run_stream.log(series.entity, style)
+    run_stream.send(series.entity, series.time_ns, series.values, _build_scalars)
+
+
+def draw_references(
+    stream: rr.RecordingStream, references: Sequence[LevelLines], span: Mapping[str, Times]
+) -> None:
+    """Draw level lines across plots, over a span of every timeline."""
+    index = build_index(span)
+    for reference in references:
+        entity = join_path(entities.REFERENCE, reference.plot)
+        count = len(reference.levels)
+        style = rr.SeriesLines(
+            names=list(reference.labels),
+            colors=palette.pack_colors([palette.REFERENCE] * count),
+            widths=[_REFERENCE_WIDTH] * count,
+        )
+        stream.log(entity, style, static=True)
+        columns = rr.Scalars.columns(scalars=np.tile(reference.levels, (2, 1)))
+        stream.send_columns(entity, index, columns)
 
 
 def _list_commands(run: Run, plot: str, command: Command) -> Iterator[Series]:
@@ -295,3 +330,7 @@ def _list_logarithms(series: Iterable[Series]) -> Iterable[Series]:
         sizes = np.abs(curves.values)
         values = np.log10(sizes, out=np.full_like(sizes, np.nan), where=sizes > 0.0)
         yield replace(curves, entity=entity_of[curves.entity], values=values)
+
+
+def _build_scalars(values: Values) -> rr.ComponentColumnList:
+    return rr.Scalars.columns(scalars=values)

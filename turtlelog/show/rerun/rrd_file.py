@@ -15,7 +15,7 @@ from turtlelog.errors import ShowError
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show.output_files import replace_file
-from turtlelog.show.rerun.entities import APPLICATION_ID
+from turtlelog.show.rerun.entities import APPLICATION_ID, name_document
 
 _PATIENCE_S: Final = 5.0
 """A file that has not grown for so long, though there is more to write, will not grow any more."""
@@ -103,14 +103,7 @@ def send_run_properties(
     stream: rr.RecordingStream, run: Run, metrics: Mapping[str, Metric]
 ) -> None:
     """Store what a run is, its scenario, and its metrics, each under a name of its own."""
-    stream.send_property(
-        RUN, _Properties({key: [value] for key, value in _describe_run(run).items()})
-    )
-    parameters = {key: [value] for key, value in _flatten(run).items()}
-    if parameters:
-        stream.send_property(SCENARIO, _Properties(parameters))
-    values = {name: [_get_value(metric)] for name, metric in metrics.items()}
-    stream.send_property(METRICS, _Properties(values))
+    _send_properties(stream, RUN, _describe_runs([run]), [run], [metrics])
 
 
 def send_comparison_properties(
@@ -124,18 +117,15 @@ def send_comparison_properties(
 
     A number that is not known, or that a run's law does not have, is NaN, a text empty.
     """
-    described = [_describe_run(run) for run in runs]
-    of_runs = {key: [values[key] for values in described] for key in described[0]}
-    of_runs |= {"name": list(names), "entity": list(prefixes)}
-    stream.send_property(RUNS, _Properties(of_runs))
-    parameters = [_flatten(run) for run in runs]
-    keys = sorted({key for known in parameters for key in known})
-    if keys:
-        found = {key: _fill([known.get(key) for known in parameters]) for key in keys}
-        stream.send_property(SCENARIO, _Properties(found))
-    ids = dict.fromkeys(name for known in metrics for name in known)
-    values = {name: [_get_value(known.get(name)) for known in metrics] for name in ids}
-    stream.send_property(METRICS, _Properties(values))
+    of_runs = _describe_runs(runs) | {"name": list(names), "entity": list(prefixes)}
+    _send_properties(stream, RUNS, of_runs, runs, metrics)
+
+
+def draw_documents(stream: rr.RecordingStream, documents: Mapping[str, str]) -> None:
+    """Store Markdown documents under their titles."""
+    for title, text in documents.items():
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        stream.log(name_document(title), document, static=True)
 
 
 class _Properties(rr.AsComponents):
@@ -203,12 +193,30 @@ def _find_error(part_path: Path, path: Path, found: str) -> ShowError | OSError:
     return ShowError(f"{path}: expected Rerun to write the file, found: {found}")
 
 
-def _describe_run(run: Run) -> dict[str, Any]:
+def _send_properties(
+    stream: rr.RecordingStream,
+    kind: str,
+    of_runs: dict[str, list[Any]],
+    runs: Sequence[Run],
+    metrics: Sequence[Mapping[str, Metric]],
+) -> None:
+    stream.send_property(kind, _Properties(of_runs))
+    parameters = [_flatten(run) for run in runs]
+    keys = sorted({key for known in parameters for key in known})
+    if keys:
+        found = {key: _fill([known.get(key) for known in parameters]) for key in keys}
+        stream.send_property(SCENARIO, _Properties(found))
+    ids = dict.fromkeys(name for known in metrics for name in known)
+    values = {name: [_get_value(known.get(name)) for known in metrics] for name in ids}
+    stream.send_property(METRICS, _Properties(values))
+
+
+def _describe_runs(runs: Sequence[Run]) -> dict[str, list[Any]]:
     return {
-        "name": run.name,
-        "source": run.source,
-        "stop_reason": run.stop_reason or "unknown",
-        "start_ns": run.start_ns,
+        "name": [run.name for run in runs],
+        "source": [run.source for run in runs],
+        "stop_reason": [run.stop_reason or "unknown" for run in runs],
+        "start_ns": [run.start_ns for run in runs],
     }
 
 

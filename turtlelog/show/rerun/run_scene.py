@@ -15,13 +15,28 @@ from turtlelog.run import Event, Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
 from turtlelog.show.palette import Color
-from turtlelog.show.rerun import drawing, entities, plane
+from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import Content, describe_content, find_ends, find_largest
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
 from turtlelog.show.rerun.layout import build_run_layout
-from turtlelog.show.rerun.marks import Mark, draw_lines, draw_marks, list_marks, list_responses
-from turtlelog.show.rerun.plots import LevelLines, Series, list_references, list_series
-from turtlelog.show.rerun.rrd_file import open_recording, send_run_properties
+from turtlelog.show.rerun.marks import (
+    Mark,
+    draw_events,
+    draw_lines,
+    draw_marks,
+    draw_phases,
+    list_marks,
+    list_responses,
+)
+from turtlelog.show.rerun.plots import (
+    LevelLines,
+    Series,
+    draw_references,
+    draw_series,
+    list_references,
+    list_series,
+)
+from turtlelog.show.rerun.rrd_file import draw_documents, open_recording, send_run_properties
 from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
 from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
 
@@ -50,7 +65,7 @@ def write_run_rrd(
     content = single.describe(documents)
     with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:
         draw_single(stream, single, content)
-        drawing.draw_documents(stream, documents)
+        draw_documents(stream, documents)
 
 
 def write_violation_rrd(
@@ -83,7 +98,7 @@ def write_violation_rrd(
     layout.time_panel = _stop_at(at_ns - run.start_ns)
     with open_recording(path, name=f"{run.name}: {title}", layout=layout) as stream:
         draw_single(stream, single, content)
-        drawing.draw_documents(stream, documents)
+        draw_documents(stream, documents)
         _draw_violation(stream, run, at_ns, title)
 
 
@@ -147,12 +162,12 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     plane.draw_arrows(run_stream, run)
     if content.goal is not None:
         draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
-    drawing.draw_phases(run_stream, run)
+    draw_phases(run_stream, run)
     if run.events:
         _draw_events(run_stream, run, find_largest(content))
-    drawing.draw_references(stream, single.references, read_span([run], [timelines]))
+    draw_references(stream, single.references, read_span([run], [timelines]))
     for curves in single.series:
-        drawing.draw_series(run_stream, curves)
+        draw_series(run_stream, curves)
     draw_marks(run_stream, single.marks)
 
 
@@ -186,4 +201,4 @@ def _draw_events(run_stream: RunStream, run: Run, largest: float) -> None:
     plane.draw_event_places(run_stream, run)
     times_ns = sorted({event.time_ns for event in run.events})
     draw_lines(run_stream, _EVENT_LINES, "event", palette.EVENT, times_ns, largest=largest)
-    drawing.draw_events(run_stream, run)
+    draw_events(run_stream, run)

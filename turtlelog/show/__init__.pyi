@@ -1,0 +1,30 @@
+from .documents import describe_run as describe_run, describe_runs as describe_runs
+from .figures import (
+    FIGURES as FIGURES,
+    Page as Page,
+    draw_figure as draw_figure,
+    list_left_out as list_left_out,
+    write_figures as write_figures,
+    write_tables as write_tables,
+)
+from .rerun.comparison_scene import (
+    write_comparison_rrd as write_comparison_rrd,
+    write_explanation_rrd as write_explanation_rrd,
+)
+from .rerun.live_viewer import (
+    LiveViewer as LiveViewer,
+    follow_recording as follow_recording,
+    open_window as open_window,
+)
+from .rerun.run_scene import (
+    write_run_rrd as write_run_rrd,
+    write_violation_rrd as write_violation_rrd,
+)
+from .rerun.snapshot import (
+    ShownView as ShownView,
+    ViewReport as ViewReport,
+    write_snapshot as write_snapshot,
+)
+from .rerun.viewer import open_viewer as open_viewer
+from .rerun.web import serve_recordings as serve_recordings
+from .table_formats import TABLE_FORMATS as TABLE_FORMATS, format_table as format_table
