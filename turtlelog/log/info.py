@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.integrity import DamageError, UnfinishedError
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.walk import Loss, Section
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
+from turtlelog.log.recording.contents import describe_damages, describe_recovery
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
-from turtlelog.log.recording.losses import describe_damages, describe_recovery
 from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
-from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.integrity import DamageError, check_start
+from turtlelog.log.engine.framing import RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
 from turtlelog.log.engine.parsing import (
     HEADING,
@@ -31,6 +30,7 @@ from turtlelog.log.engine.parsing import (
     take_apart,
 )
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
+from turtlelog.log.error_boundary import DamageError
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
+from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")
 
