@@ -1,7 +1,8 @@
 """Topics or MCAP records -> file: its head, chunks with their indexes, summary and checksums.
 
 Every chunk brings the schemas and channels of its messages: any chunk that survives can be read
-alone.
+alone. The mcap library's writer names them once, and takes messages one by one, so chunks and
+summary are put together here, of its records.
 """
 
 import zlib
