@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.complete_files import replace_when_complete
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.log.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
 from turtlelog.version import __version__

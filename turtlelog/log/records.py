@@ -13,7 +13,6 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
@@ -24,6 +23,7 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     read_type,
 )
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
 from turtlelog.log.engine.channels import Catalogue, TopicPlan
-from turtlelog.log.engine.columns import TopicColumns, build_columns
 from turtlelog.log.engine.decode import Rows, make_empty_rows
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
 from turtlelog.log.engine.summary import salvage_summary
+from turtlelog.log.engine.topic_columns import TopicColumns, build_columns
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.error_boundary import DamageError
 from turtlelog.log.recording.head import CHECKSUM, HEAD, Head, parse_head, sum_up

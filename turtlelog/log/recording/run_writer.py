@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.container import name_write_error, write_columns
-from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.message_types import Column
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
 from turtlelog.log.recording.topics import (
     COMMAND,
