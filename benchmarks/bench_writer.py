@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import turtlelog as tl
 from turtlelog.log.container import write_columns
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.log.recording.topics import SCHEMAS
 from turtlelog.simulate import iterate_ticks

@@ -9,11 +9,10 @@ from turtlelog.expressions.evaluation import (
     fail_at,
     require_kind,
 )
-from turtlelog.expressions.functions import ARGUMENTS
-from turtlelog.expressions.operands import Kind, Operand, compare_operands, make_operand
+from turtlelog.expressions.operands import ARGUMENTS, Kind, Operand, compare_operands, make_operand
 from turtlelog.expressions.parser import PRECEDENCE, parse_expression
-from turtlelog.expressions.place import draw_caret
 from turtlelog.expressions.printing import format_expression
+from turtlelog.expressions.tokens import draw_caret
 from turtlelog.expressions.tree import (
     Arithmetic,
     Call,

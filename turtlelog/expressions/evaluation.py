@@ -15,7 +15,7 @@ from turtlelog.expressions.operands import (
     make_operand,
     negate_truth,
 )
-from turtlelog.expressions.place import build_error, quote_text
+from turtlelog.expressions.tokens import build_error, quote_text
 from turtlelog.expressions.tree import (
     Arithmetic,
     Call,

@@ -8,15 +8,40 @@ from __future__ import annotations
 import enum
 import math
 import operator as operators
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 Value = Any
 """float, int, bool, str, None, or an array of them."""
+
+
+ARGUMENTS: Final[Mapping[str, tuple[int, float]]] = MappingProxyType(
+    {
+        "abs": (1, 1),
+        "min": (2, math.inf),
+        "max": (2, math.inf),
+        "sqrt": (1, 1),
+        "sin": (1, 1),
+        "cos": (1, 1),
+        "atan2": (2, 2),
+        "hypot": (2, 2),
+        "deg": (1, 1),
+        "rad": (1, 1),
+        "log": (1, 1),
+    }
+)
+"""Smallest and largest number of arguments. Angles are in rad; `log` is the natural logarithm."""
+
+
+_UFUNCS: Final = MappingProxyType(
+    {"min": "minimum", "max": "maximum", "atan2": "arctan2", "deg": "degrees", "rad": "radians"}
+)
+"""What numpy calls a function, where it has another name there."""
 
 
 class Kind(enum.Enum):
@@ -90,23 +115,18 @@ def compute_operator(operator: str, left: Operand, right: Operand) -> Operand:
     return _make_number(data, [left, right])
 
 
+def describe_arguments(function: str) -> str:
+    """Return how many arguments a function takes, for messages."""
+    least, most = ARGUMENTS[function]
+    count = f"{least} or more" if least != most else f"{least}"
+    return f"{function} to have {count} argument{'s' if count != '1' else ''}"
+
+
 def compute_function(function: str, arguments: Sequence[Operand]) -> Operand:
     """Return a function of numbers; nan where it has no value."""
     import numpy as np
 
-    ufunc: Any = {
-        "abs": np.abs,
-        "min": np.minimum,
-        "max": np.maximum,
-        "sqrt": np.sqrt,
-        "sin": np.sin,
-        "cos": np.cos,
-        "atan2": np.arctan2,
-        "hypot": np.hypot,
-        "deg": np.degrees,
-        "rad": np.radians,
-        "log": np.log,
-    }[function]
+    ufunc = getattr(np, _UFUNCS.get(function, function))
     data = [argument.data for argument in arguments]
     with np.errstate(all="ignore"):
         if len(data) <= 2:

@@ -8,9 +8,8 @@ import math
 from typing import Any, Final, NoReturn, cast
 
 from turtlelog.errors import suggest_names
-from turtlelog.expressions.functions import ARGUMENTS, describe_arguments
-from turtlelog.expressions.place import build_error
-from turtlelog.expressions.tokens import Token, split_tokens
+from turtlelog.expressions.operands import ARGUMENTS, describe_arguments
+from turtlelog.expressions.tokens import Token, build_error, split_tokens
 from turtlelog.expressions.tree import (
     Arithmetic,
     Call,

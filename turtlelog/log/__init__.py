@@ -8,7 +8,7 @@ from turtlelog.log.engine.walk import Loss
 from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
-from turtlelog.log.recording.losses import PartialRecordingWarning
+from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import RecordingTail, read_recording
 from turtlelog.log.recording.recorder import Recorder
 from turtlelog.log.recording.run_writer import write_recording

@@ -10,7 +10,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import LOG_SUFFIXES, import_log
 from turtlelog.log.info import RecordingInfo, read_info
-from turtlelog.log.recording.losses import PartialRecordingWarning
+from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_if_own
 from turtlelog.log.recording.topics import COMMAND, POSE
 from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info

@@ -1,7 +1,8 @@
 """Topics or MCAP records -> file: its head, chunks with their indexes, summary and checksums.
 
 Every chunk brings the schemas and channels of its messages: any chunk that survives can be read
-alone.
+alone. The mcap library's writer names them once, and takes messages one by one, so chunks and
+summary are put together here, of its records.
 """
 
 import zlib
@@ -37,7 +38,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.complete_files import replace_when_complete
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.log.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
 from turtlelog.version import __version__

@@ -1,4 +1,4 @@
-"""Where foreign errors become ours: one line that names the file."""
+"""Where foreign errors become ours: one line that names the file. And the errors of damage."""
 
 import stat
 from collections.abc import Iterator
@@ -9,6 +9,14 @@ from typing import BinaryIO
 from turtlelog.errors import LogError, TurtlelogError, describe_error
 
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
+
+
+class DamageError(LogError):
+    """A file that is not what its writer wrote, or not all of it."""
+
+
+class UnfinishedError(DamageError):
+    """A file whose writer never came to its end, or whose end is cut off."""
 
 
 @contextmanager

@@ -6,13 +6,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from mcap.reader import make_reader
-from mcap.summary import Summary
-
 from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
+from turtlelog.log.info import survey_file
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
 from turtlelog.run import TABLES, Run, tabulate_run
@@ -54,29 +52,21 @@ def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
 
 def _describe(recording: Path) -> str:
     with recording.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    if summary is None or summary.statistics is None:
-        raise LogError(f"{recording}: expected a summary with statistics, found none")
-    statistics = summary.statistics
-    return format_bag_metadata(
-        recording.name,
-        _list_topics(summary),
-        start_ns=statistics.message_start_time,
-        duration_ns=statistics.message_end_time - statistics.message_start_time,
-    )
-
-
-def _list_topics(summary: Summary) -> list[BagTopic]:
-    counts = summary.statistics.channel_message_counts if summary.statistics else {}
-    return [
+        survey = survey_file(stream)
+    schemas, channels = survey.catalogue.schemas, survey.catalogue.channels
+    topics = [
         BagTopic(
             name=channel.topic,
-            type=summary.schemas[channel.schema_id].name,
+            type=schemas[channel.schema_id].name,
             type_hash=channel.metadata["topic_type_hash"],
-            count=counts.get(number, 0),
+            count=survey.counts.get(number, 0),
         )
-        for number, channel in sorted(summary.channels.items())
+        for number, channel in sorted(channels.items())
     ]
+    start_ns, end_ns = survey.span_ns or (0, 0)
+    return format_bag_metadata(
+        recording.name, topics, start_ns=start_ns, duration_ns=end_ns - start_ns
+    )
 
 
 def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:

@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -16,14 +16,13 @@ from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.integrity import DamageError, UnfinishedError
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
+from turtlelog.log.engine.parsing import gather_heads
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.walk import Loss, Section
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
+from turtlelog.log.recording.contents import describe_damages, describe_recovery
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
-from turtlelog.log.recording.losses import describe_damages, describe_recovery
 from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
@@ -81,25 +80,34 @@ class RecordingInfo:
         return escape_controls(f"<RecordingInfo {self.file}: {topics}, {length}, {whole}>")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True, eq=False)
 class Survey:
     """What a file holds.
 
     Attributes:
         catalogue: Its channels and schemas.
+        is_finished: Whether its writer came to its end, and it is not damaged.
+        records: Its metadata and attachments, among others.
         counts: Messages by channel.
         span_ns: Least and greatest log time, None where there is no message.
-        records: Its metadata and attachments, among others.
-        is_finished: Whether its writer came to its end, and it is not damaged.
         damages: What could not be read, where the file was walked in spite of that.
     """
 
     catalogue: Catalogue
-    counts: Mapping[int, int]
-    span_ns: tuple[int, int] | None
-    records: tuple[Any, ...]
     is_finished: bool
-    damages: tuple[Loss, ...] = ()
+    records: list[Any] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+    span_ns: tuple[int, int] | None = None
+    damages: list[Loss] = field(default_factory=list)
+
+    def count(self, channels: NDArray[np.uint16], times: NDArray[np.uint64]) -> None:
+        """Count messages by their channels and log times."""
+        if len(channels):
+            counts = np.bincount(channels)
+            present = np.flatnonzero(counts)
+            self.counts.update(dict(zip(present.tolist(), counts[present].tolist(), strict=True)))
+            known = [*(self.span_ns or ()), int(times.min()), int(times.max())]
+            self.span_ns = min(known), max(known)
 
 
 def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:
@@ -226,84 +234,47 @@ def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
 
 
 def _survey_damaged(stream: BinaryIO) -> Survey:
-    allowance, damages = Allowance(stream.seek(0, os.SEEK_END)), list[Loss]()
-    tally = _Tally(Catalogue(allowance), allowance)
-    for _ in walk_through(stream, tally.take_section, damages=damages):
-        pass
-    return tally.sum_up((), damages, is_finished=False)
+    allowance = Allowance(stream.seek(0, os.SEEK_END))
+    survey = Survey(catalogue=Catalogue(allowance), is_finished=False)
+    _walk(stream, survey, allowance, survey.damages)
+    return survey
 
 
 def _survey_source(stream: BinaryIO) -> Survey:
     source = Source(stream)
-    lone = tuple(source.read_lone(_LONE))
-    statistics, tally = source.statistics, _Tally(source.catalogue, source.allowance)
+    lone, statistics = [*source.read_lone(_LONE)], source.statistics
+    survey = Survey(catalogue=source.catalogue, is_finished=True, records=lone)
     if not source.is_indexed:
-        for _ in walk_through(stream, tally.take_section):
-            pass
-        return tally.sum_up((), (), is_finished=True)
-    if statistics is None or (statistics.message_count and not statistics.channel_message_counts):
-        for found in source.map_blocks(_count_block):
-            tally.add(*found)
-        return tally.sum_up(lone, (), is_finished=True)
-    span_ns = statistics.message_start_time, statistics.message_end_time
-    return Survey(
-        catalogue=source.catalogue,
-        counts=statistics.channel_message_counts,
-        span_ns=span_ns if statistics.message_count else None,
-        records=lone,
-        is_finished=True,
-    )
+        _walk(stream, survey, source.allowance, None)
+    elif statistics is None or (statistics.message_count and not statistics.channel_message_counts):
+        for found in source.map_blocks(_read_heads):
+            survey.count(*found)
+    else:
+        survey.counts.update(statistics.channel_message_counts)
+        if statistics.message_count:
+            survey.span_ns = statistics.message_start_time, statistics.message_end_time
+    return survey
 
 
-class _Tally:
-    """Counts messages, and keeps what is said of them."""
+def _walk(
+    stream: BinaryIO, survey: Survey, allowance: Allowance, damages: list[Loss] | None
+) -> None:
+    """Add what a walk finds: of a stretch of records that makes no sense, nothing."""
 
-    def __init__(self, catalogue: Catalogue, allowance: Allowance) -> None:
-        self._catalogue, self._allowance = catalogue, allowance
-        self._counts = np.zeros(2**16, np.int64)
-        self._times: list[int] = []
-        self._records: list[Any] = []
-
-    def take_section(self, section: Section) -> None:
-        """Take a stretch of records, all of it or nothing.
-
-        Raises:
-            DamageError: Where it makes no sense.
-        """
+    def take(section: Section) -> None:
         byte, is_chunk = section.start, section.is_chunk
-        stretch = take_walked(section.data, byte, self._allowance, is_chunk=is_chunk)
+        stretch = take_walked(section.data, byte, allowance, is_chunk=is_chunk)
         others = parse_others(stretch, byte)
-        self._catalogue.add(others, byte)
-        self._records += [found for found in others if isinstance(found, Metadata | Attachment)]
+        survey.catalogue.add(others, byte)
+        survey.records += [found for found in others if isinstance(found, Metadata | Attachment)]
         for _, heads in stretch.iterate_rows():
-            self.add(np.bincount(heads["channel"]), heads["log_time"])
+            survey.count(heads["channel"], heads["log_time"])
 
-    def add(self, counts: NDArray[np.int64], times: NDArray[np.uint64]) -> None:
-        """Take messages by channel, and some times among which are the least and the greatest."""
-        self._counts[: len(counts)] += counts
-        if len(times):
-            known = [*self._times, int(times.min()), int(times.max())]
-            self._times = [min(known), max(known)]
-
-    def sum_up(
-        self, lone: tuple[Any, ...], damages: Collection[Loss], *, is_finished: bool
-    ) -> Survey:
-        """Return what has come, and records that stand elsewhere."""
-        present = np.flatnonzero(self._counts)
-        return Survey(
-            catalogue=self._catalogue,
-            counts=dict(zip(present.tolist(), self._counts[present].tolist(), strict=True)),
-            span_ns=(self._times[0], self._times[1]) if self._times else None,
-            records=(*lone, *self._records),
-            is_finished=is_finished,
-            damages=tuple(damages),
-        )
+    for _ in walk_through(stream, take, damages=damages):
+        pass
 
 
-def _count_block(block: Block) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
-    counts, times = np.zeros(2**16, np.int64), [np.empty(0, np.uint64)]
-    for channel, starts in block.offsets.items():
-        heads = gather_bytes(block.data, starts, MESSAGE_HEAD).view(HEADING)
-        counts[channel] = len(starts)
-        times.append(heads["log_time"])
-    return counts, np.concatenate(times)
+def _read_heads(block: Block) -> tuple[NDArray[np.uint16], NDArray[np.uint64]]:
+    starts = np.concatenate([np.empty(0, np.int64), *block.offsets.values()])
+    heads = gather_heads(block.data, starts)
+    return heads["channel"], heads["log_time"]

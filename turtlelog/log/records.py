@@ -13,7 +13,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import (
     LITTLE_ENDIAN,
     TEXT,
@@ -23,15 +23,13 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     read_type,
 )
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 HEAD: Final = struct.Struct("<BQHIQQ4s")
 """Before the fields: opcode, length, channel, sequence, log and publish time, encapsulation."""
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """Plain CDR, little-endian."""
-
-UNCOUNTED: Final = 9
-"""Bytes at the front of a record that its length does not count."""
 
 CODES: Final = MappingProxyType(
     {"?": "?", "f4": "f", "f8": "d"}
@@ -132,7 +130,7 @@ def _encode_fixed(
 ) -> NDArray[np.void]:
     rows = len(stamps["log_time"])
     records = np.zeros(rows, dtype=layout.little)
-    records["#opcode"], records["#length"] = Opcode.MESSAGE, records.itemsize - UNCOUNTED
+    records["#opcode"], records["#length"] = Opcode.MESSAGE, records.itemsize - RECORD.size
     records["#channel"], records["#encapsulation"] = channel, LITTLE_ENDIAN
     for name, values in stamps.items():
         records[f"#{name}"] = values
@@ -212,7 +210,7 @@ def encode_message(
     """
     body = bytearray()
     _append_fields(body, fields, values, "")
-    length = HEAD.size - UNCOUNTED + len(body)
+    length = HEAD.size - RECORD.size + len(body)
     return HEAD.pack(Opcode.MESSAGE, length, channel, *stamp, ENCAPSULATION) + body
 
 

@@ -18,7 +18,7 @@ from turtlelog.log.engine.parsing import take_apart
 from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.recording.losses import RECOVERY, format_recovery
+from turtlelog.log.recording.contents import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 
 

@@ -14,7 +14,7 @@ from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
 from turtlelog.log import write_recording
 from turtlelog.log.container import write_columns
-from turtlelog.log.engine.columns import TopicColumns, read_columns
+from turtlelog.log.engine.topic_columns import TopicColumns, read_columns
 from turtlelog.log.recording.topics import SCHEMAS
 
 MIXED = "mine_msgs/msg/Mixed"

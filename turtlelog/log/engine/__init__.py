@@ -1,6 +1,6 @@
 """Files as columns: chunks walked, gathered and written by the thousand, not message by message."""
 
-from turtlelog.log.engine.columns import (
+from turtlelog.log.engine.topic_columns import (
     RawContents,
     TopicColumns,
     iter_columns,

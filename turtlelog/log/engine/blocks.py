@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
-from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.integrity import DamageError, check_start
+from turtlelog.log.engine.framing import RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
 from turtlelog.log.engine.parsing import (
-    HEADING,
+    COUNTED_HEAD,
     MESSAGE_HEAD,
     Place,
     RecordStretch,
-    gather_bytes,
+    gather_heads,
     iterate_places,
     parse_record,
     take_apart,
 )
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
+from turtlelog.log.error_boundary import DamageError
 
 T = TypeVar("T")
 Offsets = NDArray[np.int64]
@@ -242,12 +242,11 @@ def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: 
         return starts
     if starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD:
         raise _mistrust(byte, f"offsets up to {starts.max()} in {len(data)} bytes")
-    heads = gather_bytes(data, starts, HEADING.itemsize).view(HEADING)
+    heads = gather_heads(data, starts)
     if (heads["opcode"] != Opcode.MESSAGE).any() or (heads["channel"] != channels).any():
         raise _mistrust(byte, "another record than a message of the channel")
     lengths = heads["length"]
-    shortest = MESSAGE_HEAD - RECORD.size
-    if lengths.min() < shortest or lengths.max() > len(data):
+    if lengths.min() < COUNTED_HEAD or lengths.max() > len(data):
         raise _mistrust(byte, f"messages of {lengths.min()} to {lengths.max()} bytes")
     ends = starts + lengths.astype(np.int64) + RECORD.size
     if ends.max() > len(data):

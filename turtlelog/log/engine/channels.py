@@ -8,7 +8,6 @@ from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import FIELDS, Allowance
 from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
@@ -17,6 +16,7 @@ from turtlelog.log.engine.message_types import (
     MessageType,
     read_type,
 )
+from turtlelog.log.error_boundary import DamageError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,8 +11,8 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from turtlelog.errors import LogError, describe_error
-from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import LARGEST_CHUNK
+from turtlelog.log.error_boundary import DamageError
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 """Start, end, size unpacked, crc, and length of the name of the compression."""

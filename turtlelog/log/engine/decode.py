@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import TopicPlan
+from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,
@@ -21,7 +22,7 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     split_rows,
 )
-from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
+from turtlelog.log.engine.parsing import COUNTED_HEAD, gather_bytes, gather_heads
 
 Rows = dict[str, Column]
 Order = Literal["<", ">"]
@@ -31,7 +32,6 @@ PUBLISH_TIME: Final = "#publish_time"
 SEQUENCE: Final = "#sequence"
 
 _PADDING: Final = 4  # some middlewares fill a message up to a multiple of this [bytes]
-_LENGTH: Final = 22  # bytes of a message record that its length counts, before its data
 
 # Before it writes a message, ROS 2 with Fast DDS estimates its size as if an empty sequence were
 # padded for the numbers that it lacks, and hands on what is left over. After a sequence's length
@@ -70,7 +70,7 @@ def _read_fixed(layout: Layout, block: Block, starts: Offsets) -> Rows:
     size = layout.little.itemsize
     if len(starts) and starts[-1] > len(block.data) - size:
         # The last one is too short: found by the check, which needs no more than its head.
-        _check_sizes(_read_lengths(block, starts), layout)
+        _check_sizes(gather_heads(block.data, starts)["length"], layout)
     rows = gather_bytes(block.data, starts, size)
     heads = rows.view(layout.little)
     _check_sizes(heads["#length"], layout)
@@ -78,30 +78,23 @@ def _read_fixed(layout: Layout, block: Block, starts: Offsets) -> Rows:
     return split_rows(layout, rows)
 
 
-def _read_lengths(block: Block, starts: Offsets) -> NDArray[np.uint64]:
-    lengths: NDArray[np.uint64] = gather_bytes(block.data, starts, MESSAGE_HEAD).view(HEADING)[
-        "length"
-    ]
-    return lengths
-
-
 def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:
-    extra = lengths - np.uint64(_LENGTH + layout.size)  # wraps where it is below
+    extra = lengths - np.uint64(COUNTED_HEAD + layout.size)  # wraps where it is below
     if len(extra) and extra.max() >= _PADDING:
         number = int((extra >= _PADDING).argmax())
-        found = int(lengths[number]) - _LENGTH
+        found = int(lengths[number]) - COUNTED_HEAD
         raise LogError(f"message {number}: expected {layout.size} bytes, found {found}")
 
 
 def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
-    lengths = _read_lengths(block, starts).astype(np.int64)
-    if (lengths < _LENGTH + ENCAPSULATION).any():
-        number = int((lengths < _LENGTH + ENCAPSULATION).argmax())
-        found = lengths[number] - _LENGTH
+    lengths = gather_heads(block.data, starts)["length"].astype(np.int64)
+    if (lengths < COUNTED_HEAD + ENCAPSULATION).any():
+        number = int((lengths < COUNTED_HEAD + ENCAPSULATION).argmax())
+        found = lengths[number] - COUNTED_HEAD
         raise LogError(f"message {number}: expected at least 4 bytes, found {found}")
     heads = gather_bytes(block.data, starts, MESSAGE.itemsize).view(MESSAGE)
     _check_heads(heads)
-    firsts, ends = starts + MESSAGE.itemsize, starts + 9 + lengths
+    firsts, ends = starts + MESSAGE.itemsize, starts + RECORD.size + lengths
     columns: Rows = {
         LOG_TIME: heads[LOG_TIME].astype(np.int64),
         PUBLISH_TIME: heads[PUBLISH_TIME].astype(np.int64),

@@ -35,6 +35,12 @@ once in a gigabyte, four once in a hundred. After damage as many messages must s
 found.
 """
 
+_SQLITE: Final = b"SQLite format 3\0"
+_RERUN: Final = b"RRF2"
+_BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
+START_SIZE: Final = len(_SQLITE)
+"""Bytes at the start of a file that tell what it is."""
+
 _LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
 _PRIVATE: Final = 0x80  # first opcode that anybody may use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
@@ -65,6 +71,36 @@ _PAIR: Final = 16  # bytes: log time, offset
 
 _BOUND: Final = (Opcode.FOOTER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT)
 _LONE: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
+
+
+def check_start(stream: BinaryIO) -> None:
+    """Check the magic bytes at the start.
+
+    Raises:
+        LogError: Where the file is no MCAP.
+    """
+    stream.seek(0)
+    reason = find_wrong_start(stream.read(START_SIZE))
+    if reason is not None:
+        raise LogError(f"byte 0: {reason}")
+
+
+def find_wrong_start(start: bytes) -> str | None:
+    """Return why the first bytes of a file are none of MCAP, and what may help; None if sound."""
+    if start.startswith(MCAP0_MAGIC):
+        return None
+    found = f"0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "an empty file"
+    if start.startswith(_SQLITE):
+        found = "a bag in SQLite: ros2 bag convert makes MCAP of it"
+    elif start.startswith(_RERUN):
+        found = "a Rerun recording: turtlelog view shows it"
+    elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
+        found = "text: turtlelog import makes a recording of a log in JSON or CSV"
+    return f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}"
+
+
+def _is_text(start: bytes) -> bool:
+    return all(byte in b"\t\n\r" or 0x20 <= byte < 0x7F for byte in start)
 
 
 class FileWindow:

@@ -148,12 +148,12 @@ def read_type(name: str, definition: str) -> MessageType:
     """Return a message type; a usual one is parsed once in the life of the program.
 
     Raises:
-        LogError: As `parse_schema`.
+        LogError: Where the text is no `ros2msg`, or a nested type is missing or holds itself.
     """
     known = _KEPT.get((name, definition))
     if known is None:
-        fields = parse_schema(name, definition)
-        known = MessageType(fields=fields, layout=lay_out(fields), size=count_fields(fields))
+        fields, size = _parse_schema(name, definition)
+        known = MessageType(fields=fields, layout=_lay_out(fields), size=size)
         if known.size <= MOST_KEPT_FIELDS and len(definition) <= LONGEST_KEPT:
             with _KEEPING:
                 if len(_KEPT) == _MOST_KEPT:  # the oldest goes
@@ -162,8 +162,8 @@ def read_type(name: str, definition: str) -> MessageType:
     return known
 
 
-def parse_schema(name: str, text: str) -> tuple[Field, ...]:
-    """Return the fields of the message type `name`, nested types resolved.
+def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
+    """Return the fields of the message type `name`, nested types resolved, and what they come to.
 
     Args:
         name: `package/msg/Type` or `package/Type`.
@@ -185,17 +185,6 @@ def parse_schema(name: str, text: str) -> tuple[Field, ...]:
     return _Resolver(definitions).resolve(_shorten(name), ())
 
 
-def count_fields(fields: tuple[Field, ...]) -> int:
-    """Return how many numbers, texts and sequences fields come to, nested ones among them."""
-    count = 0
-    for field in fields:
-        if isinstance(field.kind, str):
-            count += 1
-        else:
-            count += max(count_fields(field.kind), 1) * (field.length or 1)
-    return count
-
-
 class _Resolver:
     """Puts nested types in, once each, and counts what they come to."""
 
@@ -203,10 +192,10 @@ class _Resolver:
         self._definitions = definitions
         self._known: dict[str, tuple[tuple[Field, ...], int]] = {}
 
-    def resolve(self, name: str, inside: tuple[str, ...]) -> tuple[Field, ...]:
+    def resolve(self, name: str, inside: tuple[str, ...]) -> tuple[tuple[Field, ...], int]:
         if name not in self._known:
             self._known[name] = self._build(name, inside)
-        return self._known[name][0]
+        return self._known[name]
 
     def _build(self, name: str, inside: tuple[str, ...]) -> tuple[tuple[Field, ...], int]:
         if name in inside or len(inside) > _DEEPEST:
@@ -217,7 +206,7 @@ class _Resolver:
         for found in _parse_lines(name, self._definitions[name]):
             length = int(found["length"]) if found["length"] and not found["bound"] else None
             kind, size = self._find_kind(name, found["type"], inside)
-            count += max(size, 1) * (1 if isinstance(kind, str) or length is None else length)
+            count += max(size, 1) * (1 if isinstance(kind, str) else length or 1)
             is_sequence = found["brackets"] is not None and length is None
             field = Field(name=found["name"], kind=kind, length=length, is_sequence=is_sequence)
             fields.append(field)
@@ -237,8 +226,7 @@ class _Resolver:
         if kind == "wstring":
             raise LogError(f"schema {name}: wstring: ROS's middlewares do not agree on its bytes")
         nested = _SHORT.get(kind) or _shorten(kind, package=name.split("/")[0])
-        fields = self.resolve(nested, (*inside, name))
-        return fields, self._known[nested][1]
+        return self.resolve(nested, (*inside, name))
 
 
 def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
@@ -262,7 +250,7 @@ def _shorten(name: str, package: str = "") -> str:
     return f"{before[-1] if before else package}/{last}"
 
 
-def lay_out(fields: tuple[Field, ...]) -> Layout | None:
+def _lay_out(fields: tuple[Field, ...]) -> Layout | None:
     """Return the layout of a type; None where messages of it differ in size.
 
     CDR aligns a number to its own size, and nothing else.

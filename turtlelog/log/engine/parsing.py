@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.integrity import DamageError
 from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
+from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")
 
@@ -42,15 +42,18 @@ _RARE: Final[dict[int, Any]] = {
     Opcode.ATTACHMENT_INDEX: AttachmentIndex,
 }
 
-MESSAGE_HEAD: Final = 31
-"""Bytes of a message record before its data."""
-
 HEADING_FIELDS: Final = (
     *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
     *(("log_time", "<u8"), ("publish_time", "<u8")),
 )
 HEADING: Final = np.dtype([*HEADING_FIELDS])
 """The front of a message record; everything else that reads or writes one takes it from here."""
+
+MESSAGE_HEAD: Final = HEADING.itemsize
+"""Bytes of a message record before its data."""
+
+COUNTED_HEAD: Final = MESSAGE_HEAD - RECORD.size
+"""Those of them that the record's length counts."""
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _KNOWN: Final = frozenset(
@@ -233,7 +236,7 @@ class RecordStretch:
             starts = chosen[first : first + _ROWS].astype(np.int64)
             starts = starts[: np.searchsorted(starts, starts[0] + _BYTES)]
             first += len(starts)
-            yield starts, gather_bytes(self.data, starts, HEADING.itemsize).view(HEADING)
+            yield starts, gather_heads(self.data, starts)
 
 
 def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStretch:
@@ -253,7 +256,7 @@ def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStret
             break
         opcode, length = unpack(data, place) if place <= last else (0, 0)
         end = place + 9 + length
-        if opcode == _MESSAGE and end <= size and length >= MESSAGE_HEAD - 9:
+        if opcode == _MESSAGE and end <= size and length >= COUNTED_HEAD:
             starts.append(place)
         elif not opcode or opcode == _MESSAGE or end > size:
             fault = _describe_fault(opcode, size - place, length)
@@ -307,3 +310,12 @@ def gather_bytes(data: bytes | bytearray, starts: NDArray[np.int64], size: int) 
         raise LogError(f"expected {size} bytes from each place, found {len(data)} in all")
     view = np.ndarray((len(data) - size + 1,), f"V{size}", buffer=data, strides=(1,))
     return view[starts]
+
+
+def gather_heads(data: bytes, starts: NDArray[np.int64]) -> NDArray[Any]:
+    """Return the `HEADING` of the messages that start at some places.
+
+    Raises:
+        LogError: As `gather_bytes`.
+    """
+    return gather_bytes(data, starts, MESSAGE_HEAD).view(HEADING)

@@ -15,11 +15,17 @@ from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.decode import LOG_TIME, Rows, read_rows, select_rows
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.integrity import DamageError, Ends, check_data, read_ends
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import TEXT, Field
 from turtlelog.log.engine.parsing import read_record
-from turtlelog.log.engine.summary import find_lone_records, parse_summary
+from turtlelog.log.engine.summary import (
+    Ends,
+    check_data,
+    find_lone_records,
+    parse_summary,
+    read_ends,
+)
+from turtlelog.log.error_boundary import DamageError
 
 T = TypeVar("T")
 

@@ -1,9 +1,13 @@
-"""The summary of a file: what is where, without reading it, whether its data are sound or not."""
+"""Whether a file is whole, by its ends and checksums; its summary: what is where in it.
 
+The mcap library checks chunks and the data section, but never the summary.
+"""
+
+import io
 import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from io import SEEK_END
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -13,10 +17,14 @@ from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.chunks import ChunkEntry
-from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.integrity import DamageError, Ends, read_summary
+from turtlelog.log.engine.framing import RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
+from turtlelog.log.error_boundary import DamageError, UnfinishedError
+
+_FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary offsets, crc
+_DATA_END: Final = struct.Struct("<BQI")  # opcode, length, crc
+_STEP: Final = 2**20  # bytes
 
 _TIMES: Final = struct.Struct("<QQQQI")  # start, end, place, length, bytes of the offsets
 _OFFSET: Final = np.dtype([("channel", "<u2"), ("offset", "<u8")])
@@ -39,6 +47,23 @@ _KINDS: Final[Mapping[int, str]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Ends:
+    """Where the parts of a whole file are.
+
+    Attributes:
+        data_end: Byte of the record that ends the data section.
+        data_crc: Checksum of all bytes before it, 0 where there is none.
+        summary_start: Byte of the summary section; where it is empty, that of the footer.
+        summary: Its records, summary offsets included.
+    """
+
+    data_end: int
+    data_crc: int
+    summary_start: int
+    summary: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FileSummary:
     """What stands in the summary section.
 
@@ -55,6 +80,94 @@ class FileSummary:
     chunks: tuple[ChunkEntry, ...]
     statistics: Statistics | None
     named: Mapping[int, tuple[int, str]]
+
+
+def read_ends(stream: BinaryIO) -> Ends:
+    """Check the magic bytes at both ends, the footer and the summary.
+
+    Raises:
+        LogError: Where the file is no MCAP.
+        DamageError: Where it is cut short, or its summary is damaged.
+    """
+    check_start(stream)
+    place, start, checksum = _read_footer(stream)
+    data_end, data_crc = _read_data_end(stream, start)
+    summary = _read_summary(stream, place, start, checksum)
+    return Ends(data_end=data_end, data_crc=data_crc, summary_start=start, summary=summary)
+
+
+def read_summary(stream: BinaryIO) -> tuple[int, bytes]:
+    """Return start and records of the summary section of a file, whatever its data are like.
+
+    Raises:
+        DamageError: Where the file is cut short, or its footer or summary is damaged.
+    """
+    place, start, checksum = _read_footer(stream)
+    if not checksum:  # then only this bears out where it starts
+        _read_data_end(stream, start)
+    return start, _read_summary(stream, place, start, checksum)
+
+
+def check_data(stream: BinaryIO, ends: Ends) -> None:
+    """Check all bytes before the end of the data section; costs one pass over the file.
+
+    Raises:
+        DamageError: Where they are not those that were written.
+    """
+    found = _compute_checksum(stream, 0, ends.data_end if ends.data_crc else 0)
+    if found != ends.data_crc:
+        raise DamageError(
+            f"byte {ends.data_end}: expected data of checksum {ends.data_crc:#010x},"
+            f" found {found:#010x}"
+        )
+
+
+def _read_footer(stream: BinaryIO) -> tuple[int, int, int]:
+    """Return where the footer stands and the summary starts, and the checksum of both, 0 if none.
+
+    Where the summary is empty, it starts where the footer does.
+    """
+    size = stream.seek(0, io.SEEK_END)
+    place = size - _FOOTER.size - len(MCAP0_MAGIC)
+    stream.seek(max(place, 0))
+    footer, end = stream.read(_FOOTER.size), stream.read()
+    if place < len(MCAP0_MAGIC) or end != MCAP0_MAGIC:
+        raise UnfinishedError(
+            f"byte {size}: expected the end of an MCAP file, found none:"
+            " cut short, or never finished"
+        )
+    opcode, length, start, _, checksum = _FOOTER.unpack(footer)
+    if opcode != Opcode.FOOTER or length != 20 or start > place:
+        raise DamageError(f"byte {place}: expected a footer, found 0x{footer.hex()}")
+    return place, start or place, checksum
+
+
+def _read_summary(stream: BinaryIO, footer: int, start: int, expected: int) -> bytes:
+    end = footer + _FOOTER.size - 4  # the checksum covers the footer up to itself
+    # Held before anything is read: a damaged footer may claim that all of the file is summary.
+    if expected and expected != (found := _compute_checksum(stream, start, end)):
+        raise DamageError(
+            f"byte {start}: expected a summary of checksum {expected:#010x}, found {found:#010x}"
+        )
+    stream.seek(start)
+    return stream.read(footer - start)
+
+
+def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:
+    stream.seek(start)
+    found = 0
+    for place in range(start, end, _STEP):
+        found = zlib.crc32(stream.read(min(_STEP, end - place)), found)
+    return found
+
+
+def _read_data_end(stream: BinaryIO, summary_start: int) -> tuple[int, int]:
+    place = max(summary_start - _DATA_END.size, 0)
+    stream.seek(place)
+    record = stream.read(_DATA_END.size)
+    if len(record) < _DATA_END.size or _DATA_END.unpack(record)[:2] != (Opcode.DATA_END, 4):
+        raise DamageError(f"byte {place}: expected the end of the data, found 0x{record.hex()}")
+    return place, int(_DATA_END.unpack(record)[2])
 
 
 def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
@@ -180,7 +293,7 @@ def salvage_summary(stream: BinaryIO) -> FileSummary | None:
     """Return what the summary says, of each id the last; None if the end or its checksum fails."""
     try:
         start, data = read_summary(stream)
-        summary = parse_summary(data, start, Allowance(stream.seek(0, SEEK_END)))
+        summary = parse_summary(data, start, Allowance(stream.seek(0, io.SEEK_END)))
     except DamageError:
         return None
     schemas = {schema.id: schema for schema in summary.schemas}

@@ -16,15 +16,16 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import CHUNK_HEAD, unpack_chunk
 from turtlelog.log.engine.framing import (
     RECORD,
+    START_SIZE,
     SUMMARY_ONLY,
     FileWindow,
     find_next_record,
     find_record_end,
+    find_wrong_start,
     is_padding,
     is_record_start,
     measure_record,
 )
-from turtlelog.log.engine.integrity import START_SIZE, find_wrong_start
 from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together

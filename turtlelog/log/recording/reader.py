@@ -17,25 +17,26 @@ from turtlelog.errors import LogError
 from turtlelog.log.complete_files import is_live
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.decode import Rows
-from turtlelog.log.engine.integrity import DamageError, check_start
+from turtlelog.log.engine.framing import check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.source import Selection, read_piece
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
-from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.error_boundary import DamageError, name_file, open_file
 from turtlelog.log.info import survey_file
 from turtlelog.log.recording.contents import (
     Contents,
     ForeignFileError,
+    PartialRecordingWarning,
     build_contents,
+    describe_damages,
     read_contents,
     reconcile_contents,
     salvage_contents,
 )
 from turtlelog.log.recording.head import MAY_BE_ABSENT, Head, declare_format1, parse_scenario_file
-from turtlelog.log.recording.losses import PartialRecordingWarning, describe_damages
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,

@@ -1,7 +1,7 @@
 """Run -> messages, topic by topic -> file."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.container import name_write_error, write_columns
-from turtlelog.log.engine.columns import TopicColumns
 from turtlelog.log.engine.message_types import Column
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.head import HEAD, describe_run, format_head, format_scenario_file
 from turtlelog.log.recording.topics import (
     COMMAND,
@@ -70,9 +70,7 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     _require_range("events.time_ns", np.array([event.time_ns for event in run.events]), 2**63)
     topics = (
         _build_goal(run),
-        _build_poses(run.poses),
-        _build_poses64(run.poses),
-        _build_velocities64(run.poses),
+        *_build_poses(run.poses),
         _build_samples(run.samples),
         *_build_states(run),
         *_build_references(run),
@@ -149,32 +147,17 @@ def _build_goal(run: Run) -> TopicColumns:
     return _collect_rows(GOAL, [(time_ns, goal)])
 
 
-def _build_poses(poses: PoseColumns) -> TopicColumns:
-    columns = {
-        "x": poses.xy_m[:, 0],
-        "y": poses.xy_m[:, 1],
-        "theta": poses.heading_rad,
-        "linear_velocity": _or_nan(poses.speed_m_s, len(poses)),
-        "angular_velocity": _or_nan(poses.turn_rate_rad_s, len(poses)),
-    }
-    return _collect(POSE, poses.time_ns, columns)
-
-
-def _build_poses64(poses: PoseColumns) -> TopicColumns:
-    if _fits_float32(poses.xy_m) and _fits_float32(poses.heading_rad):
-        return _collect_rows(POSE64, [])
-    columns = {"x": poses.xy_m[:, 0], "y": poses.xy_m[:, 1], "theta": poses.heading_rad}
-    return _collect(POSE64, poses.time_ns, columns)
-
-
-def _build_velocities64(poses: PoseColumns) -> TopicColumns:
-    if _fits_float32(poses.speed_m_s) and _fits_float32(poses.turn_rate_rad_s):
-        return _collect_rows(VELOCITY64, [])
-    columns = {
-        "linear.x": _or_nan(poses.speed_m_s, len(poses)),
-        "angular.z": _or_nan(poses.turn_rate_rad_s, len(poses)),
-    }
-    return _collect(VELOCITY64, poses.time_ns, columns)
+def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
+    """Yield poses, and what of them 32 bits would not give back."""
+    place = {"x": poses.xy_m[:, 0], "y": poses.xy_m[:, 1], "theta": poses.heading_rad}
+    speed, turn_rate = poses.speed_m_s, poses.turn_rate_rad_s
+    velocity = [_or_nan(values, len(poses)) for values in (speed, turn_rate)]
+    names = ("linear_velocity", "angular_velocity"), ("linear.x", "angular.z")
+    yield _collect(POSE, poses.time_ns, place | dict(zip(names[0], velocity, strict=True)))
+    if not (_fits_float32(poses.xy_m) and _fits_float32(poses.heading_rad)):
+        yield _collect(POSE64, poses.time_ns, place)
+    if not (_fits_float32(speed) and _fits_float32(turn_rate)):
+        yield _collect(VELOCITY64, poses.time_ns, dict(zip(names[1], velocity, strict=True)))
 
 
 def _build_samples(samples: SampleColumns) -> TopicColumns:

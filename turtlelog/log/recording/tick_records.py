@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from mcap.opcode import Opcode
 
+from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.recording.run_writer import describe_event, describe_pose
 from turtlelog.log.recording.topics import (
@@ -29,7 +30,7 @@ from turtlelog.log.recording.topics import (
     describe_topics,
     list_topics,
 )
-from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, UNCOUNTED, ChunkRows, encode_message
+from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_message
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
 from turtlelog.scenario import Scenario
@@ -254,5 +255,5 @@ def _begin_topic(topic: Topic, number: int, definitions: Mapping[str, str]) -> _
     packer = _STRUCTS.get(topic, HEAD)
     if topic.name == LAW_STATE:
         packer = _build_struct(topic, definitions)
-    length = packer.size - UNCOUNTED
+    length = packer.size - RECORD.size
     return _Messages(topic=topic, number=number, pack=packer.pack, length=length)

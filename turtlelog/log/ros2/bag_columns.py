@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.columns import TopicColumns, read_flat_columns
+from turtlelog.log.engine.topic_columns import TopicColumns, read_flat_columns
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.recording.topics import CONTROL, GOAL, LAW_STATE, REFERENCE64

@@ -24,7 +24,7 @@ from turtlelog.log.engine.decode import (
 )
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import Column
-from turtlelog.log.engine.parsing import HEADING, MESSAGE_HEAD, gather_bytes
+from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads
 from turtlelog.log.engine.source import (
     EVER,
     Piece,
@@ -292,7 +292,7 @@ def read_raw(path: str | Path) -> RawContents:
 
 def _list_messages(block: Block) -> list[Message]:
     starts = np.sort(np.concatenate([np.empty(0, np.int64), *block.offsets.values()]))
-    heads = gather_bytes(block.data, starts, HEADING.itemsize).view(HEADING).tolist()
+    heads = gather_heads(block.data, starts).tolist()
     return [
         Message(
             channel_id=channel,

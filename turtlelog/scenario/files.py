@@ -1,0 +1,107 @@
+"""Scenarios by name: TOML files in and out, and the presets that come with turtlelog."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import tomli_w
+
+from turtlelog.errors import ScenarioError
+from turtlelog.scenario.convert import build_scenario, nest_scenario
+from turtlelog.scenario.model import Scenario
+from turtlelog.text_files import parse_toml, read_text_file
+
+
+def _describe_paper_run(
+    name: str, kp: float, start_backlog: int, pause_ticks: int
+) -> dict[str, Any]:
+    return {
+        "name": name,
+        "law": {
+            "kind": "sequential-p",
+            "kp_angular": kp,
+            "kp_linear": kp,
+            "projection": "bearing",
+            "wrap_error": False,
+            "pause_ticks": pause_ticks,
+        },
+        "loop": {"start_backlog": start_backlog, "queue_policy": "one-per-tick"},
+    }
+
+
+_TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "paper-kp1": _describe_paper_run("paper-kp1", 1.0, 6, 34),
+        "paper-kp2": _describe_paper_run("paper-kp2", 2.0, 5, 34),
+        "paper-kp4": _describe_paper_run("paper-kp4", 4.0, 6, 34),
+        "paper-kp10": _describe_paper_run("paper-kp10", 10.0, 5, 33),
+        "paper": _describe_paper_run("paper", 1.0, 5, 33),
+        "textbook": {"name": "textbook"},
+    }
+)
+
+PRESETS: Final = tuple(_TABLES)
+"""Names of the presets: the paper's four recorded runs, its controller as built, the textbook's."""
+
+PAPER_RUNS: Final = ("paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10")
+"""The presets of the paper's experiment, by rising gain."""
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Return a preset by its name, or the scenario in a TOML file.
+
+    Raises:
+        ScenarioError: Where it is neither, or the file is wrong.
+    """
+    name = str(name_or_path)
+    if name in PRESETS:
+        return get_preset(name)
+    if not name.endswith(".toml") and not Path(name).is_file():
+        presets = ", ".join(PRESETS)
+        raise ScenarioError(f"{name}: expected a scenario file (.toml) or one of {presets}")
+    return read_scenario(name_or_path)
+
+
+def read_scenario(path: str | Path) -> Scenario:
+    """Return the scenario in a TOML file.
+
+    Raises:
+        ScenarioError: Where the file cannot be read, is no TOML, or a key or value is wrong.
+    """
+    try:
+        text = read_text_file(path)
+    except UnicodeDecodeError as err:
+        raise ScenarioError(f"{path}: expected TOML, found bytes that are no text") from err
+    except (OSError, ValueError) as err:
+        found = getattr(err, "strerror", None) or err
+        raise ScenarioError(f"{path}: expected a scenario file, found: {found}") from err
+    return parse_scenario(text, source=str(path))
+
+
+def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
+    """Return the scenario that a TOML text describes. The text is the user's own: its law may run.
+
+    Raises:
+        ScenarioError: Where it is no TOML, or a key or value is wrong.
+    """
+    try:
+        tables = parse_toml(text)
+    except ValueError as err:
+        raise ScenarioError(f"{source}: expected TOML, found: {err}") from err
+    return build_scenario(tables, source=source, trust_law=True)
+
+
+def format_scenario(scenario: Scenario) -> str:
+    """Return the TOML text of a scenario; `parse_scenario` gives the same scenario back."""
+    return tomli_w.dumps(nest_scenario(scenario))
+
+
+def get_preset(name: str) -> Scenario:
+    """Return a preset; KeyError where there is none of that name."""
+    return build_scenario(_TABLES[name], source=name)
+
+
+def iterate_paper_runs() -> Iterator[Scenario]:
+    """Yield the scenarios of the paper's experiment, by rising gain."""
+    return (get_preset(name) for name in PAPER_RUNS)
