@@ -12,6 +12,11 @@ _LISTED: Final = 4
 """Names that the line of a catalogue lists."""
 
 
+def count(number: int, noun: str) -> str:
+    """Return how many there are, as in `1 row` and `2 rows`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def format_html(
     rows: Iterable[Sequence[object]], *, heads: Sequence[str] = (), title: str = ""
 ) -> str:
@@ -44,7 +49,7 @@ def _escape(text: str) -> str:
     return escape(escape_controls(text))
 
 
-class Catalogue(Mapping[str, Value]):
+class NamedValues(Mapping[str, Value]):
     """Values by name, read-only, that show their names and not themselves."""
 
     __slots__ = ("_kind", "_values")
@@ -53,7 +58,7 @@ class Catalogue(Mapping[str, Value]):
         """Take values over.
 
         Args:
-            kind: What they are, in the plural: `metrics`.
+            kind: What each of them is: `metric`.
             values: By name, in the order in which they are shown.
         """
         self._kind = kind
@@ -71,7 +76,7 @@ class Catalogue(Mapping[str, Value]):
     def __repr__(self) -> str:
         names = list(self._values)
         listed = ", ".join(names[:_LISTED]) + (", ..." if len(names) > _LISTED else "")
-        return f"<{len(names)} {self._kind}: {listed}>"
+        return f"<{count(len(names), self._kind)}: {listed}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._kind, self._values)

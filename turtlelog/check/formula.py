@@ -9,6 +9,7 @@ from turtlelog.check.cut import RunEnding, find_ending
 from turtlelog.check.result import UndecidedError
 from turtlelog.check.robustness import FormulaWalk
 from turtlelog.check.vocabulary import FormulaTrace, Signals, check_names, find_kind, read_signals
+from turtlelog.escapes import escape_controls
 from turtlelog.expressions import (
     Call,
     Comparison,
@@ -21,6 +22,7 @@ from turtlelog.expressions import (
     evaluate_node,
     format_expression,
     iterate_nodes,
+    parse_expression,
 )
 from turtlelog.loops import Declaration
 from turtlelog.measure import find_metric_kind, list_metrics, list_signals
@@ -79,10 +81,15 @@ class FormulaResult:
             raise UndecidedError(f"{self.formula}: undecided: {self.reason}")
         return self.holds
 
+    def __repr__(self) -> str:
+        word = {True: "holds", False: "violated", None: "undecided"}[self.holds]
+        margin = "" if self.margin is None else f", margin {self.margin:.4g} {self.unit}".rstrip()
+        return f"<FormulaResult {escape_controls(self.formula)}: {word}{margin}>"
+
 
 def check_formula(
     signals: Signals,
-    expression: Expression,
+    expression: Expression | str,
     *,
     window_ns: tuple[int, int] | None = None,
     ending: RunEnding = RunEnding.SETTLED,
@@ -93,7 +100,7 @@ def check_formula(
     Args:
         signals: By name: (time_ns, values) of a signal, or a constant, None for no value. Times
             do not decrease; of values at one time the last one holds.
-        expression: A formula, temporal or not.
+        expression: A formula or its text, temporal or not.
         window_ns: First and last time [ns] of the trace; by default from the first moment at
             which every signal used has a value to the last time of any.
         ending: What is known of the time after that; by default the last values hold for ever.
@@ -103,6 +110,7 @@ def check_formula(
         ExpressionError: Where a name is not there or the kinds do not go together.
         CheckError: Where a signal is no signal, or has no value at the first time.
     """
+    expression = _parse(expression)
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
     holds, walk = _decide(expression, trace)
     failed_ns = _find_violation(expression, trace) if holds is False else None
@@ -135,8 +143,12 @@ def check_formula(
     )
 
 
+def _parse(expression: Expression | str) -> Expression:
+    return parse_expression(expression) if isinstance(expression, str) else expression
+
+
 def check_run(
-    run: Run, expression: Expression, *, window_ns: tuple[int, int] | None = None
+    run: Run, expression: Expression | str, *, window_ns: tuple[int, int] | None = None
 ) -> FormulaResult:
     """Check a formula over a run's signals, metrics and parameters.
 
@@ -144,8 +156,8 @@ def check_run(
 
     Args:
         run: Time zero is its first sample.
-        expression: A formula over the run's signals and states, its metrics and its parameters. A
-            metric of a loop that its law does not declare has no value.
+        expression: A formula, or its text, over the run's signals and states, its metrics and its
+            parameters. A metric of a loop that its law does not declare has no value.
         window_ns: First and last time [ns]; by default from time zero to the run's end. After one
             that ends earlier, such as a phase, its last values hold.
 
@@ -153,6 +165,7 @@ def check_run(
         ExpressionError: Where a name is not there or the kinds do not go together.
         CheckError: Where a signal has no value at the first time.
     """
+    expression = _parse(expression)
     others = {name: None for name in expression.names if find_kind(run, name) is not None}
     known = {**list_signals(run.declaration), **list_metrics(run.declaration), **others}
     check_names(expression, {**known, **run.parameters})

@@ -5,7 +5,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from turtlelog.display import format_html
 from turtlelog.errors import CheckError
+from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.measure import Metric
@@ -80,6 +82,11 @@ class CheckResult:
             raise UndecidedError(f"{self.file}: {self.check}: undecided: {self.reason}")
         return self.verdict is Verdict.PASS
 
+    def __repr__(self) -> str:
+        return escape_controls(
+            f"<{self.verdict} {self.check} of {self.file}: {describe_result(self)}>"
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckOutcome:
@@ -125,6 +132,17 @@ class CheckOutcome:
             return f"<PASS: {len(self.results)} checked>"
         word = "FAIL" if self.failures[0].is_decided else "UNDECIDED"
         return f"<{word}: {self._describe_first()}>"
+
+    def _repr_html_(self) -> str:
+        heads = ("file", "check", "verdict", "value", "unit", "margin", "expected", "reason")
+        rows = [
+            (
+                *(one.file, one.check, one.verdict.value, one.value, one.unit, one.margin),
+                *(one.expected, one.reason),
+            )
+            for one in self.results
+        ]
+        return format_html(rows, heads=heads, title=repr(self))
 
     def _describe_first(self) -> str:
         more = len(self.failures) - 1

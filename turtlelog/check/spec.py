@@ -7,7 +7,9 @@ from types import MappingProxyType
 from typing import Any, Final, Literal
 
 from turtlelog.compare import ALIGNMENTS, Tolerance
+from turtlelog.display import count
 from turtlelog.errors import CompareError
+from turtlelog.escapes import escape_controls
 from turtlelog.expressions import Expression
 from turtlelog.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.measure import (
@@ -100,6 +102,11 @@ class Spec:
     reference: Path | None = None
     alignment: str = "first_sample"
     source: str = "specification"
+
+    def __repr__(self) -> str:
+        held = len(self.tolerances.signals) + len(self.tolerances.metrics)
+        checks = count(len(self.checks), "check")
+        return escape_controls(f"<Spec {self.source}: {checks}, {count(held, 'tolerance')}>")
 
 
 def is_known(kind: str, name: str) -> bool:

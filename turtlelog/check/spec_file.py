@@ -56,12 +56,15 @@ def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
     )
 
 
-def parse_spec(tables: Mapping[str, Any], *, source: str = "specification") -> Spec:
-    """Return the specification in the tables of a file, its reference left out.
+def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") -> Spec:
+    """Return the specification in a TOML text or its tables, its reference left out.
 
     Raises:
         CheckError: As `load_spec`, and so are the others.
     """
+    tables = text
+    if isinstance(tables, str):
+        tables = _require_known(_parse_toml(tables, source=source), source=source)
     own = {key: tables[key] for key in _KINDS if key in tables}
     entries = tables.get("checks", {})
     if not isinstance(entries, Mapping):
@@ -118,12 +121,15 @@ def read_tables(path: str | Path) -> dict[str, Any]:
         CompareError: Where the file cannot be read, is no TOML, is of another format or holds a
             table of another name.
     """
-    tables = _read_toml(path)
-    _require_format(tables, source=str(path))
+    return _require_known(_read_toml(path), source=str(path))
+
+
+def _require_known(tables: dict[str, Any], *, source: str) -> dict[str, Any]:
+    _require_format(tables, source=source)
     for key in tables:
         if key not in _KNOWN:
             raise CompareError(
-                f"{path}: {name_key(key)}: {describe_unknown_key(key, list(_KNOWN))}"
+                f"{source}: {name_key(key)}: {describe_unknown_key(key, list(_KNOWN))}"
             )
     return tables
 
@@ -272,7 +278,7 @@ def _require_table(table: Any, place: str) -> None:
 
 def _read_toml(path: str | Path) -> dict[str, Any]:
     try:
-        return parse_toml(read_text_file(path))
+        return _parse_toml(read_text_file(path), source=str(path))
     except UnicodeDecodeError as err:
         raise CompareError(f"{path}: expected TOML, found bytes that are no text") from err
     except OSError as err:
@@ -282,3 +288,10 @@ def _read_toml(path: str | Path) -> dict[str, Any]:
         ) from err
     except ValueError as err:
         raise CompareError(f"{path}: expected TOML, found: {err}") from err
+
+
+def _parse_toml(text: str, *, source: str) -> dict[str, Any]:
+    try:
+        return parse_toml(text)
+    except ValueError as err:
+        raise CompareError(f"{source}: expected TOML, found: {err}") from err

@@ -156,7 +156,7 @@ def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...] | None:
 
 
 def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
-    count, title = len(summaries), f"{len(summaries)} runs"
+    count, title = len(summaries), ""
     notes: tuple[str, ...] = ()
     if choice.where is not None:
         summaries, notes = tl.select_runs(summaries, choice.where, source="--where")

@@ -21,6 +21,8 @@ from turtlelog.compare.tube import (
     read_rows,
 )
 from turtlelog.differences import Difference, SignalDifference
+from turtlelog.display import format_html
+from turtlelog.escapes import escape_controls
 from turtlelog.measure import (
     SIGNALS,
     Metric,
@@ -70,6 +72,16 @@ class RunComparison:
     signals: tuple[SignalDifference, ...]
     metrics: tuple[MetricDifference, ...]
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        differing = sum(bool(found.differing) for found in self.signals)
+        of = f"{differing} of {len(self.signals)} signals differ over {self.overlap_s:.1f} s"
+        return escape_controls(f"<RunComparison of {self.name}: {of}>")
+
+    def _repr_html_(self) -> str:
+        heads = ("signal", "unit", "largest difference", "at [s]")
+        rows = [(found.signal, found.unit, found.largest, found.at_s) for found in self.signals]
+        return format_html(rows, heads=heads, title=repr(self))
 
 
 def compare_runs(reference: Run, run: Run, *, alignment: str = "first_sample") -> RunComparison:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.errors import CompareError, TurtlelogError, suggest_names
+from turtlelog.escapes import escape_controls
 from turtlelog.expressions import evaluate_expression, parse_expression
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.log import TopicChoice
@@ -26,6 +27,7 @@ from turtlelog.measure import (
     measure_run,
     miss_metric,
 )
+from turtlelog.measure.metric import format_metrics_html
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario import Start
 
@@ -85,6 +87,13 @@ class RunSummary:
             return self.metrics.get(name)
         is_metric = name not in self.parameters and find_metric_kind(name) is not None
         return miss_metric(self.declaration, name) if is_metric else None
+
+    def __repr__(self) -> str:
+        ended = self.stop_reason or "end not recorded"
+        return escape_controls(f"<RunSummary {self.name}: {len(self.metrics)} metrics, {ended}>")
+
+    def _repr_html_(self) -> str:
+        return format_metrics_html(self.metrics.values(), title=repr(self))
 
 
 def complete_parameters(run: Run) -> Mapping[str, Parameter]:

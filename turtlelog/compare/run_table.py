@@ -8,6 +8,8 @@ from typing import Final, Literal
 
 from turtlelog.compare.run_names import has_one_gain, name_runs
 from turtlelog.compare.run_summary import RunSummary, choose_columns, list_usual_metrics, order_ids
+from turtlelog.display import count, format_html
+from turtlelog.escapes import escape_controls
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import MeasureSettings, Metric, find_metric_kind, list_metrics, measure_run
 from turtlelog.run import Run
@@ -54,6 +56,14 @@ class Table:
     notes: tuple[str, ...] = ()
     breaks: tuple[int, ...] = ()
     marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __repr__(self) -> str:
+        size = f"{count(len(self.rows), 'row')} of {count(len(self.columns), 'column')}"
+        return escape_controls(f"<Table {self.title}: {size}>")
+
+    def _repr_html_(self) -> str:
+        heads = [f"{one.title} [{one.unit}]" if one.unit else one.title for one in self.columns]
+        return format_html(self.rows, heads=heads, title=self.title)
 
 
 def format_cell(cell: Cell, column: Column) -> str:
@@ -110,7 +120,7 @@ def tabulate_runs(
         if len(units[name]) > 1
     ]
     return Table(
-        title=title or f"{len(summaries)} runs",
+        title=title or count(len(summaries), "run"),
         columns=columns,
         rows=rows,
         notes=(*notes, *told),

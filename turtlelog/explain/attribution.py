@@ -3,9 +3,11 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from html import escape
 from typing import Final
 
 from turtlelog.angles import wrap_angle
+from turtlelog.display import format_html
 from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics
 from turtlelog.plants.turtlesim import TICK_S
@@ -210,3 +212,21 @@ class Attribution:
         names = {share.mechanism for share in self.shares if share.share}
         names.update(name for case in self.together if case.value for name in case.mechanisms)
         return tuple(name for name in self.mechanisms if name in names)
+
+    def __repr__(self) -> str:
+        parts = [f"{share.mechanism} {share.share:.4g}" for share in self.shares if share.share]
+        cause = (self.withheld and "no shares") or ", ".join(parts) or "no effect changes it"
+        value = self.as_built if self.as_logged is None else self.as_logged
+        size = "no value" if value is None else f"{value:.4g} {self.unit}"
+        return f"<Attribution of {self.metric}: {size}: {cause}>"
+
+    def _repr_html_(self) -> str:
+        from turtlelog.explain.report import write_sentences
+
+        heads = ("mechanism", f"share [{self.unit}]", f"without it alone [{self.unit}]", "means")
+        rows = [
+            (one.mechanism, one.share, one.alone, one.ending or one.meaning)
+            for one in (*self.shares, *self.others)
+        ]
+        table = format_html(rows, heads=heads, title=f"What caused {self.metric}")
+        return table + "".join(f"\n<p>{escape(text)}</p>" for text in write_sentences(self))

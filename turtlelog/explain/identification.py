@@ -8,7 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.display import format_html
 from turtlelog.errors import ExplainError, ReplayError
+from turtlelog.escapes import escape_controls
 from turtlelog.explain.resimulation import Resimulation
 from turtlelog.replay import replay_plant
 from turtlelog.run import Run
@@ -143,6 +145,20 @@ class Identification:
             expected = f"a run of the law {DEFAULT_LAW}, or one that its own scenario reproduces"
             raise ExplainError(f"{self.name}: expected {expected}: {reason}")
         return self.scenario
+
+    def __repr__(self) -> str:
+        known = sum(found.certainty is not Certainty.UNKNOWN for found in self.findings.values())
+        return escape_controls(
+            f"<Identification of {self.name}: {known} of {len(self.findings)} values known>"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (key, found.value, found.certainty.value, found.evidence)
+            for key, found in self.findings.items()
+        ]
+        heads = ("", "value", "how sure", "evidence")
+        return format_html(rows, heads=heads, title=repr(self))
 
 
 def identify_plant(run: Run) -> Identification:

@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
+from turtlelog.escapes import escape_controls
+
 ArithmeticOperator = Literal["+", "-", "*", "/", "**"]
 ComparisonOperator = Literal["<", "<=", ">", ">=", "==", "!="]
 LogicOperator = Literal["and", "or", "implies"]
@@ -181,6 +183,9 @@ class Expression:
     def is_temporal(self) -> bool:
         """Whether it holds `always`, `eventually` or `until`, and so needs signals over time."""
         return any(isinstance(node, Temporal | Until) for node in iterate_nodes(self.root))
+
+    def __repr__(self) -> str:
+        return f"<Expression {escape_controls(self.text)}>"
 
 
 def iterate_nodes(node: Node) -> Iterator[Node]:

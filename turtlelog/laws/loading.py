@@ -9,9 +9,10 @@ import traceback
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, redirect_stdout
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import Any, Final
 
+from turtlelog.display import NamedValues
 from turtlelog.errors import LawError, TurtlelogError, describe_error
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import Goal, Law
@@ -20,7 +21,7 @@ from turtlelog.loops import Declaration, Mechanism
 
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
 
-LAWS: Final[Mapping[str, type[Law]]] = MappingProxyType({"sequential-p": SequentialP})
+LAWS: Final[Mapping[str, type[Law]]] = NamedValues("law", {"sequential-p": SequentialP})
 """The built-in laws by kind."""
 
 

@@ -12,6 +12,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
+from turtlelog.display import count
+from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.integrity import DamageError, UnfinishedError
@@ -71,6 +73,13 @@ class RecordingInfo:
     absent: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
     not_understood: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        length = "no messages" if self.duration_s is None else f"{self.duration_s:.1f} s"
+        whole = "complete" if self.complete else "incomplete"
+        return escape_controls(
+            f"<RecordingInfo {self.file}: {count(len(self.topics), 'topic')}, {length}, {whole}>"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

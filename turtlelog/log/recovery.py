@@ -9,7 +9,9 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
+from turtlelog.display import count
 from turtlelog.errors import LogError
+from turtlelog.escapes import escape_controls
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
 from turtlelog.log.engine.parsing import take_apart
@@ -45,6 +47,11 @@ class RecoveryReport:
     from_s: float
     to_s: float
     lost: tuple[Loss, ...]
+
+    def __repr__(self) -> str:
+        found = count(sum(self.recovered.values()), "message")
+        lost = f"{len(self.lost)} stretch{'es' * (len(self.lost) != 1)}"
+        return escape_controls(f"<RecoveryReport {self.file}: {found}, {lost} lost>")
 
 
 def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:

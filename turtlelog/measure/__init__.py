@@ -3,7 +3,7 @@
 from turtlelog.measure.curves import find_overshoot, find_settling_time
 from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
-from turtlelog.measure.metric import Metric, Missing, Status
+from turtlelog.measure.metric import Metric, Metrics, Missing, Status
 from turtlelog.measure.metrics import (
     ANY_LOOP,
     METRICS,
@@ -42,6 +42,7 @@ __all__ = [
     "MeasureSettings",
     "Metric",
     "MetricKind",
+    "Metrics",
     "Missing",
     "Signal",
     "SignalKind",

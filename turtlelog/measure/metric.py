@@ -1,7 +1,10 @@
 """What a metric is: a number with a unit, or the reason why there is none."""
 
 import enum
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+from turtlelog.display import format_html
 
 
 class Status(enum.StrEnum):
@@ -57,6 +60,30 @@ class Metric:
             "reason": self.reason or None,
             "at_s": self.at_s,
         }
+
+    def __repr__(self) -> str:
+        if self.value is None:
+            return f"<Metric {self.id}: {self.status.value}>"
+        return f"<Metric {self.id}: {self.value:.5g} {self.unit}>"
+
+
+class Metrics(dict[str, Metric]):
+    """Metrics by id; a table in a notebook."""
+
+    def __repr__(self) -> str:
+        known = sum(metric.value is not None for metric in self.values())
+        return f"<Metrics: {len(self)}, of which {known} have a value>"
+
+    def _repr_html_(self) -> str:
+        return format_metrics_html(self.values(), title=repr(self))
+
+
+def format_metrics_html(metrics: Iterable[Metric], *, title: str) -> str:
+    """Return metrics as a table for notebooks; those without a value say why."""
+    rows = [
+        (one.id, one.value, one.unit, one.reason if one.value is None else "") for one in metrics
+    ]
+    return format_html(rows, heads=("metric", "value", "unit", "no value because"), title=title)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

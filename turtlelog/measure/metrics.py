@@ -6,28 +6,29 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 
 import turtlelog.measure.table  # noqa: F401  (enters every metric in the registry)
+from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError
 from turtlelog.loops import RESERVED, ControlLoop, Declaration, is_loop_name
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.measure_settings import MeasureSettings
-from turtlelog.measure.metric import Metric, Missing, Result, Status
+from turtlelog.measure.metric import Metric, Metrics, Missing, Result, Status
 from turtlelog.measure.registry import LOOP_METRICS, RUN_METRICS, MetricKind
 from turtlelog.run import Run
 
 ANY_LOOP: Final = "<loop>"
 """Stands for the name of a loop in the ids of `METRICS`."""
 
-METRICS: Final[Mapping[str, MetricKind]] = MappingProxyType(
+METRICS: Final[Mapping[str, MetricKind]] = NamedValues(
+    "metric",
     {
         **{f"{ANY_LOOP}.{name}": kind.describe() for name, kind in LOOP_METRICS.items()},
         **RUN_METRICS,
-    }
+    },
 )
 """Every metric there is, those of a loop as `<loop>.overshoot`; `list_metrics` has a law's ids."""
 
@@ -56,7 +57,7 @@ def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricK
         for name, kind in LOOP_METRICS.items():
             if kind.applies(loop):
                 of_loops.setdefault(f"{loop.name}.{name}", kind.bind(loop))
-    return MappingProxyType({**of_loops, **RUN_METRICS})
+    return NamedValues("metric", {**of_loops, **RUN_METRICS})
 
 
 def list_essential_metrics(*declarations: Declaration) -> tuple[str, ...]:
@@ -154,7 +155,7 @@ def measure_run(
     settings: MeasureSettings | None = None,
     *,
     only: Collection[str] | None = None,
-) -> Mapping[str, Metric]:
+) -> Metrics:
     """Return the metrics of a run by id, in the order of `list_metrics(run.declaration)`.
 
     Args:
@@ -172,12 +173,13 @@ def measure_run(
     context = RunContext(run, settings)
     # Values at the border of what a float holds become statuses, not warnings.
     with np.errstate(all="ignore"):
-        return {
-            name: (
-                _measure(context, name, kinds[name]) if name in kinds else _miss_metric(run, name)
+        return Metrics(
+            (
+                name,
+                _measure(context, name, kinds[name]) if name in kinds else _miss_metric(run, name),
             )
             for name in names
-        }
+        )
 
 
 def _miss_metric(run: Run, name: str) -> Metric:

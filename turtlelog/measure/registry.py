@@ -65,6 +65,9 @@ class MetricKind:
             value, reference = max(value, self.floor), max(reference, self.floor)
         return value - reference if self.better == "lower" else reference - value
 
+    def __repr__(self) -> str:
+        return f"<MetricKind [{self.unit}]: {self.meaning}>"
+
 
 class Traits(TypedDict, total=False):
     """What a decorator says of a metric, as in `MetricKind`."""

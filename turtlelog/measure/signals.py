@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
+from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, suggest_names
 from turtlelog.loops import STATE_PATTERN, ControlLoop, Declaration
 from turtlelog.run import GoalLine, Run
@@ -164,6 +165,9 @@ class SignalKind:
     meaning: str
     read: Callable[[Run], Values | None]
 
+    def __repr__(self) -> str:
+        return f"<SignalKind [{self.unit}]: {self.meaning}>"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signal:
@@ -180,6 +184,9 @@ class Signal:
     kind: SignalKind
     time_ns: NDArray[np.int64]
     values: Values
+
+    def __repr__(self) -> str:
+        return f"<Signal {self.name}: {len(self.values)} values in {self.kind.unit}>"
 
 
 def could_be_signal(name: str) -> bool:
@@ -274,7 +281,8 @@ def _sample(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> Si
     return SignalKind(unit=unit, source="sample", resampling="hold", meaning=meaning, read=read)
 
 
-SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
+SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
+    "signal",
     {
         "x": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 0]),
         "y": _pose("m", "Position in the world frame.", lambda run: run.poses.xy_m[:, 1]),
@@ -330,6 +338,6 @@ SIGNALS: Final[Mapping[str, SignalKind]] = MappingProxyType(
             meaning="Index of the sample's phase among those that its law declares.",
             read=lambda run: run.samples.phase.astype(np.float64),
         ),
-    }
+    },
 )
 """Every signal by name."""

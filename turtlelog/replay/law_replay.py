@@ -15,6 +15,7 @@ from turtlelog.differences import (
     require_tolerance,
 )
 from turtlelog.errors import ReplayError
+from turtlelog.escapes import escape_controls
 from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
@@ -78,6 +79,11 @@ class LawReplay:
     def others(self) -> tuple[Difference, ...]:
         """The differences that are of no signal: of `commands` and `stop`."""
         return tuple(found for found in (self.commands, self.stop) if found is not None)
+
+    def __repr__(self) -> str:
+        first = self.first_difference
+        found = "no difference" if first is None else f"first differs in {first.signal}"
+        return escape_controls(f"<LawReplay of {self.name}: {self.samples} compared, {found}>")
 
 
 def replay_law(

@@ -13,6 +13,7 @@ from turtlelog.differences import (
     require_tolerance,
 )
 from turtlelog.errors import ReplayError
+from turtlelog.escapes import escape_controls
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.run_pairs import (
@@ -70,6 +71,11 @@ class LoopReplay:
     declaration: Difference | None
     first_difference: Difference | None
     absent: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        first = self.first_difference
+        found = "no difference" if first is None else f"first differs in {first.signal}"
+        return escape_controls(f"<LoopReplay of {self.name}: {self.samples} compared, {found}>")
 
 
 def replay_loop(

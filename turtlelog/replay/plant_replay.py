@@ -15,6 +15,7 @@ from turtlelog.differences import (
     compare_pairing,
     find_earliest,
 )
+from turtlelog.escapes import escape_controls
 from turtlelog.plants.turtlesim import TICK_S, Turtle
 from turtlelog.replay.plant_ticks import (
     CommandUse,
@@ -106,6 +107,11 @@ class PlantReplay:
     def others(self) -> tuple[Difference, ...]:
         """The differences that are of no signal: none."""
         return ()
+
+    def __repr__(self) -> str:
+        first = self.first_difference
+        found = "no difference" if first is None else f"first differs in {first.signal}"
+        return escape_controls(f"<PlantReplay of {self.name}: {self.samples} compared, {found}>")
 
 
 def replay_plant(run: Run) -> PlantReplay:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Final, Literal
 
 from msgspec import Meta
 
+from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
 
@@ -141,3 +142,7 @@ class Scenario:
     law: LawChoice = field(default_factory=LawChoice)
     limits: Limits = field(default_factory=Limits)
     loop: LoopSettings = field(default_factory=LoopSettings)
+
+    def __repr__(self) -> str:
+        goal = f"goal ({self.goal.x_m:g}, {self.goal.y_m:g}) m"
+        return escape_controls(f"<Scenario {self.name}: {self.law.kind}, {goal}>")

@@ -12,6 +12,7 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.decode import (
     LOG_TIME,
@@ -73,6 +74,10 @@ class TopicColumns:
             sequence=self.sequence[rows],
             fields=MappingProxyType(select_rows(self.fields, rows)),
         )
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.fields)
+        return escape_controls(f"<TopicColumns {self.topic}: {len(self)} of {self.type}: {names}>")
 
 
 def read_columns(

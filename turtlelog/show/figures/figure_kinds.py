@@ -10,6 +10,7 @@ from typing import Final
 from matplotlib.figure import Figure
 
 from turtlelog.compare import order_by_gain, tabulate_table1
+from turtlelog.display import NamedValues
 from turtlelog.run import Run
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
 from turtlelog.show.figures.curves import (
@@ -183,6 +184,9 @@ class FigureKind:
         else:
             self.arrange(figure, runs, [panel.draw for panel in self.choose_panels(runs)])
 
+    def __repr__(self) -> str:
+        return f"<FigureKind: {self.title}>"
+
 
 def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
     """Return what each run lacks of what a figure needs, empty where nothing."""
@@ -256,7 +260,8 @@ def _command(command: Command, label: str) -> Panel:
     return Panel(name=label, needs=command, draw=draw)
 
 
-FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
+FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
+    "figure",
     {
         "plant": FigureKind(
             title="Impulse, step and ramp response of the plant 1/s",
@@ -363,6 +368,6 @@ FIGURES: Final[Mapping[str, FigureKind]] = MappingProxyType(
             arrange=draw_columns,
             height=0.85,
         ),
-    }
+    },
 )
 """Every figure by name."""

@@ -1,0 +1,145 @@
+"""Public values show themselves: one line in a console, a table in a notebook."""
+
+import pickle
+from collections.abc import Callable
+from typing import Any, Final
+
+import pytest
+
+import turtlelog as tl
+from turtlelog.display import NamedValues, format_html
+from turtlelog.laws.loading import LAWS
+
+FILE: Final = "recordings/paper/kp10.mcap"
+RUN: Final = tl.read_recording(FILE)
+OTHER: Final = tl.read_recording("recordings/paper/kp4.mcap")
+LONGEST: Final = 200
+"""Characters: what fits on two lines of a terminal is read, and more is not."""
+
+SPEC: Final = 'format = 1\n[checks.end]\nexpect = "run.duration > 1"'
+
+VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
+    "run": (lambda: RUN, "<Run paper-kp10: 770 samples, 12.6 s, standstill>"),
+    "scenario": (
+        lambda: tl.load_scenario("paper-kp10"),
+        "<Scenario paper-kp10: sequential-p, goal (2, 10) m>",
+    ),
+    "metric": (
+        lambda: tl.measure_run(RUN)["final.position_error"],
+        "<Metric final.position_error: 0.10673 m>",
+    ),
+    "missing metric": (
+        lambda: tl.measure_run(RUN)["final.goal_heading_error"],
+        "<Metric final.goal_heading_error: absent>",
+    ),
+    "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 108, of which 106 have a value>"),
+    "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),
+    "SIGNALS": (lambda: tl.SIGNALS, "signals: x, y, heading, speed, ...>"),
+    "FIGURES": (lambda: tl.FIGURES, "figures: plant, "),
+    "LAWS": (lambda: LAWS, "<1 law: sequential-p"),
+    "kind of metric": (
+        lambda: tl.METRICS["run.duration"],
+        "<MetricKind [s]: From the first sample",
+    ),
+    "kind of signal": (lambda: tl.SIGNALS["x"], "<SignalKind [m]: Position in the world frame.>"),
+    "kind of figure": (lambda: tl.FIGURES["plant"], "<FigureKind: Impulse, step and ramp response"),
+    "signal": (lambda: tl.read_signal(RUN, "x"), "<Signal x: 793 values in m>"),
+    "comparison": (lambda: tl.compare_runs(RUN, OTHER), "<RunComparison of paper-kp4: "),
+    "summary": (lambda: tl.summarise_run(RUN), "<RunSummary paper-kp10: 108 metrics, standstill>"),
+    "table": (
+        lambda: tl.tabulate_runs([tl.summarise_run(RUN)]),
+        "<Table 1 run: 1 row of 7 columns>",
+    ),
+    "identification": (
+        lambda: tl.identify_run(RUN),
+        "<Identification of paper-kp10: 27 of 29 values",
+    ),
+    "attribution": (lambda: tl.attribute_run(RUN), "0.1067 m: queue 0.05108, pause 0.05057>"),
+    "plant": (
+        lambda: tl.replay_plant(RUN),
+        "<PlantReplay of paper-kp10: 793 compared, no difference>",
+    ),
+    "law": (lambda: tl.replay_law(RUN), "<LawReplay of paper-kp10: 770 compared, no difference>"),
+    "loop": (
+        lambda: tl.replay_loop(RUN, tl.load_scenario("paper-kp4")),
+        "<LoopReplay of paper-kp10: 681 compared, first differs in ",
+    ),
+    "info": (lambda: tl.read_info(FILE), "kp10.mcap: 6 topics, 12.7 s, complete>"),
+    "topic": (
+        lambda: tl.read_columns(FILE)["/turtle1/pose"],
+        "<TopicColumns /turtle1/pose: 793 of turtlesim/msg/Pose: x, y, ",
+    ),
+    "expression": (lambda: tl.parse_expression("x > 1 and y < 2"), "<Expression x > 1 and y < 2>"),
+    "formula": (
+        lambda: tl.check_run(RUN, "always(abs(cross_track) <= 0.05)"),
+        "<FormulaResult always(abs(cross_track) <= 0.05): violated, margin -",
+    ),
+    "check": (
+        lambda: next(
+            iter(
+                tl.check_runs(
+                    tl.parse_spec('format = 1\n[checks.end]\nexpect = "run.duration > 1"'),
+                    [("f", RUN)],
+                )
+            )
+        ),
+        "end of f: ",
+    ),
+    "spec": (
+        lambda: tl.parse_spec(SPEC),
+        "<Spec specification: 1 check, 0 tolerances>",
+    ),
+    "recording": (lambda: tl.Recording(FILE), "<recording recordings/paper/kp10.mcap>"),
+}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_public_value_is_one_line_that_says_what_it_is(name: str) -> None:
+    build, expected = VALUES[name]
+    value = build()
+    assert expected in repr(value)
+    assert "\n" not in repr(value)
+    assert " at 0x" not in repr(value)
+    assert len(repr(value)) <= LONGEST
+
+
+@pytest.mark.parametrize(
+    ("name", "texts"),
+    [
+        ("run", ["12.61 s", "770 rows"]),
+        ("metrics", ["<td", "final.position_error", "0.10673", "the goal asks for no heading"]),
+        ("summary", ["rotate.overshoot", "1.0076"]),
+        ("table", ["<th", "Kp [1/s]", "paper-kp10"]),
+        ("comparison", ["largest difference", "cross_track"]),
+        ("identification", ["loop.start_backlog", "reproduces all 770 samples"]),
+        ("attribution", ["queue", "0.051", "Queue adds 0.05108 m"]),
+    ],
+)
+def test_value_is_a_table_in_a_notebook(name: str, texts: list[str]) -> None:
+    html = VALUES[name][0]()._repr_html_()
+    assert html.startswith("<table")
+    assert [text for text in texts if text not in html] == []
+
+
+def test_check_of_a_recording_is_a_table_in_a_notebook() -> None:
+    outcome = tl.Recording(FILE).holds("run.duration < 1")
+    for text in ("<table", "FAIL", "12.6", "run.duration &lt; 1"):
+        assert text in outcome._repr_html_()
+
+
+def test_html_is_escaped_and_numbers_stand_on_the_right() -> None:
+    html = format_html([("<i>", 0.123456, None, True)], heads=("<b>", "", "", ""), title="a & b")
+    assert "<i>" not in html
+    assert "<b>" not in html
+    assert "a &amp; b" in html
+    assert '<td style="text-align:right">0.12346</td>' in html
+    assert '<td style="text-align:left"></td><td style="text-align:left">True</td>' in html
+
+
+def test_named_values_are_a_mapping_that_nobody_changes() -> None:
+    values: Any = NamedValues("metric", {"a": 1, "b": 2})
+    assert dict(values) == {"a": 1, "b": 2}
+    assert (list(values), len(values), "a" in values) == (["a", "b"], 2, True)
+    assert pickle.loads(pickle.dumps(values)) == values
+    with pytest.raises(TypeError):
+        values["a"] = 3
