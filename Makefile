@@ -14,13 +14,13 @@ demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
 
 test: .venv/installed-dev
-	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime and not torture"
-	$(BIN)/python -m pytest -m "realtime or torture"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime"
+	$(BIN)/python -m pytest -m realtime
 
 # What a machine without a graphics driver sees of the viewer: it answers before it dies.
 test-without-graphics: .venv/installed-dev
 	VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent \
-		$(BIN)/python -m pytest -n auto -rs tests/show/rerun
+		$(BIN)/python -m pytest -n auto -rs -m viewer tests/show/rerun
 
 check: .venv/installed-dev
 	$(BIN)/ruff format --check .

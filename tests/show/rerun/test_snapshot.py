@@ -29,6 +29,7 @@ def read_size(png: Path) -> tuple[int, int]:
     return width, height
 
 
+@pytest.mark.viewer
 @pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"])
 def test_viewer_shows_every_view_without_problems(
     scene: str, tmp_path: Path, request: pytest.FixtureRequest
@@ -45,12 +46,14 @@ def test_viewer_shows_every_view_without_problems(
     assert set(report.entities) >= {name for name in list_entities(rrd) if "__" not in name}
 
 
+@pytest.mark.viewer
 def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, tmp_path: Path) -> None:
     take_snapshot(run_rrd, tmp_path / "early.png")
     write_snapshot(run_rrd, tmp_path / "end.png", size=(1000, 700))
     assert (tmp_path / "early.png").read_bytes() != (tmp_path / "end.png").read_bytes()
 
 
+@pytest.mark.viewer
 def test_a_picture_may_be_told_from_the_start_of_translation(
     comparison_rrd: Path, tmp_path: Path
 ) -> None:
@@ -60,6 +63,7 @@ def test_a_picture_may_be_told_from_the_start_of_translation(
     assert png.read_bytes() != (tmp_path / "aligned.png").read_bytes()
 
 
+@pytest.mark.viewer
 def test_a_timeline_that_a_recording_lacks_is_named(run_rrd: Path, tmp_path: Path) -> None:
     take_snapshot(run_rrd, tmp_path / "x.png")
     with pytest.raises(ShowError, match="expected sim_time, found translate_time"):
@@ -72,6 +76,7 @@ def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:
         write_snapshot(tmp_path / "none.rrd", tmp_path / "x.png")
 
 
+@pytest.mark.viewer
 def test_a_damaged_recording_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "bad.rrd").write_bytes(b"no recording")
     with pytest.raises(ShowError, match=r"bad\.rrd: expected a recording, found") as caught:
@@ -79,6 +84,7 @@ def test_a_damaged_recording_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.viewer
 def test_a_viewer_that_cannot_start_names_the_packages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -109,12 +115,14 @@ def test_a_picture_that_takes_longer_than_rerun_waits_is_waited_for() -> None:
         snapshot._take_picture(cast("ViewerClient", SlowClient("transport error")))
 
 
+@pytest.mark.viewer
 def test_a_viewer_ends_with_its_block() -> None:
     with viewer.start_viewer(["--serve-grpc", "--port", "auto"]) as process:
         assert not process.has_ended
     assert process.has_ended
 
 
+@pytest.mark.viewer
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="other systems have a display")
 def test_no_display_is_one_line_that_names_the_alternatives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
