@@ -25,7 +25,7 @@ test-without-graphics: .venv/installed-dev
 check: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
+	$(BIN)/mypy --num-workers auto
 	$(BIN)/lint-imports
 
 # Every cut and every flipped bit of a small recording, a hundred killed recorders.
