@@ -1,4 +1,6 @@
 import struct
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import cast
 
@@ -12,6 +14,8 @@ from turtlelog.show.rerun import snapshot, viewer
 
 NO_GRAPHICS = "expected a graphics adapter"
 
+TakeOnce = Callable[[Path], tuple[ViewReport, Path]]
+
 
 def take_snapshot(rrd: Path, png: Path) -> ViewReport:
     try:
@@ -20,6 +24,18 @@ def take_snapshot(rrd: Path, png: Path) -> ViewReport:
         if NO_GRAPHICS in str(err):
             pytest.skip(str(err))
         raise
+
+
+@pytest.fixture(scope="module")
+def take_once(tmp_path_factory: pytest.TempPathFactory) -> TakeOnce:
+    """Return what `take_snapshot` tells of a recording, and the picture; a viewer costs seconds."""
+
+    @cache
+    def take(rrd: Path) -> tuple[ViewReport, Path]:
+        png = tmp_path_factory.mktemp("picture") / "x.png"
+        return take_snapshot(rrd, png), png
+
+    return take
 
 
 def read_size(png: Path) -> tuple[int, int]:
@@ -32,12 +48,12 @@ def read_size(png: Path) -> tuple[int, int]:
 @pytest.mark.viewer
 @pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"])
 def test_viewer_shows_every_view_without_problems(
-    scene: str, tmp_path: Path, request: pytest.FixtureRequest
+    scene: str, take_once: TakeOnce, request: pytest.FixtureRequest
 ) -> None:
     rrd: Path = request.getfixturevalue(scene)
-    report = take_snapshot(rrd, tmp_path / "x.png")
-    assert read_size(tmp_path / "x.png") == (1000, 700)
-    assert (tmp_path / "x.png").stat().st_size > 40_000
+    report, png = take_once(rrd)
+    assert read_size(png) == (1000, 700)
+    assert png.stat().st_size > 40_000
     kinds = {view.kind for view in report.views}
     assert kinds - {"BarChart"} == {"2D", "TimeSeries", "StateTimeline", "TextDocument", "TextLog"}
     assert ("BarChart" in kinds) == (scene == "explanation_rrd")
@@ -47,25 +63,29 @@ def test_viewer_shows_every_view_without_problems(
 
 
 @pytest.mark.viewer
-def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, tmp_path: Path) -> None:
-    take_snapshot(run_rrd, tmp_path / "early.png")
+def test_a_snapshot_without_a_time_is_of_the_end(
+    run_rrd: Path, take_once: TakeOnce, tmp_path: Path
+) -> None:
+    _, early = take_once(run_rrd)
     write_snapshot(run_rrd, tmp_path / "end.png", size=(1000, 700))
-    assert (tmp_path / "early.png").read_bytes() != (tmp_path / "end.png").read_bytes()
+    assert early.read_bytes() != (tmp_path / "end.png").read_bytes()
 
 
 @pytest.mark.viewer
 def test_a_picture_may_be_told_from_the_start_of_translation(
-    comparison_rrd: Path, tmp_path: Path
+    comparison_rrd: Path, take_once: TakeOnce, tmp_path: Path
 ) -> None:
-    take_snapshot(comparison_rrd, tmp_path / "aligned.png")
+    _, aligned = take_once(comparison_rrd)
     png = tmp_path / "translating.png"
     write_snapshot(comparison_rrd, png, at_s=6.0, timeline="translate_time", size=(1000, 700))
-    assert png.read_bytes() != (tmp_path / "aligned.png").read_bytes()
+    assert png.read_bytes() != aligned.read_bytes()
 
 
 @pytest.mark.viewer
-def test_a_timeline_that_a_recording_lacks_is_named(run_rrd: Path, tmp_path: Path) -> None:
-    take_snapshot(run_rrd, tmp_path / "x.png")
+def test_a_timeline_that_a_recording_lacks_is_named(
+    run_rrd: Path, take_once: TakeOnce, tmp_path: Path
+) -> None:
+    take_once(run_rrd)  # skips where nothing can be drawn
     with pytest.raises(ShowError, match="expected sim_time, found translate_time"):
         write_snapshot(run_rrd, tmp_path / "y.png", timeline="translate_time")
     assert not (tmp_path / "y.png").exists()
