@@ -5,14 +5,20 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 import turtlelog as tl
+from turtlelog.cli.app import main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+COMMANDS = ROOT / "docs" / "commands.md"
+"""Has an example of every command; there each runs in a process of its own."""
+
+Command = Callable[..., str]
 
 
 def find_blocks(language: str) -> list[object]:
@@ -37,7 +43,7 @@ def find_consoles() -> list[object]:
         for page, text in texts.items()
     }
     return [
-        pytest.param("".join(found), files[page], id=page.stem)
+        pytest.param("".join(found), files[page], page, id=page.stem)
         for page, found in blocks.items()
         if found
     ]
@@ -64,15 +70,40 @@ def test_python_blocks_run_as_they_stand(code: str, tmp_path: Path) -> None:
     assert [line.partition(":")[0] for line in promised] == printed.splitlines()
 
 
-@pytest.mark.parametrize(("block", "files"), find_consoles())
+@pytest.fixture
+def run_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Command]:
+    """Run a command in this process, in a folder of its own: most of a short one is its start."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def run(*words: str) -> str:
+        with pytest.raises(SystemExit) as stop:
+            main(words)
+        out, err = capsys.readouterr()
+        assert "Traceback" not in err
+        return out if stop.value.code == 0 else out + err
+
+    yield run
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None)).startswith(str(tmp_path)):
+            del sys.modules[name]
+
+
+@pytest.mark.parametrize(("block", "files", "page"), find_consoles())
 def test_console_blocks_print_what_they_show(
-    block: str, files: dict[str, str], tmp_path: Path
+    block: str, files: dict[str, str], page: Path, tmp_path: Path, run_here: Command
 ) -> None:
+    def run_apart(*words: str) -> str:
+        return run_python("-m", "turtlelog", *words, folder=tmp_path)
+
+    run_command = run_apart if page == COMMANDS else run_here
     for name, text in files.items():
         (tmp_path / name).write_text(f"# {name}\n{text}", encoding="utf-8")
     for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
         assert shown.strip() != "...", f"{command}: expected some of its output, found none"
-        printed = run_python("-m", "turtlelog", *shlex.split(command), folder=tmp_path)
+        printed = run_command(*shlex.split(command))
         pattern = "".join(
             r"(?:.*\n)*?" if line == "..." else re.escape(line) + "\n"
             for line in shown.splitlines()

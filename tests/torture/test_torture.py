@@ -62,6 +62,7 @@ def test_damage_is_one_line_or_harmless(tmp_path: Path, capsys: pytest.CaptureFi
     assert failures == [], table
 
 
+@pytest.mark.realtime
 def test_killed_recorders_keep_all_but_the_last_second(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -80,6 +81,7 @@ def test_killed_recorders_keep_all_but_the_last_second(
     assert faults == []
 
 
+@pytest.mark.realtime
 def test_a_killed_command_leaves_a_recording(tmp_path: Path) -> None:
     killed = kill_command(tmp_path, after_s=3.0)
     report = recover_recording(killed.path, tmp_path / "recovered.mcap")

@@ -11,8 +11,22 @@ from turtlelog.show import (
     write_run_rrd,
     write_violation_rrd,
 )
+from turtlelog.show.rerun import viewer
 
 DOCUMENTS = {"Table 1": "| Kp |\n| --- |\n| 10 |\n", "Läufer / notes": "# Notes"}
+
+
+@pytest.fixture(autouse=True)
+def no_viewer_without_its_mark(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the mark leaves out of `make test-without-graphics` must not depend on the drivers."""
+
+    def refuse() -> Path:
+        pytest.fail("expected the mark `viewer` on a test that starts one")
+
+    if request.node.get_closest_marker("viewer") is None:
+        monkeypatch.setattr(viewer, "find_viewer", refuse)
 
 
 @pytest.fixture(scope="session")

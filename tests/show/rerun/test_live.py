@@ -17,8 +17,6 @@ from turtlelog.show.rerun import live_scene
 from turtlelog.show.rerun.live_scene import GrowingStream
 from turtlelog.simulate import RunCollector, Tick, iterate_ticks
 
-pytestmark = pytest.mark.realtime
-
 SHORT = tl.override_scenario(tl.load_scenario("paper-kp4"), {"max_duration_s": 1.0})
 
 
@@ -83,6 +81,8 @@ ROWS = {
 }
 
 
+@pytest.mark.viewer
+@pytest.mark.realtime
 def test_a_live_run_has_the_entities_of_its_file(tmp_path: Path) -> None:
     with start_headless() as viewer:
         sink = tl.LiveViewer(SHORT, viewer.url)
@@ -96,6 +96,8 @@ def test_a_live_run_has_the_entities_of_its_file(tmp_path: Path) -> None:
     assert not reports
 
 
+@pytest.mark.viewer
+@pytest.mark.realtime
 def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> None:
     with start_headless() as viewer:
         sink = tl.LiveViewer(SHORT, viewer.url)
@@ -111,6 +113,8 @@ def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> N
     assert read_arrays(tmp_path / "live.mcap") == read_arrays(tmp_path / "alone.mcap")
 
 
+@pytest.mark.viewer
+@pytest.mark.realtime
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot stop a process for a while")
 def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_scene, "_FLUSH_S", 0.5)
@@ -144,6 +148,8 @@ def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -
     assert max(lags_s) < 1.0
 
 
+@pytest.mark.viewer
+@pytest.mark.realtime
 def test_a_recording_in_progress_is_followed_to_its_end(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     recorder = start_recording(path, PROGRAM)

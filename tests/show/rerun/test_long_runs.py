@@ -68,6 +68,7 @@ def turn_of_ten_minutes() -> tl.Run:
     return tl.simulate_run(tl.override_scenario(tl.load_scenario("paper"), changes))
 
 
+@pytest.mark.viewer
 def test_a_run_of_ten_minutes_is_drawn_from_its_beginning_to_its_end(
     turn_of_ten_minutes: tl.Run, tmp_path: Path
 ) -> None:
@@ -79,6 +80,7 @@ def test_a_run_of_ten_minutes_is_drawn_from_its_beginning_to_its_end(
     assert len(short)
 
 
+@pytest.mark.viewer
 def test_ticks_of_a_run_of_ten_minutes_are_drawn_from_first_to_last(
     turn_of_ten_minutes: tl.Run, tmp_path: Path
 ) -> None:

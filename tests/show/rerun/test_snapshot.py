@@ -1,4 +1,6 @@
 import struct
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import cast
 
@@ -12,6 +14,8 @@ from turtlelog.show.rerun import snapshot, viewer
 
 NO_GRAPHICS = "expected a graphics adapter"
 
+TakeOnce = Callable[[Path], tuple[ViewReport, Path]]
+
 
 def take_snapshot(rrd: Path, png: Path) -> ViewReport:
     try:
@@ -22,6 +26,18 @@ def take_snapshot(rrd: Path, png: Path) -> ViewReport:
         raise
 
 
+@pytest.fixture(scope="module")
+def take_once(tmp_path_factory: pytest.TempPathFactory) -> TakeOnce:
+    """Return what `take_snapshot` tells of a recording, and the picture; a viewer costs seconds."""
+
+    @cache
+    def take(rrd: Path) -> tuple[ViewReport, Path]:
+        png = tmp_path_factory.mktemp("picture") / "x.png"
+        return take_snapshot(rrd, png), png
+
+    return take
+
+
 def read_size(png: Path) -> tuple[int, int]:
     head = png.read_bytes()[:24]
     assert head[:8] == b"\x89PNG\r\n\x1a\n"
@@ -29,14 +45,15 @@ def read_size(png: Path) -> tuple[int, int]:
     return width, height
 
 
+@pytest.mark.viewer
 @pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"])
 def test_viewer_shows_every_view_without_problems(
-    scene: str, tmp_path: Path, request: pytest.FixtureRequest
+    scene: str, take_once: TakeOnce, request: pytest.FixtureRequest
 ) -> None:
     rrd: Path = request.getfixturevalue(scene)
-    report = take_snapshot(rrd, tmp_path / "x.png")
-    assert read_size(tmp_path / "x.png") == (1000, 700)
-    assert (tmp_path / "x.png").stat().st_size > 40_000
+    report, png = take_once(rrd)
+    assert read_size(png) == (1000, 700)
+    assert png.stat().st_size > 40_000
     kinds = {view.kind for view in report.views}
     assert kinds - {"BarChart"} == {"2D", "TimeSeries", "StateTimeline", "TextDocument", "TextLog"}
     assert ("BarChart" in kinds) == (scene == "explanation_rrd")
@@ -45,23 +62,30 @@ def test_viewer_shows_every_view_without_problems(
     assert set(report.entities) >= {name for name in list_entities(rrd) if "__" not in name}
 
 
-def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, tmp_path: Path) -> None:
-    take_snapshot(run_rrd, tmp_path / "early.png")
-    write_snapshot(run_rrd, tmp_path / "end.png", size=(1000, 700))
-    assert (tmp_path / "early.png").read_bytes() != (tmp_path / "end.png").read_bytes()
-
-
-def test_a_picture_may_be_told_from_the_start_of_translation(
-    comparison_rrd: Path, tmp_path: Path
+@pytest.mark.viewer
+def test_a_snapshot_without_a_time_is_of_the_end(
+    run_rrd: Path, take_once: TakeOnce, tmp_path: Path
 ) -> None:
-    take_snapshot(comparison_rrd, tmp_path / "aligned.png")
+    _, early = take_once(run_rrd)
+    write_snapshot(run_rrd, tmp_path / "end.png", size=(1000, 700))
+    assert early.read_bytes() != (tmp_path / "end.png").read_bytes()
+
+
+@pytest.mark.viewer
+def test_a_picture_may_be_told_from_the_start_of_translation(
+    comparison_rrd: Path, take_once: TakeOnce, tmp_path: Path
+) -> None:
+    _, aligned = take_once(comparison_rrd)
     png = tmp_path / "translating.png"
     write_snapshot(comparison_rrd, png, at_s=6.0, timeline="translate_time", size=(1000, 700))
-    assert png.read_bytes() != (tmp_path / "aligned.png").read_bytes()
+    assert png.read_bytes() != aligned.read_bytes()
 
 
-def test_a_timeline_that_a_recording_lacks_is_named(run_rrd: Path, tmp_path: Path) -> None:
-    take_snapshot(run_rrd, tmp_path / "x.png")
+@pytest.mark.viewer
+def test_a_timeline_that_a_recording_lacks_is_named(
+    run_rrd: Path, take_once: TakeOnce, tmp_path: Path
+) -> None:
+    take_once(run_rrd)  # skips where nothing can be drawn
     with pytest.raises(ShowError, match="expected sim_time, found translate_time"):
         write_snapshot(run_rrd, tmp_path / "y.png", timeline="translate_time")
     assert not (tmp_path / "y.png").exists()
@@ -72,6 +96,7 @@ def test_a_missing_recording_is_one_line(tmp_path: Path) -> None:
         write_snapshot(tmp_path / "none.rrd", tmp_path / "x.png")
 
 
+@pytest.mark.viewer
 def test_a_damaged_recording_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "bad.rrd").write_bytes(b"no recording")
     with pytest.raises(ShowError, match=r"bad\.rrd: expected a recording, found") as caught:
@@ -79,6 +104,7 @@ def test_a_damaged_recording_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.viewer
 def test_a_viewer_that_cannot_start_names_the_packages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -109,12 +135,14 @@ def test_a_picture_that_takes_longer_than_rerun_waits_is_waited_for() -> None:
         snapshot._take_picture(cast("ViewerClient", SlowClient("transport error")))
 
 
+@pytest.mark.viewer
 def test_a_viewer_ends_with_its_block() -> None:
     with viewer.start_viewer(["--serve-grpc", "--port", "auto"]) as process:
         assert not process.has_ended
     assert process.has_ended
 
 
+@pytest.mark.viewer
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="other systems have a display")
 def test_no_display_is_one_line_that_names_the_alternatives(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

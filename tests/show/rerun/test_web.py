@@ -18,6 +18,7 @@ def fetch(address: str, host: str | None = None) -> bytes:
     return data
 
 
+@pytest.mark.viewer
 def test_a_browser_gets_the_page_the_program_and_every_recording(tmp_path: Path) -> None:
     paths = [tmp_path / "a b.rrd", tmp_path / "c.rrd"]
     for path in paths:
