@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from turtlelog.measure.curves import (
+from turtlelog.measure.step_response import (
     compute_rms,
     fold_at_zero,
     integrate,

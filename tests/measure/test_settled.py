@@ -7,7 +7,7 @@ import pytest
 
 import turtlelog as tl
 from tests.measure.runs import GOAL_M, PERIOD_NS, Values, make_straight_run
-from turtlelog.measure.curves import find_swing_period
+from turtlelog.measure.step_response import find_swing_period
 from turtlelog.run import Run
 
 TIME_S = np.arange(2000) * PERIOD_NS / 1e9

@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
 from turtlelog.measure import find_overshoot, find_settling_time
-from turtlelog.measure.curves import (
+from turtlelog.measure.step_response import (
     find_crossing_rows,
     find_decay_ratio,
     find_level_time,

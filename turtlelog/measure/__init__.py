@@ -1,6 +1,5 @@
 """Run -> metrics."""
 
-from turtlelog.measure.curves import find_overshoot, find_settling_time
 from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Metric, Metrics, Missing, Status
@@ -30,6 +29,7 @@ from turtlelog.measure.signals import (
     read_reference,
     read_signal,
 )
+from turtlelog.measure.step_response import find_overshoot, find_settling_time
 from turtlelog.measure.table.end import PAPER_WINDOW_S
 
 __all__ = [

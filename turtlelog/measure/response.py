@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
 from turtlelog.loops import PAUSE, ControlLoop
-from turtlelog.measure.curves import fold_at_zero
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.signals import Signal, read_controlled_distance, read_reference
+from turtlelog.measure.step_response import fold_at_zero
 from turtlelog.run import PhaseSpan, Run
 
 Values = NDArray[np.float64]
@@ -89,7 +89,7 @@ class Response:
 
     @property
     def step_ends(self) -> dict[str, float]:
-        """What the step leads from and to, by the names that `curves` gives them."""
+        """What the step leads from and to, by the names that `step_response` gives them."""
         return {"initial": self.initial, "reference": self.reference}
 
     @cached_property

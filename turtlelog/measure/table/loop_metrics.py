@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from typing import Any, Final
 
-from turtlelog.measure import curves
+from turtlelog.measure import step_response
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.curves import find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import has_sides, has_step, loop_metric
 from turtlelog.measure.response import Response, Values
+from turtlelog.measure.step_response import find_largest
 
 SMALLEST_STEP: Final = 1e-6
 """What counts as a step [rad or m]: poses are published with 32 bits, so less is their rounding."""
@@ -47,7 +47,7 @@ def _compute_duration(_: RunContext, response: Response) -> Result:
     needs_whole=False,
 )
 def _compute_delay_time(response: Response) -> Result:
-    half_s = curves.find_level_time(
+    half_s = step_response.find_level_time(
         response.time_s, response.values, level=0.5, **response.step_ends
     )
     return _miss("50 %") if half_s is None else Found(half_s, response.start_s + half_s)
@@ -65,7 +65,7 @@ def _compute_rise_time(response: Response) -> Result:
     if (float(response.values[0]) - response.initial) / step_size > 0.1:
         reason = "the response begins beyond 10 % of the step"
         return Missing(status=Status.NOT_REACHED, reason=reason)
-    rise = curves.find_rise(response.time_s, response.values, **response.step_ends)
+    rise = step_response.find_rise(response.time_s, response.values, **response.step_ends)
     if rise is None:
         return _miss("90 %")
     return Found(rise[1] - rise[0], response.start_s + rise[1])
@@ -99,7 +99,7 @@ def _compute_peak_time(response: Response) -> Result:
     applies=has_sides,
 )
 def _compute_overshoot(response: Response) -> Result:
-    share = curves.find_overshoot(response.values, **response.step_ends)
+    share = step_response.find_overshoot(response.values, **response.step_ends)
     return Found(100.0 * share, _tell_time(response, _find_peak_row(response)))
 
 
@@ -111,7 +111,7 @@ def _compute_overshoot(response: Response) -> Result:
     grows=True,
 )
 def _compute_undershoot(response: Response) -> Result:
-    share, row = curves.find_undershoot(response.values, **response.step_ends)
+    share, row = step_response.find_undershoot(response.values, **response.step_ends)
     return Found(100.0 * share, _tell_time(response, row))
 
 
@@ -124,7 +124,7 @@ def _compute_undershoot(response: Response) -> Result:
 )
 def _compute_settling_time(response: Response) -> Result:
     time_s, values, band = response.time_s, response.values, response.band
-    settled_s = curves.find_settling_time(time_s, values, band=band, **response.step_ends)
+    settled_s = step_response.find_settling_time(time_s, values, band=band, **response.step_ends)
     if settled_s is None:
         reason = f"the phase ends outside the {100.0 * band:g} % band"
         return Missing(status=Status.NOT_REACHED, reason=reason)
@@ -147,10 +147,12 @@ def require_hold(
     """Return why a response that entered the band may leave it again, None where it has settled.
 
     Somebody else ended it: it has settled where it stayed in the band for at least
-    `curves.SHORTEST_HOLD_S`, and for a period of the oscillation that remains.
+    `step_response.SHORTEST_HOLD_S`, and for a period of the oscillation that remains.
     """
-    period_s = curves.find_swing_period(time_s, values, reference=reference, half_width=half_width)
-    held_s, needed_s = float(time_s[-1]) - settled_s, max(curves.SHORTEST_HOLD_S, period_s)
+    period_s = step_response.find_swing_period(
+        time_s, values, reference=reference, half_width=half_width
+    )
+    held_s, needed_s = float(time_s[-1]) - settled_s, max(step_response.SHORTEST_HOLD_S, period_s)
     if held_s >= needed_s:
         return None
     reason = (
@@ -164,7 +166,7 @@ def require_hold(
     "crossings", "1", "How often the {signal} passes the {goal}.", grows=True, applies=has_sides
 )
 def _compute_crossings(_: RunContext, response: Response) -> Result:
-    rows = curves.find_crossing_rows(response.values, response.reference)
+    rows = step_response.find_crossing_rows(response.values, response.reference)
     return Found(float(len(rows)), _tell_time(response, int(rows[0])) if len(rows) else None)
 
 
@@ -176,7 +178,7 @@ def _compute_crossings(_: RunContext, response: Response) -> Result:
     applies=has_sides,
 )
 def _compute_decay_ratio(response: Response) -> Result:
-    found = curves.find_decay_ratio(response.values, **response.step_ends)
+    found = step_response.find_decay_ratio(response.values, **response.step_ends)
     if found is None:
         reason = "the response does not overshoot twice"
         return Missing(status=Status.NOT_REACHED, reason=reason)
@@ -184,7 +186,7 @@ def _compute_decay_ratio(response: Response) -> Result:
 
 
 def _find_peak_row(response: Response) -> int:
-    return curves.find_peak_row(response.values, **response.step_ends)
+    return step_response.find_peak_row(response.values, **response.step_ends)
 
 
 def _tell_time(response: Response, row: int = -1) -> float:
@@ -221,17 +223,17 @@ def _compute_largest_error(_: RunContext, response: Response) -> Result:
 
 @loop_metric("rms_error", "{value}", "Root of the mean square over time of that error.")
 def _compute_rms_error(_: RunContext, response: Response) -> Result:
-    return Found(curves.compute_rms(response.step_s, response.error))
+    return Found(step_response.compute_rms(response.step_s, response.error))
 
 
 @loop_metric("iae", "{signal} s", "Integral of the magnitude of the error.", grows=True)
 def _compute_iae(_: RunContext, response: Response) -> Result:
-    return Found(curves.integrate(*response.folded_error[1:]))
+    return Found(step_response.integrate(*response.folded_error[1:]))
 
 
 @loop_metric("ise", "{signal}^2 s", "Integral of the square of the error.", grows=True)
 def _compute_ise(_: RunContext, response: Response) -> Result:
-    return Found(curves.integrate_square(response.step_s, response.error))
+    return Found(step_response.integrate_square(response.step_s, response.error))
 
 
 @loop_metric(
@@ -241,4 +243,4 @@ def _compute_ise(_: RunContext, response: Response) -> Result:
     grows=True,
 )
 def _compute_itae(_: RunContext, response: Response) -> Result:
-    return Found(curves.integrate_time_weighted(*response.folded_error))
+    return Found(step_response.integrate_time_weighted(*response.folded_error))

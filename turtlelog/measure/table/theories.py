@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.curves import compute_rms, find_largest
 from turtlelog.measure.measure_settings import MOST_TICKS
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response
+from turtlelog.measure.step_response import compute_rms, find_largest
 from turtlelog.theory import compute_step_response
 from turtlelog.theory.sampled_loop import LARGEST_DEVIATION, interpolate_sampled_response
 

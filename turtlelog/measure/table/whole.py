@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.loops import ControlLoop
-from turtlelog.measure import curves, path
+from turtlelog.measure import path, step_response
 from turtlelog.measure.context import RunContext
-from turtlelog.measure.curves import find_largest
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric, run_metric
 from turtlelog.measure.response import CommandStretch, Response, came_to_rest
+from turtlelog.measure.step_response import find_largest
 from turtlelog.measure.table.commands import (
     measure_effort,
     measure_largest_jump,
@@ -59,7 +59,7 @@ def _on_distance(
 @_on_distance
 def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Values) -> Result:
     first_m, band = float(distance_m[0]), context.settings.band
-    arrived_s = curves.find_settling_time(
+    arrived_s = step_response.find_settling_time(
         time_s, distance_m, initial=first_m, reference=0.0, band=band
     )
     if arrived_s is None:
@@ -105,7 +105,7 @@ def compute_rms_cross_track(context: RunContext, rows: slice) -> Result:
     cross_track_m = context.cross_track_m
     if cross_track_m is None:
         return NO_LINE
-    return Found(curves.compute_rms(np.diff(context.pose_time_s[rows]), cross_track_m[rows]))
+    return Found(step_response.compute_rms(np.diff(context.pose_time_s[rows]), cross_track_m[rows]))
 
 
 def _from_first_sample(
@@ -136,19 +136,19 @@ run_metric("run.cross_track_rms", "m", "Root of the mean square of that distance
 @run_metric("run.iae", "m s", "Integral of the distance to the goal.", grows=True)
 @_on_distance
 def _compute_iae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(curves.integrate(np.diff(time_s), distance_m))
+    return Found(step_response.integrate(np.diff(time_s), distance_m))
 
 
 @run_metric("run.ise", "m^2 s", "Integral of the square of the distance to the goal.", grows=True)
 @_on_distance
 def _compute_ise(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(curves.integrate_square(np.diff(time_s), distance_m))
+    return Found(step_response.integrate_square(np.diff(time_s), distance_m))
 
 
 @run_metric("run.itae", "m s^2", "Integral of time times the distance to the goal.", grows=True)
 @_on_distance
 def _compute_itae(_: RunContext, time_s: Values, distance_m: Values) -> Result:
-    return Found(curves.integrate_time_weighted(time_s, np.diff(time_s), distance_m))
+    return Found(step_response.integrate_time_weighted(time_s, np.diff(time_s), distance_m))
 
 
 def _on_commands(
