@@ -41,7 +41,7 @@ from turtlelog.show.rerun.timelines import (
     build_compared_timelines,
     read_span,
 )
-from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
+from turtlelog.show.rerun.world import draw_close_up, draw_world
 from turtlelog.show.table_formats import format_markdown
 
 _RECORDED: Final = "recorded"
@@ -193,7 +193,7 @@ def _draw_overlay(
 ) -> list[RunStream]:
     """Draw all runs and what they share; return a stream for each run."""
     send_comparison_properties(stream, overlay.runs, overlay.names, overlay.prefixes, metrics)
-    draw_surroundings(stream, overlay.runs)
+    draw_world(stream, overlay.runs)
     span = read_span(overlay.runs, overlay.timelines)
     draw_references(stream, overlay.references, span)
     if content.legend_names:

@@ -32,7 +32,7 @@ from turtlelog.show.rerun.rrd_file import (
 )
 from turtlelog.show.rerun.run_scene import build_single, draw_single
 from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
-from turtlelog.show.rerun.world import draw_surroundings
+from turtlelog.show.rerun.world import draw_world
 
 _FLUSH_S: Final = 5.0
 _HEADROOM: Final = 1.25
@@ -169,7 +169,7 @@ class LiveScene:
             content = describe_content([run], [""], [series], references, ())
             self._shown, self._half_size_m = shown, content.plane.half_size_m
             self._arrange(run, _open_up(content, references))
-            draw_surroundings(stream, [run])
+            draw_world(stream, [run])
         if stream.is_due:
             plane.draw_trace_by_phase(run_stream, run)
             plane.draw_reference_path(run_stream, run)

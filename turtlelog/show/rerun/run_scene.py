@@ -38,7 +38,7 @@ from turtlelog.show.rerun.plots import (
 )
 from turtlelog.show.rerun.rrd_file import draw_documents, open_recording, send_run_properties
 from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
-from turtlelog.show.rerun.world import draw_close_up, draw_surroundings
+from turtlelog.show.rerun.world import draw_close_up, draw_world
 
 _VIOLATION_RADIUS = 6.0
 _VIOLATION_COLOR: Color = (214, 39, 40)
@@ -151,7 +151,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     """Draw the run with all that surrounds it, but for its documents."""
     run, timelines = single.run, build_run_timelines(single.run)
     send_run_properties(stream, run, single.metrics)
-    draw_surroundings(stream, [run])
+    draw_world(stream, [run])
     run_stream = RunStream(stream, "", timelines)
     plane.draw_trace_by_phase(run_stream, run)
     plane.draw_reference_path(run_stream, run)

@@ -72,7 +72,7 @@ def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
     return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
 
 
-def draw_surroundings(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
+def draw_world(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
     """Draw the border, and each start and goal once."""
     stream.log(join_path(entities.PLANE), UPWARD, static=True)
     if is_in_world(runs):
