@@ -173,7 +173,8 @@ def test_another_kind_of_controller_is_told_from_the_sequential_one() -> None:
     scenario = build_scenario(nest_parameters(values), trust_law=True)
     found = identify_run(simulate_run(scenario))
     name = "examples/turn_and_drive.py:TurnAndDrive"
-    assert found.notes[0].startswith(f"its law is {name}: only of sequential-p")
+    told = "parameters are identified from commands only for sequential-p"
+    assert found.notes[0] == f"its law is {name}: {told}"
     assert (found.scenario, found.resimulation) == (None, None)
     claims = {key: value for key, value in found.findings.items() if key.startswith("law.")}
     assert len(claims) == 7
