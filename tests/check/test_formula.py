@@ -282,3 +282,15 @@ def test_a_metric_without_a_value_passes_nothing() -> None:
     formula = parse_expression("final.position_error_at_15s < 100")
     found = check_run(simulate_run(scenario), formula)
     assert (found.holds, found.reason) == (None, "no value: final.position_error_at_15s")
+
+
+def test_formula_may_be_text_and_what_it_is_checked_on_a_run() -> None:
+    run = simulate_run(get_preset("paper-kp4"))
+    text = "always(abs(cross_track) <= 0.05)"
+    found = check_formula(run, text)
+    assert found == check_run(run, parse_expression(text)) == check_run(run, text)
+    assert found.holds
+    cut = check_formula(run, text, window_ns=(run.start_ns, run.start_ns + 10**9))
+    assert cut == check_run(run, text, window_ns=(run.start_ns, run.start_ns + 10**9)) != found
+    with pytest.raises(ExpressionError, match="column 8"):
+        check_formula(run, "always(")

@@ -148,3 +148,20 @@ def test_a_spec_of_a_thousand_checks_is_read_and_checked(tmp_path: Path) -> None
     passed = [result.verdict == "PASS" for result in tl.check_runs(spec, [("a", run)])]
     duration_s = (run.end_ns - run.start_ns) / 1e9
     assert passed == [duration_s < limit_s for limit_s in range(1000)]
+
+
+def test_specification_may_be_text() -> None:
+    text = 'format = 1\n[checks.end]\nexpect = "run.duration < 20"\n'
+    assert tl.parse_spec(text) == tl.parse_spec(
+        {"checks": {"end": {"expect": "run.duration < 20"}}}
+    )
+    for wrong, message in [
+        ("format = ", "specification: expected TOML"),
+        ("format = 2\n[checks.end]\n", "specification: format: expected at most 1, found 2"),
+        (
+            "format = 1\n[check.end]\n",
+            "specification: check: expected checks, found an unknown key",
+        ),
+    ]:
+        with pytest.raises(tl.TurtlelogError, match=message):
+            tl.parse_spec(wrong)

@@ -95,18 +95,18 @@ class FormulaResult:
 
 
 def check_formula(
-    signals: Signals,
+    signals: Run | Signals,
     expression: Expression | str,
     *,
     window_ns: tuple[int, int] | None = None,
     ending: RunEnding = RunEnding.SETTLED,
     declaration: Declaration | None = None,
 ) -> FormulaResult:
-    """Check a formula at the beginning of a trace.
+    """Check a formula at the beginning of a trace; over a run as `check_run` does.
 
     Args:
-        signals: By name: (time_ns, values) of a signal, or a constant, None for no value. Times
-            do not decrease; of values at one time the last one holds.
+        signals: A run, or by name: (time_ns, values) of a signal, or a constant, None for no
+            value. Times do not decrease; of values at one time the last one holds.
         expression: A formula or its text, temporal or not.
         window_ns: First and last time [ns] of the trace; by default from the first moment at
             which every signal used has a value to the last time of any.
@@ -117,6 +117,8 @@ def check_formula(
         ExpressionError: Where a name is not there or the kinds do not go together.
         CheckError: Where a signal is no signal, or has no value at the first time.
     """
+    if isinstance(signals, Run):
+        return check_run(signals, expression, window_ns=window_ns)
     expression = _parse(expression)
     trace = FormulaTrace.open(signals, expression, window_ns=window_ns, ending=ending)
     holds, walk = _decide(expression, trace)

@@ -59,7 +59,7 @@ def write_columns(
     topics: Sequence[TopicColumns],
     path: str | Path,
     *,
-    definitions: Mapping[str, str] = SCHEMAS,
+    definitions: Mapping[str, str] | None = None,
     metadata: Mapping[str, Mapping[str, str]] = _NOTHING,
     attachments: Mapping[str, bytes] = _NO_FILES,
 ) -> None:
@@ -69,7 +69,8 @@ def write_columns(
         topics: As `read_columns` returns them; a field left out is 0 or empty. Messages of one
             time stand in the order of the topics.
         path: The file, replaced when all is written.
-        definitions: The `ros2msg` text of every message type that occurs.
+        definitions: The `ros2msg` text of every message type that occurs; None: they are of the
+            types of our own recordings.
         metadata: Metadata records by name.
         attachments: Attached files by name.
 
@@ -77,7 +78,7 @@ def write_columns(
         LogError: Where the place cannot be written, or a column does not fit its type.
     """
     try:
-        channels = list(_encode_topics(topics, definitions))
+        channels = list(_encode_topics(topics, SCHEMAS if definitions is None else definitions))
         with replace_when_complete(path) as temporary, temporary.open("wb") as stream:
             file = McapFile(stream)
             file.begin()
