@@ -151,7 +151,8 @@ def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     own = tables["law"]["parameters"]
     own = own["values"] if isinstance(parameters, LawTable) else _drop_absent(own, parameters)
     tables["law"] = {"kind": scenario.law.kind, **own}
-    tables["start"] = _drop_absent(tables["start"], scenario.start)
+    for name in ("start", "goal", "limits", "loop"):
+        tables[name] = _drop_absent(tables[name], getattr(scenario, name))
     return {key: _drop_none(value) for key, value in tables.items()}
 
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, Final, get_type_hints
 
 from turtlelog.errors import ScenarioError
-from turtlelog.laws import LAWS
+from turtlelog.laws import find_law
 from turtlelog.run import Run
 from turtlelog.scenario.convert import (
     build_scenario,
@@ -40,14 +40,23 @@ def override_gains(
 ) -> Scenario:
     """Return the scenario with one value for all gains.
 
-    A law that is not built in may have a gain that is an int: it takes a whole number.
+    A gain that is an int takes a whole number as one.
 
     Raises:
         ScenarioError: As `override_scenario`.
     """
     is_whole = float(kp).is_integer() and abs(kp) <= _LARGEST_WHOLE
-    gain = int(kp) if is_whole and scenario.law.kind not in LAWS else kp
-    return override_scenario(scenario, dict.fromkeys(keys, gain), source=source)
+    gains = {key: int(kp) if is_whole and _is_int(scenario, key) else kp for key in keys}
+    return override_scenario(scenario, gains, source=source)
+
+
+def _is_int(scenario: Scenario, key: str) -> bool:
+    """Return whether a law's parameter is an int: by its value, or else as the law has it."""
+    known = flatten_scenario(scenario)
+    if key in known or not _is_trusted(scenario):
+        return isinstance(known.get(key), int)
+    hints = get_type_hints(find_law(scenario.law.kind).Parameters)
+    return hints.get(key.removeprefix("law.")) is int
 
 
 def _override(
