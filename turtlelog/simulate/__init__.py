@@ -1,10 +1,9 @@
 """Scenario -> samples -> Run: the queues, the closed loop."""
 
 from turtlelog.simulate.closed_loop import CommandQueue, Tick, iterate_ticks
-from turtlelog.simulate.collect import RunCollector, collect_run, simulate_run
+from turtlelog.simulate.collect import RunCollector, SampleRows, collect_run, simulate_run
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import LawDriver, Sample, build_law, declare_scenario
-from turtlelog.simulate.sample_rows import SampleRows
 
 __all__ = [
     "CommandQueue",
