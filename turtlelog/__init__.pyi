@@ -19,7 +19,6 @@ from .check import (
     check_run as check_run,
     check_runs as check_runs,
     compute_robustness as compute_robustness,
-    format_number as format_number,
     join_verdicts as join_verdicts,
     load_spec as load_spec,
     load_tolerances as load_tolerances,
@@ -55,6 +54,7 @@ from .compare import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
 )
+from .display import format_number as format_number
 from .errors import (
     CheckError as CheckError,
     ExpressionError as ExpressionError,

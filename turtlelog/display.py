@@ -17,6 +17,13 @@ def describe_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def format_number(number: float | None, unit: str = "") -> str:
+    """Return a number with its unit in five significant digits; `-` for none."""
+    if number is None:
+        return "-"
+    return f"{number:.5g}" + (f" {unit}" if unit not in {"", "1"} else "")
+
+
 def format_html(
     rows: Iterable[Sequence[object]], *, heads: Sequence[str] = (), title: str = ""
 ) -> str:
@@ -40,7 +47,7 @@ def format_html(
 
 def _format_cell(cell: object) -> str:
     if isinstance(cell, int | float) and not isinstance(cell, bool):
-        text = f"{cell:.5g}" if isinstance(cell, float) else str(cell)
+        text = format_number(cell) if isinstance(cell, float) else str(cell)
         return f'<td style="text-align:right">{text}</td>'
     return f'<td style="text-align:left">{"" if cell is None else _escape(str(cell))}</td>'
 

@@ -11,7 +11,6 @@ from turtlelog.check.result import (
     PartialLogError,
     UndecidedError,
     Verdict,
-    format_number,
     join_verdicts,
 )
 from turtlelog.check.robustness import compute_robustness
@@ -39,7 +38,6 @@ __all__ = [
     "check_run",
     "check_runs",
     "compute_robustness",
-    "format_number",
     "join_verdicts",
     "judge_replay",
     "load_spec",

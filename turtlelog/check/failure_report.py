@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from turtlelog.check.result import CheckResult, format_number
+from turtlelog.check.result import CheckResult
+from turtlelog.display import format_number
 from turtlelog.errors import CheckError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording

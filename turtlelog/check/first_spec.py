@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from turtlelog.check.vocabulary import RunEnding, find_ending
+from turtlelog.display import format_number
 from turtlelog.loops import Declaration
 from turtlelog.measure import Metric, MetricKind, list_metrics, measure_run
 from turtlelog.run import Run
@@ -98,10 +99,10 @@ def _list_check(metric: Metric, value: float, kind: MetricKind) -> Iterator[str]
     base = value if kind.floor is None or is_higher else max(value, kind.floor)
     operator = ">=" if is_higher else "<="
     bound, spare = choose_bound(base, metric.unit, up=not is_higher)
-    unit = "" if metric.unit == "1" else f" {metric.unit}"
+    here = format_number(value, metric.unit)
     yield ""
     yield f'[checks."{metric.id}"]'
-    yield f'expect = "{metric.id} {operator} {bound:.10g}"  # here {value:.5g}{unit}'
+    yield f'expect = "{metric.id} {operator} {bound:.10g}"  # here {here}'
     yield "observed = true"
     yield f'reason = "observed, and {spare} to spare"'
 
@@ -116,7 +117,8 @@ def _list_arrival(run: Run) -> Iterator[str]:
         return
     bound, spare = choose_bound(metric.value, metric.unit, up=True)
     yield "[checks.track]"
-    yield f'holds = "always(abs(cross_track) <= {bound:.10g})"  # here {metric.value:.5g} m'
+    here = format_number(metric.value, metric.unit)
+    yield f'holds = "always(abs(cross_track) <= {bound:.10g})"  # here {here}'
     yield "observed = true"
     yield f'reason = "observed, and {spare} to spare: how far beside the line, at any time"'
 

@@ -8,12 +8,13 @@ from typing import Final, TypeAlias
 
 from turtlelog.check.failure_report import choose_signals
 from turtlelog.check.reference import ReferenceFile, load_reference
-from turtlelog.check.result import CheckResult, Verdict, describe_status, format_number
+from turtlelog.check.result import CheckResult, Verdict, describe_status
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.spec_file import load_tolerances
 from turtlelog.compare import MetricDifference, Tolerance
 from turtlelog.compare.alignment import find_zero_ns
 from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
+from turtlelog.display import format_number
 from turtlelog.errors import CheckError
 from turtlelog.loops import Declaration
 from turtlelog.measure import (

@@ -20,8 +20,8 @@ from turtlelog.check.result import (
     MissingValueError,
     Verdict,
     describe_status,
-    format_number,
 )
+from turtlelog.display import format_number
 from turtlelog.errors import CheckError
 from turtlelog.measure import MeasureSettings, Metric, Status, measure_run
 from turtlelog.run import Run

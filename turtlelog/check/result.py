@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from turtlelog.display import format_html
+from turtlelog.display import format_html, format_number
 from turtlelog.errors import CheckError
 from turtlelog.escapes import escape_controls
 
@@ -166,13 +166,6 @@ def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
             worst[unit] = margin, result
     ordered = sorted(worst.values(), key=lambda found: found[0] >= 0)
     return [result for _, result in ordered]
-
-
-def format_number(number: float | None, unit: str = "") -> str:
-    """Return a number with its unit in five digits; `-` for none."""
-    if number is None:
-        return "-"
-    return f"{number:.5g}" + (f" {unit}" if unit not in {"", "1"} else "")
 
 
 def describe_result(result: CheckResult) -> str:

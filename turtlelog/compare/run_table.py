@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from turtlelog.compare.run_names import has_one_gain, name_runs
 from turtlelog.compare.run_summary import RunSummary, choose_columns, list_usual_metrics, order_ids
-from turtlelog.display import describe_count, format_html
+from turtlelog.display import describe_count, format_html, format_number
 from turtlelog.escapes import escape_controls
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import MeasureSettings, Metric, find_metric_kind, list_metrics, measure_run
@@ -73,7 +73,7 @@ def format_cell(cell: Cell, column: Column) -> str:
         return "-"
     if isinstance(cell, float) and column.digits is not None:
         return f"{cell:.{column.digits}f}"
-    return f"{cell:.5g}" if isinstance(cell, float) else str(cell)
+    return format_number(cell) if isinstance(cell, float) else str(cell)
 
 
 def tabulate_runs(
@@ -304,4 +304,4 @@ def get_cell(metric: Metric | None, *, has_one_unit: bool) -> Cell:
         return None
     if metric.value is None:
         return metric.status.value
-    return metric.value if has_one_unit else f"{metric.value:.5g} {metric.unit}"
+    return metric.value if has_one_unit else format_number(metric.value, metric.unit)

@@ -4,7 +4,7 @@ import enum
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from turtlelog.display import format_html
+from turtlelog.display import format_html, format_number
 
 
 class Status(enum.StrEnum):
@@ -62,9 +62,9 @@ class Metric:
         }
 
     def __repr__(self) -> str:
-        if self.value is None:
-            return f"<Metric {self.id}: {self.status.value}>"
-        return f"<Metric {self.id}: {self.value:.5g} {self.unit}>"
+        known = self.value is not None
+        text = format_number(self.value, self.unit) if known else self.status.value
+        return f"<Metric {self.id}: {text}>"
 
 
 class Metrics(dict[str, Metric]):

@@ -208,7 +208,7 @@ def _count(number: int, word: str) -> str:
 
 
 def _describe(result: "CheckResult") -> str:
-    from turtlelog.check.result import format_number
+    from turtlelog.display import format_number
 
     name = shorten(result.check, _WIDTH, placeholder="...")
     return f"{format_number(result.margin, result.unit)} {name} ({result.file})"

@@ -8,6 +8,7 @@ from typing import Final
 import rerun as rr
 
 from turtlelog.compare import Column, Table, name_runs, order_by_gain
+from turtlelog.display import format_number
 from turtlelog.errors import ShowError
 from turtlelog.loops import PAUSE
 from turtlelog.measure import Metric, find_first_stretch, list_metrics, measure_run
@@ -322,4 +323,6 @@ def _list_pause_times(run: Run) -> list[int]:
 
 
 def _format_metric(metric: Metric) -> str:
-    return metric.status.value if metric.value is None else f"{metric.value:.5g} {metric.unit}"
+    if metric.value is None:
+        return metric.status.value
+    return format_number(metric.value, metric.unit)
