@@ -18,7 +18,7 @@ import turtlelog as tl
 from tests.check.formulas import HALF_NS, Column, Definition, formulas, read_number, signals
 from tests.check.recordings import simulate
 from turtlelog.check import check_formula
-from turtlelog.check.vocabulary import RunEnding, find_ending
+from turtlelog.check.formula_trace import RunEnding, find_ending
 from turtlelog.expressions import (
     Comparison,
     Logic,

@@ -2,7 +2,9 @@
 
 from turtlelog.check.failure_report import Artifacts, ArtifactWriter, write_artifacts
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
+from turtlelog.check.formula_trace import Signals, read_signals
 from turtlelog.check.judge_difference import judge_replay, match_run
+from turtlelog.check.judge_run import check_runs
 from turtlelog.check.piecewise_constant import Steps
 from turtlelog.check.recording import Recording
 from turtlelog.check.result import (
@@ -14,10 +16,8 @@ from turtlelog.check.result import (
     join_verdicts,
 )
 from turtlelog.check.robustness import compute_robustness
-from turtlelog.check.runs import check_runs
 from turtlelog.check.spec import Check, Spec, Tolerances
 from turtlelog.check.spec_file import load_spec, load_tolerances, parse_spec
-from turtlelog.check.vocabulary import Signals, read_signals
 
 __all__ = [
     "ArtifactWriter",

@@ -3,7 +3,7 @@
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -18,8 +18,7 @@ from turtlelog.display import format_number
 from turtlelog.errors import CheckError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording
-from turtlelog.loops import Declaration
-from turtlelog.measure import find_metric_kind, list_signals, read_signal
+from turtlelog.measure import list_signals, read_signal
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
@@ -94,42 +93,6 @@ def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
 
 
 _ROWS: Final = 2
-_MOST_SIGNALS: Final = 4
-
-_OF_SIGNAL: Final = {
-    "heading": ("heading_error",),
-    "along_track": ("along_track", "cross_track"),
-}
-_OF_END: Final = ("distance", "heading_error")
-_OF_RUN: Final = ("distance", "speed", "turn_rate")
-_OF_NAME: Final = {
-    "cross_track": ("cross_track",),
-    "speed": ("speed",),
-    "turn_rate": ("turn_rate",),
-}
-
-
-def choose_signals(names: Iterable[str], declaration: Declaration) -> tuple[str, ...]:
-    """Return the signals of a law to look at for signals, metrics and parameters."""
-    known = list_signals(declaration)
-    chosen: list[str] = []
-    for name in names:
-        if name in known:
-            chosen.append(name)
-        elif find_metric_kind(name) is not None:
-            chosen += _choose_for_metric(name, declaration)
-    return tuple(dict.fromkeys(chosen))[:_MOST_SIGNALS]
-
-
-def _choose_for_metric(name: str, declaration: Declaration) -> Sequence[str]:
-    part, rest = name.split(".", 1)
-    for start, signals in _OF_NAME.items():
-        if rest.startswith(start):
-            return signals
-    loop = declaration.find_loop(part)
-    if loop is not None:
-        return (*_OF_SIGNAL.get(loop.signal, (loop.signal,)), loop.command)
-    return _OF_END if part == "final" else _OF_RUN
 
 
 def describe_clock(run: Run) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from turtlelog.check.vocabulary import RunEnding, find_ending
+from turtlelog.check.formula_trace import RunEnding, find_ending
 from turtlelog.display import format_number
 from turtlelog.loops import Declaration
 from turtlelog.measure import Metric, MetricKind, list_metrics, measure_run

@@ -5,17 +5,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from turtlelog.check.result import UndecidedError
-from turtlelog.check.robustness import FormulaWalk
-from turtlelog.check.vocabulary import (
+from turtlelog.check.formula_trace import (
     FormulaTrace,
     RunEnding,
     Signals,
     check_names,
     find_ending,
-    find_kind,
     read_signals,
 )
+from turtlelog.check.result import UndecidedError
+from turtlelog.check.robustness import FormulaWalk
+from turtlelog.check.vocabulary import find_kind
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import (
     Call,

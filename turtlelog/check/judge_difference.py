@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from turtlelog.check.failure_report import choose_signals
 from turtlelog.check.reference import ReferenceFile, load_reference
 from turtlelog.check.result import CheckResult, Verdict, describe_status
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.spec_file import load_tolerances
+from turtlelog.check.vocabulary import choose_signals
 from turtlelog.compare import MetricDifference, Tolerance
 from turtlelog.compare.alignment import find_zero_ns
 from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack

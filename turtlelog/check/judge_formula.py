@@ -9,14 +9,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.check.failure_report import choose_signals
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
+from turtlelog.check.formula_trace import find_window
 from turtlelog.check.result import CheckResult, Verdict, describe_status
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
+    choose_signals,
     describe_no_phase,
     find_kind,
-    find_window,
     require_known_names,
 )
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes

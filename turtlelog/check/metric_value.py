@@ -8,7 +8,6 @@ from dataclasses import replace
 from numbers import Real
 from typing import Any, Protocol, runtime_checkable
 
-from turtlelog.check.failure_report import choose_signals
 from turtlelog.check.judge_formula import (
     MIRRORED,
     OPERATORS,
@@ -21,6 +20,7 @@ from turtlelog.check.result import (
     Verdict,
     describe_status,
 )
+from turtlelog.check.vocabulary import choose_signals
 from turtlelog.display import format_number
 from turtlelog.errors import CheckError
 from turtlelog.measure import MeasureSettings, Metric, Status, measure_run

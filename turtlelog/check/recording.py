@@ -7,19 +7,15 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias
 
 from turtlelog.check.failure_report import describe_failure
+from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import AnyReference, AnyTolerance, judge_replay, match_run
 from turtlelog.check.judge_formula import judge_check
+from turtlelog.check.judge_run import fail_recording
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.reference import ReferenceFile
 from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
-from turtlelog.check.runs import fail_recording
 from turtlelog.check.spec import Check
-from turtlelog.check.vocabulary import (
-    describe_nearest,
-    find_loss,
-    require_known_names,
-    require_phase,
-)
+from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression

@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.check.formula_trace import FormulaTrace, RunEnding, Signals
 from turtlelog.check.piecewise_constant import (
     Steps,
     align_steps,
@@ -24,7 +25,6 @@ from turtlelog.check.piecewise_constant import (
     slide_maximum,
     slide_minimum,
 )
-from turtlelog.check.vocabulary import FormulaTrace, RunEnding, Signals
 from turtlelog.expressions import (
     Comparison,
     Expression,

@@ -109,8 +109,8 @@ def check(
 def _check(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: TopicOptions
 ) -> "list[CheckResult]":
+    from turtlelog.check.judge_run import fail_recording, judge_run, read_reference
     from turtlelog.check.junit import CheckedFile, format_junit
-    from turtlelog.check.runs import fail_recording, judge_run, read_reference
 
     reference = read_reference(spec, topics.build_choice())
     checked: list[CheckedFile] = []

@@ -4,12 +4,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
 from turtlelog.check.judge_formula import judge_check, measure_named
 from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import require_reference
-from turtlelog.check.vocabulary import find_loss
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
 from turtlelog.log import TopicChoice, read_info
 from turtlelog.log.ros2 import list_bag_files

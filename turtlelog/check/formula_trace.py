@@ -1,0 +1,230 @@
+"""What a formula is checked on: signals over a window, and what is known of the end of a run."""
+
+import enum
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.check.piecewise_constant import Steps, make_steps
+from turtlelog.check.vocabulary import find_kind
+from turtlelog.errors import CheckError
+from turtlelog.expressions import (
+    Expression,
+    Name,
+    describe_unknown_name,
+    fail_at,
+    iterate_nodes,
+)
+from turtlelog.loops import PAUSE
+from turtlelog.measure import (
+    list_signals,
+    measure_run,
+    read_signal,
+)
+from turtlelog.run import Run
+
+_LOSSES: Final = ("partial", "recovered")
+"""Notes that say what a recording has lost."""
+
+
+_NO_LOSS: Final = (
+    "no data is lost, only the summary is damaged",
+    "from a damaged or unfinished file: no message is lost",
+)
+"""How the notes begin of files of which nothing is lost but the summary; what follows a semicolon
+is another loss."""
+
+
+class RunEnding(enum.Enum):
+    """What is known of the time after the last row; the value says why it is unknown."""
+
+    SETTLED = ""
+    """The run came to its own end, or the phase to its: the last values hold for ever."""
+    CUT = "the run had not ended"
+    """It reached `max_duration`, was interrupted, or does not say why it ended."""
+    LOST = "part of it is lost"
+    """Rows may be missing, at the end too."""
+    UNDECLARED = "it does not say whether the robot had stopped"
+    """A bag of another recorder: windows without an end stop at its last row."""
+
+
+def find_ending(run: Run) -> RunEnding:
+    """Return what is known of the time after a run's last row."""
+    notes = [run.notes[name] for name in _LOSSES if name in run.notes]
+    if not all(note.startswith(_NO_LOSS) and ";" not in note for note in notes):
+        return RunEnding.LOST
+    if run.is_complete:
+        return RunEnding.SETTLED
+    # A log of a controller could say that it had finished; a bag of other topics could not.
+    could_tell = len(run.samples) or "stop_reason" not in run.absent
+    return RunEnding.CUT if could_tell else RunEnding.UNDECLARED
+
+
+def find_loss(run: Run) -> str | None:
+    """Return what a recording has lost, None where it is whole."""
+    for name in _LOSSES:
+        if name in run.notes:
+            return f"expected a whole recording, found one that is not: {run.notes[name]}"
+    return None
+
+
+def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
+    """Return the first stretch of a phase with its pause [ns]; None where there is none."""
+    if phase is None:
+        return run.start_ns, run.end_ns
+    spans = run.find_phase_spans()
+    for index, span in enumerate(spans):
+        if span.phase != phase:
+            continue
+        after = spans[index + 1 : index + 2]
+        is_paused = bool(after) and after[0].phase == PAUSE
+        return span.start_ns, after[0].end_ns if is_paused else span.end_ns
+    return None
+
+
+Column = tuple[NDArray[np.int64], NDArray[Any]]
+
+
+Signals = Mapping[str, Column | float | bool | str | None]
+"""By name: time [ns] and values of a signal, or a constant; None for no value."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FormulaTrace:
+    """What one formula names, over one stretch of time.
+
+    Attributes:
+        start_ns: First time [ns].
+        end_ns: Last time [ns].
+        names: In order of first use.
+        signals: As functions of time.
+        constants: What does not change; None for no value.
+        ending: What is known of the signals after end_ns.
+    """
+
+    start_ns: int
+    end_ns: int
+    names: tuple[str, ...]
+    signals: Mapping[str, Steps]
+    constants: Mapping[str, Any]
+    ending: RunEnding = RunEnding.SETTLED
+
+    @classmethod
+    def open(
+        cls,
+        signals: Signals,
+        expression: Expression,
+        *,
+        window_ns: tuple[int, int] | None = None,
+        ending: RunEnding = RunEnding.SETTLED,
+    ) -> "FormulaTrace":
+        """Return what a formula names.
+
+        Raises:
+            ExpressionError: Where a name is not there, with the column and the nearest names.
+            CheckError: Where a signal is no signal, or has no value at the first time.
+        """
+        check_names(expression, signals)
+        named = {name: signals[name] for name in expression.names}
+        columns = {name: found for name, found in named.items() if isinstance(found, tuple)}
+        for name, column in columns.items():
+            _check_column(name, column)
+        start_ns, end_ns = window_ns or _find_window(columns)
+        if start_ns > end_ns:
+            raise CheckError(f"trace: expected an end after its start, found {start_ns}, {end_ns}")
+        for name, (time_ns, _) in columns.items():
+            if time_ns[0] > start_ns:
+                place = f"signal {name!r}: expected a value at {start_ns} ns"
+                raise CheckError(f"{place}, found its first at {time_ns[0]} ns")
+        return cls(
+            start_ns=start_ns,
+            end_ns=end_ns,
+            names=expression.names,
+            signals={
+                name: make_steps(*column, start_ns=start_ns, end_ns=end_ns)
+                for name, column in columns.items()
+            },
+            constants={name: found for name, found in named.items() if name not in columns},
+            ending=ending,
+        )
+
+    def read_values(self, time_ns: int) -> dict[str, Any]:
+        """Return what every name stands for at a time: float, bool, str or None."""
+        return {name: self._read_value(name, time_ns) for name in self.names}
+
+    def _read_value(self, name: str, time_ns: int) -> Any:
+        if name in self.constants:
+            return self.constants[name]
+        steps = self.signals[name]
+        value = steps.values[steps.find_piece(time_ns)].item()
+        return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def check_names(expression: Expression, known: Mapping[str, object]) -> None:
+    """Refuse names that are not there.
+
+    Raises:
+        ExpressionError: With the column and the nearest names.
+    """
+    for node in iterate_nodes(expression.root):
+        if isinstance(node, Name) and node.name not in known:
+            fail_at(expression, node, describe_unknown_name(node.name, known))
+
+
+def read_signals(run: Run, names: Sequence[str]) -> Signals:
+    """Return what names stand for in a run, leaving out those that are unknown to it.
+
+    Names are looked for among the signals and states, the metrics and the parameters, in this
+    order. A signal begins at the run's time zero at the latest; the phase is text; a signal that
+    the run does not hold and a metric without a value are None.
+    """
+    columns = list_signals(run.declaration)
+    ids = [name for name in names if name not in columns and find_kind(run, name) is not None]
+    metrics = measure_run(run, only=ids) if ids else {}
+    found: dict[str, Any] = {}
+    for name in names:
+        if name in columns:
+            found[name] = _read_column(run, name)
+        elif name in metrics:
+            found[name] = metrics[name].value
+        elif name in run.parameters and not isinstance(run.parameters[name], list):
+            found[name] = run.parameters[name]
+    return found
+
+
+def _read_column(run: Run, name: str) -> Column | None:
+    signal = read_signal(run, name)
+    if signal is None:
+        return None
+    if signal.kind.compared_as != "label":
+        return signal.time_ns, signal.values
+    labels = np.array(run.phase_names)
+    return signal.time_ns, labels[signal.values.astype(np.int64)]
+
+
+def _find_window(columns: Mapping[str, Column]) -> tuple[int, int]:
+    if not columns:
+        return 0, 0
+    start_ns = max(int(time_ns[0]) for time_ns, _ in columns.values())
+    return start_ns, max(start_ns, *(int(time_ns[-1]) for time_ns, _ in columns.values()))
+
+
+def _check_column(name: str, column: Column) -> None:
+    place = f"signal {name!r}"
+    time_ns, values = column
+    if time_ns.dtype != np.int64:
+        raise CheckError(f"{place}: expected times as int64 nanoseconds, found {time_ns.dtype}")
+    if time_ns.ndim != 1 or time_ns.shape != values.shape:
+        found = f"{time_ns.shape} and {values.shape}"
+        raise CheckError(f"{place}: expected as many times as values in one row, found {found}")
+    if not len(time_ns):
+        raise CheckError(f"{place}: expected at least one value, found none")
+    falls = time_ns[1:] < time_ns[:-1]
+    if falls.any():
+        row = int(falls.argmax()) + 1
+        found = f"{time_ns[row]} after {time_ns[row - 1]} at row {row}"
+        raise CheckError(f"{place}: expected times that do not decrease, found {found}")
