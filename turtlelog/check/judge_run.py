@@ -32,7 +32,7 @@ def check_runs(
         LogError: Where the reference cannot be read.
         ExpressionError: Where the kinds in a formula do not go together on any run.
     """
-    reference = read_reference(spec)
+    reference = read_reference_run(spec)
     count = 0
     for file, run in runs:
         count += 1
@@ -41,7 +41,7 @@ def check_runs(
         raise CheckError(f"{spec.source}: expected at least one recording to check, found none")
 
 
-def read_reference(spec: Spec, topics: TopicChoice | None = None) -> Run | None:
+def read_reference_run(spec: Spec, topics: TopicChoice | None = None) -> Run | None:
     """Return the run that tolerances are taken from, None where there are none.
 
     Args:

@@ -109,10 +109,10 @@ def check(
 def _check(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: TopicOptions
 ) -> "list[CheckResult]":
-    from turtlelog.check.judge_run import fail_recording, judge_run, read_reference
+    from turtlelog.check.judge_run import fail_recording, judge_run, read_reference_run
     from turtlelog.check.junit import CheckedFile, format_junit
 
-    reference = read_reference(spec, topics.build_choice())
+    reference = read_reference_run(spec, topics.build_choice())
     checked: list[CheckedFile] = []
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(tl.ArtifactWriter(reports.artifacts))

@@ -38,7 +38,7 @@ from turtlelog.explain.loop_findings import (
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
-from turtlelog.explain.stop_reason import Ending, find_ending, find_pause
+from turtlelog.explain.stop_reason import Ending, find_pause, find_stop_rule
 from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.run import Run
@@ -126,7 +126,7 @@ def _identify_samples(run: Run) -> Identification:
     is_certain = all(
         fit is None or fit.gain is None or fit.is_certain for fit in (turning, driving)
     )
-    ending = find_ending(trace, is_certain=is_certain, is_finished=run.is_complete)
+    ending = find_stop_rule(trace, is_certain=is_certain, is_finished=run.is_complete)
     findings |= ending.rules
     hints = read_hints(trace)
     known = {**_collect(findings), **read_start(trace)}

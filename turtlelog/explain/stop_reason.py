@@ -96,7 +96,7 @@ def find_pause(hints: Hints) -> dict[str, Finding]:
     }
 
 
-def find_ending(trace: Trace, *, is_certain: bool, is_finished: bool) -> Ending:
+def find_stop_rule(trace: Trace, *, is_certain: bool, is_finished: bool) -> Ending:
     """Return which of the law's rules the last sample meets, in the law's word, or `cut`.
 
     A rule that would have ended the run earlier is not the usual one, and bounded by the log.

@@ -74,7 +74,7 @@ def list_units(run: "Run", table: str) -> dict[str, str]:
     return {name: units[0] for name, units in found.items() if units}
 
 
-def describe_run(run: "Run") -> dict[str, str]:
+def list_facts(run: "Run") -> dict[str, str]:
     """Return what a table alone does not hold, as texts by name; JSON where it is no text.
 
     `scenario` are the parameters that are known, by dotted key; `units` are those of the columns.
@@ -103,7 +103,7 @@ def build_arrow(run: "Run", table: str) -> Any:
             pa.field(name, kinds[values.dtype.kind], metadata=described.get(name))
             for name, values in columns.items()
         ],
-        metadata={f"turtlelog.{key}": text for key, text in describe_run(run).items()},
+        metadata={f"turtlelog.{key}": text for key, text in list_facts(run).items()},
     )
     return pa.table(dict(columns), schema=schema)
 
@@ -112,7 +112,7 @@ def build_pandas(run: "Run", table: str) -> Any:
     """Return a table of a run as a `pandas.DataFrame`, with units and the run in its `attrs`."""
     columns = tabulate_run(run, table)
     frame = load_library("pandas").DataFrame(dict(columns))
-    frame.attrs = {"turtlelog": describe_run(run), "units": list_units(run, table)}
+    frame.attrs = {"turtlelog": list_facts(run), "units": list_units(run, table)}
     return frame
 
 

@@ -10,7 +10,7 @@ from mcap.writer import MCAP0_MAGIC
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.paper_layouts import parse_paper_csv, parse_paper_json
-from turtlelog.log.importers.paper_log import PaperLog, build_run
+from turtlelog.log.importers.paper_log import PaperLog, build_paper_run
 from turtlelog.run import Run
 
 __all__ = ["LOG_SUFFIXES", "import_log"]
@@ -38,7 +38,7 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
         suffix = path.suffix.lower()
         if suffix not in _IMPORTERS:
             suffix = ".json" if text.lstrip().startswith(("{", "[")) else ".csv"
-        return build_run(_IMPORTERS[suffix](text, path), sort=sort)
+        return build_paper_run(_IMPORTERS[suffix](text, path), sort=sort)
 
 
 def _read_text(path: Path) -> str:

@@ -113,7 +113,7 @@ def build_columns(
     return columns, np.array(states, dtype=np.int64)
 
 
-def build_run(log: PaperLog, *, sort: bool) -> Run:
+def build_paper_run(log: PaperLog, *, sort: bool) -> Run:
     """Return the run in a log.
 
     The log does not say why it ended: a run that came to its end has the stop reason `finished`.
