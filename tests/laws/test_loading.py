@@ -90,9 +90,9 @@ def test_edited_law_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert find_law(kind).Parameters().gain == 9.0
 
 
-@pytest.mark.parametrize("kind", ["pid", "", ":", "steady.py", "steady.py:", ":Steady"])
+@pytest.mark.parametrize("kind", ["nosuch", "", ":", "steady.py", "steady.py:", ":Steady"])
 def test_kind_of_another_form_is_refused(kind: str) -> None:
-    line = f"expected sequential-p, path.py:Class or package.module:Class, found {kind!r}"
+    line = f"expected {', '.join(LAWS)}, path.py:Class or package.module:Class, found {kind!r}"
     with pytest.raises(LawError, match=match_whole(line)):
         find_law(kind)
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from turtlelog.errors import ScenarioError
+from turtlelog.laws import LAWS
 from turtlelog.scenario import (
     PRESETS,
     Scenario,
@@ -111,8 +112,9 @@ def test_another_kind_drops_the_parameters_of_the_law() -> None:
         ("goal.x_m=nan", "goal.x_m: expected a finite number, found nan"),
         ("goal.x_m.y=1", "goal.x_m: expected a value, found a key below it"),
         (
-            "law.kind=pid",
-            "law.kind: expected sequential-p, path.py:Class or package.module:Class, found 'pid'",
+            "law.kind=nosuch",
+            f"law.kind: expected {', '.join(LAWS)}, path.py:Class or package.module:Class, found"
+            " 'nosuch'",
         ),
     ],
 )

@@ -7,6 +7,7 @@ import pytest
 
 from tests.scenario.lines import match_whole
 from turtlelog.errors import ScenarioError
+from turtlelog.laws import LAWS
 from turtlelog.scenario import (
     build_scenario,
     format_scenario,
@@ -67,9 +68,9 @@ def test_law_of_a_file_round_trips(law_kind: str) -> None:
 
 
 def test_unknown_law_is_named() -> None:
-    line = "run.toml: law.kind: expected sequential-p, path.py:Class or package.module:Class"
-    with pytest.raises(ScenarioError, match=match_whole(f"{line}, found 'pid'")):
-        parse_scenario("law.kind = 'pid'", source="run.toml")
+    line = f"run.toml: law.kind: expected {', '.join(LAWS)}, path.py:Class or package.module:Class"
+    with pytest.raises(ScenarioError, match=match_whole(f"{line}, found 'nosuch'")):
+        parse_scenario("law.kind = 'nosuch'", source="run.toml")
 
 
 def test_law_of_a_missing_file_is_named() -> None:
