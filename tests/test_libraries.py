@@ -75,6 +75,25 @@ def test_command_that_needs_more_says_what_in_one_line(
     assert done.stderr.endswith(f"and not installed; `pip install {package}`\n")
 
 
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("run", "textbook", "-o", "run.mcap", "--rrd", "run.rrd"), "rerun-sdk"),
+        (("explain", RECORDING, "--scenario", "as-found.toml", "--rrd", "run.rrd"), "rerun-sdk"),
+        (("compare", RECORDING, OTHER, "--rrd", "runs.rrd"), "rerun-sdk"),
+        (("export", RECORDING, "--csv", "poses.csv", "--parquet", "poses.parquet"), "pyarrow"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else value,
+)
+def test_output_that_needs_more_is_refused_before_any_work(
+    words: tuple[str, ...], package: str, tmp_path: Path
+) -> None:
+    done = run_main(LACKS, *words, folder=tmp_path)
+    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    assert done.stderr.startswith(f"turtlelog: error: {package}: needed for ")
+    assert done.stderr.count("\n") == 1
+
+
 def test_module_that_a_library_itself_lacks_is_not_blamed_on_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
