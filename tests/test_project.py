@@ -87,6 +87,22 @@ def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     assert imported == {re.split(r"[<>=\[;]", requirement)[0] for requirement in declared}
 
 
+def read_project() -> dict[str, Any]:
+    found: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    return found
+
+
+def test_the_page_of_platforms_names_the_versions_that_are_declared() -> None:
+    page = (ROOT / "docs" / "platforms.md").read_text("utf-8")
+    project = read_project()
+    (rerun,) = [name for name in project["dependencies"] if name.startswith("rerun-sdk")]
+    low, high = re.fullmatch(r"rerun-sdk>=([\d.]+),<([\d.]+)", rerun).groups()  # type: ignore[union-attr]
+    assert f"rerun-sdk >= {low}, < {high}" in page
+    assert project["requires-python"] == ">=3.11"
+    classified = [name.rpartition(" ")[2] for name in project["classifiers"] if " :: 3." in name]
+    assert re.findall(r"^\| (3\.\d+) \|", page, re.M) == classified
+
+
 def test_slim_installation_is_all_but_views_and_figures() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
     lines = (ROOT / "requirements-core.txt").read_text().splitlines()
