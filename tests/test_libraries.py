@@ -8,6 +8,7 @@ import pytest
 
 from turtlelog.errors import LibraryError
 from turtlelog.libraries import load_library
+from turtlelog.log import read_recording
 
 RECORDING = str(Path("recordings/paper/kp10.mcap").resolve())
 OTHER = str(Path("recordings/paper/kp4.mcap").resolve())
@@ -73,6 +74,37 @@ def test_command_that_needs_more_says_what_in_one_line(
     assert done.stderr.count("\n") == 1
     assert f"error: {package}: needed for " in done.stderr
     assert done.stderr.endswith(f"and not installed; `pip install {package}`\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("run", "textbook", "-o", "run.mcap", "--rrd", "run.rrd"), "rerun-sdk"),
+        (("explain", RECORDING, "--scenario", "as-found.toml", "--rrd", "run.rrd"), "rerun-sdk"),
+        (("compare", RECORDING, OTHER, "--rrd", "runs.rrd"), "rerun-sdk"),
+        (("export", RECORDING, "--csv", "poses.csv", "--parquet", "poses.parquet"), "pyarrow"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else value,
+)
+def test_output_that_needs_more_is_refused_before_any_work(
+    words: tuple[str, ...], package: str, tmp_path: Path
+) -> None:
+    done = run_main(LACKS, *words, folder=tmp_path)
+    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    assert done.stderr.startswith(f"turtlelog: error: {package}: needed for ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_failures_keep_their_stretch_where_no_view_can_be_written(tmp_path: Path) -> None:
+    spec = 'format = 1\n[checks.slow]\nholds = "always(speed <= 0.5)"\n'
+    (tmp_path / "spec.toml").write_text(spec)
+    done = run_main(LACKS, "check", "spec.toml", RECORDING, "--artifacts", "kept", folder=tmp_path)
+    (kept,) = (tmp_path / "kept").iterdir()
+    assert done.returncode == 1
+    assert done.stdout.endswith("FAIL: 1 recording, 0 pass, 1 fail, 0 skipped\n")
+    assert len(read_recording(kept).samples) > 100
+    view = Path("kept") / kept.with_suffix(".rrd").name
+    assert f"{view}: no view: rerun-sdk: needed for views" in done.stderr
 
 
 def test_module_that_a_library_itself_lacks_is_not_blamed_on_it(

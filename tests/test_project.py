@@ -3,8 +3,44 @@ import re
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+import turtlelog
 
 ROOT = Path(__file__).parents[1]
+
+
+def read_citation() -> dict[str, Any]:
+    found: dict[str, Any] = YAML(typ="safe").load(ROOT / "CITATION.cff")
+    return found
+
+
+def test_citation_says_what_the_project_says_of_itself() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = read_citation()
+    assert (cited["title"], cited["version"]) == (project["name"], turtlelog.__version__)
+    assert cited["abstract"] == project["description"]
+    assert cited["license"] == project["license"]
+    assert cited["keywords"] == project["keywords"]
+
+
+def test_citation_names_the_paper_as_the_pages_do() -> None:
+    (paper,) = read_citation()["references"]
+    title = f'"{paper["title"]}"'
+    assert title in " ".join((ROOT / "README.md").read_text().split())
+    assert title in " ".join((ROOT / "docs" / "paper.md").read_text().split())
+
+
+@pytest.mark.parametrize("name", ["docs/ci/github.yml", "docs/ci/gitlab.yml"])
+def test_workflows_install_what_the_repository_has(name: str) -> None:
+    text = (ROOT / name).read_text()
+    YAML(typ="safe").load(text)
+    installed = re.findall(r"^ *- (?:run: )?pip install (.+)$", text, re.M)
+    assert installed == ["-r turtlelog/requirements-core.txt pytest", "--no-deps ./turtlelog"]
+    assert (ROOT / "requirements-core.txt").is_file()
 
 
 def test_uv_has_the_pins_of_the_constraints_file() -> None:
@@ -20,7 +56,7 @@ def test_every_dependency_is_pinned() -> None:
     pins = (ROOT / "constraints.txt").read_text()
     wanted = project["project"]["dependencies"] + project["project"]["optional-dependencies"]["dev"]
     wanted += project["build-system"]["requires"]
-    names = {re.split(r"[<>=\[]", requirement)[0] for requirement in wanted}
+    names = {re.split(r"[<>=\[;]", requirement)[0] for requirement in wanted}
     assert {name for name in names if f"\n{name}==" not in pins} == set()
 
 
@@ -48,13 +84,29 @@ def list_imports() -> set[str]:
 def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
     imported = {PACKAGES.get(name, name) for name in list_imports() - BROUGHT_BY_THE_USER}
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    assert imported == {re.split(r"[<>=\[]", requirement)[0] for requirement in declared}
+    assert imported == {re.split(r"[<>=\[;]", requirement)[0] for requirement in declared}
+
+
+def read_project() -> dict[str, Any]:
+    found: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    return found
+
+
+def test_the_page_of_platforms_names_the_versions_that_are_declared() -> None:
+    page = (ROOT / "docs" / "platforms.md").read_text("utf-8")
+    project = read_project()
+    (rerun,) = [name for name in project["dependencies"] if name.startswith("rerun-sdk")]
+    low, high = re.fullmatch(r"rerun-sdk>=([\d.]+),<([\d.]+)", rerun).groups()  # type: ignore[union-attr]
+    assert f"rerun-sdk >= {low}, < {high}" in page
+    assert project["requires-python"] == ">=3.11"
+    classified = [name.rpartition(" ")[2] for name in project["classifiers"] if " :: 3." in name]
+    assert re.findall(r"^\| (3\.\d+) \|", page, re.M) == classified
 
 
 def test_slim_installation_is_all_but_views_and_figures() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
     lines = (ROOT / "requirements-core.txt").read_text().splitlines()
     slim = [line for line in lines if not line.startswith("#")]
-    lacks = {re.split(r"[<>=\[]", name)[0] for name in set(declared) - set(slim)}
+    lacks = {re.split(r"[<>=\[;]", name)[0] for name in set(declared) - set(slim)}
     assert set(slim) <= set(declared)
     assert lacks == {"rerun-sdk", "pyarrow", "matplotlib", "control"}

@@ -15,6 +15,7 @@ from turtlelog.cli.app import main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+ALL_PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 COMMANDS = ROOT / "docs" / "commands.md"
 """Has an example of every command; there each runs in a process of its own."""
 
@@ -116,7 +117,7 @@ def test_console_blocks_print_what_they_show(
         assert ("turtlelog: error: " in shown) == ("turtlelog: error: " in printed)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text("utf-8"), flags=re.S)
     targets = re.findall(r"\]\((?!https?:)([^)#]+)", text)

@@ -15,7 +15,7 @@ import numpy as np
 
 from turtlelog.check.result import CheckResult
 from turtlelog.display import format_number
-from turtlelog.errors import CheckError, ShowError
+from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording
 from turtlelog.measure import list_signals, read_signal
@@ -145,7 +145,7 @@ class Artifacts:
     """What was written.
 
     Attributes:
-        files: .rrd, .png where a picture could be made, and .mcap.
+        files: .rrd where Rerun is installed, .png where a picture could be made, and .mcap.
         notes: What could not be, and why.
     """
 
@@ -187,16 +187,15 @@ class ArtifactWriter:
         except OSError as err:
             found = f"found: {err.strerror}"
             raise CheckError(f"{self._folder}: expected a folder to write to, {found}") from err
-        from turtlelog.show import write_violation_rrd
-
         base = self._folder / name_files(result, prefix)
         rrd, png, mcap = (base.with_name(base.name + end) for end in (".rrd", ".png", ".mcap"))
         at_s = result.first_violation_s
         shown_s = (run.end_ns - run.start_ns) / 1e9 if at_s is None else at_s
-        message = "\n".join(describe_failure(run, result))
-        title = shorten(result.check, _LONGEST, placeholder="...")
-        write_violation_rrd(run, rrd, at_s=shown_s, title=title, message=message)
         write_recording(_cut(run, at_s), mcap)
+        try:
+            _write_view(run, result, rrd, at_s=shown_s)
+        except LibraryError as err:
+            return Artifacts(files=(mcap,), notes=(f"{rrd}: no view: {err}",))
         if self._lack:
             return Artifacts(files=(rrd, mcap), notes=(f"{png}: no picture: {self._lack}",))
         try:
@@ -236,6 +235,14 @@ def write_artifacts(
     """
     with ArtifactWriter(folder) as writer:
         return writer.write(run, result, prefix=prefix)
+
+
+def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> None:
+    from turtlelog.show import write_violation_rrd
+
+    message = "\n".join(describe_failure(run, result))
+    title = shorten(result.check, _LONGEST, placeholder="...")
+    write_violation_rrd(run, rrd, at_s=at_s, title=title, message=message)
 
 
 def _cut(run: Run, at_s: float | None) -> Run:

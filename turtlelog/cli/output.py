@@ -13,7 +13,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, TextIO
 
 import turtlelog as tl
 from turtlelog.escapes import escape_controls, guard_cell
@@ -61,8 +61,12 @@ def _is_device() -> bool:
 
 def drop_stdout() -> None:
     """Send what is still to be printed to nobody."""
+    _drop(sys.stdout)
+
+
+def _drop(stream: TextIO) -> None:
     with suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def format_table(table: "Table", *, indent: int = 0) -> str:
@@ -73,10 +77,13 @@ def format_table(table: "Table", *, indent: int = 0) -> str:
 
 def print_note(text: str) -> None:
     """Print a note, in one line."""
-    # Where nobody can be told, the result and the exit code still tell.
-    with suppress(OSError):
+    try:
         sys.stderr.write(escape_controls(text) + "\n")
         sys.stderr.flush()
+    except OSError:
+        # The result and the exit code still tell. Python 3.14 tries again at its end, and has 120
+        # for a code of its own where that fails too.
+        _drop(sys.stderr)
 
 
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:

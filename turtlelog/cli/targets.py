@@ -5,14 +5,24 @@ import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 from turtlelog.errors import UsageError
+from turtlelog.libraries import load_library
+
+_LIBRARIES: Final = MappingProxyType({".parquet": "pyarrow", ".rrd": "rerun"})
+"""What writes files of a suffix, where a slim installation lacks it."""
 
 
 def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
     """Refuse a file that could not be written, is an input, or is named as something else.
 
     A file that is there is fine: it is replaced when the new one is complete.
+
+    Raises:
+        UsageError: Where the file is refused.
+        LibraryError: Where what writes such files is not installed.
     """
     if target is None:
         return
@@ -22,6 +32,8 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
         _require_place(_resolve(target))
         if target.exists():
             _require_replaceable(target, inputs)
+    if suffix in _LIBRARIES:
+        load_library(_LIBRARIES[suffix])
 
 
 def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> None:

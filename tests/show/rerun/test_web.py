@@ -32,8 +32,9 @@ def test_a_browser_gets_the_page_the_program_and_every_recording(tmp_path: Path)
         named = parse_qs(urlsplit(address).query)["url"]
         assert [fetch(url) for url in named] == [path.read_bytes() for path in paths]
         for wrong, host in (("c.rrd", None), ("../c.rrd", None), ("", "elsewhere.example:80")):
-            with pytest.raises(HTTPError, match=r"40[34]"):
+            with pytest.raises(HTTPError, match=r"40[34]") as refusal:
                 fetch(root + wrong, host)
+            refusal.value.close()
     with pytest.raises(OSError, match="refused"):
         fetch(root)
 
