@@ -30,6 +30,15 @@ def test_slice_to_the_end_keeps_the_stop_reason() -> None:
     assert RUN.slice(end_s=12).stop_reason is None
 
 
+@pytest.mark.parametrize(
+    ("start_s", "end_s", "is_complete"), [(None, None, True), (2, None, False), (None, 12, False)]
+)
+def test_slice_without_either_end_is_no_longer_determined_by_its_scenario(
+    start_s: float | None, end_s: float | None, *, is_complete: bool
+) -> None:
+    assert RUN.slice(start_s, end_s).scenario_is_complete == is_complete
+
+
 def test_slice_of_everything_is_the_run_itself() -> None:
     assert RUN.slice() is RUN
     assert RUN.slice(-1, RUN.duration_s) is RUN
