@@ -9,7 +9,12 @@ from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain
 from turtlelog.explain.identification import LAW_KEYS, LOOP_KEYS
-from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
+from turtlelog.explain.law_identification import (
+    PHASES,
+    bound_position_tolerance,
+    identify_rotation,
+    identify_translation,
+)
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
 from turtlelog.explain.stop_reason import RULE_KEYS
@@ -207,6 +212,17 @@ def test_a_noisy_error_has_wrapped_from_six_deviations_beyond_half_a_turn(
     poses = replace(run.poses, heading_rad=heading_rad)
     found = identify_rotation(trace_run(replace(run, poses=poses), PHASES))[0]["law.wrap_error"]
     assert found.certainty == certainty
+
+
+@pytest.mark.parametrize(("ended_m", "interval"), [(0.0019, (0.0019, 0.002)), (0.002, None)])
+def test_a_tolerance_is_bounded_where_the_error_that_ended_is_the_least(
+    ended_m: float, interval: tuple[float, float] | None
+) -> None:
+    error = np.array([0.5, 0.3, 0.002])
+    fit = fit_command(2.0 * error, lambda gain: gain * error, PoseNoise(size=0.0, grain=0.0))
+    errors = np.column_stack([np.append(error, ended_m), np.zeros(4)])
+    found = bound_position_tolerance(errors, np.append(2.0 * error, 0.0), fit)
+    assert (found.interval, found.value) == (interval, None if interval is None else ended_m)
 
 
 @pytest.mark.parametrize(("alike", "explains"), [(0.42, True), (0.58, False)])
