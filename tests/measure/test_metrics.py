@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.measure.runs import GOAL_M, make_straight_run, set_times
 from tests.sequential import ROTATE
 from turtlelog.errors import MeasureError
 from turtlelog.loops import Declaration
@@ -103,6 +104,12 @@ def test_a_cut_run_has_no_error_at_15_s() -> None:
     metric = measure("paper-kp1", max_duration_s=10.0)["final.position_error_at_15s"]
     assert (metric.value, metric.status) == (None, tl.Status.TOO_SHORT)
     assert "cut at 9.9" in metric.reason
+
+
+@pytest.mark.parametrize(("end_ns", "error_m"), [(15 * 10**9 - 1, None), (15 * 10**9, GOAL_M)])
+def test_a_run_cut_at_15_s_has_its_error_there(end_ns: int, error_m: float | None) -> None:
+    cut = set_times(make_straight_run(np.zeros(2), stop_reason=None), [0, end_ns])
+    assert tl.measure_run(cut)["final.position_error_at_15s"].value == error_m
 
 
 def test_a_run_that_ended_holds_its_last_error() -> None:
