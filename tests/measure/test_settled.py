@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from tests.measure.runs import GOAL_M, PERIOD_NS, Values, make_straight_run
+from tests.measure.runs import GOAL_M, PERIOD_NS, Values, make_straight_run, set_times
 from turtlelog.measure.step_response import find_swing_period
 from turtlelog.run import Run
 
@@ -82,6 +82,17 @@ def test_a_run_that_was_cut_or_timed_out_must_have_stayed(
         assert "it settles where it stays for 1 s" in short.reason
     long = settle(make_run(response, SETTLED_S + 1.05, stop_reason), name)
     assert long.value == pytest.approx(SETTLED_S, abs=1e-4)
+
+
+@pytest.mark.parametrize(("held_ns", "settled_s"), [(10**9 - 1, None), (10**9, 0.5)])
+def test_a_cut_run_has_settled_once_it_stayed_for_a_whole_second(
+    held_ns: int, settled_s: float | None
+) -> None:
+    """On the line from 0 to 1 it enters the band of 0.5 at 0.5 s, to the last bit."""
+    run = make_straight_run(GOAL_M * np.array([0.0, 1.0, 1.0]), stop_reason=None)
+    run = set_times(run, [0, 10**9, 10**9 // 2 + held_ns])
+    name = "translate.settling_time"
+    assert tl.measure_run(run, tl.MeasureSettings(band=0.5), only=[name])[name].value == settled_s
 
 
 def swing(amplitude: float, period_s: float, *, until_s: float, offset: float = 0.0) -> Values:
