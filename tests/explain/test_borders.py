@@ -17,7 +17,7 @@ from turtlelog.explain.law_identification import (
 )
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
-from turtlelog.explain.stop_reason import RULE_KEYS
+from turtlelog.explain.stop_reason import RULE_KEYS, find_ending
 from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
 
@@ -188,6 +188,17 @@ def test_a_clock_may_be_off_by_a_tick_and_a_half(slack_ticks: float, reason: str
     unfinished = replace(text, rows=[(*row[:-1], row[-1].replace("FINALIZADO", "TRANSLADAR"))
                                      for row in ordered])  # fmt: skip
     assert identify_run(unfinished.to_run()).findings["stop_reason"].value == reason
+
+
+@pytest.mark.parametrize(("timeout_s", "assumed_s"), [(7.5, 7.5), (7.55, 7.536)])
+def test_a_time_is_taken_as_typed_where_it_has_two_digits(
+    timeout_s: float, assumed_s: float
+) -> None:
+    """The sample before the last comes at 7.488 s, and at 7.536 s."""
+    log = make_log(Truth(timeout_s=timeout_s, jitter_s=0.0))
+    trace = mark_breaks(trace_run(log.to_run(), PHASES))
+    rules = find_ending(trace, is_certain=True, is_finished=True).rules
+    assert rules["law.timeout_s"].assumed == assumed_s
 
 
 def test_a_wrapped_error_is_exact_where_commands_show_it() -> None:
