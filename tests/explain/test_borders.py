@@ -236,6 +236,17 @@ def test_a_tolerance_is_bounded_where_the_error_that_ended_is_the_least(
     assert (found.interval, found.value) == (interval, None if interval is None else ended_m)
 
 
+def test_noisy_errors_bound_a_tolerance_to_four_deviations() -> None:
+    noise = np.random.default_rng(5).normal(0.0, 1e-3, 50)
+    command, error = make_commands(noise)
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    errors = np.column_stack([[*error, 0.03, 0.02], np.zeros(52)])
+    found = bound_position_tolerance(errors, np.array([*command, 0.06, 0.0]), fit)
+    assert fit.gain is not None
+    deviation_m = fit.gain.noise
+    assert found.interval == pytest.approx((0.02 - 4.0 * deviation_m, 0.03 + 4.0 * deviation_m))
+
+
 @pytest.mark.parametrize(("alike", "explains"), [(0.42, True), (0.58, False)])
 def test_what_a_drive_leaves_is_noise_up_to_a_whiteness_of_a_half(
     alike: float, *, explains: bool
