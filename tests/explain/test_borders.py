@@ -121,6 +121,17 @@ def test_equal_commands_are_clipped_where_the_error_changed_by_five_deviations(
     assert (fit.limit == 1.0) == limited
 
 
+@pytest.mark.parametrize(("rows", "limit"), [(3, 1.2), (2, None)])
+def test_a_limit_shows_in_three_equal_commands_and_not_in_two(
+    rows: int, limit: float | None
+) -> None:
+    command, error = make_commands(np.random.default_rng(5).normal(0.0, 1e-3, 60))
+    command = np.append(np.full(rows, 1.2), command)
+    error = np.append(np.linspace(1.5, 0.8, rows), error)
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    assert fit.limit == limit
+
+
 def test_a_gain_that_its_neighbour_reproduces_as_well_is_not_exact() -> None:
     # Three small whole numbers times 3 are the same doubles for the next gain above 3 / 2**53 only.
     error = np.array([1.0, 0.5, 0.25])
