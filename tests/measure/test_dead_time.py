@@ -139,6 +139,14 @@ def test_a_change_of_the_dead_time_is_placed() -> None:
     assert 192 <= change.time_ns / TICK_NS <= 208
 
 
+@pytest.mark.parametrize(("steps", "ticks", "is_exact"), [(12, 8, True), (11, 3, False)])
+def test_a_dead_time_is_another_one_from_twelve_steps_on(
+    steps: int, ticks: int, *, is_exact: bool
+) -> None:
+    found = require_found(drive(lambda tick: 3 if tick < 400 - steps else 8), TRANSLATE)
+    assert (found.ticks, found.is_exact, len(found.changes)) == (ticks, is_exact, int(is_exact))
+
+
 def test_a_gap_in_the_recording_costs_only_its_own_steps() -> None:
     run = drive(lambda tick: 4)
     keep = np.r_[0:150, 163 : len(run.poses)]
