@@ -49,6 +49,19 @@ def test_slice_has_the_line_to_the_goal_of_its_run() -> None:
     np.testing.assert_allclose(RUN.slice(0.5, 2).goal_line.bearing_rad, RUN.goal_line.bearing_rad)  # type: ignore[union-attr]
 
 
+def test_slice_holds_the_events_at_its_ends_and_none_beyond() -> None:
+    dropped = [event for event in RUN.events if event.kind.endswith("_dropped")]
+    at_s = 2.992
+    assert {event.time_ns for event in dropped} == {RUN.start_ns + round(at_s * 1e9)}
+    for start_s, end_s, events in (
+        (0, at_s, dropped),
+        (at_s, 9, dropped),
+        (0, at_s - 1e-9, []),
+        (at_s + 1e-9, 9, []),
+    ):
+        assert list(RUN.slice(start_s, end_s).events) == events
+
+
 def test_slice_survives_a_file(tmp_path: Path) -> None:
     part = RUN.slice(2, 5)
     tl.write_recording(part, tmp_path / "part.mcap")
