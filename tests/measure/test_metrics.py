@@ -125,6 +125,14 @@ def test_a_phase_that_never_came_has_no_metrics() -> None:
     assert statuses == {tl.Status.NO_PHASE}
 
 
+@pytest.mark.parametrize(
+    ("poses", "length_s", "reason"), [(2, 0.016, ""), (1, None, "1 pose in translate")]
+)
+def test_a_phase_of_two_poses_is_measured(poses: int, length_s: float | None, reason: str) -> None:
+    found = tl.measure_run(make_straight_run(np.zeros(poses)))["translate.duration"]
+    assert (found.value, found.reason) == (length_s, reason)
+
+
 def test_a_rotation_cut_outside_the_band_does_not_settle() -> None:
     metric = measure("paper-kp1", max_duration_s=2.0)["rotate.settling_time"]
     assert (metric.value, metric.status) == (None, tl.Status.NOT_REACHED)
