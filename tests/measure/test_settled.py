@@ -149,6 +149,12 @@ def test_stretches_on_one_side_are_two_swings_where_a_second_lies_between(
     assert found == pytest.approx(period_s, abs=0.04)
 
 
+@pytest.mark.parametrize(("again_s", "period_s"), [(np.nextafter(1.0, 0.0), 0.0), (1.0, 1.0)])
+def test_stretches_a_whole_second_apart_are_two_swings(again_s: float, period_s: float) -> None:
+    time_s, values = np.array([0.0, 0.5, again_s, 1.5, 2.0]), np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+    assert find_swing_period(time_s, values, reference=0.0, half_width=1.0) == period_s
+
+
 def test_a_response_without_a_swing_has_no_period() -> None:
     for values in (np.zeros(5), np.ones(5), np.array([1.0, 0.0, 0.0, 0.0, 0.0])):
         assert find_swing_period(TIME_S[:5], values, reference=0.0, half_width=1.0) == 0.0
