@@ -30,6 +30,15 @@ def test_slice_to_the_end_keeps_the_stop_reason() -> None:
     assert RUN.slice(end_s=12).stop_reason is None
 
 
+@pytest.mark.parametrize(
+    ("start_s", "end_s", "is_complete"), [(None, None, True), (2, None, False), (None, 12, False)]
+)
+def test_slice_without_either_end_is_no_longer_determined_by_its_scenario(
+    start_s: float | None, end_s: float | None, *, is_complete: bool
+) -> None:
+    assert RUN.slice(start_s, end_s).scenario_is_complete == is_complete
+
+
 def test_slice_of_everything_is_the_run_itself() -> None:
     assert RUN.slice() is RUN
     assert RUN.slice(-1, RUN.duration_s) is RUN
@@ -38,6 +47,26 @@ def test_slice_of_everything_is_the_run_itself() -> None:
 def test_slice_has_the_line_to_the_goal_of_its_run() -> None:
     assert RUN.slice(0.5, 2).goal_line is not None
     np.testing.assert_allclose(RUN.slice(0.5, 2).goal_line.bearing_rad, RUN.goal_line.bearing_rad)  # type: ignore[union-attr]
+
+
+def test_slice_holds_the_events_at_its_ends_and_none_beyond() -> None:
+    dropped = [event for event in RUN.events if event.kind.endswith("_dropped")]
+    at_s = 2.992
+    assert {event.time_ns for event in dropped} == {RUN.start_ns + round(at_s * 1e9)}
+    for start_s, end_s, events in (
+        (0, at_s, dropped),
+        (at_s, 9, dropped),
+        (0, at_s - 1e-9, []),
+        (at_s + 1e-9, 9, []),
+    ):
+        assert list(RUN.slice(start_s, end_s).events) == events
+
+
+def test_slice_of_one_instant_holds_the_pose_there() -> None:
+    at_s = (RUN.poses.time_ns[100] - RUN.start_ns) / 1e9
+    np.testing.assert_array_equal(RUN.slice(at_s, at_s).poses.xy_m, RUN.poses.xy_m[100:101])
+    with pytest.raises(RunError, match=r"end_s: expected a time after start_s"):
+        RUN.slice(at_s, at_s - 1e-9)
 
 
 def test_slice_survives_a_file(tmp_path: Path) -> None:

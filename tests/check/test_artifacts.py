@@ -10,7 +10,7 @@ import turtlelog as tl
 from tests.check.artifact_files import read_mark
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Verdict
-from turtlelog.check.failure_report import describe_failure
+from turtlelog.check.failure_report import describe_failure, tabulate_surroundings
 from turtlelog.show import write_violation_rrd
 from turtlelog.show.rerun.snapshot import open_camera
 
@@ -53,6 +53,21 @@ def test_the_view_opens_at_the_violation_and_marks_it(
     read_ns = run.poses.time_ns[run.samples.pose_sequence]
     kept = np.isin(read_ns, cut.poses.time_ns) & np.isin(run.samples.time_ns, cut.poses.time_ns)
     np.testing.assert_array_equal(cut.samples.sequence, run.samples.sequence[kept])
+
+
+@pytest.mark.parametrize(
+    ("at_s", "times"),
+    [
+        (0.991, ["0.944", "0.960", ">0.976", "0.992", "1.008"]),
+        (0.992, ["0.960", "0.976", ">0.992", "1.008", "1.024"]),
+        (12.608, ["12.576", "12.592", ">12.608"]),
+    ],
+)
+def test_two_poses_stand_on_either_side_of_the_one_that_holds(
+    at_s: float, times: list[str]
+) -> None:
+    _, *lines = tabulate_surroundings(simulate("paper-kp10"), ["heading"], at_s)
+    assert [line.rpartition(" ")[0].replace(" ", "") for line in lines] == times
 
 
 def test_where_no_viewer_can_run_there_is_no_picture_and_the_reason(

@@ -93,6 +93,17 @@ def test_what_is_taken_at_the_end_is_violated_there() -> None:
     assert find("final.position_error", 0.02) == (RUN.end_ns - RUN.start_ns) / 1e9
 
 
+def test_what_is_taken_15_s_after_the_first_sample_is_violated_there() -> None:
+    run = simulate("paper-kp1")
+    name = "final.position_error_at_15s"
+    assert find_metric_violation(run, tl.measure_run(run)[name], "<=", 0.01) == 15.0
+    assert (run.end_ns - run.start_ns) / 1e9 > 20.0
+
+
+def test_what_belongs_to_the_whole_run_is_violated_at_no_moment() -> None:
+    assert find("run.straightness", 1.0) is None
+
+
 def test_a_share_belongs_to_its_moment_or_to_none() -> None:
     assert find("translate.saturated_share", 0.1) == METRICS["translate.saturated_share"].at_s
 

@@ -44,6 +44,18 @@ def test_the_overlap_ends_with_the_shorter_run() -> None:
     assert comparison.overlap_s == pytest.approx(11.184)
 
 
+@pytest.mark.parametrize(("last_s", "at_s"), [(2.0, 2.0), (2.001, None)])
+def test_the_row_with_which_the_overlap_ends_is_the_last_compared(
+    last_s: float, at_s: float | None
+) -> None:
+    reference, run = (
+        make_run(time_s=(0.0, end_s), sample_time_s=(0.0, end_s), speed_m_s=(0.5, speed_m_s))
+        for end_s, speed_m_s in ((2.0, 0.5), (last_s, 0.75))
+    )
+    found = {signal.signal: signal for signal in tl.compare_runs(reference, run).signals}
+    assert (found["speed"].at_s, found["speed"].largest) == (at_s, 0.25 if at_s else 0.0)
+
+
 def test_metrics_stand_beside_the_references() -> None:
     comparison = tl.compare_runs(KP4, tl.simulate_run(tl.load_scenario("paper-kp1")))
     durations = {found.metric.id: found for found in comparison.metrics}["run.duration"]

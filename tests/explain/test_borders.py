@@ -9,10 +9,15 @@ from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain
 from turtlelog.explain.identification import LAW_KEYS, LOOP_KEYS
-from turtlelog.explain.law_identification import PHASES, identify_rotation, identify_translation
+from turtlelog.explain.law_identification import (
+    PHASES,
+    bound_position_tolerance,
+    identify_rotation,
+    identify_translation,
+)
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
-from turtlelog.explain.stop_reason import RULE_KEYS
+from turtlelog.explain.stop_reason import RULE_KEYS, find_ending
 from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
 
@@ -116,6 +121,17 @@ def test_equal_commands_are_clipped_where_the_error_changed_by_five_deviations(
     assert (fit.limit == 1.0) == limited
 
 
+@pytest.mark.parametrize(("rows", "limit"), [(3, 1.2), (2, None)])
+def test_a_limit_shows_in_three_equal_commands_and_not_in_two(
+    rows: int, limit: float | None
+) -> None:
+    command, error = make_commands(np.random.default_rng(5).normal(0.0, 1e-3, 60))
+    command = np.append(np.full(rows, 1.2), command)
+    error = np.append(np.linspace(1.5, 0.8, rows), error)
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    assert fit.limit == limit
+
+
 def test_a_gain_that_its_neighbour_reproduces_as_well_is_not_exact() -> None:
     # Three small whole numbers times 3 are the same doubles for the next gain above 3 / 2**53 only.
     error = np.array([1.0, 0.5, 0.25])
@@ -185,6 +201,17 @@ def test_a_clock_may_be_off_by_a_tick_and_a_half(slack_ticks: float, reason: str
     assert identify_run(unfinished.to_run()).findings["stop_reason"].value == reason
 
 
+@pytest.mark.parametrize(("timeout_s", "assumed_s"), [(7.5, 7.5), (7.55, 7.536)])
+def test_a_time_is_taken_as_typed_where_it_has_two_digits(
+    timeout_s: float, assumed_s: float
+) -> None:
+    """The sample before the last comes at 7.488 s, and at 7.536 s."""
+    log = make_log(Truth(timeout_s=timeout_s, jitter_s=0.0))
+    trace = mark_breaks(trace_run(log.to_run(), PHASES))
+    rules = find_ending(trace, is_certain=True, is_finished=True).rules
+    assert rules["law.timeout_s"].assumed == assumed_s
+
+
 def test_a_wrapped_error_is_exact_where_commands_show_it() -> None:
     truth = Truth(start=(5.5, 5.5, 3.0), goal=(2.0, 5.0), wrap=True)
     wrap = identify_run(make_log(truth).to_run()).findings["law.wrap_error"]
@@ -207,6 +234,28 @@ def test_a_noisy_error_has_wrapped_from_six_deviations_beyond_half_a_turn(
     poses = replace(run.poses, heading_rad=heading_rad)
     found = identify_rotation(trace_run(replace(run, poses=poses), PHASES))[0]["law.wrap_error"]
     assert found.certainty == certainty
+
+
+@pytest.mark.parametrize(("ended_m", "interval"), [(0.0019, (0.0019, 0.002)), (0.002, None)])
+def test_a_tolerance_is_bounded_where_the_error_that_ended_is_the_least(
+    ended_m: float, interval: tuple[float, float] | None
+) -> None:
+    error = np.array([0.5, 0.3, 0.002])
+    fit = fit_command(2.0 * error, lambda gain: gain * error, PoseNoise(size=0.0, grain=0.0))
+    errors = np.column_stack([np.append(error, ended_m), np.zeros(4)])
+    found = bound_position_tolerance(errors, np.append(2.0 * error, 0.0), fit)
+    assert (found.interval, found.value) == (interval, None if interval is None else ended_m)
+
+
+def test_noisy_errors_bound_a_tolerance_to_four_deviations() -> None:
+    noise = np.random.default_rng(5).normal(0.0, 1e-3, 50)
+    command, error = make_commands(noise)
+    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    errors = np.column_stack([[*error, 0.03, 0.02], np.zeros(52)])
+    found = bound_position_tolerance(errors, np.array([*command, 0.06, 0.0]), fit)
+    assert fit.gain is not None
+    deviation_m = fit.gain.noise
+    assert found.interval == pytest.approx((0.02 - 4.0 * deviation_m, 0.03 + 4.0 * deviation_m))
 
 
 @pytest.mark.parametrize(("alike", "explains"), [(0.42, True), (0.58, False)])

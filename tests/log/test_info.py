@@ -61,6 +61,21 @@ def test_info_counts_messages_where_there_is_no_summary(chunked: bool, tmp_path:
     assert (info.duration_s, info.topics) == (3.0, (TopicInfo(topic="/a", type="", count=3),))
 
 
+@pytest.mark.parametrize(("count", "is_absent"), [(0, True), (1, False)])
+def test_a_goal_that_was_published_once_is_in_a_file(
+    count: int, tmp_path: Path, *, is_absent: bool
+) -> None:
+    with (tmp_path / "plain.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        for topic, messages in (("/turtle1/pose", 2), ("/turtle1/goal", count)):
+            channel = writer.register_channel(topic, "json", 0)
+            for time_ns in range(messages):
+                writer.add_message(channel, time_ns, b"{}", time_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert ("goal_xy_m" in read_info(tmp_path / "plain.mcap").absent) == is_absent
+
+
 @pytest.mark.parametrize(
     ("name", "topic", "count"),
     [

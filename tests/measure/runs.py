@@ -111,3 +111,14 @@ def shift_time(run: Run, shift_ns: int) -> Run:
         commands=dataclasses.replace(commands, time_ns=commands.time_ns + shift_ns),
         samples=dataclasses.replace(samples, time_ns=samples.time_ns + shift_ns),
     )
+
+
+def set_times(run: Run, time_ns: list[int]) -> Run:
+    """Return a run of a sample a pose whose rows have other times."""
+    times = np.array(time_ns)
+    return dataclasses.replace(
+        run,
+        poses=dataclasses.replace(run.poses, time_ns=times),
+        commands=dataclasses.replace(run.commands, time_ns=times),
+        samples=dataclasses.replace(run.samples, time_ns=times),
+    )

@@ -132,11 +132,34 @@ def test_a_robot_that_does_not_obey_is_not_explained() -> None:
     assert "no dead time up to 40 ticks explains the motion" in found.reason
 
 
+@pytest.mark.parametrize(("share", "reason"), [(0.049, "noise: "), (0.051, "no dead time up to")])
+def test_a_dead_time_may_leave_a_twentieth_of_the_way_unexplained(
+    share: float, reason: str
+) -> None:
+    """The robot goes ahead and falls back twice; the first tenth of its way does not count."""
+    run = drive(lambda tick: 4)
+    ahead = np.sin(np.linspace(0.0, 4.0 * np.pi, len(run.poses)))
+    way_m = np.hypot(*(run.poses.xy_m - run.poses.xy_m[0]).T)
+    ahead *= share * way_m[-1] / float(ahead[way_m >= 0.1 * way_m[-1]].std())
+    xy_m = run.poses.xy_m + np.outer(ahead, [np.cos(0.7), np.sin(0.7)])
+    found = find_dead_time(replace(run, poses=replace(run.poses, xy_m=xy_m)), TRANSLATE)
+    assert isinstance(found, Missing)
+    assert found.reason.startswith(reason)
+
+
 def test_a_change_of_the_dead_time_is_placed() -> None:
     found = require_found(drive(lambda tick: 3 if tick < 200 else 8), TRANSLATE)
     change = DeadTimeChange(time_ns=found.changes[0].time_ns, before=3, after=8)
     assert (found.ticks, found.is_exact, found.changes) == (8, True, (change,))
     assert 192 <= change.time_ns / TICK_NS <= 208
+
+
+@pytest.mark.parametrize(("steps", "ticks", "is_exact"), [(12, 8, True), (11, 3, False)])
+def test_a_dead_time_is_another_one_from_twelve_steps_on(
+    steps: int, ticks: int, *, is_exact: bool
+) -> None:
+    found = require_found(drive(lambda tick: 3 if tick < 400 - steps else 8), TRANSLATE)
+    assert (found.ticks, found.is_exact, len(found.changes)) == (ticks, is_exact, int(is_exact))
 
 
 def test_a_gap_in_the_recording_costs_only_its_own_steps() -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.measure.runs import GOAL_M, make_straight_run, set_times
 from tests.sequential import ROTATE
 from turtlelog.errors import MeasureError
 from turtlelog.loops import Declaration
@@ -105,6 +106,12 @@ def test_a_cut_run_has_no_error_at_15_s() -> None:
     assert "cut at 9.9" in metric.reason
 
 
+@pytest.mark.parametrize(("end_ns", "error_m"), [(15 * 10**9 - 1, None), (15 * 10**9, GOAL_M)])
+def test_a_run_cut_at_15_s_has_its_error_there(end_ns: int, error_m: float | None) -> None:
+    cut = set_times(make_straight_run(np.zeros(2), stop_reason=None), [0, end_ns])
+    assert tl.measure_run(cut)["final.position_error_at_15s"].value == error_m
+
+
 def test_a_run_that_ended_holds_its_last_error() -> None:
     metrics = measure("paper-kp4")
     assert read_value(metrics["run.duration"]) < PAPER_WINDOW_S
@@ -116,6 +123,14 @@ def test_a_phase_that_never_came_has_no_metrics() -> None:
     metrics = measure("paper-kp1", max_duration_s=5.0)
     statuses = {metrics[name].status for name in metrics if name.startswith("translate.")}
     assert statuses == {tl.Status.NO_PHASE}
+
+
+@pytest.mark.parametrize(
+    ("poses", "length_s", "reason"), [(2, 0.016, ""), (1, None, "1 pose in translate")]
+)
+def test_a_phase_of_two_poses_is_measured(poses: int, length_s: float | None, reason: str) -> None:
+    found = tl.measure_run(make_straight_run(np.zeros(poses)))["translate.duration"]
+    assert (found.value, found.reason) == (length_s, reason)
 
 
 def test_a_rotation_cut_outside_the_band_does_not_settle() -> None:

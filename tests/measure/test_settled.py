@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
-from tests.measure.runs import GOAL_M, PERIOD_NS, Values, make_straight_run
+from tests.measure.runs import GOAL_M, PERIOD_NS, Values, make_straight_run, set_times
 from turtlelog.measure.step_response import find_swing_period
 from turtlelog.run import Run
 
@@ -84,6 +84,17 @@ def test_a_run_that_was_cut_or_timed_out_must_have_stayed(
     assert long.value == pytest.approx(SETTLED_S, abs=1e-4)
 
 
+@pytest.mark.parametrize(("held_ns", "settled_s"), [(10**9 - 1, None), (10**9, 0.5)])
+def test_a_cut_run_has_settled_once_it_stayed_for_a_whole_second(
+    held_ns: int, settled_s: float | None
+) -> None:
+    """On the line from 0 to 1 it enters the band of 0.5 at 0.5 s, to the last bit."""
+    run = make_straight_run(GOAL_M * np.array([0.0, 1.0, 1.0]), stop_reason=None)
+    run = set_times(run, [0, 10**9, 10**9 // 2 + held_ns])
+    name = "translate.settling_time"
+    assert tl.measure_run(run, tl.MeasureSettings(band=0.5), only=[name])[name].value == settled_s
+
+
 def swing(amplitude: float, period_s: float, *, until_s: float, offset: float = 0.0) -> Values:
     """Return a response that goes round its reference until a time, and stands there then."""
     angle = 2.0 * math.pi * TIME_S / period_s
@@ -136,6 +147,12 @@ def test_stretches_on_one_side_are_two_swings_where_a_second_lies_between(
     values = np.where(first | second, 1.0, 0.0)
     found = find_swing_period(TIME_S, values, reference=0.0, half_width=1.0)
     assert found == pytest.approx(period_s, abs=0.04)
+
+
+@pytest.mark.parametrize(("again_s", "period_s"), [(np.nextafter(1.0, 0.0), 0.0), (1.0, 1.0)])
+def test_stretches_a_whole_second_apart_are_two_swings(again_s: float, period_s: float) -> None:
+    time_s, values = np.array([0.0, 0.5, again_s, 1.5, 2.0]), np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+    assert find_swing_period(time_s, values, reference=0.0, half_width=1.0) == period_s
 
 
 def test_a_response_without_a_swing_has_no_period() -> None:

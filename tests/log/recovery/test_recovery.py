@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.log.runs import find_shared
 from tests.torture.recordings import list_messages, list_records, make_recording, pack_again
@@ -77,6 +77,24 @@ def test_a_damaged_chunk_is_missed_by_the_message(sound: bytes, tmp_path: Path) 
     assert 0 < sum(report.missing.values()) == len(whole) - len(found)
     assert set(found) < set(whole)
     assert [(loss.start, loss.end) for loss in report.lost] == [(place, end)]
+
+
+@pytest.mark.parametrize(("second", "losses"), [(3, [(2, 3)]), (4, [(2, 2), (4, 4)])])
+def test_chunks_lost_one_right_after_the_other_are_one_loss(
+    second: int, losses: list[tuple[int, int]], tmp_path: Path
+) -> None:
+    output = BytesIO()
+    writer = Writer(output, chunk_size=1, index_types=IndexType.NONE)
+    writer.start()
+    channel = writer.register_channel("/a", "json", 0)
+    for time_ns in range(8):
+        writer.add_message(channel, time_ns, b"{}", time_ns)
+    writer.finish()  # type: ignore[no-untyped-call]
+    chunks = list_places(output.getvalue())
+    damaged = damage(output.getvalue(), *(chunks[number][1] - 9 for number in (2, second)))
+    assert [(loss.start, loss.end) for loss in recover(damaged, tmp_path)[0].lost] == [
+        (chunks[first][0], chunks[last][1]) for first, last in losses
+    ]
 
 
 def test_channels_of_a_lost_first_chunk_come_from_the_summary(sound: bytes, tmp_path: Path) -> None:
