@@ -10,7 +10,7 @@ from tests.cli.conftest import Call
 
 COMMANDS = (
     *("demo", "run", "scenario", "info", "metrics", "compare", "view"),
-    *("replay", "import", "export", "recover"),
+    *("replay", "convert", "recover"),
 )
 
 

@@ -9,17 +9,16 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, Final
 
 from cyclopts import App, CycloptsError
 
 from turtlelog.cli.check import check
 from turtlelog.cli.compare import compare
+from turtlelog.cli.convert import convert
 from turtlelog.cli.demo import demo
 from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DEFECT, EXIT_FINE, EXIT_INTERRUPTED
 from turtlelog.cli.explain import explain
-from turtlelog.cli.export import export
-from turtlelog.cli.import_log import import_
 from turtlelog.cli.info import info
 from turtlelog.cli.metrics import metrics
 from turtlelog.cli.output import drop_stdout, outlive_reader, print_error
@@ -31,7 +30,7 @@ from turtlelog.cli.run import run
 from turtlelog.cli.scenario import scenario
 from turtlelog.cli.theory import theory
 from turtlelog.cli.view import view
-from turtlelog.errors import TurtlelogError
+from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.version import __version__
 
 app = App(
@@ -58,14 +57,16 @@ for command in (
     plot,
     replay,
     explain,
-    import_,
-    export,
+    convert,
     recover,
 ):
     app.command(command)
 app.register_install_completion_command(
     add_to_startup=False, help="Write the completion script of your shell and say where."
 )
+
+_FORMER: Final = {"import": "convert LOG -o OUT.mcap", "export": "convert FILE -o OUT"}
+"""Commands that have another name now."""
 
 
 def main(tokens: Sequence[str] | None = None) -> None:
@@ -90,6 +91,9 @@ def main(tokens: Sequence[str] | None = None) -> None:
 
 
 def _call(tokens: Sequence[str] | None) -> Any:
+    tokens = sys.argv[1:] if tokens is None else tokens
+    if tokens and tokens[0] in _FORMER:
+        raise UsageError(f"{tokens[0]}: expected turtlelog {_FORMER[tokens[0]]}, found an old name")
     with _stop_on_request():
         try:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")

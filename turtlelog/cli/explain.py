@@ -9,7 +9,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.explain_answer import describe_explanation
 from turtlelog.cli.explain_tables import format_attribution, format_identification
-from turtlelog.cli.options import Json, TopicOptions, read_runs
+from turtlelog.cli.options import File, Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -38,7 +38,7 @@ class ExplainOptions:
 
 
 def explain(
-    file: Annotated[Path, Parameter(name="FILE")],
+    file: File,
     /,
     *,
     metric: str = "final.position_error",

@@ -25,6 +25,7 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
         raise UsageError(f"{tokens[0].keyword}: expected a whole number, {found}") from err
 
 
+File = Annotated[Path, Parameter(name="FILE")]
 Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
 Partial = Annotated[bool, Parameter(name="--partial", negative="")]
