@@ -17,17 +17,23 @@ from turtlelog.cli.check import check
 from turtlelog.cli.compare import compare
 from turtlelog.cli.convert import convert
 from turtlelog.cli.demo import demo
-from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_DEFECT, EXIT_FINE, EXIT_INTERRUPTED
 from turtlelog.cli.explain import explain
 from turtlelog.cli.info import info
 from turtlelog.cli.metrics import metrics
-from turtlelog.cli.output import drop_stdout, outlive_reader, print_error
+from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_DEFECT,
+    EXIT_FINE,
+    EXIT_INTERRUPTED,
+    drop_stdout,
+    outlive_reader,
+    print_error,
+)
 from turtlelog.cli.plot import plot
 from turtlelog.cli.progress import end_progress
 from turtlelog.cli.recover import recover
 from turtlelog.cli.replay import replay
-from turtlelog.cli.run import run
-from turtlelog.cli.scenario import scenario
+from turtlelog.cli.run import run, scenario
 from turtlelog.cli.theory import theory
 from turtlelog.cli.view import view
 from turtlelog.errors import TurtlelogError, UsageError

@@ -10,9 +10,8 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
-from turtlelog.cli.exit_codes import EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.options import Json, Output, TopicOptions, iterate_files, require_files
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
 from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.errors import LogError, UsageError
 

@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
-from turtlelog.cli.formats import FormatOptions, print_tables
-from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs
-from turtlelog.cli.output import print_error, print_json, print_note
+from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs, watch_summaries
+from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    FormatOptions,
+    print_error,
+    print_json,
+    print_note,
+    print_tables,
+)
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.summaries import watch_summaries
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import TurtlelogError, UsageError
 

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.explain_answer import describe_explanation
-from turtlelog.cli.explain_tables import format_attribution, format_identification
+from turtlelog.cli.explain_answer import (
+    describe_explanation,
+    format_attribution,
+    format_identification,
+)
 from turtlelog.cli.options import File, Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress

@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
-from turtlelog.cli.formats import FormatOptions, print_tables
-from turtlelog.cli.options import Files, TopicOptions, Whole, require_files
+from turtlelog.cli.options import Files, TopicOptions, Whole, require_files, watch_summaries
 from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    FormatOptions,
     describe_metrics,
     print_csv,
     print_error,
     print_json_list,
+    print_tables,
 )
-from turtlelog.cli.summaries import watch_summaries
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:

@@ -10,10 +10,10 @@ from cyclopts import Parameter, Token
 import turtlelog as tl
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import UsageError
+from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Declaration, Run, Scenario, TopicChoice
+    from turtlelog import Declaration, Run, RunSummary, Scenario, TopicChoice
 
 
 def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -176,6 +176,20 @@ def _read_run(path: Path, topics: TopicOptions) -> "Run":
     run = topics.build_choice().read(path)
     print_run_notes(path, run.notes)
     return run
+
+
+def watch_summaries(
+    found: "Iterator[RunSummary | TurtlelogError]", count: int, errors: list[TurtlelogError]
+) -> "Iterator[RunSummary]":
+    """Yield what was measured, keep the errors, and show how many of the files are done."""
+    with show_progress("reading", count if count > 1 else None, "files") as progress:
+        for number, summary in enumerate(found, start=1):
+            if isinstance(summary, TurtlelogError):
+                errors.append(summary)
+            else:
+                print_run_notes(summary.file, summary.notes)
+                yield summary
+            progress.done = number
 
 
 def require_files(paths: Sequence[Path]) -> None:

@@ -12,17 +12,68 @@ import tempfile
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.errors import UsageError
 from turtlelog.escapes import escape_controls, guard_cell
 
 if TYPE_CHECKING:
     from turtlelog import Metric, Table
 
+EXIT_FINE: Final = 0
+EXIT_FAILED: Final = 1
+"""A check, or a comparison with tolerances, failed."""
+EXIT_BAD_INPUT: Final = 2
+"""Bad usage, or an input that cannot be read."""
+EXIT_DEFECT: Final = 70
+EXIT_INTERRUPTED: Final = 130
+
 _SPOOLED: Final = 16 * 2**20
 """Bytes of a long answer that are kept in memory."""
+
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormatOptions:
+    """How to print; without any of them, tables for a terminal.
+
+    Attributes:
+        markdown: Print tables as Markdown.
+        csv: Print tables as CSV, with full precision.
+        latex: Print tables as LaTeX, for the booktabs package.
+        json: Print one JSON value instead of tables.
+    """
+
+    markdown: Flag = False
+    csv: Flag = False
+    latex: Flag = False
+    json: Flag = False
+
+    def choose(self) -> str:
+        """Return the one that is asked for: `txt`, `md`, `csv`, `tex` or `json`.
+
+        Raises:
+            UsageError: Where there are several.
+        """
+        asked = {
+            "--markdown": self.markdown,
+            "--csv": self.csv,
+            "--latex": self.latex,
+            "--json": self.json,
+        }
+        chosen = [name for name, is_asked in asked.items() if is_asked]
+        if len(chosen) > 1:
+            raise UsageError(f"{chosen[1]}: expected one format, found {chosen[0]} beside it")
+        kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
+        return kinds[chosen[0]] if chosen else "txt"
 
 
 def print_text(text: str, *, is_data: bool = False) -> None:
@@ -41,6 +92,14 @@ def print_text(text: str, *, is_data: bool = False) -> None:
 def print_lines(lines: Iterable[str]) -> None:
     """Print results, each in one line whatever stands in it."""
     print_text("\n".join(map(escape_controls, lines)))
+
+
+def print_tables(tables: "Sequence[Table]", kind: str) -> None:
+    """Print tables in a format, an empty line between them."""
+    texts = (
+        format_table(table) if kind == "txt" else tl.format_table(table, kind) for table in tables
+    )
+    print_text("\n".join(texts), is_data=kind == "csv")
 
 
 @contextmanager

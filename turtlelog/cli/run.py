@@ -1,4 +1,4 @@
-"""`turtlelog run`: simulate a scenario."""
+"""`turtlelog run`: simulate a scenario; `turtlelog scenario`: print it."""
 
 import sys
 from collections.abc import Iterator, Mapping
@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.exit_codes import EXIT_FINE, EXIT_INTERRUPTED
 from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_changed_scenario
 from turtlelog.cli.output import (
+    EXIT_FINE,
+    EXIT_INTERRUPTED,
     describe_metrics,
     format_table,
     outlive_reader,
@@ -96,6 +97,26 @@ def run(
             with suppress(KeyboardInterrupt):  # all is done: only the window is to be closed
                 window.wait()
     return code
+
+
+def scenario(
+    scenario: str = "paper",
+    /,
+    *,
+    options: ScenarioOptions | None = None,
+) -> None:
+    """Print a preset or scenario file as a whole scenario file, to edit and run.
+
+    The code of a law of your own is not loaded: of its keys those that were given are printed.
+
+    Example: turtlelog scenario paper-kp10 > mine.toml
+
+    Args:
+        scenario: A preset (paper-kp1, paper-kp2, paper-kp4, paper-kp10, paper, textbook) or a
+            scenario file.
+    """
+    chosen = load_changed_scenario(scenario, options)
+    print_text(tl.format_scenario(chosen))
 
 
 def _answer(

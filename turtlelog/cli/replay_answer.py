@@ -1,6 +1,6 @@
 """How replays that compare signals are answered: through a law, and in closed loop."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import degrees
 from typing import TYPE_CHECKING, Any, Final
 
@@ -9,8 +9,10 @@ from turtlelog.cli.output import format_table
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import LawReplay, LoopReplay, Run, Table
+    from turtlelog import LawReplay, LoopReplay, Metric, Run, Table
     from turtlelog.replay import Difference, PoseError, SignalDifference
+
+    Measured = Mapping[str, Metric]
 
 _PRINTED: Final = {"rad": "deg", "rad/s": "deg/s", "1": ""}
 """Units as printed, where they are not those of the values."""
@@ -253,3 +255,73 @@ def _convert(value: Any, unit: str) -> Any:
 
 def _tell_time(run: "Run", time_ns: int) -> float:
     return (time_ns - run.start_ns) / 1e9
+
+
+_OF_LOOP: Final = frozenset({"overshoot", "settling_time", "rms_error"})
+_OF_RUN: Final = frozenset({"final.heading_error", "final.position_error", "run.duration"})
+
+
+def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured]":
+    """Return the essential metrics of both runs, in one order; what one does not have says so."""
+    essential = tl.list_essential_metrics(recorded.declaration, replayed.declaration)
+    parts = ((name, name.rpartition(".")[2]) for name in essential)
+    of_loops = [name for name, plain in parts if plain in _OF_LOOP]
+    names = [*(name for name in essential if name in _OF_RUN), *of_loops]
+    return tl.measure_run(recorded, only=names), tl.measure_run(replayed, only=names)
+
+
+def describe_changes(recorded: "Run", replayed: "Run") -> list[dict[str, Any]]:
+    """Return the `metrics` list of the JSON answer."""
+    was, now = _measure_both(recorded, replayed)
+    return [
+        {
+            "id": name,
+            "unit": was[name].unit,
+            "recorded": was[name].value,
+            "recorded_status": was[name].status.value,
+            "replayed": now[name].value,
+            "replayed_status": now[name].status.value,
+            "difference": _subtract(was, now, name),
+        }
+        for name in _list_ids(was, now)
+    ]
+
+
+def format_changes(recorded: "Run", replayed: "Run") -> str:
+    """Return the essential metrics of both, and the difference."""
+    was, now = _measure_both(recorded, replayed)
+    return format_table(
+        tl.Table(
+            title=f"{recorded.name}, and what became of it: {replayed.name}",
+            columns=tuple(
+                tl.Column(title=title)
+                for title in ("metric", "unit", "recorded", "replayed", "difference")
+            ),
+            rows=tuple(
+                (
+                    name,
+                    was[name].unit,
+                    _get_cell(was[name]),
+                    _get_cell(now[name]),
+                    _subtract(was, now, name),
+                )
+                for name in _list_ids(was, now)
+            ),
+        )
+    )
+
+
+def _get_cell(metric: "Metric") -> float | str:
+    return metric.status.value if metric.value is None else metric.value
+
+
+def _subtract(was: "Measured", now: "Measured", name: str) -> float | None:
+    recorded, replayed = was[name].value, now[name].value
+    return None if recorded is None or replayed is None else replayed - recorded
+
+
+def _list_ids(was: "Measured", now: "Measured") -> list[str]:
+    """Return the ids of both: the end, then loop by loop, then the whole run."""
+    names = dict.fromkeys([*was, *now])
+    ranks = {"final": 0, "run": 2}
+    return sorted(names, key=lambda name: ranks.get(name.partition(".")[0], 1))
