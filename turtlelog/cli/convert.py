@@ -56,9 +56,9 @@ def convert(
     file is read back and compared before the command answers. A file replaces one that is there,
     a folder has to be new.
 
-    What the source does not hold is listed as absent, never made up. A recording or a bag holds the
-    whole run. Tables hold its rows, without scenario, goal and loops: converted back they make a
-    run that lacks these.
+    What the source does not hold is listed as absent, never made up. A recording, a bag and a
+    folder of Parquet files hold the whole run. CSV holds its rows, without scenario, goal and
+    loops: converted back it makes a run that lacks these.
 
     Example: turtlelog convert kp1_210.json -o kp1.mcap
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -11,10 +12,20 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
+from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.exporters import PAIRS, TABLES, Table, tabulate_run
-from turtlelog.loops import PAUSE, Declaration
-from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
+from turtlelog.log.recording.head import parse_declaration
+from turtlelog.loops import DONE, PAUSE, Declaration
+from turtlelog.run import (
+    TABLES,
+    CommandColumns,
+    Event,
+    PoseColumns,
+    Run,
+    SampleColumns,
+    tabulate_run,
+)
+from turtlelog.run.tables import PAIRS, Table
 
 TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
@@ -59,7 +70,7 @@ def holds_tables(path: Path) -> bool:
 def import_tables(path: str | Path) -> Run:
     """Return the run in tables that were written as CSV or Parquet: a folder of them, or its poses.
 
-    Tables do not hold the scenario, the goal, the loops of the law and the stop reason.
+    CSV does not hold the scenario, the goal, the loops of the law and the stop reason.
 
     Raises:
         LogError: One line with the file and the column, where a table is wrong.
@@ -67,32 +78,18 @@ def import_tables(path: str | Path) -> Run:
     path = Path(path)
     files = list_table_files(path) if path.is_dir() else (path,)
     tables: dict[str, Table] = {}
+    facts: dict[str, Any] = {}
     for file in files:
-        tables |= read_table(file)
+        name, table, facts = _read_table(file)
+        tables[name] = table
     with name_file(path, expected="tables of a run"):
         if "poses" not in tables:
             found = ", ".join(tables) or "none"
             raise LogError(f"expected the poses of a run, found its {found} alone")
         try:
-            return _build_run(tables, path)
+            return _build_run(tables, facts, path)
         except RunError as err:
             raise LogError(str(err)) from err
-
-
-def read_table(path: Path) -> Mapping[str, Table]:
-    """Return the one table in a file under its name.
-
-    Raises:
-        LogError: One line with the file, where it holds none.
-    """
-    with name_file(path, expected="a table of a run"):
-        is_parquet = path.suffix.lower() == ".parquet"
-        table = _read_parquet(path) if is_parquet else _read_csv(path)
-        name = find_table([*table])
-        if name is None:
-            found = ", ".join(table)[:80] or "none"
-            raise LogError(f"expected the columns of a table that turtlelog wrote, found {found}")
-        return {name: table}
 
 
 def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:
@@ -106,23 +103,34 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
     Raises:
         LogError: With the file, the table and the column.
     """
-    expected = tabulate_run(run)
     if read is not None:
-        _require_same(written[0], expected, tabulate_run(read))
+        for name in TABLES:
+            _require_same(written[0], name, tabulate_run(run, name), tabulate_run(read, name))
         return
     for path in written:
-        found = read_table(path)
-        _require_same(path, {name: expected[name] for name in found}, found)
+        name, table, _ = _read_table(path)
+        _require_same(path, name, tabulate_run(run, name), table)
 
 
-def _require_same(path: Path, expected: Mapping[str, Table], found: Mapping[str, Table]) -> None:
-    for name, table in expected.items():
-        for column in [*dict.fromkeys([*table, *found[name]])]:
-            if not _is_same(table.get(column), found[name].get(column)):
-                raise LogError(
-                    f"{path}: expected to read back what was written, found other values in"
-                    f" {column} of {name}"
-                )
+def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
+    """Return the name of the one table in a file, its columns, and what is told of the run."""
+    with name_file(path, expected="a table of a run"):
+        is_parquet = path.suffix.lower() == ".parquet"
+        table, facts = _read_parquet(path) if is_parquet else (_read_csv(path), {})
+        name = find_table([*table])
+        if name is None:
+            found = ", ".join(table)[:80] or "none"
+            raise LogError(f"expected the columns of a table that turtlelog wrote, found {found}")
+        return name, table, facts
+
+
+def _require_same(path: Path, name: str, expected: Table, found: Table) -> None:
+    for column in [*dict.fromkeys([*expected, *found])]:
+        if not _is_same(expected.get(column), found.get(column)):
+            raise LogError(
+                f"{path}: expected to read back what was written, found other values in {column}"
+                f" of {name}"
+            )
 
 
 def _is_same(written: NDArray[Any] | None, read: NDArray[Any] | None) -> bool:
@@ -161,41 +169,44 @@ def _release(cell: str) -> str:
     return inner if guard_cell(inner) == cell else cell
 
 
-def _read_parquet(path: Path) -> Table:
-    from pyarrow import ArrowException, parquet  # type: ignore[import-untyped]
-
+def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
+    parquet = load_library("pyarrow.parquet")
     with open_file(path) as stream:
-        try:
-            table = parquet.read_table(stream)
-        except ArrowException as err:
-            raise LogError(f"expected a Parquet file, found none: {err}") from err
-        return {
-            name: table[name].to_numpy() if name not in _TEXTS else _list_texts(table[name])
-            for name in table.column_names
-        }
-
-
-def _list_texts(column: Any) -> NDArray[Any]:
-    return np.array(column.to_pylist(), dtype=object)
-
-
-def _build_run(tables: Mapping[str, Table], path: Path) -> Run:
-    poses, events = tables["poses"], tables.get("events", {})
-    empty = np.array([], dtype=np.float64)
-    commands = tables.get("commands") or {
-        "time_ns": np.array([], dtype=np.int64),
-        **dict.fromkeys(("speed_m_s", "lateral_speed_m_s", "turn_rate_rad_s"), empty),
+        table = parquet.read_table(stream)
+    metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
+    prefix = "turtlelog."
+    facts = {
+        key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
     }
-    samples, declaration = _build_samples(tables.get("samples"))
+    columns = {
+        name: np.array(table[name].to_pylist(), dtype=object)
+        if name in _TEXTS
+        else table[name].to_numpy()
+        for name in table.column_names
+    }
+    return columns, facts
+
+
+def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path) -> Run:
+    declaration = parse_declaration(facts["declaration"]) if "declaration" in facts else None
+    samples, declaration = _build_samples(tables.get("samples"), declaration)
+    goal = json.loads(facts.get("goal_m_m_rad", "null"))
     absent = [name for name in ("commands", "samples", "events") if name not in tables]
-    absent += ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]
+    if "scenario" not in facts:
+        absent += ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]
+    events = tables.get("events", {})
     return Run(
-        name=path.stem,
-        source=f"tables {path.name}",
-        poses=PoseColumns(**_gather(poses, PoseColumns)),
-        commands=CommandColumns(**_gather(commands, CommandColumns)),
+        name=facts.get("name", path.stem),
+        source=facts.get("source", f"tables {path.name}"),
+        poses=PoseColumns(**_gather(tables["poses"], PoseColumns)),
+        commands=_build_commands(tables.get("commands")),
         samples=samples,
+        goal_xy_m=None if goal is None else (goal[0], goal[1]),
+        goal_heading_rad=None if goal is None else goal[2],
         declaration=declaration,
+        parameters=json.loads(facts.get("scenario", "{}")),
+        scenario_is_complete=json.loads(facts.get("scenario_is_complete", "false")),
+        stop_reason=json.loads(facts.get("stop_reason", "null")),
         events=tuple(
             Event(time_ns=int(time_ns), kind=kind, text=text)
             for time_ns, kind, text in zip(*events.values(), strict=True)
@@ -204,7 +215,21 @@ def _build_run(tables: Mapping[str, Table], path: Path) -> Run:
     )
 
 
-def _build_samples(table: Table | None) -> tuple[SampleColumns, Declaration]:
+def _build_commands(table: Table | None) -> CommandColumns:
+    if table is not None:
+        return CommandColumns(**_gather(table, CommandColumns))
+    nothing = np.array([], dtype=np.float64)
+    return CommandColumns(
+        time_ns=np.array([], dtype=np.int64),
+        speed_m_s=nothing,
+        lateral_speed_m_s=nothing,
+        turn_rate_rad_s=nothing,
+    )
+
+
+def _build_samples(
+    table: Table | None, declaration: Declaration | None
+) -> tuple[SampleColumns, Declaration]:
     if table is None:
         none, nothing = np.array([], dtype=np.int64), np.array([], dtype=np.float64)
         empty = SampleColumns(
@@ -216,8 +241,6 @@ def _build_samples(table: Table | None) -> tuple[SampleColumns, Declaration]:
             turn_rate_rad_s=nothing,
         )
         return empty, Declaration()
-    labels = [*dict.fromkeys(table["phase"].tolist())]
-    phases = {name: () for name in labels if name not in {PAUSE, "done"}}
     values = _gather(table, SampleColumns)
     known = {*(name for pair in PAIRS.values() for name in pair), *values}
     states = {
@@ -225,7 +248,10 @@ def _build_samples(table: Table | None) -> tuple[SampleColumns, Declaration]:
         for name, column in table.items()
         if name not in known
     }
-    declaration = Declaration(phases=phases or {"control": ()}, states=tuple(states))
+    if declaration is None:
+        labels = [*dict.fromkeys(table["phase"].tolist())]
+        phases = {name: () for name in labels if name not in {PAUSE, DONE}}
+        declaration = Declaration(phases=phases or {"control": ()}, states=tuple(states))
     indices = {name: index for index, name in enumerate(declaration.phase_names)}
     values["phase"] = np.array([indices[name] for name in table["phase"]], dtype=np.int64)
     if states:
