@@ -149,7 +149,10 @@ def test_what_reads_back_differently_is_refused(
         (["ragged.csv", "-o", "a.mcap"], "ragged.csv: row 2: expected 4 cells, found 3"),
         (["words.csv", "-o", "a.mcap"], "words.csv: x_m[0]: expected a number, found 'here'"),
         (["back.csv", "-o", "a.mcap"], "back.csv: pose.time_ns: expected strictly increasing"),
-        (["wrong.parquet", "-o", "a.mcap"], "wrong.parquet: expected a table of a run, found Arrow"),
+        (
+            ["wrong.parquet", "-o", "a.mcap"],
+            "wrong.parquet: expected a table of a run, found Arrow",
+        ),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -114,7 +114,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["metrics", "cut.mcap"], "expected the end of an MCAP file, found none"),
         (["metrics", "."], ".: expected a bag, found a folder without metadata.yaml"),
         (["metrics", "wrong.json"], "wrong.json: "),
-        (["metrics"], "FILE requires an argument"),
+        (["metrics"], "turtlelog metrics: expected at least one FILE, found none"),
         (["compare", "good.mcap"], "expected at least two runs to compare, found 1"),
         (["compare", "good.mcap", "zeros.mcap"], "zeros.mcap: byte 0"),
         (["import", "a.json"], "import: expected turtlelog convert LOG -o OUT.mcap, found an old"),
@@ -131,7 +131,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["convert", "wrong.json", "-o", "wrong.json"], "found a name that ends in .json"),
         (["convert", "json.mcap", "-o", "a.mcap"], "json.mcap: byte 0: expected an MCAP file"),
         (["view", "good.mcap", "--save", "no/such/a.rrd"], "expected a place that can be written"),
-        (["frobnicate"], 'Unknown command "frobnicate".'),
+        (["frobnicate"], "turtlelog: expected a command (run, scenario, theory, info"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from turtlelog import ArtifactWriter, CheckResult, Run, Spec
 
 
-Words = Annotated[list[Path], Parameter(name="SPEC RUN", negative="")]
+Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
 
 
 @Parameter(name="*")
@@ -49,7 +49,7 @@ class FirstSpecOptions:
 
     init: Path | None = None
     output: Output = None
-    schema: Annotated[bool, Parameter(negative="")] = False
+    schema: bool = False
 
 
 def check(
@@ -71,7 +71,7 @@ def check(
 
     Example: turtlelog check --init good.mcap -o spec.toml
 
-    Example: turtlelog check spec.toml runs/*.mcap --junit report.xml --artifacts failed
+    Example: turtlelog check spec.toml runs/*.mcap --junit report.xml
 
     Args:
         words: A specification (.toml) and recordings.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs, watch_summaries
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
@@ -43,7 +44,7 @@ class ReferenceOptions:
 
     reference: Path | None = None
     tolerances: Annotated[Path | None, Parameter(show=False)] = None
-    align: str | None = None
+    align: Annotated[str | None, Parameter(metavar="HOW")] = None
 
 
 @Parameter(name="*")
@@ -58,9 +59,12 @@ class ChoiceOptions:
         where: Which runs, as in "law.kp_linear >= 2 and run.duration < 20".
     """
 
-    only: str | None = None
-    sort: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    where: str | None = None
+    only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
+    sort: Annotated[
+        str | None,
+        Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics),
+    ] = None
+    where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_columns(self) -> list[str]:
         """Return the names and patterns that are asked for, none for the usual columns."""
@@ -82,7 +86,7 @@ def compare(
     Without a reference, a file that cannot be read is told on stderr; the others
     are compared where there are two or more, and the exit code is 2.
 
-    Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort final.position_error
+    Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort run.duration
 
     Example: turtlelog compare --reference good.mcap new.mcap
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter, Token
 
 import turtlelog as tl
+from turtlelog.cli.list_names import complete_keys
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
@@ -26,11 +27,11 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
 
 
 File = Annotated[Path, Parameter(name="FILE")]
-Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
+Files = Annotated[list[Path], Parameter(name="FILE")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
-Partial = Annotated[bool, Parameter(name="--partial", negative="")]
-Connect = Annotated[str | None, Parameter(name="--connect")]
-Json = Annotated[bool, Parameter(name="--json", negative="")]
+Partial = Annotated[bool, Parameter(name="--partial")]
+Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
+Json = Annotated[bool, Parameter(name="--json")]
 Whole = Annotated[int, Parameter(converter=_read_whole)]
 """A whole number; a plain int would cut 1.5 to 1."""
 
@@ -44,12 +45,15 @@ class ScenarioOptions:
         kp: Set the gains that the law declares [1/s].
         goal: Set the goal position, as in 2,10 [m].
         assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
-            several times.
+            several times. The unit stands in the key.
     """
 
-    kp: float | None = None
-    goal: str | None = None
-    assignments: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None
+    kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
+    goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
+    assignments: Annotated[
+        list[str] | None,
+        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+    ] = None
 
 
 @Parameter(name="*")
@@ -63,8 +67,8 @@ class TopicOptions:
         partial: Read what an unfinished or damaged recording still holds.
     """
 
-    pose_topic: str | None = None
-    command_topic: str | None = None
+    pose_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
+    command_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     partial: Partial = False
 
     def build_choice(self) -> "TopicChoice":

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from cyclopts import Parameter
 
@@ -37,9 +37,6 @@ _SPOOLED: Final = 16 * 2**20
 """Bytes of a long answer that are kept in memory."""
 
 
-Flag = Annotated[bool, Parameter(negative="")]
-
-
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FormatOptions:
@@ -52,10 +49,10 @@ class FormatOptions:
         json: Print one JSON value instead of tables.
     """
 
-    markdown: Flag = False
-    csv: Flag = False
-    latex: Flag = False
-    json: Flag = False
+    markdown: bool = False
+    csv: bool = False
+    latex: bool = False
+    json: bool = False
 
     def choose(self) -> str:
         """Return the one that is asked for: `txt`, `md`, `csv`, `tex` or `json`.

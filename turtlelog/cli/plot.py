@@ -7,6 +7,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import show
+from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.options import Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
@@ -14,14 +15,14 @@ from turtlelog.errors import UsageError
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
-    files: Annotated[list[Path] | None, Parameter(name="FILE", negative="")] = None,
+    files: Annotated[list[Path] | None, Parameter(name="FILE")] = None,
     /,
     *,
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
-    only: str | None = None,
+    only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
     formats: Annotated[str, Parameter(name="--format")] = "pdf,png,svg",
     columns: Literal[1, 2] = 1,
-    text_width: float = 181.0,
+    text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -31,7 +32,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     recordings: the figures of the ideal loop. Figures and tables that are there already are
     replaced.
 
-    Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane --format pdf
+    Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv); one is drawn in

@@ -55,7 +55,7 @@ def replay(
     of a scenario file given by name runs; that of a law that only the recording names runs with
     --trust-law and not otherwise.
 
-    Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest -o newest.mcap
+    Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest
 
     Differences are an answer, not a failure: the exit code is 0. With --expect-equal the replay is
     checked: the answer ends with the verdict of `turtlelog check`, and the exit code is 1 where it

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.list_names import complete_preset
 from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_changed_scenario
 from turtlelog.cli.output import (
     EXIT_FINE,
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
 
+ScenarioWord = Annotated[str, Parameter(name="SCENARIO", completer=complete_preset)]
+
 _ADVICE: Final = (
     "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"
     " a picture, `--web` a page for a browser"
@@ -48,13 +51,13 @@ class LiveOptions:
         connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
     """
 
-    realtime: Annotated[bool, Parameter(negative="")] = False
-    live: Annotated[bool, Parameter(negative="")] = False
+    realtime: bool = False
+    live: bool = False
     connect: Connect = None
 
 
 def run(
-    scenario: str = "paper",
+    scenario: ScenarioWord = "paper",
     /,
     *,
     options: ScenarioOptions | None = None,
@@ -100,7 +103,7 @@ def run(
 
 
 def scenario(
-    scenario: str = "paper",
+    scenario: ScenarioWord = "paper",
     /,
     *,
     options: ScenarioOptions | None = None,
