@@ -212,7 +212,7 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
         (["ticks.mcap", "--law", "--kp", "1"], "ticks: expected a run with its whole scenario"),
         ([], "FILE: expected a recording, found none"),
         (["--law"], "FILE: expected a recording, found none"),
-        (["--law", "a:B", "kp4.mcap", "x"], "accepts"),
+        (["--law", "a:B", "kp4.mcap", "x"], "--law: expected at most 2 words, found 3"),
         (["kp4.mcap", "--law", "a:B", "c:D"], "--law: expected at most one KIND, found a:B c:D"),
         (["kp4.mcap", "--law", "kp4.mcap"], "--law: law.kind: expected sequential-p, path.py:Cl"),
         (["kp4.mcap", "--law", "--plant"], "--plant: expected one mode, found --law as well"),

@@ -54,8 +54,8 @@ class ChoiceOptions:
 
     Attributes:
         only: Columns, separated by commas: metrics, patterns (translate.*), parameters.
-        sort: What to sort by (rising gain): a metric or parameter, or name; falling with a minus
-            before it, as in -run.duration.
+        sort: What to sort by (rising gain): a metric or parameter, name, or Kp as the column is
+            called; falling with a minus before it, as in -run.duration.
         where: Which runs, as in "law.kp_linear >= 2 and run.duration < 20".
     """
 
@@ -173,7 +173,9 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
     if choice.sort is None:
         summaries = tl.order_by_gain(summaries)
     else:
-        summaries = tl.sort_runs(summaries, choice.sort, source="--sort")
+        from turtlelog.compare.run_table import sort_by_column
+
+        summaries = sort_by_column(summaries, choice.sort, source="--sort")
     only = tl.choose_columns(summaries, choice.list_columns(), source="--only")
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
     if kind == "json":
