@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter, Token
 
@@ -81,13 +81,27 @@ class TopicOptions:
         )
 
 
-def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
-    """Return a preset or file with the options applied, under a name that tells them.
+_RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
+"""How files that may hold a scenario end, beside scenario files."""
 
-    The code of a law is loaded only where its gains are to be set.
+
+def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
+    """Return a preset, or the scenario of a file or recording, with the options applied.
+
+    Its name tells the changes. The code of a law is loaded only where its gains are to be set, and
+    never that of a recording, which tells them itself.
     """
-    base = tl.load_scenario(name_or_path)
-    return name_by_changes(change_scenario(base, options), base.name, options)
+    path = Path(name_or_path)
+    if path.suffix.lower() not in _RECORDINGS and not path.is_dir():
+        base = tl.load_scenario(name_or_path)
+        return name_by_changes(change_scenario(base, options), base.name, options)
+    run = _read_run(path, TopicOptions())
+    if not run.scenario_is_complete:
+        raise UsageError(f"{path}: expected a recording with its whole scenario, found none in it")
+    base = tl.restore_scenario(run)
+    names_law = any(text.strip().startswith("law.kind") for text in _list_changes(options))
+    declared = None if names_law else run.declaration
+    return name_by_changes(change_scenario(base, options, declared), base.name, options)
 
 
 def name_by_changes(
