@@ -54,7 +54,7 @@ def test_a_law_answers_in_json(call: Call, kp4: Path) -> None:
 def test_a_law_answers_in_text(call: Call, kp4: Path) -> None:
     assert "the law commands what was recorded" in call("replay", kp4, "--law").out
     answer = call("replay", kp4, "--law", "--set", "law.kp_angular=4.000004")
-    assert "recorded 514.0106 deg/s, replayed 514.0111 deg/s" in answer.out
+    assert "recorded 8.97118 rad/s, replayed 8.97119 rad/s" in answer.out
     assert "In the commands: turn rate at 2.016 s" in answer.out
 
 

@@ -10,8 +10,15 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
-from turtlelog.cli.options import Json, Output, TopicOptions, iterate_files, require_files
-from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
+from turtlelog.cli.options import Output, TopicOptions, iterate_files, require_files
+from turtlelog.cli.output import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    FormatOptions,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.errors import LogError, UsageError
 
@@ -59,7 +66,7 @@ def check(
     reference: Path | None = None,
     reports: ReportOptions | None = None,
     first: FirstSpecOptions | None = None,
-    json: Json = False,
+    formats: FormatOptions | None = None,
     topics: TopicOptions | None = None,
 ) -> int:
     """Hold recordings to a specification: bounds, formulas over time, tolerances.
@@ -69,6 +76,9 @@ def check(
     metric without a value fails; so does a recording that cannot be read, and
     one of which something is lost, but for --partial.
 
+    Results stand in the order of the files, with a heading for each; of several recordings the
+    verdicts stand in a matrix as well.
+
     Example: turtlelog check --init good.mcap -o spec.toml
 
     Example: turtlelog check spec.toml runs/*.mcap --junit report.xml
@@ -76,8 +86,8 @@ def check(
     Args:
         words: A specification (.toml) and recordings.
         reference: Take tolerances from this recording, not from the file's own.
-        json: Print one JSON object instead of text.
     """
+    kind = (formats or FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
     if first.schema:
         from turtlelog.check.spec import build_schema
@@ -98,10 +108,10 @@ def check(
     spec = tl.load_spec(spec_path, reference=reference)
     results = _check(spec, files, reports, topics or TopicOptions())
     verdict = tl.join_verdicts(results)
-    if json:
+    if kind == "json":
         print_json(describe_results(verdict, results))
     else:
-        print_results(spec, results, files=len(files))
+        print_results(spec, results, files=len(files), kind=kind)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 

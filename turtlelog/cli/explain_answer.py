@@ -255,8 +255,8 @@ def _format_value(value: Any, unit: str, digits: int = 6) -> str:
         return "yes" if value else "no"
     if isinstance(value, str):
         return value.replace("_", " ")
-    if unit in {"rad", "rad/s"}:
-        value, unit = degrees(value), unit.replace("rad", "deg")
+    if unit == "rad":
+        value, unit = degrees(value), "deg"
     return f"{value:.{digits}g} {unit}".rstrip()
 
 

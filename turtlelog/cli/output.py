@@ -5,6 +5,7 @@ import errno
 import json
 import math
 import os
+import re
 import shutil
 import stat
 import sys
@@ -84,6 +85,37 @@ def print_text(text: str, *, is_data: bool = False) -> None:
         text = escape_controls(text, keep="\n")
     with outlive_reader():
         sys.stdout.write(text.rstrip("\n") + "\n")
+
+
+_COLOURS: Final = {"PASS": "32", "FAIL": "31", "SKIPPED": "33"}
+"""Codes of green, red and yellow in ANSI terminals."""
+
+
+def print_verdicts(text: str) -> None:
+    """Print a result whose lines and cells tell verdicts, in colour where that is shown."""
+    text = escape_controls(text, keep="\n").rstrip("\n")
+    if shows_colour():
+        # A verdict begins a line, or a cell, before which are two blanks.
+        pattern = rf"(?m)(?:^|(?<=  ))({'|'.join(_COLOURS)})(?=[ :]|$)"
+        text = re.sub(pattern, lambda found: _paint(found[1]), text)
+    with outlive_reader():
+        sys.stdout.write(text + "\n")
+
+
+def _paint(verdict: str) -> str:
+    return f"\x1b[{_COLOURS[verdict]}m{verdict}\x1b[0m"
+
+
+def shows_colour() -> bool:
+    """Return whether stdout is to have colours: on a terminal, or as the environment asks.
+
+    NO_COLOR and FORCE_COLOR count where they are set and not empty; NO_COLOR comes first.
+    """
+    if os.environ.get("NO_COLOR"):
+        return False
+    if os.environ.get("FORCE_COLOR"):
+        return True
+    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
 
 
 def print_lines(lines: Iterable[str]) -> None:

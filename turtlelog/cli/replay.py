@@ -8,7 +8,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, format_results
 from turtlelog.cli.options import Json, Output, ScenarioOptions, TopicOptions, read_runs
-from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_text
+from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
     describe_changes,
     describe_law,
@@ -89,7 +89,7 @@ def replay(
     if json:
         print_json({"file": str(file), **described})
     else:
-        print_text(text)
+        print_verdicts(text)
     return EXIT_FAILED if failed else EXIT_FINE
 
 

@@ -1,7 +1,6 @@
 """How replays that compare signals are answered: through a law, and in closed loop."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from math import degrees
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
@@ -13,9 +12,6 @@ if TYPE_CHECKING:
     from turtlelog.replay import Difference, PoseError, SignalDifference
 
     Measured = Mapping[str, Metric]
-
-_PRINTED: Final = {"rad": "deg", "rad/s": "deg/s", "1": ""}
-"""Units as printed, where they are not those of the values."""
 
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 """Signals that are printed even where they are equal."""
@@ -179,8 +175,7 @@ def _tabulate(
         rows=tuple(
             (
                 found.signal,
-                _PRINTED.get(found.unit, found.unit),
-                _convert(found.largest, found.unit),
+                *_show(found),
                 None if found.at_ns is None else _tell_time(run, found.at_ns),
                 found.differing,
                 found.rows,
@@ -190,6 +185,14 @@ def _tabulate(
         ),
         notes=notes,
     )
+
+
+def _show(found: "SignalDifference") -> tuple[str, float]:
+    """Return unit and largest difference as they are printed; a count has no unit."""
+    from turtlelog.display import show_angle
+
+    largest, unit = show_angle(found.largest, found.unit)
+    return "" if unit == "1" else unit, largest
 
 
 def _describe_rest(signals: "Iterable[SignalDifference]", absent: Sequence[str]) -> tuple[str, ...]:
@@ -229,28 +232,11 @@ def _format_difference(
     run: "Run", found: "Difference", signals: "Sequence[SignalDifference]"
 ) -> str:
     unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
-    was, now = _format_pair(_convert(found.recorded, unit), _convert(found.replayed, unit))
-    printed = f" {_PRINTED.get(unit, unit)}".rstrip()
+    from turtlelog.display import format_pair
+
+    was, now = format_pair(found.recorded, found.replayed, unit)
     place = f"{found.signal.replace('_', ' ')} at {_tell_time(run, found.time_ns):.3f} s"
-    return f"{place}: recorded {was}{printed}, replayed {now}{printed}"
-
-
-def _format_pair(was: Any, now: Any) -> tuple[str, str]:
-    """Return two values with as many digits as tell them apart, six at least."""
-    if not (isinstance(was, float) and isinstance(now, float)):
-        was, now = (
-            "none" if value is None else escape_controls(str(value)) for value in (was, now)
-        )
-        return was, now
-    for digits in range(6, 18):
-        texts = f"{was:.{digits}g}", f"{now:.{digits}g}"
-        if texts[0] != texts[1]:
-            break
-    return texts
-
-
-def _convert(value: Any, unit: str) -> Any:
-    return degrees(value) if unit.startswith("rad") and isinstance(value, float) else value
+    return f"{place}: recorded {was}, replayed {now}"
 
 
 def _tell_time(run: "Run", time_ns: int) -> float:

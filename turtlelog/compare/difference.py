@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog.display import show_angle
 from turtlelog.compare.alignment import CommonClock, align_runs
 from turtlelog.compare.run_table import Cell, Column, Table
 from turtlelog.compare.tube import (
@@ -189,8 +190,9 @@ def tabulate_differences(
         cells: list[Cell] = []
         for signals in found:
             known = signals.get(name)
-            cells += [known.largest, known.at_s] if known else [None, None]
-        rows.append((name, units[name], *cells))
+            shown = None if known is None else show_angle(known.largest, known.unit)[0]
+            cells += [shown, known.at_s] if known else [None, None]
+        rows.append((name, show_angle(0.0, units[name])[1], *cells))
     alignments = dict.fromkeys(_describe_alignment(found.alignment) for found in comparisons)
     return Table(
         title=f"Largest differences from {reference}, {', '.join(alignments)}",
