@@ -3,6 +3,7 @@ import io
 import json
 import re
 import tomllib
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -458,3 +459,21 @@ def test_a_name_that_steers_the_terminal_stays_text_beside_colours(
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.delenv("NO_COLOR", raising=False)
     assert "\x1b[2J" not in call("check", spec, odd).out
+
+
+def test_junit_has_times_and_timestamps(call: Call, spec: Path, kp4: Path, tmp_path: Path) -> None:
+    report, before = tmp_path / "report.xml", datetime.now(UTC).replace(microsecond=0)
+    call("check", spec, kp4, tmp_path / "none.mcap", "--junit", report)
+    root = Xml.parse(report).getroot()
+    suites = root.findall("testsuite")
+    assert len(suites) == 2
+    for suite in suites:
+        began = datetime.fromisoformat(suite.attrib["timestamp"])
+        assert before <= began <= datetime.now(UTC)
+        cases = [float(case.attrib["time"]) for case in suite.findall("testcase")]
+        # Each of the times is rounded to a millisecond.
+        assert sum(cases) <= float(suite.attrib["time"]) + 0.001 * len(cases)
+    # Reading alone takes more than a millisecond.
+    assert float(suites[0].attrib["time"]) > 0.0
+    total = sum(float(suite.attrib["time"]) for suite in suites)
+    assert abs(float(root.attrib["time"]) - total) <= 0.002

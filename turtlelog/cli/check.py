@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -126,17 +128,26 @@ def _check(
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(tl.ArtifactWriter(reports.artifacts))
         for path in iterate_files(files):
+            started, clock = datetime.now(UTC), _Clock()
             try:
                 run = _read(path, topics)
             except LogError as err:
                 reason = str(err).removeprefix(f"{path}: ")
                 failed = (fail_recording(str(path), reason),)
-                checked.append(CheckedFile(file=str(path), results=failed))
+                took_s = clock.read()
+                checked.append(
+                    CheckedFile(file=str(path), results=failed, started=started, took_s=took_s)
+                )
                 continue
             found = judge_run(spec, reference, run, file=str(path), allow_partial=topics.partial)
-            results = tuple(found)
+            timed = [(result, clock.lap()) for result in found]
+            results = tuple(result for result, _ in timed)
             report = {} if reports.junit is None else _describe(run, results)
-            checked.append(CheckedFile(file=str(path), results=results, **report))
+            times: dict[str, Any] = {"started": started, "took_s": clock.read()}
+            each_s = tuple(took_s for _, took_s in timed)
+            checked.append(
+                CheckedFile(file=str(path), results=results, each_s=each_s, **times, **report)
+            )
             if writer:
                 _write_artifacts(run, results, writer)
     if reports.junit is not None:
@@ -144,6 +155,22 @@ def _check(
             part.write_text(format_junit(checked), encoding="utf-8")
         print_note(f"wrote {reports.junit}")
     return [result for file in checked for result in file.results]
+
+
+class _Clock:
+    """How long checks take; the time to read is the first one's."""
+
+    def __init__(self) -> None:
+        self._began_s = self._last_s = perf_counter()
+
+    def lap(self) -> float:
+        """Return the time since the last lap [s]."""
+        last_s, self._last_s = self._last_s, perf_counter()
+        return self._last_s - last_s
+
+    def read(self) -> float:
+        """Return the time since the beginning [s]."""
+        return perf_counter() - self._began_s
 
 
 def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
