@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table, print_tables, print_verdicts
+from turtlelog.display import show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -141,8 +142,6 @@ def _tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
 
 def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, float | None]":
     """Return unit, value, limit and margin as they are printed: angles in degrees."""
-    from turtlelog.display import show_angle
-
     found = (result.value, result.limit, result.margin)
     value, limit, margin = (v if v is None else show_angle(v, result.unit)[0] for v in found)
     return show_angle(0.0, result.unit)[1], value, limit, margin

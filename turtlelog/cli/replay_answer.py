@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
+from turtlelog.display import format_pair, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
@@ -189,8 +190,6 @@ def _tabulate(
 
 def _show(found: "SignalDifference") -> tuple[str, float]:
     """Return unit and largest difference as they are printed; a count has no unit."""
-    from turtlelog.display import show_angle
-
     largest, unit = show_angle(found.largest, found.unit)
     return "" if unit == "1" else unit, largest
 
@@ -232,8 +231,6 @@ def _format_difference(
     run: "Run", found: "Difference", signals: "Sequence[SignalDifference]"
 ) -> str:
     unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
-    from turtlelog.display import format_pair
-
     was, now = format_pair(found.recorded, found.replayed, unit)
     place = f"{found.signal.replace('_', ' ')} at {_tell_time(run, found.time_ns):.3f} s"
     return f"{place}: recorded {was}, replayed {now}"

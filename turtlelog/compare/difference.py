@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.display import show_angle
 from turtlelog.compare.alignment import CommonClock, align_runs
 from turtlelog.compare.run_table import Cell, Column, Table
 from turtlelog.compare.tube import (
@@ -22,7 +21,7 @@ from turtlelog.compare.tube import (
     read_rows,
 )
 from turtlelog.differences import Difference, SignalDifference
-from turtlelog.display import format_html
+from turtlelog.display import format_html, show_angle
 from turtlelog.escapes import escape_controls
 from turtlelog.measure import (
     SIGNALS,
