@@ -54,7 +54,9 @@ def test_parquet_carries_what_arrow_does(tmp_path: Path) -> None:
     tl.export_parquet(RUN, tmp_path / "run.parquet", table="samples")
     read = parquet.read_table(tmp_path / "run.parquet")
     assert read.equals(RUN.to_arrow("samples"), check_metadata=False)
-    assert read.schema.metadata == RUN.to_arrow("samples").schema.metadata
+    metadata = dict(read.schema.metadata)
+    assert b'"name":"rotate"' in metadata.pop(b"turtlelog.declaration")
+    assert metadata == RUN.to_arrow("samples").schema.metadata
     assert read.schema.field("distance_m").metadata[b"unit"] == b"m"
 
 

@@ -135,7 +135,7 @@ ANSWERED = [
     "check --init run.mcap",
     "view run.mcap --save view.rrd",
     "plot run.mcap -o figures --format svg",
-    "export run.mcap --csv csv --rosbag2 bag",
+    "convert run.mcap -o bag -o poses.csv",
     "recover run.mcap -o whole.mcap",
 ]
 """What answers without the law."""
@@ -256,6 +256,10 @@ def test_it(recording):
 
 def run_suite(folder: Path, tmp_path: Path, body: str, trust: str = "") -> tuple[int, str]:
     suite = tmp_path / "test_suite.py"
+    (tmp_path / "conftest.py").write_text(
+        "import pytest\n@pytest.fixture\ndef recording(turtlelog_recording):\n"
+        "    return turtlelog_recording\n"
+    )
     suite.write_text(SUITE.format(folder=folder.as_posix(), trust=trust, body=body))
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(suite)]
     answer = run_process(folder, [*command, "--rootdir", str(tmp_path), "--turtlelog-accept"])

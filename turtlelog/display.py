@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
+from math import degrees
 from typing import Any, Final, TypeVar
 
 from turtlelog.escapes import escape_controls
@@ -18,10 +19,40 @@ def describe_count(number: int, noun: str) -> str:
 
 
 def format_number(number: float | None, unit: str = "") -> str:
-    """Return a number with its unit in five significant digits; `-` for none."""
+    """Return a number with its unit in five digits, an angle in degrees; `-` for none."""
     if number is None:
         return "-"
+    number, unit = show_angle(number, unit)
     return f"{number:.5g}" + (f" {unit}" if unit not in {"", "1"} else "")
+
+
+def show_angle(value: float, unit: str) -> tuple[float, str]:
+    """Return a value and its unit as they are printed: angles in degrees, all else as it is.
+
+    Turn rates stay in rad/s, and integrals of angles in the unit that they have.
+    """
+    return (degrees(value), "deg") if unit == "rad" else (value, unit)
+
+
+def format_pair(first: object, second: object, unit: str = "") -> tuple[str, str]:
+    """Return two values with their unit, in as many digits as tell them apart, six at least.
+
+    Angles are in degrees; a count, and what is no number, has no unit.
+    """
+    if not (isinstance(first, float) and isinstance(second, float)):
+        one, other = ("none" if v is None else escape_controls(str(v)) for v in (first, second))
+        return one, other
+    (first, printed), (second, _) = show_angle(first, unit), show_angle(second, unit)
+    texts = next(
+        (pair for pair in (_round(first, second, n) for n in range(6, 18)) if pair[0] != pair[1]),
+        _round(first, second, 6),
+    )
+    suffix = "" if printed in {"", "1"} else f" {printed}"
+    return f"{texts[0]}{suffix}", f"{texts[1]}{suffix}"
+
+
+def _round(first: float, second: float, digits: int) -> tuple[str, str]:
+    return f"{first:.{digits}g}", f"{second:.{digits}g}"
 
 
 def format_html(

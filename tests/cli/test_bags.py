@@ -9,7 +9,7 @@ from tests.cli.conftest import Call
 from tests.log.ros2.bags import make_command, make_poses, write_mcap, write_metadata
 
 MakeBag = Callable[..., Path]
-COMMANDS = [["info"], ["metrics"], ["replay", "--plant"], ["export", "--csv", "out"]]
+COMMANDS = [["info"], ["metrics"], ["replay", "--plant"], ["convert", "-o", "out"]]
 commands = pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command[0])
 
 

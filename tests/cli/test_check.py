@@ -1,6 +1,9 @@
+import csv
+import io
 import json
 import re
 import tomllib
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -58,8 +61,8 @@ def test_what_fails_exits_with_1_and_says_where(call: Call, spec: Path, kp10: Pa
     assert answer.code == 1
     lines = answer.out.splitlines()
     (line,) = [line for line in lines if line.startswith("FAIL") and " 1.0076 " in line]
-    assert line.split()[:2] == ["FAIL", str(kp10)]
-    assert " ".join(line.split()[2:]) == "overshoot % 1.0076 0.5 -0.50756 2.288"
+    assert " ".join(line.split()) == "FAIL overshoot % 1.0076 0.5 -0.50756 2.288"
+    assert lines[2] == str(kp10)
     assert f"FAIL {kp10}: overshoot: expected rotate.overshoot <= 0.5 (half a" in answer.out
     assert f"SKIPPED {kp10}: gains: only when law.kp_linear < 5; here" in answer.out
     assert f"-0.50756 %  overshoot  {kp10}" in [line.strip() for line in lines]
@@ -83,7 +86,8 @@ def test_json_has_every_field(call: Call, spec: Path, kp4: Path, kp10: Path) -> 
 def test_a_run_within_its_tolerances_passes(call: Call, kp4: Path, tolerances: Path) -> None:
     answer = call("check", tolerances, kp4, "--reference", kp4)
     assert answer.code == 0
-    assert f"PASS  {kp4}  metrics.final.position_error" in answer.out
+    assert f"\n{kp4}\n" in answer.out
+    assert "PASS  metrics.final.position_error" in answer.out
     assert answer.out.endswith("PASS: 1 recording, 2 pass, 0 fail, 0 skipped\n")
 
 
@@ -332,3 +336,144 @@ def test_bad_usage_exits_with_2_and_one_line(
     assert (answer.code, answer.out) == (2, "")
     assert message in answer.err
     assert answer.err.count("\n") == 1
+
+
+RATES = """format = 1
+[checks.rate]
+holds = "always(abs(turn_rate) < 0.5)"
+[checks.heading]
+holds = "always(heading < 1)"
+[signals.heading]
+abs = 0.001
+reason = "a try"
+"""
+
+
+def test_angles_are_printed_in_degrees_and_turn_rates_in_radians(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "rates.toml"
+    path.write_text(RATES, encoding="utf-8")
+    words = ("check", path, kp10, "--reference", kp4)
+    rows = [" ".join(line.split()) for line in call(*words).out.splitlines()]
+    assert "FAIL rate rad/s 1 0.5 -0.5 0.000" in rows
+    assert "FAIL heading deg 129.8 57.296 -72.502 1.024" in rows
+    assert "FAIL signals.heading deg 3.1403 0.057296 -3.083 2.128" in rows
+    assert any("129.57 deg where the reference has 126.43 deg" in row for row in rows)
+    assert "-72.502 deg heading " + str(kp10) in rows
+    results = {result["check"]: result for result in call(*words, "--json").json["results"]}
+    assert (results["heading"]["limit"], results["heading"]["unit"]) == (1.0, "rad")
+
+
+def test_rows_stand_in_the_order_of_files_with_a_heading_for_each(
+    call: Call, spec: Path, kp4: Path, kp10: Path
+) -> None:
+    for files in ([kp4, kp10], [kp10, kp4]):
+        lines = call("check", spec, *files).out.splitlines()
+        headings = [line for line in lines if line in {str(kp4), str(kp10)}]
+        assert headings == [*map(str, files)]
+        matrix = lines[lines.index("2 recordings, 2 checks") :]
+        rows = [line.split() for line in matrix if line.startswith("/")]
+        verdicts = {str(kp4): ["PASS", "PASS"], str(kp10): ["FAIL", "SKIPPED"]}
+        assert rows == [[str(file), *verdicts[str(file)]] for file in files]
+    assert "recordings, 2 checks" not in call("check", spec, kp4).out
+
+
+def test_value_limit_and_margin_share_a_line_at_80_columns(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    call("check", "--init", kp4, "-o", tmp_path / "first.toml")
+    monkeypatch.chdir(kp10.parent)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = call("check", tmp_path / "first.toml", "kp10.mcap").out.splitlines()
+    head, *rows = lines[lines.index("kp10.mcap") + 2 : lines.index("kp10.mcap") + 18]
+    assert head.split() == ["check", "unit", "value", "limit", "margin", "violated"]
+    assert max(map(len, rows)) <= 80
+    assert sum(line.startswith(("PASS", "FAIL")) for line in rows) == 13
+
+
+def test_check_answers_in_csv_and_markdown(call: Call, spec: Path, kp4: Path, kp10: Path) -> None:
+    answer = call("check", spec, kp4, kp10, "--csv")
+    assert answer.code == 1
+    head, *rows = csv.reader(io.StringIO(answer.out))
+    heads = ["verdict", "file", "check", "unit", "value", "limit", "margin", "violated [s]"]
+    assert head == heads
+    assert [row[:3] for row in rows] == [
+        ["PASS", str(kp4), "overshoot"],
+        ["PASS", str(kp4), "gains"],
+        ["FAIL", str(kp10), "overshoot"],
+        ["SKIPPED", str(kp10), "gains"],
+    ]
+    assert float(rows[2][4]) == call("check", spec, kp10, "--json").json["results"][0]["value"]
+    text = call("check", spec, kp4, kp10, "--markdown").out
+    assert "| FAIL | overshoot | % | 1.0076 | 0.5 | -0.50756 | 2.288 |" in text
+    assert "FAIL: 2 recordings, 2 pass, 1 fail, 1 skipped" in text
+    assert call("check", spec, kp4, "--csv", "--json").code == 2
+
+
+@pytest.mark.parametrize(
+    ("is_terminal", "variables", "is_coloured"),
+    [
+        (True, {}, True),
+        (False, {}, False),
+        (True, {"NO_COLOR": "1"}, False),
+        (True, {"NO_COLOR": ""}, True),
+        (False, {"FORCE_COLOR": "1"}, True),
+        (False, {"FORCE_COLOR": ""}, False),
+        (True, {"NO_COLOR": "1", "FORCE_COLOR": "1"}, False),
+        (True, {"TERM": "dumb"}, False),
+    ],
+)
+def test_verdicts_are_coloured_where_that_is_shown(
+    call: Call,
+    spec: Path,
+    kp4: Path,
+    kp10: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    is_terminal: bool,
+    variables: dict[str, str],
+    is_coloured: bool,
+) -> None:
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "300")
+    plain = call("check", spec, kp4, kp10).out
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
+    coloured = call("check", spec, kp4, kp10).out
+    assert ("\x1b[31mFAIL\x1b[0m" in coloured) == is_coloured
+    assert ("\x1b[32mPASS\x1b[0m" in coloured) == is_coloured
+    assert re.sub("\x1b\\[\\d+m", "", coloured) == plain
+
+
+def test_a_name_that_steers_the_terminal_stays_text_beside_colours(
+    call: Call, spec: Path, kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odd = tmp_path / "FAIL \x1b[2J.mcap"
+    odd.write_bytes(kp4.read_bytes())
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert "\x1b[2J" not in call("check", spec, odd).out
+
+
+def test_junit_has_times_and_timestamps(call: Call, spec: Path, kp4: Path, tmp_path: Path) -> None:
+    report, before = tmp_path / "report.xml", datetime.now(UTC).replace(microsecond=0)
+    call("check", spec, kp4, tmp_path / "none.mcap", "--junit", report)
+    root = Xml.parse(report).getroot()
+    suites = root.findall("testsuite")
+    assert len(suites) == 2
+    for suite in suites:
+        began = datetime.fromisoformat(suite.attrib["timestamp"])
+        assert before <= began <= datetime.now(UTC)
+        cases = [float(case.attrib["time"]) for case in suite.findall("testcase")]
+        # Each of the times is rounded to a millisecond.
+        assert sum(cases) <= float(suite.attrib["time"]) + 0.001 * len(cases)
+    # Reading alone takes more than a millisecond.
+    assert float(suites[0].attrib["time"]) > 0.0
+    total = sum(float(suite.attrib["time"]) for suite in suites)
+    assert abs(float(root.attrib["time"]) - total) <= 0.002

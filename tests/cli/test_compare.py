@@ -149,3 +149,21 @@ def test_runs_are_drawn_and_stand_beside_each_other(
     answer = call("compare", kp4, kp10, "--rrd", tmp_path / "both.rrd", "--only", "run.duration")
     assert "11.184*" in answer.out
     assert (tmp_path / "both.rrd").exists()
+
+
+def test_runs_are_sorted_by_the_gain_as_its_column_is_called(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path
+) -> None:
+    def list_names(*words: str | Path) -> list[str]:
+        return [run["name"] for run in call("compare", *words, "--json").json["runs"]]
+
+    assert list_names(kp10, kp4, "--sort", "Kp") == ["paper-kp4", "paper-kp10"]
+    assert list_names(kp4, kp10, "--sort=-Kp") == ["paper-kp10", "paper-kp4"]
+    mixed = tmp_path / "mixed.mcap"
+    call("run", "textbook", "--kp", "20", "--set", "law.kp_linear=1", "-o", mixed)
+    words = (kp10, kp4, mixed)
+    assert list_names(*words, "--sort", "Kp turn")[-1].startswith("textbook")
+    assert list_names(*words, "--sort", "Kp drive")[0].startswith("textbook")
+    answer = call("compare", *words, "--sort", "Kp")
+    assert (answer.code, answer.out) == (2, "")
+    assert "--sort: expected Kp turn or Kp drive, found 'Kp'" in answer.err

@@ -155,7 +155,7 @@ def test_a_reference_path_and_a_dead_time_can_be_given(
         (["--only", ""], "--only: expected ids separated by commas, found ''"),
         (["--band", "0"], "band: expected a share of the step > 0, found 0.0"),
         (["--band", "nan"], "band: expected a share of the step > 0, found nan"),
-        (["--band", "wide"], '--band: unable to convert "wide" into float'),
+        (["--band", "wide"], "--band: expected a number, found 'wide'"),
         (["--final", "end"], "--final: expected reference, last, a number or LOOP=VALUE"),
         (["--final", "pause=1"], "final: expected a loop rotate or translate, found 'pause'"),
         (["--final", "inf"], "final: expected 'reference', 'last' or a number, found inf"),

@@ -111,7 +111,7 @@ def test_csv_gives_every_name_back(call: Call, folder: Path) -> None:
 
 def test_exported_events_give_their_text_back(call: Call, folder: Path, tmp_path: Path) -> None:
     target = tmp_path / "events.csv"
-    call("export", folder / f"4{STEER}.mcap", "--csv", target, "--table", "events")
+    call("convert", folder / f"4{STEER}.mcap", "-o", target, "--table", "events")
     with target.open(encoding="utf-8", newline="") as stream:
         assert any(f"said{STEER}" in row for row in csv.reader(stream))
 

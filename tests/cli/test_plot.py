@@ -110,3 +110,70 @@ def test_a_file_in_place_of_the_folder_is_refused(
     code, _, err = run_plot(capsys, "-o", str(tmp_path / "file"))
     assert code == 2
     assert "file: expected a folder to write to, found a file" in err
+
+
+def test_a_file_holds_one_figure_that_gives_an_overview(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run_plot(capsys, str(RECORDING), "-o", str(tmp_path / "kp4.png"))
+    assert (code, out) == (0, f"wrote {tmp_path / 'kp4.png'}\n")
+    assert err == "plot: the figure panel; --only chooses another (turtlelog list figures)\n"
+    assert (tmp_path / "kp4.png").read_bytes().startswith(b"\x89PNG")
+    assert [path.name for path in tmp_path.iterdir()] == ["kp4.png"]
+
+
+def test_a_file_holds_the_figure_that_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(RECORDING), "-o", str(tmp_path / "a.SVG"), "--only", "heading", "--json"]
+    code, out, err = run_plot(capsys, *words)
+    assert (code, err) == (0, "")
+    (figure,) = json.loads(out)["figures"]
+    assert (figure["file"], figure["figure"]) == (str(tmp_path / "a.SVG"), "heading")
+    assert "<svg" in (tmp_path / "a.SVG").read_text()
+
+
+def test_without_recordings_a_file_shows_theory(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = run_plot(capsys, "-o", str(tmp_path / "a.pdf"))
+    assert code == 0
+    assert "plot: the figure step-responses" in err
+
+
+def test_a_folder_gets_each_figure_once_and_table_1_after_the_final_errors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_plot(capsys, str(RECORDING), "-o", str(tmp_path / "out"))[0] == 0
+    written = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert written == sorted(
+        [*(f"{name}.pdf" for name in tl.FIGURES), "metrics.tex", "table1.tex", "whole-runs.tex"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (["-o", "a.png", "--only", "plane,heading"], "--only: expected one figure for a.png"),
+        (
+            ["-o", "a.png", "--format", "pdf"],
+            "--format: expected a folder to write to, found",
+        ),
+        (["-o", "no/a.png"], "no/a.png: expected a place that can be written, found no such"),
+        (["-o", "a.png", "--only", "headng"], "figure: expected heading"),
+        (["-o", "folder.png"], "folder.png: expected the name of a file to write, found a folder"),
+    ],
+)
+def test_a_bad_file_is_one_line(
+    words: list[str],
+    match: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("folder.png").mkdir()
+    code, out, err = run_plot(capsys, str(RECORDING), *words)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert match in err
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.png"]

@@ -4,6 +4,7 @@ import pytest
 from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
+import turtlelog as tl
 from tests.cli.conftest import Call
 
 SHARED = Path(__file__).parents[2].parent / "shared"
@@ -91,12 +92,14 @@ def test_view_saves_one_run_and_several(call: Call, kp4: Path, kp10: Path, tmp_p
     assert {f"/runs/paper-{name}/plane/turtle" for name in ("kp4", "kp10")} < two
 
 
-def test_import_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> None:
+def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> None:
     log, path = SHARED / "paper" / "kp1_210.json", tmp_path / "kp1.mcap"
     if not log.exists():
         pytest.skip(f"the paper's logs are not at {SHARED}")
-    answer = call("import", log, "-o", path, "--json").json
-    assert (answer["output"], answer["samples"]) == (str(path), 1265)
+    answer = call("convert", log, "-o", path, "--json").json
+    assert [*answer] == ["file", "name", "written", "absent", "notes"]
+    assert (answer["file"], answer["written"]) == (str(log), [str(path)])
+    assert len(tl.read_recording(path).samples) == 1265
     assert "samples.wanted_speed_m_s" in answer["absent"]
     (from_log,), (from_recording,) = (call("metrics", file, "--json").json for file in (log, path))
     assert from_log["metrics"] == from_recording["metrics"]
@@ -111,10 +114,12 @@ def test_import_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> 
         (["metrics", "cut.mcap"], "expected the end of an MCAP file, found none"),
         (["metrics", "."], ".: expected a bag, found a folder without metadata.yaml"),
         (["metrics", "wrong.json"], "wrong.json: "),
-        (["metrics"], "FILE requires an argument"),
+        (["metrics"], "turtlelog metrics: expected at least one FILE, found none"),
         (["compare", "good.mcap"], "expected at least two runs to compare, found 1"),
         (["compare", "good.mcap", "zeros.mcap"], "zeros.mcap: byte 0"),
-        (["import", "good.mcap"], "good.mcap: "),
+        (["import", "a.json"], "import: expected turtlelog convert LOG -o OUT.mcap, found an old"),
+        (["export", "--help"], "export: expected turtlelog convert FILE -o OUT, found an old name"),
+        (["convert", "good.mcap", "-o", "b.mcap", "--sort"], "good.mcap: expected a log in JSON"),
         (
             ["view", "good.mcap", "--at", "3"],
             "--at: expected seconds together with --snapshot, found 3.0",
@@ -123,10 +128,10 @@ def test_import_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) -> 
         (["view", "good.mcap", "--snapshot", "a.png", "--at", "nan"], "--at: expected seconds"),
         (["view", "good.mcap", "--save", "good.mcap"], "expected a name that ends in .rrd"),
         (["compare", "good.mcap", "good.mcap", "--rrd", "x.png"], "ends in .rrd, found another"),
-        (["import", "wrong.json", "-o", "wrong.json"], "ends in .mcap, found another"),
-        (["import", "json.mcap"], "json.mcap: expected another file to write to, found the input"),
+        (["convert", "wrong.json", "-o", "wrong.json"], "found a name that ends in .json"),
+        (["convert", "json.mcap", "-o", "a.mcap"], "json.mcap: byte 0: expected an MCAP file"),
         (["view", "good.mcap", "--save", "no/such/a.rrd"], "expected a place that can be written"),
-        (["frobnicate"], 'Unknown command "frobnicate".'),
+        (["frobnicate"], "turtlelog: expected a command (run, scenario, theory, info"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )

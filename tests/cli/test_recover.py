@@ -112,7 +112,7 @@ def test_a_recovered_recording_is_told_by_info_and_metrics(
     [
         ["metrics", "FILE"],
         ["compare", "FILE", "FILE"],
-        ["export", "FILE", "--csv", "poses.csv"],
+        ["convert", "FILE", "-o", "poses.csv"],
         ["view", "FILE", "--save", "run.rrd"],
         ["info", "FILE"],
     ],

@@ -178,10 +178,10 @@ def test_explain_names_the_effect_that_the_law_declares(call: Call, strange: Pat
     assert "tolerance" not in out
 
 
-def test_export_has_columns_of_states_and_references(
+def test_tables_have_columns_of_states_and_references(
     call: Call, strange: Path, tmp_path: Path
 ) -> None:
-    assert call("export", strange, "--csv", tmp_path / "out").code == 0
+    assert call("convert", strange, "-o", tmp_path / "out", "--format", "csv").code == 0
     (table,) = (tmp_path / "out").rglob("*samples.csv")
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert RUN.samples.states is not None

@@ -123,7 +123,7 @@ def test_any_name_is_read_and_steers_no_terminal(
     [
         ["info", LONG],
         ["metrics", LONG],
-        ["import", LONG, "-o", "a.mcap"],
+        ["convert", LONG, "-o", "a.mcap"],
         ["recover", LONG, "-o", "a.mcap"],
         ["scenario", LONG],
         ["view", LONG],
@@ -145,7 +145,7 @@ def test_a_name_that_is_too_long_is_what_the_error_names(
 def test_a_bag_is_refused_a_name_that_its_description_cannot_hold(
     call: Call, kp4: Path, tmp_path: Path, name: str
 ) -> None:
-    answer = call("export", kp4, "--rosbag2", tmp_path / name)
+    answer = call("convert", kp4, "-o", tmp_path / name)
     assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
     assert "expected a name of printable characters, found 'a" in answer.err
     assert list(tmp_path.iterdir()) == []

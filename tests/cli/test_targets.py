@@ -29,23 +29,22 @@ TARGETS = [
     ([*RUN, "--rrd", "folder.rrd"], "folder.rrd: expected the name of a file to write, found a"),
     ([*RUN, "--rrd", f"{LONG}.rrd"], "expected a place that can be written, found: "),
     ([*RUN, "-o", "folder.mcap"], "folder.mcap: expected the name of a file to write, found a"),
-    (["import", "run.mcap"], "expected another file to write to, found the input itself"),
-    (["import", "."], "expected the name of a log, found a folder"),
+    (["convert", "run.mcap", "-o", "run.mcap"], "found the input itself"),
+    (["convert", ".", "-o", "folder.mcap"], "found a folder"),
     (["recover", "run.mcap", "-o", "folder.mcap"], "found a folder"),
     (["recover", "run.mcap", "-o", "run.mcap"], "found the input itself"),
     (["recover", "run.mcap", "-o", "full/../run.mcap"], "found the input itself"),
     (["compare", "run.mcap", "run.mcap", "--rrd", "folder.rrd"], "found a folder"),
     (["view", "run.mcap", "--snapshot", "folder.png"], "found a folder"),
     (["view", "run.mcap", "--save", f"{LONG}.rrd"], "expected a place that can be written"),
-    (["export", "run.mcap", "--csv", "folder.csv"], "found a folder"),
-    (["export", "run.mcap", "--csv", "a.parquet"], "found a name that ends in .parquet"),
-    (["export", "run.mcap", "--parquet", "a.csv"], "found a name that ends in .csv"),
-    (["export", "run.mcap", "--rosbag2", "b.mcap"], "found a name that ends in .mcap"),
-    (["export", "run.mcap", "--rosbag2", "a", "--csv", "full"], "found a folder with files"),
-    (["export", "run.mcap", "--rosbag2", "a", "--csv", "no/a.csv"], "found no such folder"),
-    (["export", "run.mcap", "--rosbag2", "a", "--parquet", "full/mine"], "found a file"),
-    (["export", "run.mcap", "--csv", "a", "--parquet", "full/../a"], "that of another output"),
-    (["export", "run.mcap", "--csv", "a", "--rosbag2", LONG], "can be written, found: "),
+    (["convert", "run.mcap", "-o", "folder.csv"], "found a folder"),
+    (["convert", "run.mcap", "-o", "bag.db3"], "found a name that ends in .db3"),
+    (["convert", "run.mcap", "-o", "view.rrd"], "found a name that ends in .rrd"),
+    (["convert", "run.mcap", "-o", "a", "-o", "full"], "found a folder with files"),
+    (["convert", "run.mcap", "-o", "a", "-o", "no/a.csv"], "found no such folder"),
+    (["convert", "run.mcap", "-o", "a", "-o", "full/mine"], "found a file"),
+    (["convert", "run.mcap", "-o", "a.csv", "-o", "full/../a.csv"], "that of another output"),
+    (["convert", "run.mcap", "-o", "a.csv", "-o", LONG], "can be written, found: "),
 ]
 
 
@@ -95,7 +94,7 @@ def test_an_input_may_be_named_through_a_link(call: Call, folder: Path) -> None:
 
 def test_an_empty_folder_and_a_dotted_one_are_taken(call: Call, folder: Path) -> None:
     Path("empty").mkdir()
-    answer = call("export", "run.mcap", "--rosbag2", "empty", "--csv", "kp4.5")
+    answer = call("convert", "run.mcap", "--format", "csv", "-o", "empty", "-o", "kp4.5")
     assert answer.code == 0
     assert Path("kp4.5", "poses.csv").is_file()
 
@@ -154,11 +153,11 @@ def test_of_several_figures_none_stands_where_the_disk_is_full(
     assert (folder / "heading.pdf").read_text() == "the old one"
 
 
-def test_a_full_disk_tells_what_stands_of_several_exports(
+def test_a_full_disk_tells_what_stands_of_several_outputs(
     call: Call, kp4: Path, small_disk: Path
 ) -> None:
-    bag, csv = small_disk / "bag", small_disk / "csv"
-    answer = call("export", kp4, "--rosbag2", bag, "--csv", csv)
+    bag, csv = small_disk / "bag", small_disk / "samples.csv"
+    answer = call("convert", kp4, "-o", bag, "-o", csv, "--table", "samples")
     stands, error = answer.err.splitlines()[:2], answer.err.splitlines()[2:]
     assert stands == [f"wrote {bag / 'bag_0.mcap'}", f"wrote {bag / 'metadata.yaml'}"]
     assert [line.partition(": expected")[0] for line in error] == [f"turtlelog: error: {csv}"]
@@ -171,7 +170,7 @@ def test_an_output_through_a_link_is_written_where_it_leads(
 ) -> None:
     (tmp_path / "elsewhere").mkdir()
     for number, words in enumerate(
-        [["recover", kp4, "-o"], ["export", kp4, "--csv"], ["view", kp4, "--save"]]
+        [["recover", kp4, "-o"], ["convert", kp4, "-o"], ["view", kp4, "--save"]]
     ):
         name = "a" + (".mcap", ".csv", ".rrd")[number]
         (tmp_path / name).symlink_to(Path("elsewhere", name))

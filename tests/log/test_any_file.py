@@ -53,7 +53,7 @@ def test_a_log_of_the_papers_is_imported() -> None:
             ".* found a bag in SQLite: ros2 bag convert makes MCAP of it",
         ),
         ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
-        ("a.txt", b"timestamp,time", ".* found text: turtlelog import makes a recording of a log"),
+        ("a.txt", b"timestamp,time", ".* found text: a log is read where its name ends"),
         ("a.json", b"{", r"expected JSON, found"),
     ],
 )

@@ -22,10 +22,22 @@ def suite(pytester: pytest.Pytester) -> pytest.Pytester:
     return pytester
 
 
+NAMES = "\n".join(
+    ["import pytest"]
+    + [
+        f"@pytest.fixture\ndef {name}(turtlelog_{name}):\n    return turtlelog_{name}\n"
+        for name in ("recording", "reference", "simulate")
+    ]
+)
+"""A team's conftest.py that gives the fixtures shorter names, as docs/checking.md shows."""
+
+
 def run(
     pytester: pytest.Pytester, body: str, *words: str, marker: str = '"runs/*.mcap"'
 ) -> pytest.RunResult:
     """Run tests with the plugin in this process; `body` follows the marker."""
+    if not (pytester.path / "conftest.py").exists():
+        pytester.makeconftest(NAMES)
     head = "import pytest\nfrom turtlelog import Tolerance, override_scenario\n"
     mark = f"pytestmark = pytest.mark.recordings({marker})\n" if marker else ""
     pytester.makepyfile(head + mark + body)

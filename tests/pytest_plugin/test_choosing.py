@@ -1,6 +1,11 @@
+import tomllib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import ClassVar
+
 import pytest
 
-from tests.pytest_plugin.conftest import run
+from tests.pytest_plugin.conftest import NAMES, run
 
 BODY = "def test_it(recording):\n    assert recording.metric('run.duration') > 0\n"
 
@@ -31,6 +36,7 @@ def test_patterns_are_looked_for_beside_the_test_and_then_below_the_root(
     suite: pytest.Pytester,
 ) -> None:
     inner = suite.mkdir("inner")
+    suite.makeconftest(NAMES)
     (inner / "test_inner.py").write_text(
         f'import pytest\npytestmark = pytest.mark.recordings("runs/*.mcap")\n{BODY}'
     )
@@ -57,9 +63,50 @@ def test_a_test_without_the_marker_says_what_it_lacks(suite: pytest.Pytester) ->
     result.stdout.fnmatch_lines(["*expected @pytest.mark.recordings(*), found none"])
 
 
-def test_a_fixture_of_the_same_name_stays_the_users(suite: pytest.Pytester) -> None:
-    body = "@pytest.fixture\ndef recording():\n    return 3\n\ndef test_it(recording):\n"
-    run(suite, f"{body}    assert recording == 3\n", marker="").assert_outcomes(passed=1)
+@pytest.mark.parametrize("name", ["recording", "reference", "simulate"])
+def test_a_plain_name_stays_the_users(suite: pytest.Pytester, name: str) -> None:
+    body = f"def test_it({name}):\n    assert {name} == 3\n"
+    suite.makeconftest("")
+    missing = run(suite, body, marker="")
+    missing.assert_outcomes(errors=1)
+    missing.stdout.fnmatch_lines([f"*fixture '{name}' not found"])
+    own = f"@pytest.fixture\ndef {name}():\n    return 3\n\n"
+    run(suite, own + body, marker="").assert_outcomes(passed=1)
+
+
+def read_entry() -> EntryPoint:
+    """Return the entry point that an installation of this tree has."""
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    ((name, value),) = tomllib.loads(text)["project"]["entry-points"]["pytest11"].items()
+    return EntryPoint(name=name, value=value, group="pytest11")
+
+
+@pytest.mark.parametrize(
+    ("words", "outcome"),
+    [
+        ([], {"passed": 1}),
+        (["-p", "turtlelog.pytest_plugin"], {"passed": 1}),
+        (["-p", "turtlelog"], {"passed": 1}),
+        (["-p", "no:turtlelog"], {"errors": 1}),
+        (["-p", "no:turtlelog.pytest_plugin"], {"errors": 1}),
+    ],
+    ids=" ".join,
+)
+def test_an_installed_plugin_loads_once_and_can_be_blocked(
+    pytester: pytest.Pytester,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    outcome: dict[str, int],
+) -> None:
+    class Installed:
+        metadata: ClassVar = {"name": "turtlelog"}
+        name, version = "turtlelog", "1.0"
+        files: ClassVar[list[str]] = []
+        entry_points: ClassVar = [read_entry()]
+
+    monkeypatch.setattr("importlib.metadata.distributions", lambda: [Installed])
+    pytester.makepyfile("def test_it(turtlelog_simulate):\n    assert turtlelog_simulate\n")
+    pytester.runpytest_inprocess("-p", "no:cacheprovider", *words).assert_outcomes(**outcome)
 
 
 def test_a_recording_is_read_once_and_only_when_asked(suite: pytest.Pytester) -> None:
@@ -73,14 +120,14 @@ read_run = place.read_run
 def count(monkeypatch):
     monkeypatch.setattr(place, "read_run", lambda *a, **k: reads.append(a) or read_run(*a, **k))
 
-def test_lazy(recording):
+def test_lazy(turtlelog_recording):
     assert not reads
 
-def test_first(recording):
-    assert recording.metric("run.duration") > 0
+def test_first(turtlelog_recording):
+    assert turtlelog_recording.metric("run.duration") > 0
 
-def test_second(recording):
-    assert recording.metric("run.duration") > 0
+def test_second(turtlelog_recording):
+    assert turtlelog_recording.metric("run.duration") > 0
     assert len(reads) == 2
 """
     run(suite, body).assert_outcomes(passed=6)

@@ -14,7 +14,7 @@ from turtlelog.check.vocabulary import choose_signals
 from turtlelog.compare import MetricDifference, Tolerance
 from turtlelog.compare.alignment import find_zero_ns
 from turtlelog.compare.difference import compare_metrics, compare_signals, explain_lack
-from turtlelog.display import format_number
+from turtlelog.display import format_number, format_pair
 from turtlelog.errors import CheckError
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
@@ -84,10 +84,11 @@ def judge_replay(
     verb = "the law answers" if mode == "law" else "replayed"
 
     def describe(difference: Difference) -> str:
-        sides = (difference.recorded, difference.replayed)
-        recorded, replayed = ("none" if side is None else str(side) for side in sides)
+        unit = units.get(difference.signal, "")
+        recorded, replayed = format_pair(difference.recorded, difference.replayed, unit)
         return f"recorded {recorded}, {verb} {replayed}"
 
+    units = {signal.signal: signal.unit for signal in found.signals}
     known = list_signals(run.declaration)
     signals = [
         dataclasses.replace(

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Final
 from xml.etree import ElementTree as Xml
 
@@ -21,17 +22,25 @@ class CheckedFile:
         results: In the order of the specification.
         metrics: By id; of a recording that could not be measured none.
         details: What to say of a failure, by the name of the check.
+        started: When its checks began; None: the report has no time of day.
+        took_s: How long reading, measuring and checking took [s].
+        each_s: How long each check took [s], in the order of the results.
     """
 
     file: str
     results: tuple[CheckResult, ...]
     metrics: Mapping[str, Metric] = field(default_factory=dict)
     details: Mapping[str, str] = field(default_factory=dict)
+    started: datetime | None = None
+    took_s: float = 0.0
+    each_s: tuple[float, ...] = ()
 
 
 def format_junit(files: Sequence[CheckedFile]) -> str:
-    """Return results as JUnit XML, without times of day: the same results give the same text."""
-    root = Xml.Element("testsuites", _count([r for found in files for r in found.results]))
+    """Return results as JUnit XML, with the times that the files have."""
+    took_s = sum(found.took_s for found in files)
+    counts = _count([result for found in files for result in found.results])
+    root = Xml.Element("testsuites", {**counts, "time": f"{took_s:.3f}"})
     root.set("name", "turtlelog check")
     for found in files:
         root.append(_build_suite(found))
@@ -42,21 +51,24 @@ def format_junit(files: Sequence[CheckedFile]) -> str:
 
 def _build_suite(found: CheckedFile) -> Xml.Element:
     suite = Xml.Element("testsuite", {"name": _clean(found.file), **_count(found.results)})
+    suite.set("time", f"{found.took_s:.3f}")
+    if found.started is not None:
+        suite.set("timestamp", found.started.isoformat(timespec="seconds"))
     if found.metrics:
         properties = Xml.SubElement(suite, "properties")
         for metric in found.metrics.values():
             value = metric.status.value if metric.value is None else repr(metric.value)
             name = metric.id if metric.unit == "1" else f"{metric.id} [{metric.unit}]"
             Xml.SubElement(properties, "property", {"name": name, "value": value})
-    for result in found.results:
-        suite.append(_build_case(result, found.details.get(result.check, "")))
+    each_s = found.each_s or (0.0,) * len(found.results)
+    for result, took_s in zip(found.results, each_s, strict=True):
+        suite.append(_build_case(result, found.details.get(result.check, ""), took_s))
     return suite
 
 
-def _build_case(result: CheckResult, details: str) -> Xml.Element:
-    case = Xml.Element(
-        "testcase", {"name": _clean(result.check), "classname": _clean(result.file), "time": "0"}
-    )
+def _build_case(result: CheckResult, details: str, took_s: float) -> Xml.Element:
+    names = {"name": _clean(result.check), "classname": _clean(result.file)}
+    case = Xml.Element("testcase", {**names, "time": f"{took_s:.3f}"})
     if result.verdict is Verdict.SKIPPED:
         Xml.SubElement(case, "skipped", {"message": _clean(result.reason)})
     if result.verdict is Verdict.FAIL:
@@ -73,7 +85,6 @@ def _count(results: Sequence[CheckResult]) -> dict[str, str]:
         "failures": str(verdicts.count(Verdict.FAIL)),
         "skipped": str(verdicts.count(Verdict.SKIPPED)),
         "errors": "0",
-        "time": "0",
     }
 
 

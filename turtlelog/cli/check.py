@@ -3,16 +3,24 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
-from turtlelog.cli.exit_codes import EXIT_FAILED, EXIT_FINE
-from turtlelog.cli.options import Json, Output, TopicOptions, iterate_files, require_files
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.options import Output, TopicOptions, iterate_files, require_files
+from turtlelog.cli.output import (
+    EXIT_FAILED,
+    EXIT_FINE,
+    FormatOptions,
+    print_json,
+    print_note,
+    print_text,
+)
 from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.errors import LogError, UsageError
 
@@ -20,7 +28,7 @@ if TYPE_CHECKING:
     from turtlelog import ArtifactWriter, CheckResult, Run, Spec
 
 
-Words = Annotated[list[Path], Parameter(name="SPEC RUN", negative="")]
+Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
 
 
 @Parameter(name="*")
@@ -50,7 +58,7 @@ class FirstSpecOptions:
 
     init: Path | None = None
     output: Output = None
-    schema: Annotated[bool, Parameter(negative="")] = False
+    schema: bool = False
 
 
 def check(
@@ -60,7 +68,7 @@ def check(
     reference: Path | None = None,
     reports: ReportOptions | None = None,
     first: FirstSpecOptions | None = None,
-    json: Json = False,
+    formats: FormatOptions | None = None,
     topics: TopicOptions | None = None,
 ) -> int:
     """Hold recordings to a specification: bounds, formulas over time, tolerances.
@@ -70,15 +78,18 @@ def check(
     metric without a value fails; so does a recording that cannot be read, and
     one of which something is lost, but for --partial.
 
+    Results stand in the order of the files, with a heading for each; of several recordings the
+    verdicts stand in a matrix as well.
+
     Example: turtlelog check --init good.mcap -o spec.toml
 
-    Example: turtlelog check spec.toml runs/*.mcap --junit report.xml --artifacts failed
+    Example: turtlelog check spec.toml runs/*.mcap --junit report.xml
 
     Args:
         words: A specification (.toml) and recordings.
         reference: Take tolerances from this recording, not from the file's own.
-        json: Print one JSON object instead of text.
     """
+    kind = (formats or FormatOptions()).choose()
     reports, first = reports or ReportOptions(), first or FirstSpecOptions()
     if first.schema:
         from turtlelog.check.spec import build_schema
@@ -99,10 +110,10 @@ def check(
     spec = tl.load_spec(spec_path, reference=reference)
     results = _check(spec, files, reports, topics or TopicOptions())
     verdict = tl.join_verdicts(results)
-    if json:
+    if kind == "json":
         print_json(describe_results(verdict, results))
     else:
-        print_results(spec, results, files=len(files))
+        print_results(spec, results, files=len(files), kind=kind)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 
@@ -117,17 +128,26 @@ def _check(
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(tl.ArtifactWriter(reports.artifacts))
         for path in iterate_files(files):
+            started, clock = datetime.now(UTC), _Clock()
             try:
                 run = _read(path, topics)
             except LogError as err:
                 reason = str(err).removeprefix(f"{path}: ")
                 failed = (fail_recording(str(path), reason),)
-                checked.append(CheckedFile(file=str(path), results=failed))
+                took_s = clock.read()
+                checked.append(
+                    CheckedFile(file=str(path), results=failed, started=started, took_s=took_s)
+                )
                 continue
             found = judge_run(spec, reference, run, file=str(path), allow_partial=topics.partial)
-            results = tuple(found)
+            timed = [(result, clock.lap()) for result in found]
+            results = tuple(result for result, _ in timed)
             report = {} if reports.junit is None else _describe(run, results)
-            checked.append(CheckedFile(file=str(path), results=results, **report))
+            times: dict[str, Any] = {"started": started, "took_s": clock.read()}
+            each_s = tuple(took_s for _, took_s in timed)
+            checked.append(
+                CheckedFile(file=str(path), results=results, each_s=each_s, **times, **report)
+            )
             if writer:
                 _write_artifacts(run, results, writer)
     if reports.junit is not None:
@@ -135,6 +155,22 @@ def _check(
             part.write_text(format_junit(checked), encoding="utf-8")
         print_note(f"wrote {reports.junit}")
     return [result for file in checked for result in file.results]
+
+
+class _Clock:
+    """How long checks take; the time to read is the first one's."""
+
+    def __init__(self) -> None:
+        self._began_s = self._last_s = perf_counter()
+
+    def lap(self) -> float:
+        """Return the time since the last lap [s]."""
+        last_s, self._last_s = self._last_s, perf_counter()
+        return self._last_s - last_s
+
+    def read(self) -> float:
+        """Return the time since the beginning [s]."""
+        return perf_counter() - self._began_s
 
 
 def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:

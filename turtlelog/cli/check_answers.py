@@ -1,16 +1,17 @@
 """What `turtlelog check` prints."""
 
+import re
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.output import format_table, print_text
+from turtlelog.cli.output import format_table, print_tables, print_verdicts
+from turtlelog.display import show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Spec, Table
-
-_TITLES: Final = ("", "file", "check", "unit", "value", "limit", "margin")
 
 
 def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str, Any]:
@@ -38,58 +39,112 @@ def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str
     }
 
 
-def print_results(spec: "Spec", results: "Sequence[CheckResult]", *, files: int) -> None:
-    """Print a line per result, what fails first, the worst margins and the verdict."""
-    print_text(format_results(results, files=files, spec=spec))
+def print_results(
+    spec: "Spec", results: "Sequence[CheckResult]", *, files: int, kind: str = "txt"
+) -> None:
+    """Print a table per file, of several files the verdicts as a matrix, and the verdict.
+
+    Args:
+        spec: Says why a bound is what it is.
+        results: Of all files, in their order.
+        files: How many there are.
+        kind: As `FormatOptions` chooses; a file of values has rows and nothing else.
+    """
+    if kind == "csv":
+        print_tables([_tabulate(results, "Checks", names_file=True)], kind)
+    elif kind == "txt":
+        print_verdicts(format_results(results, files=files, spec=spec))
+    else:
+        tables = [*_tabulate_files(results), *_tabulate_matrix(results)]
+        notes = (*_list_reasons(spec, results), _summarise(results, files=files))
+        print_tables([*tables[:-1], replace(tables[-1], notes=notes)], kind)
 
 
 def format_results(
     results: "Sequence[CheckResult]", *, files: int, spec: "Spec | None" = None
 ) -> str:
-    """Return what is printed of results, those that fail first; without a specification no others.
+    """Return what is printed of results in the order of files.
 
     Args:
         results: Of all files.
         files: How many there are.
-        spec: Says why a bound is what it is.
+        spec: Says why a bound is what it is; None: what passes is left out.
     """
-    ordered = sorted(results, key=lambda result: result.verdict != "FAIL")
     if spec is None:
-        ordered = [result for result in ordered if result.verdict == "FAIL"]
-    lines = [*_list_reasons(spec, ordered), *_list_worst(ordered if spec is None else results)]
+        shown = [result for result in results if result.verdict == "FAIL"]
+    else:
+        shown = [*results]
+    tables = [*_tabulate_files(shown), *_tabulate_matrix(shown)]
+    lines = [*_list_reasons(spec, shown), *_list_worst(shown)]
+    parts = ["Checks; times from the first sample"] if tables else []
+    parts += [format_table(table).rstrip("\n") for table in tables]
+    parts += ["\n".join(map(escape_controls, lines))] if lines else []
+    return "\n\n".join([*parts, _summarise(results, files=files)])
+
+
+def _summarise(results: "Sequence[CheckResult]", *, files: int) -> str:
     counts = [
         f"{sum(result.verdict == verdict for result in results)} {word}"
         for verdict, word in (("PASS", "pass"), ("FAIL", "fail"), ("SKIPPED", "skipped"))
     ]
     recordings = "1 recording" if files == 1 else f"{files} recordings"
-    parts = [format_table(_tabulate(ordered)).rstrip("\n")] if ordered else []
-    parts += ["\n".join(map(escape_controls, lines))] if lines else []
-    parts += [f"{tl.join_verdicts(results)}: {recordings}, {', '.join(counts)}"]
-    return "\n\n".join(parts)
+    return f"{tl.join_verdicts(results)}: {recordings}, {', '.join(counts)}"
 
 
-def _tabulate(results: "Sequence[CheckResult]") -> "Table":
-    columns = [tl.Column(title=title) for title in _TITLES]
+def _tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
+    """Return a table per file, in the order of the first result of each."""
+    files = dict.fromkeys(result.file for result in results)
+    return [_tabulate([one for one in results if one.file == file], file) for file in files]
+
+
+def _tabulate(results: "Sequence[CheckResult]", title: str, *, names_file: bool = False) -> "Table":
+    titles = ["verdict", "file", "check", "unit", "value", "limit", "margin"]
+    columns = [tl.Column(title="" if head == "verdict" else head) for head in titles]
     if any(result.first_violation_s is not None for result in results):
         columns.append(tl.Column(title="violated", unit="s", digits=3))
-    rows = (
-        (
-            result.verdict.value,
-            result.file,
-            result.check,
-            result.unit,
-            result.value,
-            result.limit,
-            result.margin,
-            result.first_violation_s,
-        )
+    rows = [
+        (result.verdict.value, result.file, result.check, *_show(result), result.first_violation_s)
         for result in results
-    )
+    ]
+    if names_file:
+        columns[0] = tl.Column(title="verdict")
+        return tl.Table(
+            title=title,
+            columns=tuple(columns),
+            rows=tuple(row[: len(columns)] for row in rows),
+        )
+    del columns[1]
     return tl.Table(
-        title="Checks; times from the first sample",
+        title=title,
         columns=tuple(columns),
-        rows=tuple(row[: len(columns)] for row in rows),
+        rows=tuple((row[0], *row[2 : len(columns) + 1]) for row in rows),
     )
+
+
+def _tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
+    """Return the verdicts of several files, a row for each; nothing for one file."""
+    files = dict.fromkeys(result.file for result in results)
+    checks = dict.fromkeys(result.check for result in results)
+    verdicts = {(result.file, result.check): result.verdict.value for result in results}
+    if len(files) < 2:
+        return []
+    heads = [tl.Column(title=name, lines=tuple(re.split("[._]", name))) for name in checks]
+    return [
+        tl.Table(
+            title=f"{len(files)} recordings, {len(checks)} checks",
+            columns=(tl.Column(title="file"), *heads),
+            rows=tuple(
+                (file, *(verdicts.get((file, check)) for check in checks)) for file in files
+            ),
+        )
+    ]
+
+
+def _show(result: "CheckResult") -> "tuple[str, float | None, float | None, float | None]":
+    """Return unit, value, limit and margin as they are printed: angles in degrees."""
+    found = (result.value, result.limit, result.margin)
+    value, limit, margin = (v if v is None else show_angle(v, result.unit)[0] for v in found)
+    return show_angle(0.0, result.unit)[1], value, limit, margin
 
 
 def _list_reasons(spec: "Spec | None", results: "Sequence[CheckResult]") -> Iterator[str]:

@@ -8,12 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
-from turtlelog.cli.formats import FormatOptions, print_tables
-from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs
-from turtlelog.cli.output import print_error, print_json, print_note
+from turtlelog.cli.list_names import complete_metrics
+from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs, watch_summaries
+from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    FormatOptions,
+    print_error,
+    print_json,
+    print_note,
+    print_tables,
+)
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.summaries import watch_summaries
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import TurtlelogError, UsageError
 
@@ -38,7 +44,7 @@ class ReferenceOptions:
 
     reference: Path | None = None
     tolerances: Annotated[Path | None, Parameter(show=False)] = None
-    align: str | None = None
+    align: Annotated[str | None, Parameter(metavar="HOW")] = None
 
 
 @Parameter(name="*")
@@ -48,14 +54,17 @@ class ChoiceOptions:
 
     Attributes:
         only: Columns, separated by commas: metrics, patterns (translate.*), parameters.
-        sort: What to sort by (rising gain): a metric or parameter, or name; falling with a minus
-            before it, as in -run.duration.
+        sort: What to sort by (rising gain): a metric or parameter, name, or Kp as the column is
+            called; falling with a minus before it, as in -run.duration.
         where: Which runs, as in "law.kp_linear >= 2 and run.duration < 20".
     """
 
-    only: str | None = None
-    sort: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
-    where: str | None = None
+    only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_metrics)] = None
+    sort: Annotated[
+        str | None,
+        Parameter(allow_leading_hyphen=True, metavar="NAME", completer=complete_metrics),
+    ] = None
+    where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
 
     def list_columns(self) -> list[str]:
         """Return the names and patterns that are asked for, none for the usual columns."""
@@ -77,7 +86,7 @@ def compare(
     Without a reference, a file that cannot be read is told on stderr; the others
     are compared where there are two or more, and the exit code is 2.
 
-    Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort final.position_error
+    Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort run.duration
 
     Example: turtlelog compare --reference good.mcap new.mcap
 
@@ -164,7 +173,9 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
     if choice.sort is None:
         summaries = tl.order_by_gain(summaries)
     else:
-        summaries = tl.sort_runs(summaries, choice.sort, source="--sort")
+        from turtlelog.compare.run_table import sort_by_column
+
+        summaries = sort_by_column(summaries, choice.sort, source="--sort")
     only = tl.choose_columns(summaries, choice.list_columns(), source="--only")
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
     if kind == "json":

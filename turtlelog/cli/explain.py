@@ -7,9 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.explain_answer import describe_explanation
-from turtlelog.cli.explain_tables import format_attribution, format_identification
-from turtlelog.cli.options import Json, TopicOptions, read_runs
+from turtlelog.cli.explain_answer import (
+    describe_explanation,
+    format_attribution,
+    format_identification,
+)
+from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
+from turtlelog.cli.options import File, Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -34,15 +38,19 @@ class ExplainOptions:
 
     scenario: Path | None = None
     rrd: Path | None = None
-    trust_law: Annotated[bool, Parameter(negative="")] = False
+    trust_law: bool = False
 
 
 def explain(
-    file: Annotated[Path, Parameter(name="FILE")],
+    file: File,
     /,
     *,
-    metric: str = "final.position_error",
-    mechanisms: str | None = None,
+    metric: Annotated[str, Parameter(metavar="ID", completer=complete_metrics)] = (
+        "final.position_error"
+    ),
+    mechanisms: Annotated[
+        str | None, Parameter(metavar="NAMES", completer=complete_mechanisms)
+    ] = None,
     options: ExplainOptions | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
@@ -66,13 +74,14 @@ def explain(
     law declares. Properties of any such loop stand beside them, each taken out alone: saturation,
     sampling, float32, of sequential-p projection and tolerance.
 
-    Example: turtlelog explain kp10.mcap --metric final.heading_error --scenario found.toml
+    Example: turtlelog explain kp10.mcap --metric final.heading_error
 
     Args:
         file: A recording (.mcap), a ROS 2 bag, or one of the paper's logs (.json, .csv).
-        metric: What to explain, by its id (turtlelog metrics lists them).
-        mechanisms: Effects and properties that share it, separated by commas; by default every
-            effect that is in the run. Of more than six, those six that change it most.
+        metric: What to explain, by its id (turtlelog list metrics).
+        mechanisms: Effects and properties that share it, separated by commas (turtlelog list
+            mechanisms); by default every effect that is in the run. Of more than six, those six
+            that change it most.
         json: Print one JSON object instead of tables.
     """
     options = options or ExplainOptions()

@@ -1,13 +1,17 @@
-"""What `turtlelog explain` found, as JSON."""
+"""What `turtlelog explain` found: as JSON, as tables and sentences."""
 
+import textwrap
+from dataclasses import replace
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.cli.output import format_table
 
 if TYPE_CHECKING:
     from turtlelog import Attribution, Identification
-    from turtlelog.explain import StartRange
+    from turtlelog.explain import Finding, StartRange
 
 
 _JSON: Final = {
@@ -37,8 +41,42 @@ _JSON: Final = {
 }
 """What stands where in the answer's `identified`."""
 
+_ROWS: Final = (
+    ("start backlog", "loop.start_backlog", "poses"),
+    ("pause", "law.pause_ticks", "ticks"),
+    ("  by the clock", "pause.seconds", "s"),
+    ("  command held in it", "pause.held_turn_rate_rad_s", "rad/s"),
+    ("  turned by the end", "pause.turned_rad", "rad"),
+    ("  answered at once", "pause.burst", "poses"),
+    ("lost commands", "lost_commands", ""),
+    ("queue policy", "loop.queue_policy", ""),
+    ("command queue", "loop.command_queue", ""),
+    ("pose queue", "loop.pose_queue", ""),
+    ("transport delay", "loop.transport_delay_ticks", "ticks"),
+    ("answers every", "loop.period_ticks", "ticks"),
+    ("Kp angular", "law.kp_angular", "1/s"),
+    ("Kp linear", "law.kp_linear", "1/s"),
+    ("turn rate limit", "limits.turn_rate_rad_s", "rad/s"),
+    ("speed limit", "limits.speed_m_s", "m/s"),
+    ("heading tolerance", "law.heading_tolerance_rad", "rad"),
+    ("position tolerance", "law.position_tolerance_m", "m"),
+    ("projection", "law.projection", ""),
+    ("wrapped error", "law.wrap_error", ""),
+    ("poses", "loop.pose_precision", ""),
+    ("stop reason", "stop_reason", ""),
+)
+"""What the table shows: its name, its key among the findings, its unit there."""
+
 _DEAD_TIME: Final = "dead_time."
 """Begins the key of a loop's dead time."""
+
+
+_DRIVEN: Final = "No simulation stands for this log. The plant was driven with its commands."
+
+_EVIDENCE_WIDTH: Final = 46
+
+_WIDTH: Final = 96
+"""Of lines, as wide as the notes of a table [characters]."""
 
 
 def describe_explanation(
@@ -144,3 +182,116 @@ def _nest(places: dict[str, Any], found: "Identification", field: str) -> dict[s
         else getattr(found.findings.get(key), field, None)
         for name, key in places.items()
     }
+
+
+def format_identification(found: "Identification") -> str:
+    """Return what was identified, with its evidence, and how the re-simulation compares."""
+    rows: list[tuple[str, ...]] = []
+    for name, key, unit in _list_rows(found):
+        if key in found.findings:
+            finding = found.findings[key]
+            evidence = "see below" if finding.evidence in found.notes else finding.evidence
+            rows += _format_finding(name, replace(finding, evidence=evidence), unit)
+    table = tl.Table(
+        title=f"What the log of {found.name} tells",
+        columns=tuple(tl.Column(title=title) for title in ("", "value", "how sure", "evidence")),
+        rows=tuple(rows),
+        notes=tuple(_capitalise(note) for note in found.notes),
+    )
+    return f"{format_table(table)}\n{_format_resimulation(found)}"
+
+
+def format_attribution(found: "Attribution") -> str:
+    """Return the values, the shares, and what they mean."""
+    unit = found.unit
+    table = tl.Table(
+        title=f"What caused {found.metric}",
+        columns=(
+            tl.Column(title="mechanism"),
+            tl.Column(title="share", unit=unit),
+            tl.Column(title="without it alone", unit=unit),
+            tl.Column(title="without it means"),
+        ),
+        rows=tuple(
+            (
+                share.mechanism,
+                share.share,
+                share.alone,
+                share.meaning,
+            )
+            for share in (*found.shares, *found.others)
+        ),
+        notes=tl.write_sentences(found),
+    )
+    return f"\n{format_table(table)}"
+
+
+def _list_rows(found: "Identification") -> list[tuple[str, str, str]]:
+    """Return the rows, with one for the dead time of each loop, and none of an unknown law."""
+    from turtlelog.explain import describe_loop_name
+
+    keys = [key for key in found.findings if key.startswith(_DEAD_TIME)]
+    names = [describe_loop_name(found.law, key.removeprefix(_DEAD_TIME)) for key in keys]
+    rows = [(f"dead time {name}", key, "ticks") for name, key in zip(names, keys, strict=True)]
+    after = [key for _, key, _ in _ROWS].index("lost_commands")
+    rows = [*_ROWS[:after], *rows, *_ROWS[after:]]
+    return [row for row in rows if found.tells_law or not row[1].startswith("law.")]
+
+
+def _format_finding(name: str, finding: "Finding", unit: str) -> list[tuple[str, ...]]:
+    value = "-" if finding.value is None else _format_value(finding.value, unit)
+    evidence = finding.evidence
+    if finding.candidates:
+        evidence += ": " + ", ".join(map(str, finding.candidates))
+    if finding.value is not None and finding.interval is not None:
+        low, high = (_format_value(bound, unit, digits=4) for bound in finding.interval)
+        evidence += f": {low} to {high}"
+    first, *rest = textwrap.wrap(evidence, _EVIDENCE_WIDTH, break_on_hyphens=False)
+    return [(name, value, finding.certainty.value, first), *(("", "", "", line) for line in rest)]
+
+
+def _format_value(value: Any, unit: str, digits: int = 6) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return value.replace("_", " ")
+    if unit == "rad":
+        value, unit = degrees(value), "deg"
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def _format_resimulation(found: "Identification") -> str:
+    again = found.resimulation
+    if again is None:
+        if not found.tried:
+            return "Nothing was simulated again.\n"
+        return f"{_DRIVEN}\n{_format_tried(found)}\n"
+    error = again.max_abs_error
+    return (
+        f"Simulated again: {again.samples} samples, largest differences x {error.x_m:.3g} m,"
+        f" y {error.y_m:.3g} m,\nheading {degrees(error.heading_rad):.3g} deg,"
+        f" commands {again.max_command_error:.3g}.\n{_format_tried(found)}\n"
+    )
+
+
+def _format_tried(found: "Identification") -> str:
+    """Return among which settings of the loop the log's were looked for."""
+    parts = [
+        f"{name} {_format_range(found.tried[key], unit)}"
+        for name, key, unit in _ROWS
+        if len(found.tried.get(key, ())) > 1
+    ]
+    text = (
+        f"Settings tried: {'; '.join(parts) or 'one, the clock and the dead times leave no other'}."
+    )
+    return textwrap.fill(text, _WIDTH, break_on_hyphens=False)
+
+
+def _format_range(values: tuple[Any, ...], unit: str) -> str:
+    if len(values) > 2 and [*values] == [*range(values[0], values[0] + len(values))]:
+        return f"{values[0]} to {values[-1]} {unit}".rstrip()
+    return f"{', '.join(map(str, values))} {unit}".rstrip()
+
+
+def _capitalise(note: str) -> str:
+    return f"{note[:1].upper()}{note[1:]}."

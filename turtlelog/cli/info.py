@@ -5,9 +5,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
-from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
 from turtlelog.cli.options import Files, Json, Partial, iterate_files, require_files
-from turtlelog.cli.output import format_table, print_error, print_json, print_text
+from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    format_table,
+    print_error,
+    print_json,
+    print_text,
+)
 from turtlelog.errors import TurtlelogError
 from turtlelog.escapes import escape_controls
 

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.exit_codes import EXIT_BAD_INPUT, EXIT_FINE
-from turtlelog.cli.formats import FormatOptions, print_tables
-from turtlelog.cli.options import Files, TopicOptions, Whole, require_files
+from turtlelog.cli.list_names import complete_metrics
+from turtlelog.cli.options import Files, TopicOptions, Whole, require_files, watch_summaries
 from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    FormatOptions,
     describe_metrics,
     print_csv,
     print_error,
     print_json_list,
+    print_tables,
 )
-from turtlelog.cli.summaries import watch_summaries
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
@@ -32,18 +34,19 @@ class MeasureOptions:
     """How to measure; a value of a loop is in rad where it controls the heading, else in m.
 
     Attributes:
-        only: Ids or patterns, as in rotate.overshoot,final.*
-        band: Half-width of the settling band, as a share of the step (0.02).
-        initial: Where steps start: NUMBER or LOOP=NUMBER (first value).
-        final: Where they lead: reference, last, NUMBER, or LOOP=... (reference).
-        reference_path: CSV of x,y in m, for cross-track errors (line to the goal).
-        dead_time: Samples of dead time in the delayed ideal loop (as found).
+        only: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics).
+        band: Half-width of the settling band, as a share of the step [1]; otherwise 0.02.
+        initial: Where steps start [rad or m]: NUMBER or LOOP=NUMBER; otherwise the first value.
+        final: Where they lead [rad or m]: reference, last, NUMBER, or LOOP=VALUE; otherwise
+            reference.
+        reference_path: CSV of x,y [m], for cross-track errors; otherwise the line to the goal.
+        dead_time: Dead time of the delayed ideal loop [samples]; otherwise as found.
     """
 
-    only: str | None = None
-    band: float | None = None
-    initial: str | None = None
-    final: str | None = None
+    only: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
+    band: Annotated[float | None, Parameter(metavar="SHARE")] = None
+    initial: Annotated[str | None, Parameter(metavar="VALUE")] = None
+    final: Annotated[str | None, Parameter(metavar="VALUE")] = None
     reference_path: Path | None = None
     dead_time: Whole | None = None
 
@@ -76,8 +79,8 @@ def metrics(
     /,
     *,
     measuring: MeasureOptions | None = None,
-    all_: Annotated[bool, Parameter(name="--all", negative="")] = False,
-    jobs: Whole = 1,
+    all_: Annotated[bool, Parameter(name="--all")] = False,
+    jobs: Annotated[Whole, Parameter(metavar="COUNT")] = 1,
     formats: FormatOptions | None = None,
     topics: TopicOptions | None = None,
 ) -> int:

@@ -2,18 +2,20 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter, Token
 
 import turtlelog as tl
+from turtlelog.cli.list_names import complete_keys
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import UsageError
+from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Declaration, Run, Scenario, TopicChoice
+    from turtlelog import Declaration, Run, RunSummary, Scenario, TopicChoice
 
 
 def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -25,11 +27,12 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
         raise UsageError(f"{tokens[0].keyword}: expected a whole number, {found}") from err
 
 
-Files = Annotated[list[Path], Parameter(name="FILE", negative="")]
+File = Annotated[Path, Parameter(name="FILE")]
+Files = Annotated[list[Path], Parameter(name="FILE")]
 Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
-Partial = Annotated[bool, Parameter(name="--partial", negative="")]
-Connect = Annotated[str | None, Parameter(name="--connect")]
-Json = Annotated[bool, Parameter(name="--json", negative="")]
+Partial = Annotated[bool, Parameter(name="--partial")]
+Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
+Json = Annotated[bool, Parameter(name="--json")]
 Whole = Annotated[int, Parameter(converter=_read_whole)]
 """A whole number; a plain int would cut 1.5 to 1."""
 
@@ -43,12 +46,15 @@ class ScenarioOptions:
         kp: Set the gains that the law declares [1/s].
         goal: Set the goal position, as in 2,10 [m].
         assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
-            several times.
+            several times. The unit stands in the key.
     """
 
-    kp: float | None = None
-    goal: str | None = None
-    assignments: Annotated[list[str] | None, Parameter(name="--set", negative="")] = None
+    kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
+    goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
+    assignments: Annotated[
+        list[str] | None,
+        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+    ] = None
 
 
 @Parameter(name="*")
@@ -62,8 +68,8 @@ class TopicOptions:
         partial: Read what an unfinished or damaged recording still holds.
     """
 
-    pose_topic: str | None = None
-    command_topic: str | None = None
+    pose_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
+    command_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     partial: Partial = False
 
     def build_choice(self) -> "TopicChoice":
@@ -75,13 +81,27 @@ class TopicOptions:
         )
 
 
-def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
-    """Return a preset or file with the options applied, under a name that tells them.
+_RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
+"""How files that may hold a scenario end, beside scenario files."""
 
-    The code of a law is loaded only where its gains are to be set.
+
+def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
+    """Return a preset, or the scenario of a file or recording, with the options applied.
+
+    Its name tells the changes. The code of a law is loaded only where its gains are to be set, and
+    never that of a recording, which tells them itself.
     """
-    base = tl.load_scenario(name_or_path)
-    return name_by_changes(change_scenario(base, options), base.name, options)
+    path = Path(name_or_path)
+    if path.suffix.lower() not in _RECORDINGS and not path.is_dir():
+        base = tl.load_scenario(name_or_path)
+        return name_by_changes(change_scenario(base, options), base.name, options)
+    run = _read_run(path, TopicOptions())
+    if not run.scenario_is_complete:
+        raise UsageError(f"{path}: expected a recording with its whole scenario, found none in it")
+    base = tl.restore_scenario(run)
+    names_law = any(text.strip().startswith("law.kind") for text in _list_changes(options))
+    declared = None if names_law else run.declaration
+    return name_by_changes(change_scenario(base, options, declared), base.name, options)
 
 
 def name_by_changes(
@@ -126,6 +146,7 @@ def change_scenario(
     """
     options = options or ScenarioOptions()
     changes = tl.parse_assignments(options.assignments or (), source="--set")
+    _require_tables(changes, scenario)
     if "law.kind" in changes:
         # Another law has other keys: it is chosen before any of them is set.
         kind = {"law.kind": changes.pop("law.kind")}
@@ -141,6 +162,19 @@ def change_scenario(
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
     return tl.override_scenario(scenario, changes, source="--set")
+
+
+def _require_tables(changes: "Mapping[str, Any]", scenario: "Scenario") -> None:
+    """Refuse a key without its table, and say which keys end like it."""
+    known = dict.fromkeys(["goal.heading_rad", *tl.flatten_scenario(scenario)])
+    lasts = {key.rpartition(".")[2] for key in known}
+    for key in changes:
+        if "." in key or key in known:
+            continue
+        near = [last for last in lasts if last.startswith(key)] or get_close_matches(key, lasts)
+        homes = [name for name in known if name.rpartition(".")[2] in near]
+        if any("." in name for name in homes):
+            raise UsageError(f"--set: {key}: expected {' or '.join(homes)}, found no such key")
 
 
 def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
@@ -175,6 +209,20 @@ def _read_run(path: Path, topics: TopicOptions) -> "Run":
     run = topics.build_choice().read(path)
     print_run_notes(path, run.notes)
     return run
+
+
+def watch_summaries(
+    found: "Iterator[RunSummary | TurtlelogError]", count: int, errors: list[TurtlelogError]
+) -> "Iterator[RunSummary]":
+    """Yield what was measured, keep the errors, and show how many of the files are done."""
+    with show_progress("reading", count if count > 1 else None, "files") as progress:
+        for number, summary in enumerate(found, start=1):
+            if isinstance(summary, TurtlelogError):
+                errors.append(summary)
+            else:
+                print_run_notes(summary.file, summary.notes)
+                yield summary
+            progress.done = number
 
 
 def require_files(paths: Sequence[Path]) -> None:

@@ -5,6 +5,7 @@ import errno
 import json
 import math
 import os
+import re
 import shutil
 import stat
 import sys
@@ -12,17 +13,65 @@ import tempfile
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, TextIO
 
+from cyclopts import Parameter
+
 import turtlelog as tl
+from turtlelog.errors import UsageError
 from turtlelog.escapes import escape_controls, guard_cell
 
 if TYPE_CHECKING:
     from turtlelog import Metric, Table
 
+EXIT_FINE: Final = 0
+EXIT_FAILED: Final = 1
+"""A check, or a comparison with tolerances, failed."""
+EXIT_BAD_INPUT: Final = 2
+"""Bad usage, or an input that cannot be read."""
+EXIT_DEFECT: Final = 70
+EXIT_INTERRUPTED: Final = 130
+
 _SPOOLED: Final = 16 * 2**20
 """Bytes of a long answer that are kept in memory."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FormatOptions:
+    """How to print; without any of them, tables for a terminal.
+
+    Attributes:
+        markdown: Print tables as Markdown.
+        csv: Print tables as CSV, with full precision.
+        latex: Print tables as LaTeX, for the booktabs package.
+        json: Print one JSON value instead of tables.
+    """
+
+    markdown: bool = False
+    csv: bool = False
+    latex: bool = False
+    json: bool = False
+
+    def choose(self) -> str:
+        """Return the one that is asked for: `txt`, `md`, `csv`, `tex` or `json`.
+
+        Raises:
+            UsageError: Where there are several.
+        """
+        asked = {
+            "--markdown": self.markdown,
+            "--csv": self.csv,
+            "--latex": self.latex,
+            "--json": self.json,
+        }
+        chosen = [name for name, is_asked in asked.items() if is_asked]
+        if len(chosen) > 1:
+            raise UsageError(f"{chosen[1]}: expected one format, found {chosen[0]} beside it")
+        kinds = {"--markdown": "md", "--csv": "csv", "--latex": "tex", "--json": "json"}
+        return kinds[chosen[0]] if chosen else "txt"
 
 
 def print_text(text: str, *, is_data: bool = False) -> None:
@@ -38,9 +87,48 @@ def print_text(text: str, *, is_data: bool = False) -> None:
         sys.stdout.write(text.rstrip("\n") + "\n")
 
 
+_COLOURS: Final = {"PASS": "32", "FAIL": "31", "SKIPPED": "33"}
+"""Codes of green, red and yellow in ANSI terminals."""
+
+
+def print_verdicts(text: str) -> None:
+    """Print a result whose lines and cells tell verdicts, in colour where that is shown."""
+    text = escape_controls(text, keep="\n").rstrip("\n")
+    if shows_colour():
+        # A verdict begins a line, or a cell, before which are two blanks.
+        pattern = rf"(?m)(?:^|(?<=  ))({'|'.join(_COLOURS)})(?=[ :]|$)"
+        text = re.sub(pattern, lambda found: _paint(found[1]), text)
+    with outlive_reader():
+        sys.stdout.write(text + "\n")
+
+
+def _paint(verdict: str) -> str:
+    return f"\x1b[{_COLOURS[verdict]}m{verdict}\x1b[0m"
+
+
+def shows_colour() -> bool:
+    """Return whether stdout is to have colours: on a terminal, or as the environment asks.
+
+    NO_COLOR and FORCE_COLOR count where they are set and not empty; NO_COLOR comes first.
+    """
+    if os.environ.get("NO_COLOR"):
+        return False
+    if os.environ.get("FORCE_COLOR"):
+        return True
+    return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"
+
+
 def print_lines(lines: Iterable[str]) -> None:
     """Print results, each in one line whatever stands in it."""
     print_text("\n".join(map(escape_controls, lines)))
+
+
+def print_tables(tables: "Sequence[Table]", kind: str) -> None:
+    """Print tables in a format, an empty line between them."""
+    texts = (
+        format_table(table) if kind == "txt" else tl.format_table(table, kind) for table in tables
+    )
+    print_text("\n".join(texts), is_data=kind == "csv")
 
 
 @contextmanager

@@ -1,59 +1,130 @@
 """`turtlelog plot`: figures and tables for print."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import show
+from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.options import Json, TopicOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Page, Run
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
-    files: Annotated[list[Path] | None, Parameter(name="FILE", negative="")] = None,
+    files: Annotated[list[Path] | None, Parameter(name="FILE")] = None,
     /,
     *,
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
-    only: str | None = None,
-    formats: Annotated[str, Parameter(name="--format")] = "pdf,png,svg",
+    only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
+    formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     columns: Literal[1, 2] = 1,
-    text_width: float = 181.0,
+    text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Make the paper's figures from any recordings, as PDF, PNG and SVG, and tables as LaTeX.
+    """Make the paper's figures from any recordings, and its tables as LaTeX.
 
-    Only what the recordings hold is drawn; what is left out, and why, is said on stderr. Without
-    recordings: the figures of the ideal loop. Figures and tables that are there already are
-    replaced.
+    Into a folder: every figure that the recordings hold the data for. Only what they hold is drawn;
+    what is left out, and why, is said on stderr. Without recordings: the figures of the ideal loop.
+    A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
+    Figures and tables that are there already are replaced.
 
-    Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane --format pdf
+    Example: turtlelog plot kp4.mcap -o kp4.png
+
+    Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv); one is drawn in
             detail, several over each other.
-        output: Write into this folder.
-        only: Figures by name, with commas: plant, step-responses, root-locus, heading, position,
-            heading-error, position-error, turn-rate, speed, wanted-speed, world-velocity,
-            error-log, plane, panel. Otherwise all that the recordings hold the data for.
-        formats: Some of pdf, png, svg, with commas.
+        output: Write into this folder, or one figure to this .pdf, .png or .svg file.
+        only: Figures by name, with commas (turtlelog list figures).
+        formats: Some of pdf, png, svg, with commas; otherwise pdf.
         columns: How many of two columns a figure spans; side-by-side panels always span both.
         text_width: Width of the page's text [mm], 120 to 1000.
         json: Print one JSON object instead of lines.
     """
+    names = None if only is None else _split(only, "--only")
+    is_file = output.suffix.lower() in _SUFFIXES
+    if is_file:
+        _require_one(output, names, formats)
+        require_new_target(output, files or [], suffix=output.suffix.lower())
+    elif output.exists() and not output.is_dir():
+        raise UsageError(f"{output}: expected a folder to write to, found a file")
+    page = tl.Page(text_width_mm=text_width, columns=columns)
+    kinds = (
+        [output.suffix[1:].lower()]
+        if is_file
+        else _split("pdf" if formats is None else formats, "--format")
+    )
+    runs = read_runs(files, topics) if files else []
+    if is_file:
+        name = names[0] if names else _choose_overview(runs)
+        figures = {_draw_one(output, runs, name, kinds, page): name}
+        tables: list[Path] = []
+        left_out: Sequence[str] = ()
+    else:
+        drawn, tables = _draw_all(output, runs, names, kinds, page)
+        figures = {path: path.stem for path in drawn}
+        left_out = show.list_left_out(runs, names) if runs else ()
+    for line in left_out:
+        print_note(f"plot: {line}")
+    if json:
+        print_json({**_describe(files or [], figures, tables), "left_out": list(left_out)})
+    else:
+        print_lines(f"wrote {path}" for path in [*figures, *tables])
+
+
+_SUFFIXES: Final = frozenset({".pdf", ".png", ".svg"})
+_OVERVIEWS: Final = ("panel", "plane", "step-responses")
+"""What one file shows where nothing is asked for: the first that there is data for."""
+
+
+def _require_one(output: Path, names: list[str] | None, formats: str | None) -> None:
+    if names is not None and len(names) != 1:
+        raise UsageError(f"--only: expected one figure for {output}, found {', '.join(names)}")
+    if formats is not None:
+        raise UsageError(f"--format: expected a folder to write to, found {output}")
+
+
+def _choose_overview(runs: "Sequence[Run]") -> str:
+    found = [name for name in _OVERVIEWS if not tl.FIGURES[name].find_lack(runs)]
+    name = [*found, _OVERVIEWS[0]][0]
+    print_note(f"plot: the figure {name}; --only chooses another (turtlelog list figures)")
+    return name
+
+
+def _draw_one(
+    output: Path, runs: "Sequence[Run]", name: str, kinds: list[str], page: "Page"
+) -> Path:
+    from turtlelog.show.figures.writing import add_figures
+    from turtlelog.show.output_files import replace_file
+
+    with show_progress("drawing"), replace_file(output) as part:
+
+        def write(_: str, data: bytes) -> Path:
+            part.write_bytes(data)
+            return output
+
+        add_figures(write, runs, only=[name], formats=kinds, page=page)
+    return output
+
+
+def _draw_all(
+    output: Path, runs: "Sequence[Run]", names: list[str] | None, kinds: list[str], page: "Page"
+) -> tuple[list[Path], list[Path]]:
+    """Return the figures and the tables that were written into a folder."""
     from turtlelog.show.figures.writing import add_figures, add_tables
     from turtlelog.show.output_files import replace_together
 
-    if output.exists() and not output.is_dir():
-        raise UsageError(f"{output}: expected a folder to write to, found a file")
-    page = tl.Page(text_width_mm=text_width, columns=columns)
-    runs = read_runs(files, topics) if files else []
-    names = None if only is None else _split(only, "--only")
-    kinds = _split(formats, "--format")
     most = len(kinds) * len(tl.FIGURES if names is None else names)
     with show_progress("drawing", most, "files at most") as progress:
 
@@ -64,14 +135,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
             figures = add_figures(
                 write, runs, only=names, formats=kinds, page=page, on_written=count
             )
-            tables = add_tables(write, runs) if runs and only is None else []
-    left_out = show.list_left_out(runs, names) if runs else ()
-    for line in left_out:
-        print_note(f"plot: {line}")
-    if json:
-        print_json({**_describe(files or [], figures, tables), "left_out": list(left_out)})
-    else:
-        print_lines(f"wrote {path}" for path in [*figures, *tables])
+            tables = add_tables(write, runs) if runs and names is None else []
+    return figures, tables
 
 
 def _split(text: str, option: str) -> list[str]:
@@ -81,17 +146,17 @@ def _split(text: str, option: str) -> list[str]:
     return names
 
 
-def _describe(files: list[Path], figures: list[Path], tables: list[Path]) -> dict[str, Any]:
+def _describe(files: list[Path], figures: dict[Path, str], tables: list[Path]) -> dict[str, Any]:
     return {
         "files": [str(path) for path in files],
         "figures": [
             {
                 "file": str(path),
-                "figure": path.stem,
-                "title": tl.FIGURES[path.stem].title,
-                "paper": tl.FIGURES[path.stem].paper or None,
+                "figure": name,
+                "title": tl.FIGURES[name].title,
+                "paper": tl.FIGURES[name].paper or None,
             }
-            for path in figures
+            for path, name in figures.items()
         ],
         "tables": [str(path) for path in tables],
     }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Json
+from turtlelog.cli.options import File, Json
 from turtlelog.cli.output import print_json, print_lines
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -19,7 +19,7 @@ _MOST_LINES = 20
 
 
 def recover(
-    file: Path,
+    file: File,
     /,
     *,
     output: Annotated[Path, Parameter(name=("--output", "-o"))],

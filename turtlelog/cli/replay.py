@@ -7,18 +7,23 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, format_results
-from turtlelog.cli.exit_codes import EXIT_FAILED, EXIT_FINE
 from turtlelog.cli.options import Json, Output, ScenarioOptions, TopicOptions, read_runs
-from turtlelog.cli.output import print_json, print_note, print_text
+from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
+from turtlelog.cli.replay_answer import (
+    describe_changes,
+    describe_law,
+    describe_loop,
+    format_changes,
+    format_law,
+    format_loop,
+)
 from turtlelog.cli.replay_choice import (
     ReplayOptions,
     choose_scenario,
     require_sound,
     settle_file,
 )
-from turtlelog.cli.replay_metrics import describe_changes, format_changes
 from turtlelog.cli.replay_plant import describe_plant, format_plant
-from turtlelog.cli.replay_signals import describe_law, describe_loop, format_law, format_loop
 from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
@@ -50,7 +55,7 @@ def replay(
     of a scenario file given by name runs; that of a law that only the recording names runs with
     --trust-law and not otherwise.
 
-    Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest -o newest.mcap
+    Example: turtlelog replay kp10.mcap --set loop.queue_policy=newest
 
     Differences are an answer, not a failure: the exit code is 0. With --expect-equal the replay is
     checked: the answer ends with the verdict of `turtlelog check`, and the exit code is 1 where it
@@ -84,7 +89,7 @@ def replay(
     if json:
         print_json({"file": str(file), **described})
     else:
-        print_text(text)
+        print_verdicts(text)
     return EXIT_FAILED if failed else EXIT_FINE
 
 

@@ -29,19 +29,17 @@ class ReplayOptions:
             kind, path.py:Class or package.module:Class.
         scenario: A preset or scenario file in place of the recording's own; a log that knows a part
             of its scenario keeps that.
-        tolerance: Differences up to this one count as none, in each signal's unit.
+        tolerance: Differences up to this one count as none [m, rad, m/s, rad/s: as the signal].
         expect_equal: Exit with code 1 where there is a difference.
         trust_law: Run the code of the law that the recording names, where it is not built in.
     """
 
-    plant: Annotated[bool, Parameter(negative="")] = False
-    law: Annotated[
-        list[str] | None, Parameter(consume_multiple=(0, 2), negative="", metavar="[KIND]")
-    ] = None
+    plant: bool = False
+    law: Annotated[list[str] | None, Parameter(consume_multiple=(0, 2), metavar="[KIND]")] = None
     scenario: str | None = None
     tolerance: float | None = None
-    expect_equal: Annotated[bool, Parameter(negative="")] = False
-    trust_law: Annotated[bool, Parameter(negative="")] = False
+    expect_equal: bool = False
+    trust_law: bool = False
 
 
 def settle_file(file: Path | None, options: ReplayOptions) -> tuple[Path, str | None]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
-from turtlelog.cli.replay_signals import describe_difference, describe_pose_error
+from turtlelog.cli.replay_answer import describe_difference, describe_pose_error
 
 if TYPE_CHECKING:
     from turtlelog import PlantReplay, Run

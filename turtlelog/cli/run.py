@@ -1,18 +1,20 @@
-"""`turtlelog run`: simulate a scenario."""
+"""`turtlelog run`: simulate a scenario; `turtlelog scenario`: print it."""
 
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.exit_codes import EXIT_FINE, EXIT_INTERRUPTED
+from turtlelog.cli.list_names import complete_preset
 from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_changed_scenario
 from turtlelog.cli.output import (
+    EXIT_FINE,
+    EXIT_INTERRUPTED,
     describe_metrics,
     format_table,
     outlive_reader,
@@ -22,13 +24,15 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
 from turtlelog.cli.targets import require_new_target
-from turtlelog.errors import SimulationError
+from turtlelog.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario, Table
     from turtlelog.runner import Sink
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
+
+ScenarioWord = Annotated[str, Parameter(name="SCENARIO", completer=complete_preset)]
 
 _ADVICE: Final = (
     "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"
@@ -47,18 +51,36 @@ class LiveOptions:
         connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
     """
 
-    realtime: Annotated[bool, Parameter(negative="")] = False
-    live: Annotated[bool, Parameter(negative="")] = False
+    realtime: bool = False
+    live: bool = False
     connect: Connect = None
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordOptions:
+    """What is written, and which code may run.
+
+    Attributes:
+        output: Write the recording to this .mcap file.
+        rrd: Write a Rerun recording to this .rrd file.
+        strip_scenario: Leave the scenario out of what is written, and call the run by its file: a
+            riddle for `turtlelog explain`.
+        trust_law: Run the code of the law that a recording names, where it is not built in.
+    """
+
+    output: Output = None
+    rrd: Annotated[Path | None, Parameter(name="--rrd")] = None
+    strip_scenario: bool = False
+    trust_law: bool = False
+
+
 def run(
-    scenario: str = "paper",
+    scenario: ScenarioWord = "paper",
     /,
     *,
     options: ScenarioOptions | None = None,
-    output: Output = None,
-    rrd: Annotated[Path | None, Parameter(name="--rrd")] = None,
+    record: RecordOptions | None = None,
     live: LiveOptions | None = None,
     json: Json = False,
 ) -> int:
@@ -72,24 +94,27 @@ def run(
     no harm. Of a law that fails, what came before is written (exit code 2).
 
     Args:
-        scenario: A preset (paper-kp1, paper-kp2, paper-kp4, paper-kp10, paper, textbook) or a
-            scenario file.
-        output: Write the recording to this .mcap file.
-        rrd: Write a Rerun recording to this .rrd file.
+        scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
+            scenario is simulated again.
         json: Print one JSON object instead of tables.
     """
-    require_new_target(output, [Path(scenario)], suffix=".mcap")
-    require_new_target(rrd, [Path(scenario)], suffix=".rrd")
-    chosen = tl.resolve_scenario(load_changed_scenario(scenario, options))
-    live = live or LiveOptions()
+    record, live = record or RecordOptions(), live or LiveOptions()
+    require_new_target(record.output, [Path(scenario)], suffix=".mcap")
+    require_new_target(record.rrd, [Path(scenario)], suffix=".rrd")
+    if record.strip_scenario and live.realtime:
+        raise UsageError("--strip-scenario: expected a run written at its end, found --realtime")
+    if record.strip_scenario and record.output is None and record.rrd is None:
+        raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
+    chosen = load_changed_scenario(scenario, options)
+    chosen = tl.resolve_scenario(chosen, trust_law=record.trust_law)
     with _open_viewer(live) as (window, url):
         try:
-            result = _run(chosen, output, live, url)
+            result = _run(chosen, record.output, live, url)
         except SimulationError as err:
             if err.run is not None:
-                _write(err.run, output, rrd, is_recorded=live.realtime)
+                _write(err.run, record, is_recorded=live.realtime)
             raise
-        code = _answer(result, output, rrd, is_recorded=live.realtime, json=json)
+        code = _answer(result, record, is_recorded=live.realtime, json=json)
         if window is not None and code == EXIT_FINE:
             with outlive_reader():
                 sys.stdout.flush()
@@ -98,21 +123,38 @@ def run(
     return code
 
 
-def _answer(
-    result: "Run", output: Path | None, rrd: Path | None, *, is_recorded: bool, json: bool
-) -> int:
+def scenario(
+    scenario: ScenarioWord = "paper",
+    /,
+    *,
+    options: ScenarioOptions | None = None,
+) -> None:
+    """Print the scenario of a preset, file or recording as a whole file, to edit and run.
+
+    The code of a law of your own is not loaded: of its keys those that were given are printed.
+
+    Example: turtlelog scenario paper-kp10 > mine.toml
+
+    Args:
+        scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
+    """
+    chosen = load_changed_scenario(scenario, options)
+    print_text(tl.format_scenario(chosen))
+
+
+def _answer(result: "Run", record: RecordOptions, *, is_recorded: bool, json: bool) -> int:
     code = EXIT_INTERRUPTED if result.stop_reason == "interrupted" else EXIT_FINE
     if code:
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
     for name, note in result.notes.items():
         print_note(f"{name.replace('_', ' ')}: {note}")
-    _write(result, output, rrd, is_recorded=is_recorded)
+    _write(result, record, is_recorded=is_recorded)
     if json:
         print_json(
             {
                 "name": result.name,
-                "file": None if output is None else str(output),
-                "rrd": None if rrd is None else str(rrd),
+                "file": None if record.output is None else str(record.output),
+                "rrd": None if record.rrd is None else str(record.rrd),
                 "samples": len(result.samples),
                 "stop_reason": result.stop_reason,
                 "metrics": describe_metrics(tl.measure_run(result)),
@@ -128,16 +170,30 @@ def _tabulate(run: "Run") -> "Table":
     return tl.tabulate_metrics([run], only=tl.list_essential_metrics(run.declaration))
 
 
-def _write(run: "Run", output: Path | None, rrd: Path | None, *, is_recorded: bool) -> None:
-    if output is not None:
+def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
+    if record.output is not None:
         with show_progress("writing"):
             if not is_recorded:
-                tl.write_recording(run, output)
-        print_note(f"wrote {output}")
-    if rrd is not None:
+                written = _strip(run, record.output) if record.strip_scenario else run
+                tl.write_recording(written, record.output)
+        print_note(f"wrote {record.output}")
+    if record.rrd is not None:
         with show_progress("writing"):
-            tl.write_run_rrd(run, rrd)
-        print_note(f"wrote {rrd}")
+            shown = _strip(run, record.rrd) if record.strip_scenario else run
+            tl.write_run_rrd(shown, record.rrd)
+        print_note(f"wrote {record.rrd}")
+
+
+def _strip(run: "Run", path: Path) -> "Run":
+    """Return a run of which only what was observed is known: rows, goal, end, and its loops."""
+    return replace(
+        run,
+        name=path.stem,
+        parameters={},
+        scenario_is_complete=False,
+        absent=("parameters",),
+        notes={"scenario": "left out when the run was recorded"},
+    )
 
 
 def _simulate(scenario: "Scenario") -> "Run":

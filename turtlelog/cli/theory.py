@@ -1,6 +1,8 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.options import Json, Whole
@@ -15,8 +17,8 @@ _MOST_GAINS: Final = 100
 
 def theory(
     *,
-    kp: str = "1,2,4,10",
-    period: float = 0.016,
+    kp: Annotated[str, Parameter(metavar="GAINS")] = "1,2,4,10",
+    period: Annotated[float, Parameter(metavar="SECONDS")] = 0.016,
     dead_time: Whole = 0,
     json: Json = False,
 ) -> None:

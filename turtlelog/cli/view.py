@@ -36,9 +36,9 @@ class PictureOptions:
     """
 
     snapshot: Path | None = None
-    at: float | None = None
+    at: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     timeline: str = "sim_time"
-    size: str = "1600x900"
+    size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = "1600x900"
 
 
 @Parameter(name="*")
@@ -52,8 +52,8 @@ class WindowOptions:
         connect: With --follow: a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
     """
 
-    web: Annotated[bool, Parameter(negative="")] = False
-    follow: Annotated[bool, Parameter(negative="")] = False
+    web: bool = False
+    follow: bool = False
     connect: Connect = None
 
 

@@ -21,7 +21,7 @@ from turtlelog.compare.tube import (
     read_rows,
 )
 from turtlelog.differences import Difference, SignalDifference
-from turtlelog.display import format_html
+from turtlelog.display import format_html, show_angle
 from turtlelog.escapes import escape_controls
 from turtlelog.measure import (
     SIGNALS,
@@ -189,8 +189,9 @@ def tabulate_differences(
         cells: list[Cell] = []
         for signals in found:
             known = signals.get(name)
-            cells += [known.largest, known.at_s] if known else [None, None]
-        rows.append((name, units[name], *cells))
+            shown = None if known is None else show_angle(known.largest, known.unit)[0]
+            cells += [shown, known.at_s] if known else [None, None]
+        rows.append((name, show_angle(0.0, units[name])[1], *cells))
     alignments = dict.fromkeys(_describe_alignment(found.alignment) for found in comparisons)
     return Table(
         title=f"Largest differences from {reference}, {', '.join(alignments)}",

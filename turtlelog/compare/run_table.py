@@ -7,8 +7,15 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 from turtlelog.compare.run_names import has_one_gain, name_runs
-from turtlelog.compare.run_summary import RunSummary, choose_columns, list_usual_metrics, order_ids
+from turtlelog.compare.run_summary import (
+    RunSummary,
+    choose_columns,
+    list_usual_metrics,
+    order_ids,
+    sort_runs,
+)
 from turtlelog.display import describe_count, format_html, format_number
+from turtlelog.errors import CompareError
 from turtlelog.escapes import escape_controls
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import MeasureSettings, Metric, find_metric_kind, list_metrics, measure_run
@@ -133,6 +140,27 @@ def tabulate_runs(
             }
         ),
     )
+
+
+def sort_by_column(
+    summaries: Sequence[RunSummary], by: str, *, source: str = "sort"
+) -> tuple[RunSummary, ...]:
+    """Return the runs in rising order of a gain, by the title of its column; else as `sort_runs`.
+
+    Raises:
+        CompareError: Where no run has it.
+    """
+    title = by.removeprefix("-")
+    titles = [column.title for column in _list_gain_columns(summaries)]
+    if title not in titles:
+        if title == "Kp" and titles:
+            raise CompareError(f"{source}: expected {' or '.join(titles)}, found {title!r}")
+        return sort_runs(summaries, by, source=source)
+    gains = [(_get_gain(found, title), found) for found in summaries]
+    valued = [(gain, found) for gain, found in gains if isinstance(gain, int | float)]
+    valued.sort(key=lambda pair: pair[0], reverse=by != title)
+    rest = [found for gain, found in gains if not isinstance(gain, int | float)]
+    return (*(found for _, found in valued), *rest)
 
 
 def mark_metric(summaries: Sequence[RunSummary], name: str) -> dict[int, Mark]:

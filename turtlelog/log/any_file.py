@@ -9,6 +9,7 @@ from mcap.writer import MCAP0_MAGIC
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import LOG_SUFFIXES, import_log
+from turtlelog.log.importers.exported_tables import holds_tables, import_tables
 from turtlelog.log.info import RecordingInfo, read_info
 from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_if_own
@@ -47,7 +48,7 @@ def read_run(
     command_topic: str | None = None,
     allow_partial: bool = False,
 ) -> Run:
-    """Return the run in a recording of turtlelog's, somebody's bag or .mcap, or a paper's log.
+    """Return the run in a recording, somebody's bag or .mcap, a paper's log, or exported tables.
 
     Args:
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
@@ -61,6 +62,9 @@ def read_run(
     path = Path(path)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
+        has_tables = holds_tables(path)
+    if has_tables:
+        return import_tables(path)
     if path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_mcap(path):
         return import_log(path)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
@@ -86,12 +90,13 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
     path = Path(path)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
-    if is_folder:
+        has_tables = holds_tables(path)
+    if is_folder and not has_tables:
         return read_bag_info(path)
     is_log = path.suffix.lower() in LOG_SUFFIXES
-    if not is_log or _is_mcap(path):
+    if not has_tables and (not is_log or _is_mcap(path)):
         return read_info(path, allow_partial=allow_partial)
-    run = import_log(path)
+    run = import_tables(path) if has_tables else import_log(path)
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),

@@ -11,6 +11,7 @@ from turtlelog.escapes import guard_cell
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.info import survey_file
+from turtlelog.log.recording.head import format_declaration
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
 from turtlelog.run import TABLES, Run, tabulate_run
@@ -88,7 +89,8 @@ def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple
 def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
     """Write the tables of a run as Parquet and return the files; as `export_csv`, with types.
 
-    The metadata hold the units of the columns, and the name, goal and scenario of the run.
+    The metadata hold the units of the columns, and the name, goal, scenario and declaration of the
+    run.
 
     Raises:
         LogError: Where the place cannot be written, a folder exists, or there is no such table.
@@ -132,6 +134,8 @@ def _write_csv(run: Run, table: str, path: Path) -> None:
 
 def _write_parquet(run: Run, table: str, path: Path) -> None:
     columns = run.to_arrow(table)
+    declared = {"turtlelog.declaration": format_declaration(run.declaration)}
+    columns = columns.replace_schema_metadata({**columns.schema.metadata, **declared})
     parquet = load_library("pyarrow.parquet")
     with path.open("wb") as stream:
         parquet.write_table(columns, stream, compression="zstd")

@@ -4,9 +4,10 @@ pytest loads this in every session: it imports neither numpy nor rerun, nor anyt
 that does, before a test asks for a recording.
 """
 
+import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
@@ -21,8 +22,28 @@ _MARKERS = (
     "recordings(*patterns, allow_partial=False, trust_law=False): run the test once per recording;"
     " patterns are relative to the test's folder, else to the root; trust_law lets driven_by() run"
     " the code of a law that a recording names",
-    "reference(path): what recording.matches(reference) compares with; {stem} is the recording's",
+    "reference(path): what turtlelog_reference is; {stem} is the recording's",
 )
+
+
+NAME: Final = "turtlelog.pytest_plugin"
+
+
+class Entry:
+    """What pytest finds of an installed turtlelog, under the name that `-p no:turtlelog` blocks.
+
+    It loads the plugin under the name of its module, so that `-p turtlelog.pytest_plugin`, which
+    works where nothing is installed, loads it no second time.
+    """
+
+    @staticmethod
+    def pytest_addoption(pluginmanager: pytest.PytestPluginManager) -> None:
+        """Load the plugin, if nobody did or forbade it."""
+        if not pluginmanager.is_blocked(NAME) and not pluginmanager.has_plugin(NAME):
+            pluginmanager.register(sys.modules[NAME], NAME)
+
+
+ENTRY: Final = Entry()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -64,16 +85,16 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Make one test item per recording."""
     marker = metafunc.definition.get_closest_marker("recordings")
-    if marker is None or "recording" not in metafunc.fixturenames:
+    if marker is None or "turtlelog_recording" not in metafunc.fixturenames:
         return
     paths, settings = choose_recordings(metafunc, marker)
     names = name_recordings(paths, metafunc.config.rootpath)
     cases = [(str(path), settings) for path in paths]
-    metafunc.parametrize("recording", cases, ids=names, indirect=True)
+    metafunc.parametrize("turtlelog_recording", cases, ids=names, indirect=True)
 
 
 @pytest.fixture
-def recording(request: pytest.FixtureRequest) -> "Recording":
+def turtlelog_recording(request: pytest.FixtureRequest) -> "Recording":
     """One of the recordings that the test's marker names, read when it is first asked."""
     if not hasattr(request, "param"):
         raise pytest.UsageError(
@@ -84,19 +105,21 @@ def recording(request: pytest.FixtureRequest) -> "Recording":
 
 
 @pytest.fixture
-def reference(
+def turtlelog_reference(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> "ReferenceFile":
     """What recordings are held to: the file that the marker or the ini option names."""
-    has_recording = "recording" in request.fixturenames
-    stem = request.getfixturevalue("recording").path.stem if has_recording else None
+    has_recording = "turtlelog_recording" in request.fixturenames
+    stem = request.getfixturevalue("turtlelog_recording").path.stem if has_recording else None
     path = find_reference(request, stem)
     return request.config.stash[SESSION].open_reference(path, tmp_path_factory.getbasetemp())
 
 
 @pytest.fixture
-def simulate(request: pytest.FixtureRequest, tmp_path: Path) -> "Callable[..., Recording]":
-    """Simulate a scenario, record it and read it back: `simulate("paper", kp=4)`."""
+def turtlelog_simulate(
+    request: pytest.FixtureRequest, tmp_path: Path
+) -> "Callable[..., Recording]":
+    """Simulate a scenario, record it and read it back: `turtlelog_simulate("paper", kp=4)`."""
     from turtlelog.check.recording import SimulatedRuns
 
     return SimulatedRuns(tmp_path, request.config.stash[SESSION].watch).simulate

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Table = Mapping[str, NDArray[Any]]
 """Columns by name, all of one length: float64, int64, or text as objects."""
 
-_PAIRS: Final = MappingProxyType(
+PAIRS: Final = MappingProxyType(
     {
         "xy_m": ("x_m", "y_m"),
         "error_xy_m": ("error_x_m", "error_y_m"),
@@ -123,8 +123,8 @@ def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
         values = getattr(columns, name)
         if values is None:
             continue
-        if name in _PAIRS:
-            table |= zip(_PAIRS[name], values.T, strict=True)
+        if name in PAIRS:
+            table |= zip(PAIRS[name], values.T, strict=True)
         else:
             table[name] = values
     return table

@@ -42,7 +42,7 @@ def describe_runs(
     *,
     metrics: Sequence[Mapping[str, Metric]] | None = None,
 ) -> Mapping[str, str]:
-    """Return the documents of a comparison by title: Table 1, the runs side by side, metrics.
+    """Return the documents of a comparison by title: the runs side by side, metrics, Table 1.
 
     The arguments are those of `describe_run`, for several runs.
     """
@@ -50,9 +50,9 @@ def describe_runs(
     pairs = zip(runs, metrics, strict=True)
     summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
     tables = {
-        "Table 1": (tabulate_table1(runs), tabulate_whole_runs(runs)),
         "Side by side": (tabulate_runs(summaries),),
         "Metrics": (tabulate_measured(name_runs(runs), choose_essentials(runs, metrics)),),
+        "Table 1": (tabulate_whole_runs(runs), tabulate_table1(runs)),
     }
     return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}
 

@@ -389,7 +389,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
 
 def test_tables_are_written_as_latex_in_the_order_of_gains(tmp_path: Path) -> None:
     written = tl.write_tables([simulate(10), simulate(2)], tmp_path)
-    assert [path.name for path in written] == ["table1.tex", "whole-runs.tex", "metrics.tex"]
+    assert [path.name for path in written] == ["whole-runs.tex", "table1.tex", "metrics.tex"]
     for path in written:
         text = path.read_text("utf-8")
         assert rf"\label{{tab:{path.stem}}}" in text

@@ -95,7 +95,7 @@ def find_wrong_start(start: bytes) -> str | None:
     elif start.startswith(_RERUN):
         found = "a Rerun recording: turtlelog view shows it"
     elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
-        found = "text: turtlelog import makes a recording of a log in JSON or CSV"
+        found = "text: a log is read where its name ends in .json or .csv"
     return f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}"
 
 

@@ -140,7 +140,7 @@ def _find_kind(name: str, runs: Sequence[Run]) -> FigureKind:
 
 
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:
-    """Write Table 1, the whole runs and the first metrics as LaTeX with booktabs; return the files.
+    """Write the whole runs, Table 1 and the first metrics as LaTeX with booktabs; return the files.
 
     Table 1 is left out where no run has a value for it.
 
@@ -162,8 +162,8 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
     table1 = tabulate_table1(runs)
     # LaTeX counts tables itself.
     tables = {
-        "table1": replace(table1, title=table1.title.removeprefix("Table 1: ").capitalize()),
         "whole-runs": tabulate_whole_runs(runs),
+        "table1": replace(table1, title=table1.title.removeprefix("Table 1: ").capitalize()),
         "metrics": metrics,
     }
     if not has_table1(runs):

@@ -1,19 +1,18 @@
 """How replays that compare signals are answered: through a law, and in closed loop."""
 
-from collections.abc import Iterable, Sequence
-from math import degrees
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table
+from turtlelog.display import format_pair, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import LawReplay, LoopReplay, Run, Table
+    from turtlelog import LawReplay, LoopReplay, Metric, Run, Table
     from turtlelog.replay import Difference, PoseError, SignalDifference
 
-_PRINTED: Final = {"rad": "deg", "rad/s": "deg/s", "1": ""}
-"""Units as printed, where they are not those of the values."""
+    Measured = Mapping[str, Metric]
 
 _ALWAYS: Final = ("x", "y", "heading", "speed", "turn_rate")
 """Signals that are printed even where they are equal."""
@@ -177,8 +176,7 @@ def _tabulate(
         rows=tuple(
             (
                 found.signal,
-                _PRINTED.get(found.unit, found.unit),
-                _convert(found.largest, found.unit),
+                *_show(found),
                 None if found.at_ns is None else _tell_time(run, found.at_ns),
                 found.differing,
                 found.rows,
@@ -188,6 +186,12 @@ def _tabulate(
         ),
         notes=notes,
     )
+
+
+def _show(found: "SignalDifference") -> tuple[str, float]:
+    """Return unit and largest difference as they are printed; a count has no unit."""
+    largest, unit = show_angle(found.largest, found.unit)
+    return "" if unit == "1" else unit, largest
 
 
 def _describe_rest(signals: "Iterable[SignalDifference]", absent: Sequence[str]) -> tuple[str, ...]:
@@ -227,29 +231,80 @@ def _format_difference(
     run: "Run", found: "Difference", signals: "Sequence[SignalDifference]"
 ) -> str:
     unit = next((signal.unit for signal in signals if signal.signal == found.signal), "1")
-    was, now = _format_pair(_convert(found.recorded, unit), _convert(found.replayed, unit))
-    printed = f" {_PRINTED.get(unit, unit)}".rstrip()
+    was, now = format_pair(found.recorded, found.replayed, unit)
     place = f"{found.signal.replace('_', ' ')} at {_tell_time(run, found.time_ns):.3f} s"
-    return f"{place}: recorded {was}{printed}, replayed {now}{printed}"
-
-
-def _format_pair(was: Any, now: Any) -> tuple[str, str]:
-    """Return two values with as many digits as tell them apart, six at least."""
-    if not (isinstance(was, float) and isinstance(now, float)):
-        was, now = (
-            "none" if value is None else escape_controls(str(value)) for value in (was, now)
-        )
-        return was, now
-    for digits in range(6, 18):
-        texts = f"{was:.{digits}g}", f"{now:.{digits}g}"
-        if texts[0] != texts[1]:
-            break
-    return texts
-
-
-def _convert(value: Any, unit: str) -> Any:
-    return degrees(value) if unit.startswith("rad") and isinstance(value, float) else value
+    return f"{place}: recorded {was}, replayed {now}"
 
 
 def _tell_time(run: "Run", time_ns: int) -> float:
     return (time_ns - run.start_ns) / 1e9
+
+
+_OF_LOOP: Final = frozenset({"overshoot", "settling_time", "rms_error"})
+_OF_RUN: Final = frozenset({"final.heading_error", "final.position_error", "run.duration"})
+
+
+def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured]":
+    """Return the essential metrics of both runs, in one order; what one does not have says so."""
+    essential = tl.list_essential_metrics(recorded.declaration, replayed.declaration)
+    parts = ((name, name.rpartition(".")[2]) for name in essential)
+    of_loops = [name for name, plain in parts if plain in _OF_LOOP]
+    names = [*(name for name in essential if name in _OF_RUN), *of_loops]
+    return tl.measure_run(recorded, only=names), tl.measure_run(replayed, only=names)
+
+
+def describe_changes(recorded: "Run", replayed: "Run") -> list[dict[str, Any]]:
+    """Return the `metrics` list of the JSON answer."""
+    was, now = _measure_both(recorded, replayed)
+    return [
+        {
+            "id": name,
+            "unit": was[name].unit,
+            "recorded": was[name].value,
+            "recorded_status": was[name].status.value,
+            "replayed": now[name].value,
+            "replayed_status": now[name].status.value,
+            "difference": _subtract(was, now, name),
+        }
+        for name in _list_ids(was, now)
+    ]
+
+
+def format_changes(recorded: "Run", replayed: "Run") -> str:
+    """Return the essential metrics of both, and the difference."""
+    was, now = _measure_both(recorded, replayed)
+    return format_table(
+        tl.Table(
+            title=f"{recorded.name}, and what became of it: {replayed.name}",
+            columns=tuple(
+                tl.Column(title=title)
+                for title in ("metric", "unit", "recorded", "replayed", "difference")
+            ),
+            rows=tuple(
+                (
+                    name,
+                    was[name].unit,
+                    _get_cell(was[name]),
+                    _get_cell(now[name]),
+                    _subtract(was, now, name),
+                )
+                for name in _list_ids(was, now)
+            ),
+        )
+    )
+
+
+def _get_cell(metric: "Metric") -> float | str:
+    return metric.status.value if metric.value is None else metric.value
+
+
+def _subtract(was: "Measured", now: "Measured", name: str) -> float | None:
+    recorded, replayed = was[name].value, now[name].value
+    return None if recorded is None or replayed is None else replayed - recorded
+
+
+def _list_ids(was: "Measured", now: "Measured") -> list[str]:
+    """Return the ids of both: the end, then loop by loop, then the whole run."""
+    names = dict.fromkeys([*was, *now])
+    ranks = {"final": 0, "run": 2}
+    return sorted(names, key=lambda name: ranks.get(name.partition(".")[0], 1))

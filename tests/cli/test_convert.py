@@ -1,0 +1,194 @@
+import csv
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from tests.log.test_importers import make_log, reorder, write_json
+from turtlelog.run import TABLES, tabulate_run
+
+
+def test_a_name_without_a_suffix_is_a_bag_that_metrics_reads(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    answer = call("convert", kp4, "-o", tmp_path / "bag")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out.splitlines() == [
+        f"wrote {tmp_path / 'bag' / name}" for name in ("bag_0.mcap", "metadata.yaml")
+    ]
+    (of_bag,), (of_file,) = (
+        call("metrics", path, "--json").json for path in (tmp_path / "bag", kp4)
+    )
+    assert of_bag["metrics"] == of_file["metrics"]
+
+
+def test_several_kinds_are_written_at_once_and_answered_in_json(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    one, many = tmp_path / "events.csv", tmp_path / "tables"
+    words = ("-o", one, "-o", many, "--format", "parquet", "--table", "events", "--json")
+    answer = call("convert", kp4, *words).json
+    assert answer == {
+        "file": str(kp4),
+        "name": "paper-kp4",
+        "written": [str(one), str(many / "events.parquet")],
+        "absent": [],
+        "notes": [],
+    }
+    assert all(Path(path).exists() for path in answer["written"])
+
+
+def test_a_folder_of_tables_holds_every_table(call: Call, kp4: Path, tmp_path: Path) -> None:
+    assert call("convert", kp4, "-o", tmp_path / "out", "--format", "csv").code == 0
+    with (tmp_path / "out" / "samples.csv").open() as stream:
+        assert len([*csv.reader(stream)]) == 1 + len(tl.read_recording(kp4).samples)
+
+
+def test_csv_tables_become_a_recording_with_the_same_rows(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    tables, again = tmp_path / "run7", tmp_path / "again.mcap"
+    call("convert", kp4, "-o", tables, "--format", "csv")
+    answer = call("convert", tables, "-o", again, "--json").json
+    assert answer["name"] == "run7"
+    assert answer["absent"] == ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]
+    first, second = (tl.read_recording(path) for path in (kp4, again))
+    for table in TABLES:
+        expected, found = (tabulate_run(run, table) for run in (first, second))
+        assert [*expected] == [*found]
+        for name, values in expected.items():
+            assert np.array_equal(values, found[name], equal_nan=values.dtype.kind == "f")
+
+
+def test_parquet_tables_become_the_recording_that_they_were(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    tables, again = tmp_path / "run7", tmp_path / "again.mcap"
+    call("convert", kp4, "-o", tables, "--format", "parquet")
+    assert call("convert", tables, "-o", again, "--json").json["absent"] == []
+    assert again.read_bytes() == kp4.read_bytes()
+
+
+def test_poses_alone_become_a_recording_of_poses(call: Call, kp4: Path, tmp_path: Path) -> None:
+    poses, again = tmp_path / "poses.csv", tmp_path / "again.mcap"
+    answer = call("convert", kp4, "-o", poses)
+    assert f"{poses} holds the poses alone: --table chooses another" in answer.out
+    answer = call("convert", poses, "-o", again)
+    assert f"absent in {poses}: commands, samples, events, goal_xy_m" in answer.out
+    assert len(tl.read_recording(again).poses) == 705
+    info, of_recording = call("info", poses, again, "--json").json
+    assert info["duration_s"] == of_recording["duration_s"] == 11.264
+
+
+def test_states_and_guarded_texts_come_back(call: Call, kp4: Path, tmp_path: Path) -> None:
+    run = tl.read_recording(kp4)
+    event = replace(run.events[0], text="=1+1, said\nsomebody")
+    states = np.arange(2.0 * len(run.samples)).reshape(-1, 2)
+    run = replace(
+        run,
+        events=(event,),
+        declaration=replace(run.declaration, states=("integral", "time_ns")),
+        samples=replace(run.samples, states=states),
+    )
+    tl.export_csv(run, tmp_path / "odd")
+    found = tl.read_run(tmp_path / "odd")
+    assert found.events == (event,)
+    assert found.declaration.states == ("integral", "time_ns")
+    assert np.array_equal(found.samples.states, states)  # type: ignore[arg-type]
+
+
+def test_a_log_out_of_order_is_sorted_where_that_is_asked(call: Call, tmp_path: Path) -> None:
+    log = make_log()
+    log = reorder(log, [0, 2, 1, 3])
+    path = write_json(log, tmp_path)
+    assert call("convert", path, "-o", tmp_path / "a.mcap").code == 2
+    answer = call("convert", path, "-o", tmp_path / "a.mcap", "--sort")
+    assert answer.code == 0
+    assert "sorted rows: " in answer.out
+
+
+@pytest.mark.parametrize("target", ["again.mcap", "bag", "poses.csv", "poses.parquet"])
+def test_what_reads_back_differently_is_refused(
+    call: Call, kp4: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str
+) -> None:
+    def bend(run: tl.Run) -> tl.Run:
+        xy_m = run.poses.xy_m.copy()
+        xy_m[-1, 0] += 1e-6
+        return replace(run, poses=replace(run.poses, xy_m=xy_m))
+
+    for name in ("write_recording", "export_rosbag2", "export_csv", "export_parquet"):
+        right = getattr(tl, name)
+
+        def write(run: tl.Run, path: Path, right: Any = right, **options: Any) -> Any:
+            return right(bend(run), path, **options)
+
+        monkeypatch.setattr(tl, name, write)
+    answer = call("convert", kp4, "-o", tmp_path / target)
+    assert (answer.code, answer.out) == (2, "")
+    line = "expected to read back what was written, found other values in x_m of poses"
+    assert line in answer.err
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["run.mcap"], "--output"),
+        (["run.mcap", "-o", "a", "--table", "poses"], "--table: expected an output of tables"),
+        (["run.mcap", "-o", "a.csv", "--format", "csv"], "--format: expected a folder to write"),
+        (["in.csv", "-o", "in.csv"], "expected another file to write to, found the input"),
+        (["run.mcap", "-o", "full"], "full: expected the name of a new folder, found a"),
+        (["run.mcap", "-o", "no/such/a.csv"], "expected a place that can be written"),
+        (["run.mcap", "-o", "a.csv", "--table", "pose"], "pose"),
+        (["none.mcap", "-o", "a.csv"], "none.mcap: expected a recording"),
+        (["events.csv", "-o", "a.mcap"], "expected the poses of a run, found its events alone"),
+        (["ragged.csv", "-o", "a.mcap"], "ragged.csv: row 2: expected 4 cells, found 3"),
+        (["words.csv", "-o", "a.mcap"], "words.csv: x_m[0]: expected a number, found 'here'"),
+        (["back.csv", "-o", "a.mcap"], "back.csv: pose.time_ns: expected strictly increasing"),
+        (
+            ["wrong.parquet", "-o", "a.mcap"],
+            "wrong.parquet: expected a table of a run, found Arrow",
+        ),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_conversions_are_one_line(
+    call: Call,
+    kp4: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    line: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("run.mcap").write_bytes(kp4.read_bytes())
+    Path("in.csv").touch()
+    Path("full").mkdir()
+    Path("full", "mine").touch()
+    head = "time_ns,x_m,y_m,heading_rad\n"
+    Path("events.csv").write_text("time_ns,kind,text\n0,stop,over\n")
+    Path("ragged.csv").write_text(f"{head}0,1,2,0\n1,1,2\n")
+    Path("words.csv").write_text(f"{head}0,here,2,0\n")
+    Path("back.csv").write_text(f"{head}5,1,2,0\n1,1,2,0\n")
+    Path("wrong.parquet").write_text("PAR")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    answer = call("convert", *words)
+    assert (answer.code, answer.out) == (2, "")
+    assert line in answer.err
+    assert answer.err.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+def test_a_link_that_leads_in_a_circle_is_no_new_folder(
+    call: Call, kp4: Path, tmp_path: Path
+) -> None:
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    answer = call("convert", kp4, "-o", circle)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.endswith(": expected the name of a new folder, found a file\n")

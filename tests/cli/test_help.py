@@ -1,0 +1,149 @@
+"""Help as a terminal shows it, and errors in the words of a command."""
+
+import re
+import textwrap
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from tests.cli.conftest import Call
+from turtlelog.cli.app import app
+
+GROUPS = {
+    "Simulate": ["run", "scenario", "theory"],
+    "Ask": ["info", "metrics", "compare", "explain", "replay", "list"],
+    "Check": ["check"],
+    "Show": ["view", "plot"],
+    "Files": ["convert", "recover", "demo"],
+}
+NUMBERS = "INT|FLOAT|GAINS?|SECONDS|SHARE|WIDTH|VALUE|WIDTHxHEIGHT"
+COMMANDS = [command for commands in GROUPS.values() for command in commands]
+
+
+def test_help_groups_the_commands(call: Call) -> None:
+    panels = re.findall(r"╭─ ([^─]+) ─+╮\n(.*?)\n╰", call("--help").out, re.S)
+    found = {title: re.findall(r"^│ (\S+)", text, re.M) for title, text in panels}
+    others = ["help", "--help", "--install-completion", "--version"]
+    assert found.pop("Help and completion") == others
+    assert found == GROUPS
+    assert [*found] == [*GROUPS]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_a_command_is_the_same_both_ways(call: Call, command: str) -> None:
+    answer = call(command, "--help")
+    assert (answer.code, answer.err) == (0, "")
+    assert call("help", command) == answer
+
+
+@pytest.mark.parametrize("columns", [80, 100, 200])
+@pytest.mark.parametrize("command", [*COMMANDS, "help"])
+def test_help_fits_and_wraps_each_paragraph_once(
+    call: Call, monkeypatch: pytest.MonkeyPatch, command: str, columns: int
+) -> None:
+    monkeypatch.setattr(app, "_console", Console(width=columns))
+    text = call(command, "--help").out
+    # Longer lines than 100 characters are hard to read on any terminal.
+    width = min(columns, 100)
+    assert max(map(len, text.splitlines())) <= width
+    above, _, _ = text.partition("╭")
+    usage, *paragraphs = above.strip().split("\n\n")
+    assert usage.startswith(f"Usage: turtlelog {command}")
+    for paragraph in paragraphs:
+        joined = " ".join(paragraph.split())
+        assert paragraph == textwrap.fill(joined, width, break_on_hyphens=False)
+    examples = [text for text in paragraphs if text.startswith("Example: ")]
+    assert examples
+    assert all(text.startswith(f"Example: turtlelog {command}") for text in examples)
+    assert all("\n" not in text for text in examples)
+
+
+def test_help_says_that_several_files_are_taken(call: Call) -> None:
+    for command in ("info", "metrics", "compare", "view"):
+        text = call(command, "--help").out
+        assert f"Usage: turtlelog {command} [OPTIONS] FILE..." in text
+        assert re.search(r"│ \*  FILE\.\.\. ", text)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> None:
+    text = call(command, "--help").out
+    cells = re.sub(r"\s+", " ", re.sub(r"│\n│", " ", text))
+    options = re.split(r"(?= --[a-z])", cells)
+    numeric = [text for text in options if re.match(rf" --\S+( -\w)? ({NUMBERS})\b", text)]
+    assert [text for text in numeric if "[" not in text.partition("[default")[0]] == []
+    assert numeric or command not in {"run", "theory", "metrics", "view", "plot", "replay"}
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["theory", "inf"], "turtlelog theory: expected no further word, found 'inf'"),
+        (["run", "a", "b", "c"], "turtlelog run: expected no further word, found 'b' and 1 more"),
+        (["run", "--kp", "x"], "--kp: expected a number, found 'x'"),
+        (["run", "--kp"], "turtlelog run: --kp: expected a number, found none"),
+        (["run", "--kpp", "3"], "turtlelog run: expected an option (--kp), found '--kpp'"),
+        (["info", "-x"], "turtlelog info: expected an option (--partial or --json), found '-x'"),
+        (["run", "--json=3"], "--json: expected no value, found '3'"),
+        (["compar"], "turtlelog: expected a command (compare), found 'compar'"),
+        (["explain"], "turtlelog explain: expected FILE, found none"),
+        (["convert", "a"], "turtlelog convert: --output: expected OUT, found none"),
+        (["plot", "-o", "x", "--columns", "3"], "--columns: expected 1 or 2, found '3'"),
+        (["theory", "--kp", "1", "--kp=2"], "--kp: expected it once, found it 2 times"),
+        (["replay", "--law", "a", "b", "c"], "--law: expected at most 2 words, found 3"),
+        (["list", "metric"], "KIND: expected metrics, signals, presets, laws, mechanisms or"),
+        (["help", "explane"], "turtlelog help: expected explain or replay"),
+        (["frob\x1b[2J"], "found 'frob\\x1b[2J'"),
+        (["theory", "n" * 999], f"found '{'n' * 60}...'"),
+    ],
+    ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else "",
+)
+def test_words_that_are_wrong_are_one_line(call: Call, words: list[str], line: str) -> None:
+    answer = call(*words)
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert answer.err.startswith("turtlelog: error: ")
+    assert line in answer.err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_written_where_asked(call: Call, tmp_path: Path, shell: str) -> None:
+    answer = call("--install-completion", "--shell", shell, "--output", tmp_path / "completion")
+    assert answer.code == 0
+    text = (tmp_path / "completion").read_text()
+    assert "metrics" in text
+    assert "__complete" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "candidate"),
+    [
+        (["run", ""], "paper-kp10"),
+        (["run", "--set", ""], "limits.speed_m_s="),
+        (["scenario", "pap"], "textbook"),
+        (["metrics", "a.mcap", "--only", ""], "rotate.overshoot"),
+        (
+            ["metrics", "--only", "final.position_error,rot"],
+            "final.position_error,rotate.peak",
+        ),
+        (["compare", "a.mcap", "b.mcap", "--sort", ""], "run.duration"),
+        (["explain", "a.mcap", "--metric", ""], "final.heading_error"),
+        (["explain", "a.mcap", "--mechanisms", "queue,"], "queue,pause"),
+        (["plot", "a.mcap", "-o", "x", "--only", ""], "step-responses"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_completion_knows_names(call: Call, words: list[str], candidate: str) -> None:
+    answer = call("__complete", *words)
+    assert candidate in [line.partition("\t")[0] for line in answer.out.splitlines()]
+
+
+def test_completion_offers_scenario_files_and_recordings(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("mine.toml", "run.mcap", "notes.txt"):
+        (tmp_path / name).touch()
+    offered = [line.partition("\t")[0] for line in call("__complete", "run", "").out.splitlines()]
+    assert {"mine.toml", "run.mcap", "paper"} < {*offered}
+    assert "notes.txt" not in offered

@@ -1,0 +1,42 @@
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from turtlelog.laws import LAWS
+
+KINDS = ["metrics", "signals", "presets", "laws", "mechanisms", "figures"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_list_answers_in_json_with_the_names_of_the_table(call: Call, kind: str) -> None:
+    answer = call("list", kind, "--json").json
+    assert [*answer] == ["kind", "entries"]
+    assert answer["kind"] == kind
+    _, _, heads, _, *rows = call("list", kind).out.partition("\n\nAnd ")[0].splitlines()[-0:]
+    assert heads.split()[0] == "name"
+    shown = [row.split()[0] for row in rows if row]
+    assert shown[: len(answer["entries"])] == [entry["name"] for entry in answer["entries"]]
+
+
+def test_every_name_is_listed(call: Call) -> None:
+    found = {
+        kind: [entry["name"] for entry in call("list", kind, "--json").json["entries"]]
+        for kind in KINDS
+    }
+    declaration = tl.declare_scenario(tl.load_scenario("textbook"))
+    assert found["metrics"] == [*tl.list_metrics(declaration)]
+    assert found["signals"] == [*tl.SIGNALS]
+    assert found["presets"] == [*tl.PRESETS]
+    assert found["laws"] == [*LAWS]
+    assert found["figures"] == [*tl.FIGURES]
+    scenario = tl.load_scenario("paper")
+    from turtlelog.explain.mechanisms import find_mechanisms
+
+    assert found["mechanisms"] == [*find_mechanisms(scenario)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lists_fit_the_terminal(call: Call, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    assert max(map(len, call("list", kind).out.splitlines())) <= 80

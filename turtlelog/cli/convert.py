@@ -1,0 +1,151 @@
+"""`turtlelog convert`: a run from one kind of file to another; what `import` and `export` were."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import File, Json, TopicOptions, read_runs
+from turtlelog.cli.output import print_json, print_lines, print_note
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
+from turtlelog.errors import LogError, UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run
+
+_FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet"}
+_NO_FOLDERS: Final = (".db3", ".json", ".rrd", ".yaml", ".zip", ".toml", ".png", ".bag")
+"""How no folder is called: who writes this means another file."""
+
+_TableName = Literal["poses", "commands", "samples", "events"]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableOptions:
+    """Which tables, and how a log is read.
+
+    Attributes:
+        format: What a folder holds: a ROS 2 bag (the usual), or a file per table.
+        table: Which table to write; otherwise a file holds the poses, and a folder all tables.
+        sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
+            instead of refusing them.
+    """
+
+    format: Literal["rosbag2", "csv", "parquet"] | None = None
+    table: _TableName | None = None
+    sort: bool = False
+
+
+def convert(
+    file: File,
+    /,
+    *,
+    output: Annotated[list[Path], Parameter(name=("--output", "-o"), metavar="OUT")],
+    tables: TableOptions | None = None,
+    topics: TopicOptions | None = None,
+    json: Json = False,
+) -> None:
+    """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, or to a folder for ROS 2.
+
+    The suffix of OUT says what is written: .mcap a recording, .csv and .parquet one table of the
+    run; a name without one of these is a new folder, for ROS 2 or for one file per table. Every
+    file is read back and compared before the command answers. A file replaces one that is there,
+    a folder has to be new.
+
+    What the source does not hold is listed as absent, never made up. A recording, a bag and a
+    folder of Parquet files hold the whole run. CSV holds its rows, without scenario, goal and
+    loops: converted back it makes a run that lacks these.
+
+    Example: turtlelog convert kp1_210.json -o kp1.mcap
+
+    Example: turtlelog convert kp4.mcap -o kp4-bag -o kp4-poses.csv
+
+    Args:
+        file: A recording (.mcap), a ROS 2 bag, one of the paper's logs (.json, .csv), or tables
+            that convert wrote.
+        output: What to write; may stand several times.
+        json: Print one JSON object instead of lines.
+    """
+    tables = tables or TableOptions()
+    kinds = {path: _choose_kind(path, tables) for path in output}
+    _require_targets(output, kinds, file, tables)
+    run = _read(file, tables, topics)
+    written: list[str] = []
+    try:
+        for out, kind in kinds.items():
+            written += map(str, _write(run, out, kind, tables))
+    except LogError:
+        for path in written:  # what stands, though another does not
+            print_note(f"wrote {path}")
+        raise
+    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in run.notes.items()]
+    notes += [
+        f"{path} holds the poses alone: --table chooses another table, a folder holds all"
+        for path, kind in kinds.items()
+        if kind in {"csv", "parquet"} and _is_file(path) and tables.table is None
+    ]
+    if json:
+        answer = {"file": str(file), "name": run.name, "written": written}
+        print_json(answer | {"absent": list(run.absent), "notes": notes})
+        return
+    lines = [f"wrote {path}" for path in written]
+    lines += [f"absent in {file}: {', '.join(run.absent)}"] if run.absent else []
+    print_lines([*lines, *notes])
+
+
+def _choose_kind(path: Path, tables: TableOptions) -> str:
+    return _FILES.get(path.suffix.lower()) or tables.format or "rosbag2"
+
+
+def _is_file(path: Path) -> bool:
+    return path.suffix.lower() in _FILES
+
+
+def _require_targets(
+    outputs: list[Path], kinds: dict[Path, str], file: Path, tables: TableOptions
+) -> None:
+    """Refuse any target before the first is written."""
+    if tables.table is not None and not {"csv", "parquet"} & {*kinds.values()}:
+        raise UsageError(
+            "--table: expected an output of tables (.csv, .parquet, or a folder with --format csv"
+            f" or parquet), found {outputs[0]}"
+        )
+    if tables.format is not None and all(map(_is_file, outputs)):
+        raise UsageError(f"--format: expected a folder to write, found {outputs[0]}")
+    for path in outputs:
+        if _is_file(path):
+            require_new_target(path, [file], suffix=path.suffix.lower())
+        else:
+            require_new_folder(path, file_suffixes=_NO_FOLDERS)
+    require_apart(outputs)
+
+
+def _read(file: Path, tables: TableOptions, topics: TopicOptions | None) -> "Run":
+    if tables.sort:
+        return tl.import_log(file, sort=True)
+    (run,) = read_runs([file], topics)
+    return run
+
+
+def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:
+    """Write one output and read it back."""
+    from turtlelog.log.importers.exported_tables import require_read_back
+
+    with show_progress("writing"):
+        if kind == "mcap":
+            tl.write_recording(run, path)
+            written: tuple[Path, ...] = (path,)
+        elif kind == "rosbag2":
+            written = tl.export_rosbag2(run, path)
+        elif kind == "csv":
+            written = tl.export_csv(run, path, table=tables.table)
+        else:
+            written = tl.export_parquet(run, path, table=tables.table)
+    with show_progress("reading back"):
+        is_run = kind in {"mcap", "rosbag2"}
+        require_read_back(run, written, tl.read_run(path) if is_run else None)
+    return written

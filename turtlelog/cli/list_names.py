@@ -1,0 +1,165 @@
+"""`turtlelog list`: the names that commands, checks and scenarios take; completion offers them."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import turtlelog as tl
+from turtlelog.cli.output import format_table, print_json, print_text
+
+if TYPE_CHECKING:
+    from cyclopts.completion import CompletionContext
+
+Kind = Literal["metrics", "signals", "presets", "laws", "mechanisms", "figures"]
+Entries = list[dict[str, Any]]
+
+_PRESETS: Final = {
+    "paper": "the paper's controller as built, with Kp = 1",
+    "textbook": "the loop of the equations: no pause, no backlog, the newest command wins",
+}
+_NOTES: Final[Mapping[str, str]] = {
+    "metrics": "Of the law sequential-p. Another law has loops of other names:"
+    " `turtlelog metrics FILE --all` shows the metrics of a recording.",
+    "signals": "And the states of a law, by their names.",
+    "mechanisms": "Of any loop, and of the law that is named.",
+    "laws": "And laws of your own: FILE.py:Class.",
+}
+
+
+def list_(kind: Kind, /, *, json: bool = False) -> None:
+    """List the names of metrics, signals, presets, laws, mechanisms or figures.
+
+    Example: turtlelog list metrics
+
+    Args:
+        kind: What to list.
+        json: Print one JSON object instead of a table.
+    """
+    entries = _LISTS[kind]()
+    if json:
+        print_json({"kind": kind, "entries": entries})
+        return
+    titles = [title for title in entries[0] if title not in _IN_JSON]
+    table = tl.Table(
+        title=kind.capitalize(),
+        columns=tuple(tl.Column(title=title) for title in titles),
+        rows=tuple(tuple(_show(entry[title]) for title in titles) for entry in entries),
+        notes=(_NOTES[kind],) if kind in _NOTES else (),
+    )
+    print_text(format_table(table))
+
+
+_IN_JSON: Final = frozenset({"scenario", "parameters"})
+"""What a table has no room for."""
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} = {item}" for key, item in value.items())
+    return ", ".join(value) if isinstance(value, list) else str(value or "-")
+
+
+def _list_metrics() -> Entries:
+    declaration = tl.declare_scenario(tl.load_scenario("textbook"))
+    return [
+        {"name": name, "unit": kind.unit, "better": kind.better, "meaning": kind.meaning}
+        for name, kind in tl.list_metrics(declaration).items()
+    ]
+
+
+def _list_signals() -> Entries:
+    return [
+        {"name": name, "unit": kind.unit, "row per": kind.source, "meaning": kind.meaning}
+        for name, kind in tl.SIGNALS.items()
+    ]
+
+
+def _list_presets() -> Entries:
+    return [
+        {
+            "name": name,
+            "meaning": _PRESETS.get(name, "a run that the paper recorded, as built"),
+            "scenario": dict(tl.flatten_scenario(tl.load_scenario(name))),
+        }
+        for name in tl.PRESETS
+    ]
+
+
+def _list_laws() -> Entries:
+    from turtlelog.laws import LAWS
+
+    return [
+        {
+            "name": name,
+            "parameters": [*law.Parameters.__dataclass_fields__],
+            "meaning": (law.__doc__ or "").partition("\n")[0],
+        }
+        for name, law in LAWS.items()
+    ]
+
+
+def _list_mechanisms() -> Entries:
+    from turtlelog.explain.mechanisms import LOOP_MECHANISMS
+    from turtlelog.laws import LAWS, list_mechanisms
+
+    of_laws = [(name, one) for name, law in LAWS.items() for one in list_mechanisms(law)]
+    return [
+        {"name": one.name, "kind": one.kind, "of": law, "without it": dict(one.neutral)}
+        for law, one in [*(("any loop", one) for one in LOOP_MECHANISMS), *of_laws]
+    ]
+
+
+def _list_figures() -> Entries:
+    return [
+        {"name": name, "paper's figure": kind.paper or None, "meaning": kind.title}
+        for name, kind in tl.FIGURES.items()
+    ]
+
+
+_LISTS: Final[Mapping[Kind, Callable[[], Entries]]] = {
+    "metrics": _list_metrics,
+    "signals": _list_signals,
+    "presets": _list_presets,
+    "laws": _list_laws,
+    "mechanisms": _list_mechanisms,
+    "figures": _list_figures,
+}
+
+
+def complete_preset(context: "CompletionContext") -> dict[str, str]:
+    """Return the presets, and the scenario files and recordings that a word may become."""
+    place = Path(context.incomplete)
+    folder = place if context.incomplete.endswith("/") else place.parent
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    found = {str(path): "" for path in files if path.suffix in {".toml", ".mcap"}}
+    return {entry["name"]: entry["meaning"] for entry in _list_presets()} | found
+
+
+def complete_metrics(context: "CompletionContext") -> dict[str, str]:
+    """Return ids of metrics for a list with commas."""
+    return _complete_list(context, "metrics")
+
+
+def complete_figures(context: "CompletionContext") -> dict[str, str]:
+    """Return names of figures for a list with commas."""
+    return _complete_list(context, "figures")
+
+
+def complete_mechanisms(context: "CompletionContext") -> dict[str, str]:
+    """Return names of mechanisms for a list with commas."""
+    return _complete_list(context, "mechanisms")
+
+
+def complete_keys(_: "CompletionContext") -> dict[str, str]:
+    """Return what --set takes: the keys of a scenario, with the value of the preset `paper`."""
+    flat = tl.flatten_scenario(tl.load_scenario("paper"))
+    return {f"{key}=": f"{value}, of paper" for key, value in flat.items()}
+
+
+def _complete_list(context: "CompletionContext", kind: Kind) -> dict[str, str]:
+    """Return the words with one more name: what stands before the last comma stays."""
+    before, comma, _ = context.incomplete.rpartition(",")
+    return {
+        f"{before}{comma}{entry['name']}": str(entry.get("meaning") or entry.get("kind"))
+        for entry in _LISTS[kind]()
+    }

@@ -1,0 +1,269 @@
+"""Tables that turtlelog wrote, CSV or Parquet -> Run; what was written, read back."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError, RunError
+from turtlelog.escapes import guard_cell
+from turtlelog.libraries import load_library
+from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.recording.head import parse_declaration
+from turtlelog.loops import DONE, PAUSE, Declaration
+from turtlelog.run import (
+    TABLES,
+    CommandColumns,
+    Event,
+    PoseColumns,
+    Run,
+    SampleColumns,
+    tabulate_run,
+)
+from turtlelog.run.tables import PAIRS, Table
+
+TABLE_SUFFIXES: Final = (".csv", ".parquet")
+_WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
+_TEXTS: Final = frozenset({"phase", "kind", "text"})
+_LONGEST_HEAD: Final = 64 * 1024
+"""Bytes of a first line that may name columns: 250 states of 60 letters, and the rest, fit in."""
+
+_MARKS: Final[Mapping[str, frozenset[str]]] = {
+    "events": frozenset({"time_ns", "kind", "text"}),
+    "samples": frozenset({"time_ns", "sequence", "pose_sequence", "phase"}),
+    "commands": frozenset({"time_ns", "speed_m_s", "lateral_speed_m_s", "turn_rate_rad_s"}),
+    "poses": frozenset({"time_ns", "x_m", "y_m", "heading_rad"}),
+}
+"""Columns that tell which table a file holds."""
+
+
+def find_table(columns: Sequence[str]) -> str | None:
+    """Return which table of a run has these columns, None where it is none of ours."""
+    return next((name for name, marks in _MARKS.items() if marks <= {*columns}), None)
+
+
+def list_table_files(folder: Path) -> tuple[Path, ...]:
+    """Return the tables that `turtlelog convert` wrote into a folder, none in any other folder."""
+    for suffix in TABLE_SUFFIXES:
+        if (folder / f"poses{suffix}").is_file():
+            files = (folder / f"{name}{suffix}" for name in TABLES)
+            return tuple(path for path in files if path.is_file())
+    return ()
+
+
+def holds_tables(path: Path) -> bool:
+    """Return whether a folder or a file holds tables that turtlelog wrote, by its first line."""
+    if path.is_dir():
+        return bool(list_table_files(path))
+    if path.suffix.lower() != ".csv":
+        return path.suffix.lower() == ".parquet"
+    with open_file(path) as stream:
+        head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
+    return find_table(head.strip().split(",")) is not None
+
+
+def import_tables(path: str | Path) -> Run:
+    """Return the run in tables that were written as CSV or Parquet: a folder of them, or its poses.
+
+    CSV does not hold the scenario, the goal, the loops of the law and the stop reason.
+
+    Raises:
+        LogError: One line with the file and the column, where a table is wrong.
+    """
+    path = Path(path)
+    files = list_table_files(path) if path.is_dir() else (path,)
+    tables: dict[str, Table] = {}
+    facts: dict[str, Any] = {}
+    for file in files:
+        name, table, facts = _read_table(file)
+        tables[name] = table
+    with name_file(path, expected="tables of a run"):
+        if "poses" not in tables:
+            found = ", ".join(tables) or "none"
+            raise LogError(f"expected the poses of a run, found its {found} alone")
+        try:
+            return _build_run(tables, facts, path)
+        except RunError as err:
+            raise LogError(str(err)) from err
+
+
+def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> None:
+    """Refuse files that hold other rows than the run that was written.
+
+    Args:
+        run: What was written.
+        written: The files; tables among them are read here.
+        read: The run that was read back from a recording or a bag; None where tables were written.
+
+    Raises:
+        LogError: With the file, the table and the column.
+    """
+    if read is not None:
+        for name in TABLES:
+            _require_same(written[0], name, tabulate_run(run, name), tabulate_run(read, name))
+        return
+    for path in written:
+        name, table, _ = _read_table(path)
+        _require_same(path, name, tabulate_run(run, name), table)
+
+
+def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
+    """Return the name of the one table in a file, its columns, and what is told of the run."""
+    with name_file(path, expected="a table of a run"):
+        is_parquet = path.suffix.lower() == ".parquet"
+        table, facts = _read_parquet(path) if is_parquet else (_read_csv(path), {})
+        name = find_table([*table])
+        if name is None:
+            found = ", ".join(table)[:80] or "none"
+            raise LogError(f"expected the columns of a table that turtlelog wrote, found {found}")
+        return name, table, facts
+
+
+def _require_same(path: Path, name: str, expected: Table, found: Table) -> None:
+    for column in [*dict.fromkeys([*expected, *found])]:
+        if not _is_same(expected.get(column), found.get(column)):
+            raise LogError(
+                f"{path}: expected to read back what was written, found other values in {column}"
+                f" of {name}"
+            )
+
+
+def _is_same(written: NDArray[Any] | None, read: NDArray[Any] | None) -> bool:
+    if written is None or read is None or not len(written):
+        return not len([] if written is None else written) and not len([] if read is None else read)
+    return np.array_equal(written, read, equal_nan=written.dtype.kind == "f")
+
+
+def _read_csv(path: Path) -> Table:
+    with open_file(path) as stream, io.TextIOWrapper(stream, "utf-8-sig", newline="") as text:
+        head, *rows = [row for row in csv.reader(text) if row] or [[]]
+    for number, row in enumerate(rows, start=1):
+        if len(row) != len(head):
+            raise LogError(f"row {number}: expected {len(head)} cells, found {len(row)}")
+    columns = zip(*rows, strict=True) if rows else ((),) * len(head)
+    return {name: _parse(name, column) for name, column in zip(head, columns, strict=True)}
+
+
+def _parse(name: str, cells: Sequence[str]) -> NDArray[Any]:
+    if name in _TEXTS:
+        return np.array([_release(cell) for cell in cells], dtype=object)
+    kind = np.int64 if name in _WHOLE else np.float64
+    values = np.empty(len(cells), dtype=kind)
+    for row, cell in enumerate(cells):
+        try:
+            values[row] = kind(cell)
+        except (ValueError, OverflowError) as err:
+            word = "a whole number" if name in _WHOLE else "a number"
+            raise LogError(f"{name}[{row}]: expected {word}, found {cell[:40]!r}") from err
+    return values
+
+
+def _release(cell: str) -> str:
+    """Return a text without the apostrophe that `guard_cell` put before it."""
+    inner = cell.removeprefix("'")
+    return inner if guard_cell(inner) == cell else cell
+
+
+def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
+    parquet = load_library("pyarrow.parquet")
+    with open_file(path) as stream:
+        table = parquet.read_table(stream)
+    metadata = {key.decode(): text.decode() for key, text in (table.schema.metadata or {}).items()}
+    prefix = "turtlelog."
+    facts = {
+        key.removeprefix(prefix): text for key, text in metadata.items() if key.startswith(prefix)
+    }
+    columns = {
+        name: np.array(table[name].to_pylist(), dtype=object)
+        if name in _TEXTS
+        else table[name].to_numpy()
+        for name in table.column_names
+    }
+    return columns, facts
+
+
+def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path) -> Run:
+    declaration = parse_declaration(facts["declaration"]) if "declaration" in facts else None
+    samples, declaration = _build_samples(tables.get("samples"), declaration)
+    goal = json.loads(facts.get("goal_m_m_rad", "null"))
+    absent = [name for name in ("commands", "samples", "events") if name not in tables]
+    if "scenario" not in facts:
+        absent += ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]
+    events = tables.get("events", {})
+    return Run(
+        name=facts.get("name", path.stem),
+        source=facts.get("source", f"tables {path.name}"),
+        poses=PoseColumns(**_gather(tables["poses"], PoseColumns)),
+        commands=_build_commands(tables.get("commands")),
+        samples=samples,
+        goal_xy_m=None if goal is None else (goal[0], goal[1]),
+        goal_heading_rad=None if goal is None else goal[2],
+        declaration=declaration,
+        parameters=json.loads(facts.get("scenario", "{}")),
+        scenario_is_complete=json.loads(facts.get("scenario_is_complete", "false")),
+        stop_reason=json.loads(facts.get("stop_reason", "null")),
+        events=tuple(
+            Event(time_ns=int(time_ns), kind=kind, text=text)
+            for time_ns, kind, text in zip(*events.values(), strict=True)
+        ),
+        absent=tuple(absent),
+    )
+
+
+def _build_commands(table: Table | None) -> CommandColumns:
+    if table is not None:
+        return CommandColumns(**_gather(table, CommandColumns))
+    nothing = np.array([], dtype=np.float64)
+    return CommandColumns(
+        time_ns=np.array([], dtype=np.int64),
+        speed_m_s=nothing,
+        lateral_speed_m_s=nothing,
+        turn_rate_rad_s=nothing,
+    )
+
+
+def _build_samples(
+    table: Table | None, declaration: Declaration | None
+) -> tuple[SampleColumns, Declaration]:
+    if table is None:
+        none, nothing = np.array([], dtype=np.int64), np.array([], dtype=np.float64)
+        empty = SampleColumns(
+            time_ns=none,
+            sequence=none,
+            pose_sequence=none,
+            phase=none,
+            speed_m_s=nothing,
+            turn_rate_rad_s=nothing,
+        )
+        return empty, Declaration()
+    values = _gather(table, SampleColumns)
+    known = {*(name for pair in PAIRS.values() for name in pair), *values}
+    states = {
+        name.removeprefix("state_") if name.removeprefix("state_") in known else name: column
+        for name, column in table.items()
+        if name not in known
+    }
+    if declaration is None:
+        labels = [*dict.fromkeys(table["phase"].tolist())]
+        phases = {name: () for name in labels if name not in {PAUSE, DONE}}
+        declaration = Declaration(phases=phases or {"control": ()}, states=tuple(states))
+    indices = {name: index for index, name in enumerate(declaration.phase_names)}
+    values["phase"] = np.array([indices[name] for name in table["phase"]], dtype=np.int64)
+    if states:
+        values["states"] = np.column_stack([*states.values()])
+    return SampleColumns(**values), declaration
+
+
+def _gather(table: Table, kind: type) -> dict[str, NDArray[Any]]:
+    """Return the columns of a table as the fields of a run's, pairs put together."""
+    names = kind.__dataclass_fields__  # type: ignore[attr-defined]
+    values = {name: np.array(column) for name, column in table.items() if name in names}
+    for name, (first, second) in PAIRS.items():
+        if name in names and first in table:
+            values[name] = np.column_stack([table[first], table[second]])
+    return values
