@@ -17,7 +17,7 @@ from turtlelog.explain.law_identification import (
 )
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
-from turtlelog.explain.stop_reason import RULE_KEYS, find_ending
+from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
 from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
 
@@ -208,7 +208,7 @@ def test_a_time_is_taken_as_typed_where_it_has_two_digits(
     """The sample before the last comes at 7.488 s, and at 7.536 s."""
     log = make_log(Truth(timeout_s=timeout_s, jitter_s=0.0))
     trace = mark_breaks(trace_run(log.to_run(), PHASES))
-    rules = find_ending(trace, is_certain=True, is_finished=True).rules
+    rules = find_stop_rule(trace, is_certain=True, is_finished=True).rules
     assert rules["law.timeout_s"].assumed == assumed_s
 
 
