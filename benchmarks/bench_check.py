@@ -44,7 +44,7 @@ def main() -> None:
     bound = measure_time(lambda: np.minimum.accumulate(values))
     print(f"np.minimum.accumulate over {SAMPLES:,} samples: {1e3 * bound:.1f} ms")
     for text in FORMULAS:
-        formula = tl.parse_expression(text)
+        formula = tl.expressions.parse_expression(text)
         for name, time_ns in (("even", even_ns), ("uneven", uneven_ns)):
             signals = {"x": (time_ns, values)}
             took = measure_time(lambda: tl.check_formula(signals, formula))  # noqa: B023

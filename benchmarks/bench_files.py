@@ -46,7 +46,7 @@ def log_rows(run: tl.Run, path: Path) -> None:
 
 def main() -> None:
     run = tl.simulate_run(tl.load_scenario("paper-kp1"))
-    runs = [tl.simulate_run(tl.load_scenario(name)) for name in tl.PAPER_RUNS]
+    runs = [tl.simulate_run(tl.load_scenario(name)) for name in tl.scenario.PAPER_RUNS]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         mcap, rrd = folder / "run.mcap", folder / "run.rrd"

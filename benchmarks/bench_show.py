@@ -120,7 +120,7 @@ def bench_run(name: str, run: tl.Run, folder: Path, repeats: int) -> None:
 def main() -> None:
     long_rows = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     run = tl.simulate_run(tl.load_scenario("paper-kp1"))
-    runs = [tl.simulate_run(tl.load_scenario(name)) for name in tl.PAPER_RUNS]
+    runs = [tl.simulate_run(tl.load_scenario(name)) for name in tl.scenario.PAPER_RUNS]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         tl.write_run_rrd(run, folder / "first.rrd")  # the first call loads Rerun

@@ -10,7 +10,7 @@ METRICS = ("run.duration", "rotate.settling_time", "rotate.overshoot", "final.po
 ACCURATE_ENOUGH = "final.position_error < 0.01"  # m
 
 
-def simulate_gain(preset: str, kp: float) -> tl.RunSummary:
+def simulate_gain(preset: str, kp: float) -> tl.compare.RunSummary:
     changes = {"name": f"{preset} {kp:g}", "law.kp_linear": kp, "law.kp_angular": kp}
     return tl.summarise_run(
         tl.simulate_run(tl.override_scenario(tl.load_scenario(preset), changes))
@@ -20,7 +20,7 @@ def simulate_gain(preset: str, kp: float) -> tl.RunSummary:
 for preset in ("paper", "textbook"):
     summaries = [simulate_gain(preset, kp) for kp in GAINS]
     table = tl.tabulate_runs(summaries, only=METRICS)
-    print(tl.format_table(table), end="")
-    chosen, _notes = tl.select_runs(summaries, ACCURATE_ENOUGH)
-    best = tl.sort_runs(chosen, "run.duration")[0]
+    print(tl.show.format_table(table), end="")
+    chosen, _notes = tl.compare.select_runs(summaries, ACCURATE_ENOUGH)
+    best = tl.compare.sort_runs(chosen, "run.duration")[0]
     print(f"\nFastest of {len(chosen)} with {ACCURATE_ENOUGH}: {best.name}\n")

@@ -18,4 +18,4 @@ for key, finding in identified.findings.items():
 for metric in ("final.position_error", "final.heading_error"):
     found = tl.attribute_run(run, metric=metric)
     print()
-    print(*tl.write_sentences(found), sep="\n")
+    print(*tl.explain.write_sentences(found), sep="\n")

@@ -5,7 +5,8 @@ Run: pytest examples/test_recordings.py
 
 import pytest
 
-from turtlelog import Recording, Tolerance, load_scenario, simulate_run
+from turtlelog import Recording, load_scenario, simulate_run
+from turtlelog.compare import Tolerance
 
 pytestmark = pytest.mark.recordings("../recordings/paper/kp[124].mcap")
 

@@ -15,10 +15,10 @@ for kp in (1.0, 2.0, 4.0, 10.0):
     ticks = round((measured["rotate.dead_time"].value or math.nan) / PERIOD_S)
     print(
         f"{kp:4g}"
-        f"{tl.compute_settling_time(kp):8.2f}"
-        f"{tl.compute_saturated_settling_time(kp, step=TURN_RAD, limit=LIMIT_RAD_S):9.2f}"
+        f"{tl.theory.compute_settling_time(kp):8.2f}"
+        f"{tl.theory.compute_saturated_settling_time(kp, step=TURN_RAD, limit=LIMIT_RAD_S):9.2f}"
         f"{measured['rotate.settling_time'].value:10.2f}"
         f"{ticks:5d} ticks"
-        f"{tl.compute_overshoot_gain(PERIOD_S, ticks):20.2f}"
+        f"{tl.theory.compute_overshoot_gain(PERIOD_S, ticks):20.2f}"
         f"{measured['rotate.overshoot'].value:9.2f} %"
     )

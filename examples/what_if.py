@@ -19,7 +19,7 @@ CHANGES: dict[str, dict[str, object]] = {
 }
 
 run = tl.read_run(Path(sys.argv[1]) if len(sys.argv) > 1 else PAPER_KP10)
-scenario = tl.restore_scenario(run)
+scenario = tl.scenario.restore_scenario(run)
 for what, changes in CHANGES.items():
     replayed = tl.replay_loop(run, tl.override_scenario(scenario, changes)).run
     error = tl.measure_run(replayed)["final.position_error"]

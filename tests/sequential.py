@@ -9,5 +9,5 @@ __all__ = ["DECLARATION", "DONE", "ESSENTIAL_METRICS", "METRICS", "PAUSE", "ROTA
 
 ROTATE, PAUSE, TRANSLATE, DONE = range(len(DECLARATION.phase_names))
 
-METRICS: Final = tl.list_metrics(DECLARATION)
-ESSENTIAL_METRICS: Final = tl.list_essential_metrics(DECLARATION)
+METRICS: Final = tl.measure.list_metrics(DECLARATION)
+ESSENTIAL_METRICS: Final = tl.measure.list_essential_metrics(DECLARATION)

@@ -35,14 +35,17 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     "metrics": (lambda: tl.measure_run(RUN), "<Metrics: 108, of which 106 have a value>"),
     "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),
     "SIGNALS": (lambda: tl.SIGNALS, "signals: x, y, heading, speed, ...>"),
-    "FIGURES": (lambda: tl.FIGURES, "figures: plant, "),
+    "FIGURES": (lambda: tl.show.FIGURES, "figures: plant, "),
     "LAWS": (lambda: LAWS, "<1 law: sequential-p"),
     "kind of metric": (
         lambda: tl.METRICS["run.duration"],
         "<MetricKind [s]: From the first sample",
     ),
     "kind of signal": (lambda: tl.SIGNALS["x"], "<SignalKind [m]: Position in the world frame.>"),
-    "kind of figure": (lambda: tl.FIGURES["plant"], "<FigureKind: Impulse, step and ramp response"),
+    "kind of figure": (
+        lambda: tl.show.FIGURES["plant"],
+        "<FigureKind: Impulse, step and ramp response",
+    ),
     "signal": (lambda: tl.read_signal(RUN, "x"), "<Signal x: 793 values in m>"),
     "comparison": (lambda: tl.compare_runs(RUN, OTHER), "<RunComparison of paper-kp4: "),
     "summary": (lambda: tl.summarise_run(RUN), "<RunSummary paper-kp10: 108 metrics, standstill>"),
@@ -69,9 +72,12 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
         lambda: tl.read_columns(FILE)["/turtle1/pose"],
         "<TopicColumns /turtle1/pose: 793 of turtlesim/msg/Pose: x, y, ",
     ),
-    "expression": (lambda: tl.parse_expression("x > 1 and y < 2"), "<Expression x > 1 and y < 2>"),
+    "expression": (
+        lambda: tl.expressions.parse_expression("x > 1 and y < 2"),
+        "<Expression x > 1 and y < 2>",
+    ),
     "formula": (
-        lambda: tl.check_run(RUN, "always(abs(cross_track) <= 0.05)"),
+        lambda: tl.check.check_run(RUN, "always(abs(cross_track) <= 0.05)"),
         "<FormulaResult always(abs(cross_track) <= 0.05): violated, margin -",
     ),
     "check": (

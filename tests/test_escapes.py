@@ -107,9 +107,9 @@ def test_no_line_of_a_fenced_text_ends_it(text: str) -> None:
 
 @pytest.mark.parametrize("name", [*NASTY, "a", "-", "-1.5", "+3", "1e-3", "/turtle1/pose", "ok"])
 def test_a_csv_cell_is_no_formula_and_gives_the_text_back(name: str) -> None:
-    column = tl.Column(title="n")
-    table = tl.Table(title="t", columns=(column,), rows=((name,), (-1.5,)))
-    _, (cell,), (number,) = csv.reader(io.StringIO(tl.format_table(table, "csv"), newline=""))
+    column = tl.compare.Column(title="n")
+    table = tl.compare.Table(title="t", columns=(column,), rows=((name,), (-1.5,)))
+    _, (cell,), (number,) = csv.reader(io.StringIO(tl.show.format_table(table, "csv"), newline=""))
     assert number == "-1.5"
     if cell != name:
         assert cell == f"'{name}"

@@ -35,7 +35,7 @@ def test_the_turtle_stands_while_it_turns(recording: tl.Recording) -> None:
 
 
 def test_todays_law_answers_the_recorded_poses_as_recorded(recording: tl.Recording) -> None:
-    assert recording.driven_by().matches(recording, tolerance=tl.Tolerance(abs=1e-9))
+    assert recording.driven_by().matches(recording, tolerance=tl.compare.Tolerance(abs=1e-9))
 
 
 def test_todays_simulation_is_the_recorded_run(recording: tl.Recording) -> None:

@@ -50,7 +50,7 @@ def list_runs() -> dict[str, Make]:
     for path in sorted((ROOT / "recordings" / "paper").glob("*.mcap")):
         makes[f"recording {path.stem}"] = partial(tl.read_recording, path)
     for path in sorted(SHARED.glob("kp*_210*.*")):
-        makes[f"log {path.name}"] = partial(tl.import_log, path)
+        makes[f"log {path.name}"] = partial(tl.log.import_log, path)
     makes["from sample 50"] = lambda: drop_samples(simulate("paper-kp4", {}), 50)
     makes["from sample 200"] = lambda: drop_samples(simulate("paper-kp4", {}), 200)
     makes["from pose 30"] = lambda: drop_poses(simulate("paper-kp1", {}), 30)

@@ -51,7 +51,7 @@ def test_table_carries_name_goal_and_scenario() -> None:
 
 
 def test_parquet_carries_what_arrow_does(tmp_path: Path) -> None:
-    tl.export_parquet(RUN, tmp_path / "run.parquet", table="samples")
+    tl.log.export_parquet(RUN, tmp_path / "run.parquet", table="samples")
     read = parquet.read_table(tmp_path / "run.parquet")
     assert read.equals(RUN.to_arrow("samples"), check_metadata=False)
     metadata = dict(read.schema.metadata)

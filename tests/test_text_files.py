@@ -20,7 +20,7 @@ from turtlelog.text_files import MOST_BYTES, parse_toml, read_text_file
 READERS: list[Callable[[Path], Any]] = [
     read_scenario,
     load_spec,
-    tl.load_tolerances,
+    tl.check.load_tolerances,
     read_reference_path,
 ]
 

@@ -246,7 +246,9 @@ def test_a_scenario_in_a_foreign_file_is_not_run(folder: Path, tmp_path: Path) -
 SUITE = """
 import pytest
 from turtlelog.laws import SequentialP, SequentialPParameters
-from turtlelog import Tolerance, load_scenario, override_scenario, restore_scenario
+from turtlelog import load_scenario, override_scenario
+from turtlelog.compare import Tolerance
+from turtlelog.scenario import restore_scenario
 
 @pytest.mark.recordings("{folder}/run.mcap"{trust})
 def test_it(recording):
@@ -323,14 +325,14 @@ def test_a_test_that_names_its_law_does_not_load_the_recorded_one(
 def test_python_asks_for_trust_as_well(folder: Path, tmp_path: Path, replay: object) -> None:
     write_run(tmp_path / "run.mcap", write_law(folder, tmp_path))
     run = tl.read_recording(tmp_path / "run.mcap")
-    scenario = tl.override_scenario(tl.restore_scenario(run), {"law.kp_linear": 3.0})
+    scenario = tl.override_scenario(tl.scenario.restore_scenario(run), {"law.kp_linear": 3.0})
     for ask in (
         lambda: replay(run),  # type: ignore[operator]
         lambda: replay(run, scenario),  # type: ignore[operator]
         lambda: tl.simulate_run(scenario),
-        lambda: tl.run_live(scenario, realtime=False),
+        lambda: tl.runner.run_live(scenario, realtime=False),
         lambda: tl.Recorder(folder / "live.mcap", scenario),
-        lambda: tl.attribute_scenario(scenario),
+        lambda: tl.explain.attribute_scenario(scenario),
     ):
         with pytest.raises(tl.TurtlelogError):
             ask()
@@ -344,9 +346,9 @@ def test_reading_printing_and_overriding_load_no_code(folder: Path, tmp_path: Pa
     scenario = tl.parse_scenario(f'[law]\nkind = "{kind}"\nkp_linear = 3.0')
     changed = tl.override_scenario(scenario, {"law.kp_linear": 4.0, "seed": 1})
     assert tl.parse_scenario(tl.format_scenario(changed)) == changed
-    assert tl.flatten_scenario(changed)["law.kp_linear"] == 4.0
+    assert tl.scenario.flatten_scenario(changed)["law.kp_linear"] == 4.0
     assert not (folder / "mark").exists()
-    assert tl.resolve_scenario(changed).law.parameters.kp_linear == 4.0
+    assert tl.scenario.resolve_scenario(changed).law.parameters.kp_linear == 4.0
     assert (folder / "mark").exists()
 
 
@@ -356,4 +358,4 @@ def test_a_wrong_key_names_all_who_wrote_into_the_law(folder: Path, tmp_path: Pa
     changed = tl.override_scenario(scenario, {"law.kp_lin": 4.0}, source="--set")
     line = r"\Aown\.toml, --set: law\.kp_lin: expected kp_linear, found an unknown key\Z"
     with pytest.raises(ScenarioError, match=line):
-        tl.resolve_scenario(changed)
+        tl.scenario.resolve_scenario(changed)

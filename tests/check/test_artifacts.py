@@ -26,11 +26,11 @@ def fail(run: tl.Run, holds: str = "always(abs(cross_track) <= 0.005)") -> Check
 
 def write_blind(
     run: tl.Run, result: CheckResult, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> tl.Artifacts:
+) -> tl.check.Artifacts:
     """Write artifacts where no viewer can run."""
     for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(variable, "/none")
-    return tl.write_artifacts(run, result, folder)
+    return tl.check.write_artifacts(run, result, folder)
 
 
 def test_the_view_opens_at_the_violation_and_marks_it(

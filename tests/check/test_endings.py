@@ -205,17 +205,17 @@ ADVICE = "; a window with an end, such as [0, 4], asks of what it holds"
 
 def test_the_advice_is_a_window_that_can_be_judged() -> None:
     run = slice_run(simulate(), end_ns=4_999_999_999)
-    undecided = tl.check_run(run, parse_expression("always(distance < 9)"))
+    undecided = tl.check.check_run(run, parse_expression("always(distance < 9)"))
     window = undecided.reason.partition("such as ")[2].partition(", asks")[0]
     assert window == f"[0, {(run.end_ns - run.start_ns) / 1e9:g}]"
-    assert tl.check_run(run, parse_expression(f"always{window}(distance < 9)")).holds is True
+    assert tl.check.check_run(run, parse_expression(f"always{window}(distance < 9)")).holds is True
 
 
 STRONG, WEAK = "always(abs(cross_track) <= 0.05)", "always[0, 100](abs(cross_track) <= 0.05)"
 
 
 def check(run: tl.Run, text: str) -> Truth:
-    return tl.check_run(run, parse_expression(text)).holds
+    return tl.check.check_run(run, parse_expression(text)).holds
 
 
 def test_a_run_that_came_to_its_end_stays_there() -> None:
@@ -242,7 +242,7 @@ def test_a_cut_run_decides_nothing_about_what_follows() -> None:
 def test_a_recording_that_lost_something_decides_nothing_about_it(note: str) -> None:
     lossy = dataclasses.replace(simulate(), notes={note: "9 bytes are lost in 1 place"})
     assert find_ending(lossy) is RunEnding.LOST
-    found = tl.check_run(lossy, parse_expression(STRONG))
+    found = tl.check.check_run(lossy, parse_expression(STRONG))
     assert (found.holds, found.is_covered) == (None, False)
     assert "does, and part of it is lost; a window with an end" in found.reason
 
@@ -281,5 +281,5 @@ def test_a_phase_that_another_one_follows_has_come_to_its_end() -> None:
     run = simulate("paper-kp4", max_duration_s=8.0)
     formula = parse_expression("always(abs(turn_rate) <= 1)")
     windows = {span.phase: (span.start_ns, span.end_ns) for span in spans}
-    assert tl.check_run(run, formula, window_ns=windows["rotate"]).holds is True
-    assert tl.check_run(run, formula, window_ns=windows["translate"]).holds is None
+    assert tl.check.check_run(run, formula, window_ns=windows["rotate"]).holds is True
+    assert tl.check.check_run(run, formula, window_ns=windows["translate"]).holds is None

@@ -12,14 +12,14 @@ from turtlelog.run import Run
 ONE = simulate_strange()
 TWO = simulate_strange(law__gain_b=2.0, name="faster")
 PAPER = tl.simulate_run(tl.load_scenario("paper-kp4"))
-CLOSE = tl.Tolerance(abs=0.1, reason="as close as that")
+CLOSE = tl.compare.Tolerance(abs=0.1, reason="as close as that")
 
 
 def judge(reference: Run, run: Run, **names: str) -> tl.CheckResult:
     ((kind, name),) = names.items()
     tolerance = dataclasses.replace(CLOSE, abs=0.0) if name == "phase" else CLOSE
     tolerances = tl.Tolerances(**{f"{kind}s": {name: tolerance}})
-    (result,) = tl.match_run(run, reference, tolerances)
+    (result,) = tl.check.match_run(run, reference, tolerances)
     return result
 
 

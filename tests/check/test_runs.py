@@ -63,8 +63,8 @@ def test_a_formula_over_time_tells_its_largest_value_and_first_violation() -> No
     assert result.unit == "m"
     assert (
         result.first_violation_s
-        == tl.check_run(
-            run, tl.parse_expression("always(abs(cross_track) <= 0.05)")
+        == tl.check.check_run(
+            run, tl.expressions.parse_expression("always(abs(cross_track) <= 0.05)")
         ).first_violation_s
     )
 
@@ -217,6 +217,6 @@ def test_verdicts_join_to_the_worst() -> None:
         CheckResult(file="a", check="b", verdict=verdict)
         for verdict in (Verdict.SKIPPED, Verdict.PASS, Verdict.FAIL)
     ]
-    assert tl.join_verdicts(results) == "FAIL"
-    assert tl.join_verdicts(results[:2]) == "PASS"
-    assert tl.join_verdicts(results[:1]) == "SKIPPED"
+    assert tl.check.join_verdicts(results) == "FAIL"
+    assert tl.check.join_verdicts(results[:2]) == "PASS"
+    assert tl.check.join_verdicts(results[:1]) == "SKIPPED"

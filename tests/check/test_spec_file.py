@@ -27,7 +27,7 @@ def test_a_spec_holds_checks_and_tolerances(tmp_path: Path) -> None:
 def test_compare_reads_the_tolerances_of_a_spec(tmp_path: Path) -> None:
     tolerance = '[signals.x]\nabs = 0.1\nreason = "enough"\n'
     path = write(tmp_path, f'format = 1\nreference = "good.mcap"\n{CHECK}{tolerance}')
-    assert list(tl.load_tolerances(path).signals) == ["x"]
+    assert list(tl.check.load_tolerances(path).signals) == ["x"]
 
 
 def test_a_check_holds_all_that_can_be_said(tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ def write(folder: Path, text: str) -> Path:
 
 
 def test_a_file_gives_the_tolerances_that_it_holds() -> None:
-    tolerances = tl.load_tolerances(ROOT / "examples" / "tolerances.toml")
-    assert tolerances.signals["x"] == tl.Tolerance(
+    tolerances = tl.check.load_tolerances(ROOT / "examples" / "tolerances.toml")
+    assert tolerances.signals["x"] == tl.compare.Tolerance(
         abs=0.001, time_s=0.032, reason="a float32 step, and two ticks of scheduling"
     )
     assert tolerances.metrics["final.position_error"].rel == 0.1
@@ -28,7 +28,7 @@ def test_a_file_gives_the_tolerances_that_it_holds() -> None:
 
 def test_tables_of_checks_are_no_tolerances(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD + '[checks.near]\nholds = "always(x < 9)"\n')
-    assert list(tl.load_tolerances(path).signals) == ["x"]
+    assert list(tl.check.load_tolerances(path).signals) == ["x"]
     assert list(read_tables(path)) == ["signals", "checks"]
     with pytest.raises(CompareError, match=r"t.toml: cheks: expected checks, found an unknown key"):
         read_tables(write(tmp_path, GOOD + "[cheks.near]"))
@@ -76,7 +76,7 @@ def test_tables_of_checks_are_no_tolerances(tmp_path: Path) -> None:
 )
 def test_a_wrong_file_is_told_where_and_why(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(CompareError, match=f"t.toml: {message}"):
-        tl.load_tolerances(write(tmp_path, text))
+        tl.check.load_tolerances(write(tmp_path, text))
 
 
 @pytest.mark.parametrize("key", ["abs", "rel", "time_s"])
@@ -84,35 +84,35 @@ def test_a_wrong_file_is_told_where_and_why(tmp_path: Path, text: str, message: 
 def test_figures_are_finite_and_not_negative(tmp_path: Path, key: str, value: str) -> None:
     text = GOOD.replace("abs = 0.1", f"{key} = {value}")
     with pytest.raises(CompareError, match=rf"signals.x.{key}: expected a .*number .*found"):
-        tl.load_tolerances(write(tmp_path, text))
+        tl.check.load_tolerances(write(tmp_path, text))
 
 
 def test_a_share_above_one_is_most_likely_meant_in_per_cent() -> None:
     with pytest.raises(CompareError, match="rel: expected a number from 0 to 1, found 5"):
-        tl.Tolerance(rel=5)
+        tl.compare.Tolerance(rel=5)
 
 
 def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "t.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(CompareError, match="expected TOML, found bytes that are no text"):
-        tl.load_tolerances(tmp_path / "t.toml")
+        tl.check.load_tolerances(tmp_path / "t.toml")
     with pytest.raises(
         CompareError, match=r"none.toml: expected a specification or tolerance file, found: No such"
     ):
-        tl.load_tolerances(tmp_path / "none.toml")
+        tl.check.load_tolerances(tmp_path / "none.toml")
     with pytest.raises(
         CompareError, match="expected a specification or tolerance file, found: Is a directory"
     ):
-        tl.load_tolerances(tmp_path)
+        tl.check.load_tolerances(tmp_path)
 
 
 def test_tolerances_built_in_python_are_judged_as_well() -> None:
     with pytest.raises(CompareError, match=r"signals\.Heading: expected heading"):
-        tl.Tolerances(signals={"Heading": tl.Tolerance(abs=1.0)})
+        tl.Tolerances(signals={"Heading": tl.compare.Tolerance(abs=1.0)})
     with pytest.raises(CompareError, match=r"time_s: expected none for a metric"):
-        tl.Tolerances(metrics={"run.duration": tl.Tolerance(time_s=1.0)})
+        tl.Tolerances(metrics={"run.duration": tl.compare.Tolerance(time_s=1.0)})
     with pytest.raises(CompareError, match="abs: expected a finite number >= 0, found nan"):
-        tl.Tolerance(abs=math.nan)
+        tl.compare.Tolerance(abs=math.nan)
 
 
 def test_tables_that_are_parsed_already_may_be_handed_over() -> None:

@@ -34,9 +34,9 @@ def draw_signal(data: st.DataObject) -> tuple[Values, Values]:
 
 
 def judge(reference: tl.Run, run: tl.Run, signal: str, **limits: float) -> tl.CheckResult:
-    tolerance = tl.Tolerance(reason="", **limits)
+    tolerance = tl.compare.Tolerance(reason="", **limits)
     tolerances = tl.Tolerances(signals={signal: tolerance})
-    (result,) = tl.match_run(run, reference, tolerances, alignment="recorded")
+    (result,) = tl.check.match_run(run, reference, tolerances, alignment="recorded")
     return result
 
 

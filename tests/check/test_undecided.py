@@ -118,15 +118,15 @@ def test_results_stand_for_their_verdicts() -> None:
 
 def test_findings_stand_for_what_they_found() -> None:
     run = simulate()
-    assert tl.check_run(run, tl.parse_expression("always(speed <= 1)"))
-    assert not tl.check_run(run, tl.parse_expression("always(speed <= 0.5)"))
+    assert tl.check.check_run(run, tl.expressions.parse_expression("always(speed <= 1)"))
+    assert not tl.check.check_run(run, tl.expressions.parse_expression("always(speed <= 0.5)"))
     later = dataclasses.replace(run, stop_reason="interrupted")
     with pytest.raises(UndecidedError, match=r"^always\(speed <= 1\): undecided: the recording"):
-        bool(tl.check_run(later, tl.parse_expression("always(speed <= 1)")))
+        bool(tl.check.check_run(later, tl.expressions.parse_expression("always(speed <= 1)")))
 
 
 def test_half_a_question_is_no_answer(cut: Recording) -> None:
-    halves = [cut.driven_by(), cut.phase("rotate"), tl.join_verdicts([FAILED])]
+    halves = [cut.driven_by(), cut.phase("rotate"), tl.check.join_verdicts([FAILED])]
     for half in halves:
         with pytest.raises(tl.CheckError, match="expected"):
             bool(half)
@@ -156,7 +156,7 @@ def test_a_signal_that_a_recording_lacks_is_undecided(tmp_path: Path) -> None:
     samples = dataclasses.replace(run.samples, wanted_speed_m_s=None)
     bare = dataclasses.replace(run, samples=samples)
     tl.write_recording(run, tmp_path / "whole.mcap")
-    tolerances = tl.Tolerances(signals={"wanted_speed": tl.Tolerance(abs=1.0, reason="a")})
+    tolerances = tl.Tolerances(signals={"wanted_speed": tl.compare.Tolerance(abs=1.0, reason="a")})
     found = Recording(tmp_path / "whole.mcap").matches(bare, tolerance=tolerances)
     with pytest.raises(UndecidedError, match="does not hold it"):
         bool(found)

@@ -95,7 +95,7 @@ def test_states_and_guarded_texts_come_back(call: Call, kp4: Path, tmp_path: Pat
         declaration=replace(run.declaration, states=("integral", "time_ns")),
         samples=replace(run.samples, states=states),
     )
-    tl.export_csv(run, tmp_path / "odd")
+    tl.log.export_csv(run, tmp_path / "odd")
     found = tl.read_run(tmp_path / "odd")
     assert found.events == (event,)
     assert found.declaration.states == ("integral", "time_ns")

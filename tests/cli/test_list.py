@@ -23,12 +23,12 @@ def test_every_name_is_listed(call: Call) -> None:
         kind: [entry["name"] for entry in call("list", kind, "--json").json["entries"]]
         for kind in KINDS
     }
-    declaration = tl.declare_scenario(tl.load_scenario("textbook"))
-    assert found["metrics"] == [*tl.list_metrics(declaration)]
+    declaration = tl.simulate.declare_scenario(tl.load_scenario("textbook"))
+    assert found["metrics"] == [*tl.measure.list_metrics(declaration)]
     assert found["signals"] == [*tl.SIGNALS]
     assert found["presets"] == [*tl.PRESETS]
     assert found["laws"] == [*LAWS]
-    assert found["figures"] == [*tl.FIGURES]
+    assert found["figures"] == [*tl.show.FIGURES]
     scenario = tl.load_scenario("paper")
     from turtlelog.explain.mechanisms import find_mechanisms
 

@@ -147,7 +147,12 @@ def test_a_folder_gets_each_figure_once_and_table_1_after_the_final_errors(
     assert run_plot(capsys, str(RECORDING), "-o", str(tmp_path / "out"))[0] == 0
     written = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert written == sorted(
-        [*(f"{name}.pdf" for name in tl.FIGURES), "metrics.tex", "table1.tex", "whole-runs.tex"]
+        [
+            *(f"{name}.pdf" for name in tl.show.FIGURES),
+            "metrics.tex",
+            "table1.tex",
+            "whole-runs.tex",
+        ]
     )
 
 

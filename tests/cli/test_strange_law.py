@@ -51,7 +51,7 @@ def test_run_names_the_parameter_that_must_be_set(call: Call) -> None:
 def test_kp_sets_the_declared_gains(call: Call) -> None:
     words = ("--set", f"law.kind={KIND}", "--set", "law.gain_a=4", "--kp", "2.5")
     out = call("scenario", "textbook", *words).out
-    parameters = tl.flatten_scenario(tl.parse_scenario(out))
+    parameters = tl.scenario.flatten_scenario(tl.parse_scenario(out))
     # Values of --set come last.
     assert (parameters["law.gain_a"], parameters["law.gain_b"]) == (4, 2.5)
 

@@ -62,7 +62,7 @@ def to_ns(time_s: ArrayLike) -> NDArray[np.int64]:
     return np.round(np.asarray(time_s, dtype=float) * 1e9).astype(np.int64)
 
 
-def get_difference(comparison: tl.RunComparison, signal: str) -> float:
+def get_difference(comparison: tl.compare.RunComparison, signal: str) -> float:
     return {found.signal: found.largest for found in comparison.signals}[signal]
 
 

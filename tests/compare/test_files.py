@@ -14,7 +14,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_files_are_summarised_in_order_and_errors_stand_in_their_places(recording: Path) -> None:
-    found = list(tl.summarise_files([recording, "none.mcap", recording], only=["run.duration"]))
+    found = list(
+        tl.compare.summarise_files([recording, "none.mcap", recording], only=["run.duration"])
+    )
     assert isinstance(found[1], tl.TurtlelogError)
     for summary in (found[0], found[2]):
         assert isinstance(summary, RunSummary)
@@ -26,7 +28,7 @@ def test_files_are_summarised_in_order_and_errors_stand_in_their_places(recordin
 
 
 def test_nothing_is_read_before_it_is_asked_for(tmp_path: Path) -> None:
-    found = tl.summarise_files([tmp_path / "late.mcap"])
+    found = tl.compare.summarise_files([tmp_path / "late.mcap"])
     tl.write_recording(tl.simulate_run(tl.load_scenario("textbook")), tmp_path / "late.mcap")
     assert isinstance(next(found), RunSummary)
 
@@ -40,4 +42,4 @@ def test_nothing_is_read_before_it_is_asked_for(tmp_path: Path) -> None:
 )
 def test_bad_choices_are_refused_at_once(choice: dict[str, object], line: str) -> None:
     with pytest.raises(tl.TurtlelogError, match=line):
-        tl.summarise_files([], **choice)  # type: ignore[arg-type]
+        tl.compare.summarise_files([], **choice)  # type: ignore[arg-type]

@@ -11,12 +11,12 @@ def make_run_with(name: str, **gains: float) -> tl.Run:
 
 
 def order(*runs: tl.Run) -> list[str]:
-    return [run.name for run in tl.order_by_gain(runs)]
+    return [run.name for run in tl.compare.order_by_gain(runs)]
 
 
 def test_runs_stand_in_the_order_of_their_gains() -> None:
     runs = [make_run_with("x", linear=gain, angular=1.0) for gain in (1.0, 10.0, 2.0, 4.0)]
-    found = [run.parameters["law.kp_linear"] for run in tl.order_by_gain(runs)]
+    found = [run.parameters["law.kp_linear"] for run in tl.compare.order_by_gain(runs)]
     assert found == [1.0, 2.0, 4.0, 10.0]
 
 
@@ -42,4 +42,4 @@ def test_numbers_in_names_may_be_of_any_length() -> None:
 
 def test_runs_of_one_name_stay_as_they_were() -> None:
     runs = [dataclasses.replace(make_run(name="x"), source=source) for source in "bca"]
-    assert [run.source for run in tl.order_by_gain(runs)] == ["b", "c", "a"]
+    assert [run.source for run in tl.compare.order_by_gain(runs)] == ["b", "c", "a"]

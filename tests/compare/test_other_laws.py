@@ -15,18 +15,18 @@ TWO = simulate_strange(law__gain_b=2.0, name="faster")
 PAPER = tl.simulate_run(tl.load_scenario("paper-kp4"))
 
 
-def read_titles(table: tl.Table) -> list[str]:
+def read_titles(table: tl.compare.Table) -> list[str]:
     return [column.title for column in table.columns]
 
 
 def test_tables_have_the_columns_of_the_loops_that_the_runs_have() -> None:
     usual = ("a.rms_error", "final.heading_error", "final.position_error", "run.duration")
-    assert tl.list_usual_metrics(ONE.declaration) == usual
+    assert tl.compare.list_usual_metrics(ONE.declaration) == usual
     table = tl.tabulate_runs([tl.summarise_run(run) for run in (ONE, TWO)])
     assert read_titles(table) == ["run", "Kp turn", "Kp drive", *usual]
     assert [row[1:3] for row in table.rows] == [(4.0, 1.0), (4.0, 2.0)]
     whole = ["run", "Kp", "4 tau", "ts b", "rms a", "heading", "position", "length"]
-    assert read_titles(tl.tabulate_whole_runs([ONE, TWO])) == whole
+    assert read_titles(tl.compare.tabulate_whole_runs([ONE, TWO])) == whole
 
 
 def test_beside_another_law_a_cell_of_a_loop_that_a_run_does_not_have_is_empty() -> None:
@@ -35,7 +35,7 @@ def test_beside_another_law_a_cell_of_a_loop_that_a_run_does_not_have_is_empty()
     cells = [dict(zip(read_titles(table), row, strict=True)) for row in table.rows]
     assert cells[0]["rotate.overshoot"] == PAPER_METRICS["rotate.overshoot"].value
     assert (cells[1]["rotate.overshoot"], cells[0]["a.rms_error"]) == (None, None)
-    assert tl.mark_metric(summaries, "rotate.overshoot") == {}
+    assert tl.compare.mark_metric(summaries, "rotate.overshoot") == {}
     found = summaries[1].find_metric("rotate.overshoot")
     assert found is not None
     assert (found.status, found.unit) == ("no_phase", "%")
@@ -45,7 +45,7 @@ PAPER_METRICS = tl.measure_run(PAPER)
 
 
 def test_metrics_of_several_laws_stand_loop_by_loop() -> None:
-    table = tl.tabulate_metrics([PAPER, ONE], only=["*.rms_error", "run.duration"])
+    table = tl.compare.tabulate_metrics([PAPER, ONE], only=["*.rms_error", "run.duration"])
     names = [f"{loop}.rms_error" for loop in ("rotate", "translate", "a", "b")]
     assert [row[0] for row in table.rows] == [*names, "run.duration"]
     assert [row[3] for row in table.rows[:2]] == [None, None]
@@ -54,16 +54,16 @@ def test_metrics_of_several_laws_stand_loop_by_loop() -> None:
 
 def test_columns_are_chosen_among_those_of_the_runs() -> None:
     summaries = [tl.summarise_run(ONE)]
-    assert tl.choose_columns(summaries, ["*.rms_error"]) == ("a.rms_error", "b.rms_error")
-    assert tl.choose_columns(summaries, ["rotate.overshoot"]) == ("rotate.overshoot",)
+    assert tl.compare.choose_columns(summaries, ["*.rms_error"]) == ("a.rms_error", "b.rms_error")
+    assert tl.compare.choose_columns(summaries, ["rotate.overshoot"]) == ("rotate.overshoot",)
     with pytest.raises(CompareError, match=r"only: expected a\.rms_error.*, found 'a\.rms_eror'"):
-        tl.choose_columns(summaries, ["a.rms_eror"])
+        tl.compare.choose_columns(summaries, ["a.rms_eror"])
     with pytest.raises(CompareError, match=r"only: .*, found none for rotate\.\*"):
-        tl.choose_columns(summaries, ["rotate.*"])
+        tl.compare.choose_columns(summaries, ["rotate.*"])
 
 
 def test_a_filter_that_names_a_loop_of_another_law_leaves_its_runs_out_and_says_so() -> None:
-    chosen, notes = tl.select_runs(
+    chosen, notes = tl.compare.select_runs(
         [tl.summarise_run(run) for run in (PAPER, ONE)], "b.duration > 0"
     )
     assert [run.name for run in chosen] == ["strange"]
@@ -77,9 +77,13 @@ def test_a_parameter_that_is_called_like_a_metric_of_another_law_is_the_paramete
 
 def test_runs_stand_in_the_order_of_the_gains_that_their_laws_declare() -> None:
     slow = simulate_strange(law__gain_a=9.0, law__gain_b=0.5, name="slow")
-    assert [run.name for run in tl.order_by_gain([TWO, ONE, slow])] == ["slow", "strange", "faster"]
+    assert [run.name for run in tl.compare.order_by_gain([TWO, ONE, slow])] == [
+        "slow",
+        "strange",
+        "faster",
+    ]
     again = simulate_strange(law__gain_b=2.0)
-    assert tl.name_runs([ONE, again]) == ("strange gain_b 1", "strange gain_b 2")
+    assert tl.compare.name_runs([ONE, again]) == ("strange gain_b 1", "strange gain_b 2")
 
 
 def test_states_are_signals_where_both_runs_have_them() -> None:
@@ -124,7 +128,7 @@ def test_metrics_of_one_id_and_two_units_are_not_compared() -> None:
     table = tl.tabulate_runs(summaries, only=["b.rms_error", "b.duration"])
     assert [str(row[-2]).rpartition(" ")[2] for row in table.rows] == ["m", "deg"]
     assert "b.rms_error is not compared" in " ".join(table.notes)
-    assert tl.mark_metric(summaries, "b.rms_error") == {}
+    assert tl.compare.mark_metric(summaries, "b.rms_error") == {}
 
 
 def declare(run: Run, *loops: ControlLoop) -> Run:
@@ -144,19 +148,19 @@ CROSSING = ControlLoop(
 
 def test_table_1_has_theorys_columns_where_they_hold_for_a_loop() -> None:
     theory = ["Kp", "tau", "4 tau"]
-    assert read_titles(tl.tabulate_table1([declare(ONE, TURNING)]))[1:4] == theory
+    assert read_titles(tl.compare.tabulate_table1([declare(ONE, TURNING)]))[1:4] == theory
     with_integral = dataclasses.replace(TURNING, is_proportional=False)
     for loops in ((), (CROSSING,), (with_integral,)):
-        titles = read_titles(tl.tabulate_table1([declare(ONE, *loops)]))
+        titles = read_titles(tl.compare.tabulate_table1([declare(ONE, *loops)]))
         assert titles == ["run", "heading", "position"]
-    (row,) = tl.tabulate_table1([declare(ONE, TURNING)]).rows
+    (row,) = tl.compare.tabulate_table1([declare(ONE, TURNING)]).rows
     assert row[1:4] == (4.0, 0.25, 1.0)
 
 
 def test_several_loops_that_turn_have_an_overshoot_and_a_gain_each() -> None:
     run = declare(ONE, TURNING, CROSSING)
     titles = ["ts align", "ts cross", "overshoot align", "overshoot cross"]
-    assert read_titles(tl.tabulate_whole_runs([run]))[3:7] == titles
+    assert read_titles(tl.compare.tabulate_whole_runs([run]))[3:7] == titles
     columns = tl.tabulate_runs([tl.summarise_run(run)]).columns[1:3]
     found = [(column.title, column.unit) for column in columns]
     assert found == [("Kp align", "1/s"), ("Kp cross", "rad/(m s)")]
@@ -168,10 +172,10 @@ def test_several_loops_that_turn_have_an_overshoot_and_a_gain_each() -> None:
 def test_a_law_without_loops_has_no_columns_of_any() -> None:
     run = declare(ONE)
     ends = ("final.heading_error", "final.position_error", "run.duration")
-    assert tl.list_usual_metrics(run.declaration) == ends
+    assert tl.compare.list_usual_metrics(run.declaration) == ends
     assert read_titles(tl.tabulate_runs([tl.summarise_run(run)]))[:2] == [
         "run",
         "final.heading_error",
     ]
-    titles = read_titles(tl.tabulate_whole_runs([run]))
+    titles = read_titles(tl.compare.tabulate_whole_runs([run]))
     assert titles == ["run", "heading", "position", "length"]

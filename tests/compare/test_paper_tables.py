@@ -5,18 +5,18 @@ import pytest
 
 import turtlelog as tl
 
-RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in reversed(tl.PAPER_RUNS)]
+RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in reversed(tl.scenario.PAPER_RUNS)]
 
 
 def test_table_1_has_a_row_per_gain_in_rising_order() -> None:
-    table = tl.tabulate_table1(RUNS)
+    table = tl.compare.tabulate_table1(RUNS)
     assert [row[1] for row in table.rows] == [1.0, 2.0, 4.0, 10.0]
     assert [row[2] for row in table.rows] == pytest.approx([1.0, 0.5, 0.25, 0.1])
     assert [row[3] for row in table.rows] == pytest.approx([4.0, 2.0, 1.0, 0.4])
 
 
 def test_table_1_stands_beside_the_papers_figures() -> None:
-    text = tl.format_table(tl.tabulate_table1(RUNS, beside_paper=True))
+    text = tl.show.format_table(tl.compare.tabulate_table1(RUNS, beside_paper=True))
     assert "0.0253  0.0253  0.082518  0.081545" in text
     assert "1.0739  1.0739  0.106728  0.106728" in text
     assert "0.0825 m is not 0.0815 m because" in text
@@ -24,12 +24,12 @@ def test_table_1_stands_beside_the_papers_figures() -> None:
 
 def test_a_gain_that_the_paper_did_not_run_has_no_figure_beside_it() -> None:
     run = tl.simulate_run(tl.override_scenario(tl.load_scenario("paper"), {"law.kp_linear": 3.0}))
-    row = tl.tabulate_table1([run], beside_paper=True).rows[0]
+    row = tl.compare.tabulate_table1([run], beside_paper=True).rows[0]
     assert (row[1], row[5], row[7]) == (None, None, None)
 
 
 def test_whole_runs_show_measured_settling_times_beside_four_time_constants() -> None:
-    table = tl.tabulate_whole_runs(RUNS)
+    table = tl.compare.tabulate_whole_runs(RUNS)
     titles = [column.title for column in table.columns]
     settled = [row[titles.index("ts rotate")] for row in table.rows]
     assert settled == pytest.approx([4.0808, 2.7821, 2.2766, 2.2139], abs=1e-4)
@@ -37,14 +37,14 @@ def test_whole_runs_show_measured_settling_times_beside_four_time_constants() ->
 
 def test_the_table_of_metrics_says_why_a_value_is_missing() -> None:
     scenario = tl.override_scenario(tl.load_scenario("paper-kp1"), {"max_duration_s": 2.0})
-    table = tl.tabulate_metrics([tl.simulate_run(scenario)])
+    table = tl.compare.tabulate_metrics([tl.simulate_run(scenario)])
     cells = {row[0]: row[2] for row in table.rows}
     assert cells["rotate.settling_time"] == "not_reached"
     assert cells["translate.duration"] == "no_phase"
 
 
 def test_runs_of_one_name_are_told_apart() -> None:
-    assert tl.name_runs([RUNS[0], RUNS[1], RUNS[0]]) == (
+    assert tl.compare.name_runs([RUNS[0], RUNS[1], RUNS[0]]) == (
         "paper-kp10 (1)",
         "paper-kp4",
         "paper-kp10 (2)",
@@ -75,12 +75,12 @@ def test_runs_of_one_name_are_told_apart_by_the_parameters_that_differ(
 ) -> None:
     paper = tl.load_scenario("paper-kp4")
     runs = [tl.simulate_run(tl.override_scenario(paper, change)) for change in changes]
-    assert tl.name_runs(runs) == names
+    assert tl.compare.name_runs(runs) == names
 
 
 def test_where_many_parameters_differ_runs_of_one_name_are_numbered() -> None:
     textbook = dataclasses.replace(tl.simulate_run(tl.load_scenario("textbook")), name="paper-kp10")
-    assert tl.name_runs([RUNS[0], textbook]) == ("paper-kp10 (1)", "paper-kp10 (2)")
+    assert tl.compare.name_runs([RUNS[0], textbook]) == ("paper-kp10 (1)", "paper-kp10 (2)")
 
 
 @pytest.mark.parametrize(
@@ -101,17 +101,17 @@ def test_runs_of_one_name_are_called_by_their_files(
         tl.summarise_run(run, file=file, metrics={}) for run, file in zip(runs, files, strict=True)
     ]
     other = tl.summarise_run(RUNS[2], file="c.mcap", metrics={})
-    assert tl.name_runs([*summaries, other]) == (*names, "paper-kp2")
+    assert tl.compare.name_runs([*summaries, other]) == (*names, "paper-kp2")
 
 
 def test_a_numbered_name_that_is_taken_is_not_given_twice() -> None:
     runs = [dataclasses.replace(RUNS[0], name=name) for name in ("a", "a (1)", "a")]
-    assert tl.name_runs(runs) == ("a (2)", "a (1)", "a (3)")
+    assert tl.compare.name_runs(runs) == ("a (2)", "a (1)", "a (3)")
 
 
 def test_the_table_of_metrics_gives_every_reason_once() -> None:
     scenario = tl.override_scenario(tl.load_scenario("paper-kp1"), {"max_duration_s": 2.0})
-    notes = tl.tabulate_metrics([tl.simulate_run(scenario)] * 2).notes
+    notes = tl.compare.tabulate_metrics([tl.simulate_run(scenario)] * 2).notes
     assert "no_phase: the run has no phase translate." in notes
     assert len(set(notes)) == len(notes)
 
@@ -119,7 +119,7 @@ def test_the_table_of_metrics_gives_every_reason_once() -> None:
 def test_the_table_of_differences_names_the_reference_and_every_run() -> None:
     comparisons = [tl.compare_runs(RUNS[0], run) for run in RUNS[1:]]
     names = [run.name for run in RUNS[1:]]
-    table = tl.tabulate_differences(comparisons, names=names, reference="paper-kp10")
+    table = tl.compare.tabulate_differences(comparisons, names=names, reference="paper-kp10")
     assert "from paper-kp10" in table.title
     assert [column.title for column in table.columns[2::2]] == names
     assert {row[0] for row in table.rows} == set(tl.SIGNALS)

@@ -6,25 +6,25 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import CompareError
 
-RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.PAPER_RUNS]
+RUNS = [tl.simulate_run(tl.load_scenario(name)) for name in tl.scenario.PAPER_RUNS]
 SUMMARIES = [tl.summarise_run(run, file=f"{run.name}.mcap") for run in RUNS]
 CUT = tl.summarise_run(
     tl.simulate_run(tl.override_scenario(tl.load_scenario("paper-kp1"), {"max_duration_s": 2.0}))
 )
 
 
-def list_names(summaries: tuple[tl.RunSummary, ...]) -> list[str]:
+def list_names(summaries: tuple[tl.compare.RunSummary, ...]) -> list[str]:
     return [summary.name.removeprefix("paper-") for summary in summaries]
 
 
-def read_column(table: tl.Table, title: str) -> list[object]:
+def read_column(table: tl.compare.Table, title: str) -> list[object]:
     index = [column.title for column in table.columns].index(title)
     return [row[index] for row in table.rows]
 
 
 def test_the_table_has_a_row_per_run_with_gains_and_what_else_differs() -> None:
     table = tl.tabulate_runs(SUMMARIES)
-    assert read_column(table, "run") == list(tl.PAPER_RUNS)
+    assert read_column(table, "run") == list(tl.scenario.PAPER_RUNS)
     assert read_column(table, "Kp") == [1.0, 2.0, 4.0, 10.0]
     assert read_column(table, "loop.start_backlog") == [6, 5, 6, 5]
     assert read_column(table, "run.duration") == [20.528, 12.672, 11.184, 12.608]
@@ -47,7 +47,7 @@ def test_a_parameter_that_files_leave_out_by_default_is_shown_where_it_differs()
     table = tl.tabulate_runs([tl.summarise_run(run) for run in runs])
     assert read_column(table, "law.timeout_s") == [30.0, 20.0, 30.0]
     assert read_column(table, "start.precision") == ["float32", "float32", "float64"]
-    assert tl.name_runs(runs[:2]) == ("paper-kp4 timeout_s 30", "paper-kp4 timeout_s 20")
+    assert tl.compare.name_runs(runs[:2]) == ("paper-kp4 timeout_s 30", "paper-kp4 timeout_s 20")
 
 
 def test_of_a_run_without_its_whole_scenario_no_default_is_assumed() -> None:
@@ -57,19 +57,19 @@ def test_of_a_run_without_its_whole_scenario_no_default_is_assumed() -> None:
 
 
 def test_the_best_and_the_worst_are_marked_by_direction(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert tl.mark_metric(SUMMARIES, "run.duration") == {2: "best", 0: "worst"}
+    assert tl.compare.mark_metric(SUMMARIES, "run.duration") == {2: "best", 0: "worst"}
     from turtlelog.compare import run_table
 
     for better, marks in (("higher", {0: "best", 2: "worst"}), (None, {})):
         kind = dataclasses.replace(tl.METRICS["run.duration"], better=better)  # type: ignore[arg-type]
         monkeypatch.setattr(run_table, "find_metric_kind", lambda _, kind=kind: kind)
-        assert tl.mark_metric(SUMMARIES, "run.duration") == marks
+        assert tl.compare.mark_metric(SUMMARIES, "run.duration") == marks
 
 
 def test_equal_runs_and_runs_without_a_value_have_no_marks() -> None:
-    assert tl.mark_metric([SUMMARIES[0], SUMMARIES[0]], "run.duration") == {}
-    assert tl.mark_metric([SUMMARIES[0], CUT], "translate.duration") == {}
-    assert tl.mark_metric([], "run.duration") == {}
+    assert tl.compare.mark_metric([SUMMARIES[0], SUMMARIES[0]], "run.duration") == {}
+    assert tl.compare.mark_metric([SUMMARIES[0], CUT], "translate.duration") == {}
+    assert tl.compare.mark_metric([], "run.duration") == {}
 
 
 def test_a_missing_value_shows_its_status() -> None:
@@ -79,7 +79,7 @@ def test_a_missing_value_shows_its_status() -> None:
 
 def test_marks_are_written_as_each_format_has_them() -> None:
     table = tl.tabulate_runs(SUMMARIES[:2], only=["run.duration"])
-    text = tl.format_table(table).splitlines()
+    text = tl.show.format_table(table).splitlines()
     assert text[-5:] == [
         "---------------------------",
         "paper-kp1      1    20.528!",
@@ -87,14 +87,14 @@ def test_marks_are_written_as_each_format_has_them() -> None:
         "",
         "* best, ! worst of a column.",
     ]
-    assert "| paper-kp2 | 2 | **12.672** |" in tl.format_table(table, "md")
-    assert r"paper-kp1 & 1 & \textit{20.528} \\" in tl.format_table(table, "tex")
-    assert tl.format_table(table, "csv").splitlines()[2] == "paper-kp2,2.0,12.672"
+    assert "| paper-kp2 | 2 | **12.672** |" in tl.show.format_table(table, "md")
+    assert r"paper-kp1 & 1 & \textit{20.528} \\" in tl.show.format_table(table, "tex")
+    assert tl.show.format_table(table, "csv").splitlines()[2] == "paper-kp2,2.0,12.672"
 
 
 def test_columns_are_chosen_by_name_pattern_and_parameter() -> None:
     only = ["run.*", "law.kp_linear", "rotate.overshoot", "run.duration"]
-    chosen = tl.choose_columns(SUMMARIES, only)
+    chosen = tl.compare.choose_columns(SUMMARIES, only)
     assert chosen[0].startswith("run.")
     assert chosen[-2:] == ("law.kp_linear", "rotate.overshoot")
     assert len(set(chosen)) == len(chosen)
@@ -115,26 +115,26 @@ def test_columns_are_chosen_by_name_pattern_and_parameter() -> None:
     ],
 )
 def test_runs_are_chosen_by_an_expression(where: str, names: list[str]) -> None:
-    chosen, notes = tl.select_runs(SUMMARIES, where)
+    chosen, notes = tl.compare.select_runs(SUMMARIES, where)
     assert (list_names(chosen), notes) == (names, ())
 
 
 def test_a_run_without_a_value_is_left_out_and_told() -> None:
-    chosen, notes = tl.select_runs([*SUMMARIES, CUT], "translate.duration > 0")
+    chosen, notes = tl.compare.select_runs([*SUMMARIES, CUT], "translate.duration > 0")
     assert len(chosen) == 4
     assert notes == ("paper-kp1 is left out: translate.duration is no_phase.",)
     bare = dataclasses.replace(CUT, parameters={}, file="bag.mcap")
-    _, notes = tl.select_runs([SUMMARIES[0], bare], "law.kp_linear > 0")
+    _, notes = tl.compare.select_runs([SUMMARIES[0], bare], "law.kp_linear > 0")
     assert notes == ("bag.mcap is left out: law.kp_linear is not known.",)
 
 
 def test_what_is_said_anyway_needs_no_value() -> None:
-    chosen, notes = tl.select_runs([CUT], "translate.duration > 0 or run.duration < 5")
+    chosen, notes = tl.compare.select_runs([CUT], "translate.duration > 0 or run.duration < 5")
     assert (len(chosen), notes) == (1, ())
 
 
 def test_many_runs_without_a_value_are_counted() -> None:
-    _, notes = tl.select_runs(
+    _, notes = tl.compare.select_runs(
         [dataclasses.replace(CUT, file=f"{number}.mcap") for number in range(9)],
         "translate.duration > 0",
     )
@@ -144,48 +144,58 @@ def test_many_runs_without_a_value_are_counted() -> None:
 
 def test_wrong_filters_are_refused_with_the_nearest_names() -> None:
     with pytest.raises(tl.TurtlelogError, match=r"where: .*'law.kp_liner'.* law.kp_linear"):
-        tl.select_runs(SUMMARIES, "law.kp_liner > 2")
+        tl.compare.select_runs(SUMMARIES, "law.kp_liner > 2")
     with pytest.raises(CompareError, match="where: expected a condition, found 3"):
-        tl.select_runs(SUMMARIES, "1 + 2")
+        tl.compare.select_runs(SUMMARIES, "1 + 2")
 
 
 def test_runs_are_sorted_by_metric_parameter_and_text() -> None:
-    assert list_names(tl.sort_runs(SUMMARIES, "run.duration")) == ["kp4", "kp10", "kp2", "kp1"]
-    assert list_names(tl.sort_runs(SUMMARIES, "-law.kp_linear")) == ["kp10", "kp4", "kp2", "kp1"]
-    assert list_names(tl.sort_runs(SUMMARIES, "name")) == ["kp1", "kp10", "kp2", "kp4"]
+    assert list_names(tl.compare.sort_runs(SUMMARIES, "run.duration")) == [
+        "kp4",
+        "kp10",
+        "kp2",
+        "kp1",
+    ]
+    assert list_names(tl.compare.sort_runs(SUMMARIES, "-law.kp_linear")) == [
+        "kp10",
+        "kp4",
+        "kp2",
+        "kp1",
+    ]
+    assert list_names(tl.compare.sort_runs(SUMMARIES, "name")) == ["kp1", "kp10", "kp2", "kp4"]
 
 
 @pytest.mark.parametrize("by", ["translate.duration", "-translate.duration"])
 def test_a_run_without_a_value_comes_last(by: str) -> None:
-    assert tl.sort_runs([CUT, *SUMMARIES], by)[-1] is CUT
+    assert tl.compare.sort_runs([CUT, *SUMMARIES], by)[-1] is CUT
 
 
 def test_a_beginning_of_many_names_suggests_some_of_them() -> None:
     with pytest.raises(
         CompareError, match=r"sort: expected rotate.*, \.\.\., found 'r'\Z"
     ) as caught:
-        tl.sort_runs(SUMMARIES, "r")
+        tl.compare.sort_runs(SUMMARIES, "r")
     assert str(caught.value).count(", ") == 15
 
 
 def test_an_unknown_order_is_refused_with_the_nearest_names() -> None:
     expected = r"sort: expected run.duration, .* or .*, found 'run.durtion'"
     with pytest.raises(CompareError, match=expected):
-        tl.sort_runs(SUMMARIES, "run.durtion")
+        tl.compare.sort_runs(SUMMARIES, "run.durtion")
 
 
 def test_a_table_is_made_of_the_metrics_that_it_names() -> None:
-    needed = tl.list_needed_metrics(
+    needed = tl.compare.list_needed_metrics(
         ["final.*", "law.kp_linear"], where="run.duration < 9 and x > 1", sort="-rotate.iae"
     )
     assert needed == ("final.*", "run.duration", "rotate.iae")
-    usual = tl.measure_run(RUNS[0], only=tl.list_needed_metrics())
-    assert {*tl.list_usual_metrics(RUNS[0].declaration)} < {*usual}
+    usual = tl.measure_run(RUNS[0], only=tl.compare.list_needed_metrics())
+    assert {*tl.compare.list_usual_metrics(RUNS[0].declaration)} < {*usual}
     assert len(usual) < 10
 
 
 def test_the_usual_metrics_of_the_papers_law() -> None:
-    assert tl.list_usual_metrics(RUNS[0].declaration) == (
+    assert tl.compare.list_usual_metrics(RUNS[0].declaration) == (
         *("rotate.settling_time", "rotate.overshoot"),
         *("final.heading_error", "final.position_error", "run.duration"),
     )

@@ -5,8 +5,12 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+import turtlelog as tl
+from turtlelog.errors import TurtlelogError
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "turtlelog"
@@ -85,3 +89,23 @@ def test_the_readme_names_every_command() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_the_readme_leads_to_every_page(page: Path) -> None:
     assert f"](docs/{page.name})" in read_page("README.md")
+
+
+def list_names() -> list[str]:
+    found = ((name, getattr(tl, name)) for name in tl.__all__ if not name.startswith("_"))
+    return [name for name, value in found if not isinstance(value, ModuleType)]
+
+
+def test_every_public_name_stands_on_its_page() -> None:
+    page = read_page("docs/python.md")
+    assert [name for name in list_names() if not re.search(rf"\b{name}\b", page)] == []
+
+
+def test_public_names_are_those_that_one_writes() -> None:
+    names = list_names()
+    errors = [name for name in names if name.endswith("Error")]
+    assert len(names) - len(errors) <= 60
+    assert {found.__name__ for found in TurtlelogError.__subclasses__()} <= {
+        *errors,
+        *(name for room in (tl.log, tl.check) for name in room.__all__),
+    }

@@ -106,7 +106,7 @@ def test_no_metric_is_of_a_loop_that_is_not_declared() -> None:
 
 def test_metric_of_a_loop_that_is_not_declared_says_so() -> None:
     metric = tl.measure_run(STRANGE, only=["rotate.overshoot"])["rotate.overshoot"]
-    assert (metric.status, metric.value) == (tl.Status.NO_PHASE, None)
+    assert (metric.status, metric.value) == (tl.measure.Status.NO_PHASE, None)
     assert metric.reason == "the run declares no loop rotate (it declares a, b)"
 
 
@@ -164,7 +164,7 @@ def test_states_are_signals_by_name() -> None:
     assert STRANGE.samples.states is not None
     assert signal.values.tolist() == STRANGE.samples.states[:, 0].tolist()
     assert (signal.kind.source, signal.kind.resampling) == ("sample", "hold")
-    assert "memory" in tl.list_signals(STRANGE.declaration)
+    assert "memory" in tl.measure.list_signals(STRANGE.declaration)
     with pytest.raises(tl.TurtlelogError, match="signal 'memory': expected"):
         tl.read_signal(simulate_drive(), "memory")
 
@@ -203,8 +203,8 @@ def test_law_without_a_goal_has_no_geometry_and_no_errors() -> None:
     assert (run.samples.bearing_rad, run.samples.distance_m) == (None, None)
     assert all(tl.read_signal(run, name) is None for name in ("distance", "along_track"))
     metrics = tl.measure_run(run)
-    assert metrics["final.position_error"].status is tl.Status.ABSENT
-    assert metrics["final.heading_error"].status is tl.Status.ABSENT
+    assert metrics["final.position_error"].status is tl.measure.Status.ABSENT
+    assert metrics["final.heading_error"].status is tl.measure.Status.ABSENT
     assert not [name for name in metrics if name.partition(".")[0] not in {"final", "run"}]
 
 
@@ -233,5 +233,5 @@ def test_heading_error_follows_the_loop_that_acts() -> None:
 def test_loop_of_a_goal_heading_that_is_not_asked_for_is_absent() -> None:
     run = dataclasses.replace(tl.simulate_run(tl.load_scenario("paper-kp4")), declaration=TWO)
     metric = tl.measure_run(run)["aim.overshoot"]
-    assert metric.status is tl.Status.ABSENT
+    assert metric.status is tl.measure.Status.ABSENT
     assert metric.reason == "the reference goal_heading of heading is not known"

@@ -56,7 +56,7 @@ def test_imported_logs_have_the_errors_of_table_1(
     path = PAPER / f"{name}_210.json"
     if not path.exists():
         pytest.skip(f"the paper's logs are not at {PAPER}")
-    metrics = tl.measure_run(tl.import_log(path))
+    metrics = tl.measure_run(tl.log.import_log(path))
     assert (
         f"{read_value(metrics['final.heading_error_at_15s']):.4f}",
         f"{read_value(metrics['final.position_error_at_15s']):.6f}",
@@ -102,7 +102,7 @@ def test_a_rotation_across_the_seam_is_measured_along_the_way_it_took(start_rad:
 
 def test_a_cut_run_has_no_error_at_15_s() -> None:
     metric = measure("paper-kp1", max_duration_s=10.0)["final.position_error_at_15s"]
-    assert (metric.value, metric.status) == (None, tl.Status.TOO_SHORT)
+    assert (metric.value, metric.status) == (None, tl.measure.Status.TOO_SHORT)
     assert "cut at 9.9" in metric.reason
 
 
@@ -122,7 +122,7 @@ def test_a_run_that_ended_holds_its_last_error() -> None:
 def test_a_phase_that_never_came_has_no_metrics() -> None:
     metrics = measure("paper-kp1", max_duration_s=5.0)
     statuses = {metrics[name].status for name in metrics if name.startswith("translate.")}
-    assert statuses == {tl.Status.NO_PHASE}
+    assert statuses == {tl.measure.Status.NO_PHASE}
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_a_phase_of_two_poses_is_measured(poses: int, length_s: float | None, re
 
 def test_a_rotation_cut_outside_the_band_does_not_settle() -> None:
     metric = measure("paper-kp1", max_duration_s=2.0)["rotate.settling_time"]
-    assert (metric.value, metric.status) == (None, tl.Status.NOT_REACHED)
+    assert (metric.value, metric.status) == (None, tl.measure.Status.NOT_REACHED)
 
 
 def test_a_translation_that_was_cut_has_no_largest_cross_track() -> None:
@@ -149,13 +149,13 @@ def test_a_translation_that_was_cut_has_no_largest_cross_track() -> None:
 def test_a_phase_that_was_cut_has_no_length_and_no_final_error() -> None:
     metrics = measure("paper-kp1", max_duration_s=2.0)
     names = ("rotate.duration", "rotate.overshoot", "rotate.final_error")
-    assert {metrics[name].status for name in names} == {tl.Status.TOO_SHORT}
+    assert {metrics[name].status for name in names} == {tl.measure.Status.TOO_SHORT}
     assert metrics["rotate.duration"].reason == "the run was cut in this phase"
 
 
 def test_a_phase_cut_inside_the_band_has_settled_as_far_as_is_recorded() -> None:
     cut, whole = measure("paper-kp4", max_duration_s=10.0), measure("paper-kp4")
-    assert cut["translate.overshoot"].status == tl.Status.TOO_SHORT
+    assert cut["translate.overshoot"].status == tl.measure.Status.TOO_SHORT
     assert cut["translate.settling_time"] == whole["translate.settling_time"]
 
 
@@ -170,7 +170,7 @@ def test_a_return_to_a_phase_does_not_lengthen_it() -> None:
 
 def test_a_start_at_the_bearing_has_no_step() -> None:
     metric = measure("textbook", goal__x_m=9.0, goal__y_m=5.544444561004639)["rotate.overshoot"]
-    assert (metric.value, metric.status) == (None, tl.Status.NO_STEP)
+    assert (metric.value, metric.status) == (None, tl.measure.Status.NO_STEP)
 
 
 def test_without_limits_nothing_is_saturated() -> None:
@@ -183,13 +183,13 @@ def test_a_limit_that_is_not_recorded_leaves_the_share_absent() -> None:
     path = PAPER / "kp1_210_main.csv"
     if not path.exists():
         pytest.skip(f"the paper's logs are not at {PAPER}")
-    metric = tl.measure_run(tl.import_log(path))["rotate.saturated_share"]
-    assert (metric.value, metric.status) == (None, tl.Status.ABSENT)
+    metric = tl.measure_run(tl.log.import_log(path))["rotate.saturated_share"]
+    assert (metric.value, metric.status) == (None, tl.measure.Status.ABSENT)
 
 
 def test_every_metric_has_a_value_or_a_reason() -> None:
     for metric in measure("paper-kp1", max_duration_s=2.0).values():
-        assert (metric.value is None) == (metric.status is not tl.Status.OK)
+        assert (metric.value is None) == (metric.status is not tl.measure.Status.OK)
         assert bool(metric.reason) == (metric.value is None)
 
 

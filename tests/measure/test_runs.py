@@ -26,7 +26,7 @@ from turtlelog.run import Run
 TIME_S = np.arange(1000) * PERIOD_NS / 1e9
 EXPONENTIAL = make_straight_run(-GOAL_M * np.expm1(-TIME_S), GOAL_M * np.exp(-TIME_S))
 KP10 = tl.simulate_run(tl.load_scenario("paper-kp10"))
-OF_LAW = tl.list_metrics(KP10.declaration)
+OF_LAW = tl.measure.list_metrics(KP10.declaration)
 
 
 def read(run: Run, name: str, settings: tl.MeasureSettings | None = None) -> float:
@@ -147,9 +147,9 @@ def test_a_step_that_begins_beyond_a_tenth_has_no_rise_time(
     asked = tl.MeasureSettings(initial={"translate": initial})
     metric = tl.measure_run(EXPONENTIAL, asked, only=["translate.rise_time"])
     found = metric["translate.rise_time"]
-    assert (found.status is tl.Status.OK) == has_rise_time
+    assert (found.status is tl.measure.Status.OK) == has_rise_time
     if not has_rise_time:
-        assert found.status is tl.Status.NOT_REACHED
+        assert found.status is tl.measure.Status.NOT_REACHED
         assert found.reason == "the response begins beyond 10 % of the step"
 
 
@@ -167,9 +167,9 @@ def test_an_unstable_theory_has_a_deviation_only_where_it_is_not_stopped(
     asked = tl.MeasureSettings(dead_time_ticks=0)
     for metric in tl.measure_run(run, asked, only=names).values():
         if has_value:
-            assert metric.status is tl.Status.OK
+            assert metric.status is tl.measure.Status.OK
             continue
-        assert (metric.value, metric.status) == (None, tl.Status.TOO_LARGE)
+        assert (metric.value, metric.status) == (None, tl.measure.Status.TOO_LARGE)
         assert metric.reason == (
             "theory's loop is unstable: beyond 1e+09 steps before the phase ends"
         )
@@ -366,33 +366,35 @@ def test_every_metric_of_a_poor_run_has_a_finite_value_or_a_reason(
     make: Callable[[], Run],
 ) -> None:
     for metric in tl.measure_run(make()).values():
-        assert (metric.value is None) == (metric.status is not tl.Status.OK)
+        assert (metric.value is None) == (metric.status is not tl.measure.Status.OK)
         assert bool(metric.reason) == (metric.value is None)
         assert metric.value is None or math.isfinite(metric.value)
         assert metric.at_s is None or math.isfinite(metric.at_s)
 
 
-def find_statuses(run: Run, *names: str) -> set[tl.Status]:
+def find_statuses(run: Run, *names: str) -> set[tl.measure.Status]:
     return {metric.status for metric in tl.measure_run(run, only=names).values()}
 
 
 def test_what_a_foreign_bag_lacks_is_absent_and_the_rest_is_measured() -> None:
     run = make_foreign_run()
     assert find_statuses(run, "rotate.*", "translate.*", "run.dropped_samples") == {
-        tl.Status.ABSENT
+        tl.measure.Status.ABSENT
     }
     assert read(run, "run.path_length") == pytest.approx(0.3)
     assert read(run, "run.speed_effort") == pytest.approx(0.048)
     assert read(run, "run.sample_rate") == pytest.approx(62.5)
     bare = make_foreign_run(commands=0)
-    assert find_statuses(bare, "run.speed_*", "run.sample_*") == {tl.Status.ABSENT}
+    assert find_statuses(bare, "run.speed_*", "run.sample_*") == {tl.measure.Status.ABSENT}
 
 
 def test_a_turtle_that_stands_has_no_step_and_no_straightness() -> None:
     run = make_still_run()
     names = ("rise_time", "overshoot", "settling_time", "peak", "decay_ratio")
-    assert find_statuses(run, *(f"translate.{name}" for name in names)) == {tl.Status.NO_STEP}
-    assert find_statuses(run, "run.straightness") == {tl.Status.NO_MOTION}
+    assert find_statuses(run, *(f"translate.{name}" for name in names)) == {
+        tl.measure.Status.NO_STEP
+    }
+    assert find_statuses(run, "run.straightness") == {tl.measure.Status.NO_MOTION}
     assert read(run, "translate.iae") == 0.0
     assert read(run, "translate.crossings") == 0.0
 
@@ -402,19 +404,19 @@ def test_a_step_within_the_rounding_of_poses_is_none() -> None:
     ahead = {"goal.x_m": 9.0, "goal.y_m": 5.544444}
     run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), ahead))
     assert 0.0 < abs(known(run.samples.bearing_rad)[0]) < 1e-6
-    assert find_statuses(run, "rotate.overshoot", "rotate.rise_time") == {tl.Status.NO_STEP}
+    assert find_statuses(run, "rotate.overshoot", "rotate.rise_time") == {tl.measure.Status.NO_STEP}
 
 
 def test_figures_beyond_the_largest_float_are_told_so() -> None:
     assert find_statuses(make_huge_run(), "translate.ise", "run.ise", "run.speed_effort") == {
-        tl.Status.TOO_LARGE
+        tl.measure.Status.TOO_LARGE
     }
 
 
 def test_samples_of_one_time_have_no_rate_and_no_slew_rate() -> None:
     run = make_burst_run()
     assert find_statuses(run, "run.sample_rate", "translate.sampled_deviation_max") == {
-        tl.Status.TOO_SHORT
+        tl.measure.Status.TOO_SHORT
     }
     assert read(run, "run.sample_period_p50") == 0.0
     assert read(run, "run.burst_samples") == 19.0
@@ -432,7 +434,7 @@ def test_every_metric_says_what_it_is() -> None:
     kinds = [*tl.METRICS.values(), *OF_LAW.values()]
     assert all(kind.meaning.endswith(".") and "{" not in kind.meaning for kind in kinds)
     assert all(kind.unit and "{" not in kind.unit for kind in kinds)
-    assert set(tl.list_essential_metrics(KP10.declaration)) <= set(OF_LAW)
+    assert set(tl.measure.list_essential_metrics(KP10.declaration)) <= set(OF_LAW)
     assert all(kind.better in {"lower", "higher", None} for kind in kinds)
 
 

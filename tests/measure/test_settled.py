@@ -34,7 +34,7 @@ def test_a_limit_cycle_does_not_settle(end_s: float) -> None:
     metric = settle(
         simulate("paper", law__kp_angular=50.0, max_duration_s=end_s), "rotate.settling_time"
     )
-    assert (metric.value, metric.status) == (None, tl.Status.NOT_REACHED)
+    assert (metric.value, metric.status) == (None, tl.measure.Status.NOT_REACHED)
     assert "s after the response came into the band: it settles where it stays for 1 s" in (
         metric.reason
     )
@@ -78,7 +78,7 @@ def test_a_run_that_was_cut_or_timed_out_must_have_stayed(
     if is_settled:
         assert short.value == pytest.approx(SETTLED_S, abs=1e-4)
     else:
-        assert short.status is tl.Status.NOT_REACHED
+        assert short.status is tl.measure.Status.NOT_REACHED
         assert "it settles where it stays for 1 s" in short.reason
     long = settle(make_run(response, SETTLED_S + 1.05, stop_reason), name)
     assert long.value == pytest.approx(SETTLED_S, abs=1e-4)

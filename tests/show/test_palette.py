@@ -53,7 +53,9 @@ def test_lines_on_paper_have_the_colours_of_the_screen(count: int) -> None:
 def test_a_run_has_one_colour_on_screen_and_on_paper(tmp_path: Path) -> None:
     runs = [simulate_preset(name) for name in PAPER_RUNS]
     tl.write_comparison_rrd(runs[::-1], tmp_path / "runs.rrd")
-    lines = {line.get_label(): line for line in tl.draw_figure("heading", runs).axes[0].get_lines()}
+    lines = {
+        line.get_label(): line for line in tl.show.draw_figure("heading", runs).axes[0].get_lines()
+    }
     for run in runs:
         entity = f"/runs/{run.name}/heading_deg"
         (shown,) = read_static(tmp_path / "runs.rrd", entity, "SeriesLines:colors")
@@ -66,7 +68,7 @@ def test_a_run_alone_has_one_colour_on_screen_and_on_paper(tmp_path: Path) -> No
     tl.write_run_rrd(run, tmp_path / "run.rrd")
     (shown,) = read_static(tmp_path / "run.rrd", "/heading_deg", "SeriesLines:colors")
     lines = {
-        line.get_label(): line for line in tl.draw_figure("heading", [run]).axes[0].get_lines()
+        line.get_label(): line for line in tl.show.draw_figure("heading", [run]).axes[0].get_lines()
     }
     printed = np.rint(np.multiply(to_rgb(lines[run.name].get_color()), 255))
     assert [shown >> 24, shown >> 16 & 255, shown >> 8 & 255] == printed.tolist()

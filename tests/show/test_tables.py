@@ -6,12 +6,12 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import ShowError
 
-TABLE = tl.Table(
+TABLE = tl.compare.Table(
     title="100 % of_it",
     columns=(
-        tl.Column(title="run"),
-        tl.Column(title="error", unit="m", digits=3),
-        tl.Column(title="status"),
+        tl.compare.Column(title="run"),
+        tl.compare.Column(title="error", unit="m", digits=3),
+        tl.compare.Column(title="status"),
     ),
     rows=(("a|b", 0.12345, "ok"), ("longer", None, "not_reached")),
     notes=("A note.",),
@@ -19,7 +19,7 @@ TABLE = tl.Table(
 
 
 def test_text_aligns_figures_to_the_right_and_words_to_the_left() -> None:
-    assert tl.format_table(TABLE).splitlines() == [
+    assert tl.show.format_table(TABLE).splitlines() == [
         "100 % of_it",
         "",
         "run     error  status",
@@ -33,7 +33,7 @@ def test_text_aligns_figures_to_the_right_and_words_to_the_left() -> None:
 
 
 def test_markdown_escapes_what_would_end_a_cell() -> None:
-    lines = tl.format_table(TABLE, "md").splitlines()
+    lines = tl.show.format_table(TABLE, "md").splitlines()
     assert lines[2:5] == [
         "| run | error [m] | status |",
         "| --- | ---: | --- |",
@@ -42,7 +42,7 @@ def test_markdown_escapes_what_would_end_a_cell() -> None:
 
 
 def test_csv_keeps_full_precision() -> None:
-    rows = list(csv.reader(io.StringIO(tl.format_table(TABLE, "csv"))))
+    rows = list(csv.reader(io.StringIO(tl.show.format_table(TABLE, "csv"))))
     assert rows == [
         ["run", "error [m]", "status"],
         ["a|b", "0.12345", "ok"],
@@ -51,14 +51,14 @@ def test_csv_keeps_full_precision() -> None:
 
 
 def test_latex_uses_booktabs_and_escapes_its_special_characters() -> None:
-    text = tl.format_table(TABLE, "tex")
+    text = tl.show.format_table(TABLE, "tex")
     assert r"\caption{100 \% of\_it}" in text
     assert r"longer & - & not\_reached \\" in text
     assert all(rule in text for rule in (r"\toprule", r"\midrule", r"\bottomrule"))
 
 
 def test_latex_units_stand_below_the_titles() -> None:
-    lines = tl.format_table(TABLE, "tex").splitlines()
+    lines = tl.show.format_table(TABLE, "tex").splitlines()
     head = lines.index(r"    \toprule")
     assert lines[head + 1 : head + 3] == [r"    run & error & status \\", r"     & [m] &  \\"]
 
@@ -67,36 +67,41 @@ def test_latex_units_stand_below_the_titles() -> None:
     ("value", "shown"), [(-0.5, "$-0.5$"), (2.5e-7, r"$2.5 \times 10^{-7}$"), (-3, "$-3$")]
 )
 def test_latex_numbers_have_a_minus_and_powers(value: float, shown: str) -> None:
-    table = tl.Table(title="t", columns=(tl.Column(title="a"),), rows=((value,),))
-    assert f"    {shown} \\\\\n" in tl.format_table(table, "tex")
+    table = tl.compare.Table(title="t", columns=(tl.compare.Column(title="a"),), rows=((value,),))
+    assert f"    {shown} \\\\\n" in tl.show.format_table(table, "tex")
 
 
 def test_no_name_is_a_command_to_latex() -> None:
-    table = tl.Table(
-        title="t", columns=(tl.Column(title="n"),), rows=(("[1pt]",), ("*",), ("a<b|c>\nd^2",))
+    table = tl.compare.Table(
+        title="t",
+        columns=(tl.compare.Column(title="n"),),
+        rows=(("[1pt]",), ("*",), ("a<b|c>\nd^2",)),
     )
-    lines = tl.format_table(table, "tex").splitlines()
+    lines = tl.show.format_table(table, "tex").splitlines()
     assert r"    {}[1pt] \\" in lines
     assert r"    {}* \\" in lines
     assert r"    a\textless{}b\textbar{}c\textgreater{} d\textsuperscript{2} \\" in lines
-    assert "| a\\<b\\|c> d^2 |" in tl.format_table(table, "md")
+    assert "| a\\<b\\|c> d^2 |" in tl.show.format_table(table, "md")
 
 
 def test_a_wide_latex_table_spans_both_columns() -> None:
-    wide = tl.Table(title="t", columns=TABLE.columns, rows=(("x" * 60, 1.0, "ok"),))
-    assert tl.format_table(wide, "tex").startswith("\\begin{table*}\n")
-    assert tl.format_table(TABLE, "tex").startswith("\\begin{table}\n")
+    wide = tl.compare.Table(title="t", columns=TABLE.columns, rows=(("x" * 60, 1.0, "ok"),))
+    assert tl.show.format_table(wide, "tex").startswith("\\begin{table*}\n")
+    assert tl.show.format_table(TABLE, "tex").startswith("\\begin{table}\n")
 
 
 def test_an_unknown_format_is_refused_with_the_known_ones() -> None:
     with pytest.raises(ShowError, match="expected one of txt, md, csv, tex, found 'html'"):
-        tl.format_table(TABLE, "html")
+        tl.show.format_table(TABLE, "html")
 
 
 def test_a_new_group_of_rows_begins_after_an_empty_line() -> None:
-    table = tl.Table(
-        title="t", columns=(tl.Column(title="a"),), rows=(("x",), ("y",), ("z",)), breaks=(1,)
+    table = tl.compare.Table(
+        title="t",
+        columns=(tl.compare.Column(title="a"),),
+        rows=(("x",), ("y",), ("z",)),
+        breaks=(1,),
     )
-    assert tl.format_table(table).splitlines()[-4:] == ["x", "", "y", "z"]
-    assert "    x \\\\\n    \\addlinespace\n    y \\\\\n" in tl.format_table(table, "tex")
-    assert tl.format_table(table, "csv").splitlines() == ["a", "x", "y", "z"]
+    assert tl.show.format_table(table).splitlines()[-4:] == ["x", "", "y", "z"]
+    assert "    x \\\\\n    \\addlinespace\n    y \\\\\n" in tl.show.format_table(table, "tex")
+    assert tl.show.format_table(table, "csv").splitlines() == ["a", "x", "y", "z"]

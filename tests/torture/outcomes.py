@@ -123,7 +123,7 @@ class Readers:
         if describe(found) == self._expected[name]:
             return Outcome.EQUAL, ""
         # What is known of a file that was never finished, and that it was not.
-        is_said = isinstance(found, tl.RecordingInfo) and not found.complete
+        is_said = isinstance(found, tl.log.RecordingInfo) and not found.complete
         return (Outcome.PART if is_said else Outcome.SILENT), ""
 
     def _recover(self) -> tuple[Outcome, str]:

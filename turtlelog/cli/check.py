@@ -25,7 +25,8 @@ from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.errors import LogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import ArtifactWriter, CheckResult, Run, Spec
+    from turtlelog import CheckResult, Run, Spec
+    from turtlelog.check import ArtifactWriter
 
 
 Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
@@ -109,7 +110,7 @@ def check(
     require_apart([path for path in (reports.junit, reports.artifacts) if path is not None])
     spec = tl.load_spec(spec_path, reference=reference)
     results = _check(spec, files, reports, topics or TopicOptions())
-    verdict = tl.join_verdicts(results)
+    verdict = tl.check.join_verdicts(results)
     if kind == "json":
         print_json(describe_results(verdict, results))
     else:
@@ -126,7 +127,9 @@ def _check(
     reference = read_reference_run(spec, topics.build_choice())
     checked: list[CheckedFile] = []
     with ExitStack() as stack:
-        writer = reports.artifacts and stack.enter_context(tl.ArtifactWriter(reports.artifacts))
+        writer = reports.artifacts and stack.enter_context(
+            tl.check.ArtifactWriter(reports.artifacts)
+        )
         for path in iterate_files(files):
             started, clock = datetime.now(UTC), _Clock()
             try:
@@ -151,7 +154,7 @@ def _check(
             if writer:
                 _write_artifacts(run, results, writer)
     if reports.junit is not None:
-        with tl.replace_when_complete(reports.junit) as part:
+        with tl.log.replace_when_complete(reports.junit) as part:
             part.write_text(format_junit(checked), encoding="utf-8")
         print_note(f"wrote {reports.junit}")
     return [result for file in checked for result in file.results]
@@ -211,7 +214,7 @@ def _write_first(
     if output is None:
         print_text(text)
         return EXIT_FINE
-    with tl.replace_when_complete(output) as part:
+    with tl.log.replace_when_complete(output) as part:
         part.write_text(text, encoding="utf-8")
     print_note(f"wrote {output}")
     return EXIT_FINE

@@ -11,7 +11,8 @@ from turtlelog.display import show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import CheckResult, Spec, Table
+    from turtlelog import CheckResult, Spec
+    from turtlelog.compare import Table
 
 
 def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str, Any]:
@@ -88,7 +89,7 @@ def _summarise(results: "Sequence[CheckResult]", *, files: int) -> str:
         for verdict, word in (("PASS", "pass"), ("FAIL", "fail"), ("SKIPPED", "skipped"))
     ]
     recordings = "1 recording" if files == 1 else f"{files} recordings"
-    return f"{tl.join_verdicts(results)}: {recordings}, {', '.join(counts)}"
+    return f"{tl.check.join_verdicts(results)}: {recordings}, {', '.join(counts)}"
 
 
 def _tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
@@ -99,22 +100,22 @@ def _tabulate_files(results: "Sequence[CheckResult]") -> "list[Table]":
 
 def _tabulate(results: "Sequence[CheckResult]", title: str, *, names_file: bool = False) -> "Table":
     titles = ["verdict", "file", "check", "unit", "value", "limit", "margin"]
-    columns = [tl.Column(title="" if head == "verdict" else head) for head in titles]
+    columns = [tl.compare.Column(title="" if head == "verdict" else head) for head in titles]
     if any(result.first_violation_s is not None for result in results):
-        columns.append(tl.Column(title="violated", unit="s", digits=3))
+        columns.append(tl.compare.Column(title="violated", unit="s", digits=3))
     rows = [
         (result.verdict.value, result.file, result.check, *_show(result), result.first_violation_s)
         for result in results
     ]
     if names_file:
-        columns[0] = tl.Column(title="verdict")
-        return tl.Table(
+        columns[0] = tl.compare.Column(title="verdict")
+        return tl.compare.Table(
             title=title,
             columns=tuple(columns),
             rows=tuple(row[: len(columns)] for row in rows),
         )
     del columns[1]
-    return tl.Table(
+    return tl.compare.Table(
         title=title,
         columns=tuple(columns),
         rows=tuple((row[0], *row[2 : len(columns) + 1]) for row in rows),
@@ -128,11 +129,11 @@ def _tabulate_matrix(results: "Sequence[CheckResult]") -> "list[Table]":
     verdicts = {(result.file, result.check): result.verdict.value for result in results}
     if len(files) < 2:
         return []
-    heads = [tl.Column(title=name, lines=tuple(re.split("[._]", name))) for name in checks]
+    heads = [tl.compare.Column(title=name, lines=tuple(re.split("[._]", name))) for name in checks]
     return [
-        tl.Table(
+        tl.compare.Table(
             title=f"{len(files)} recordings, {len(checks)} checks",
-            columns=(tl.Column(title="file"), *heads),
+            columns=(tl.compare.Column(title="file"), *heads),
             rows=tuple(
                 (file, *(verdicts.get((file, check)) for check in checks)) for file in files
             ),
@@ -181,5 +182,5 @@ def _list_worst(results: "Sequence[CheckResult]") -> Iterator[str]:
     if worst:
         yield "Worst margins"
     for result in worst:
-        margin = tl.format_number(result.margin, result.unit)
+        margin = tl.display.format_number(result.margin, result.unit)
         yield f"  {margin:>12}  {result.check}  {result.file}"

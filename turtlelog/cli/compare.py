@@ -24,8 +24,14 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Metric, Run, RunComparison, RunSummary, Table
-    from turtlelog.compare import MetricDifference, SignalDifference
+    from turtlelog import Metric, Run
+    from turtlelog.compare import (
+        MetricDifference,
+        RunComparison,
+        RunSummary,
+        SignalDifference,
+        Table,
+    )
 
 
 _RUNS_ABREAST: Final = 3
@@ -152,7 +158,9 @@ def _summarise(
             for run, path in pairs
         ), []
     errors: list[TurtlelogError] = []
-    found = tl.summarise_files(paths, only=only, topics=(topics or TopicOptions()).build_choice())
+    found = tl.compare.summarise_files(
+        paths, only=only, topics=(topics or TopicOptions()).build_choice()
+    )
     return tuple(watch_summaries(found, len(paths), errors)), errors
 
 
@@ -161,22 +169,24 @@ def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...] | None:
     columns = choice.list_columns()
     if not columns and kind == "json":
         return None
-    return tl.list_needed_metrics(columns, where=choice.where, sort=choice.sort, source="--where")
+    return tl.compare.list_needed_metrics(
+        columns, where=choice.where, sort=choice.sort, source="--where"
+    )
 
 
 def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
     count, title = len(summaries), ""
     notes: tuple[str, ...] = ()
     if choice.where is not None:
-        summaries, notes = tl.select_runs(summaries, choice.where, source="--where")
+        summaries, notes = tl.compare.select_runs(summaries, choice.where, source="--where")
         title = f"{len(summaries)} of {count} runs, where {choice.where}"
     if choice.sort is None:
-        summaries = tl.order_by_gain(summaries)
+        summaries = tl.compare.order_by_gain(summaries)
     else:
         from turtlelog.compare.run_table import sort_by_column
 
         summaries = sort_by_column(summaries, choice.sort, source="--sort")
-    only = tl.choose_columns(summaries, choice.list_columns(), source="--only")
+    only = tl.compare.choose_columns(summaries, choice.list_columns(), source="--only")
     table = tl.tabulate_runs(summaries, only=only, title=title, notes=notes)
     if kind == "json":
         print_json(_describe_across(summaries, only=only, notes=notes))
@@ -195,13 +205,13 @@ def _compare_against(
     summaries: list[RunSummary] = []
 
     def summarise(run: "Run") -> "Run":
-        usual = tl.measure_run(run, only=tl.list_usual_metrics(run.declaration))
+        usual = tl.measure_run(run, only=tl.compare.list_usual_metrics(run.declaration))
         file = str(paths[len(summaries)])
         summaries.append(tl.summarise_run(run, file=file, metrics=usual))
         return run
 
     comparisons = list(
-        tl.iter_comparisons(summarise(reference), map(summarise, runs), alignment=alignment)
+        tl.compare.iter_comparisons(summarise(reference), map(summarise, runs), alignment=alignment)
     )
     if kind == "json":
         print_json(_describe_against(paths, comparisons, alignment))
@@ -212,11 +222,11 @@ def _compare_against(
 def _tabulate_differences(
     summaries: "Sequence[RunSummary]", comparisons: "Sequence[RunComparison]", kind: str
 ) -> "list[Table]":
-    reference, *names = tl.name_runs(summaries)
+    reference, *names = tl.compare.name_runs(summaries)
     # As many runs as a terminal has room for; a file has room for all.
     step = _RUNS_ABREAST if kind == "txt" else len(names)
     differences = [
-        tl.tabulate_differences(
+        tl.compare.tabulate_differences(
             comparisons[first : first + step],
             names=names[first : first + step],
             reference=reference,
@@ -230,11 +240,11 @@ def _describe_across(
     summaries: "Sequence[RunSummary]", *, only: Sequence[str], notes: Sequence[str]
 ) -> dict[str, Any]:
     """Return runs beside each other: no reference, no signals, marks on the metrics."""
-    names = list(tl.list_metrics(*(found.declaration for found in summaries)))
+    names = list(tl.measure.list_metrics(*(found.declaration for found in summaries)))
     if only:
-        chosen = tl.choose_columns(summaries, only)
+        chosen = tl.compare.choose_columns(summaries, only)
         names = [name for name in chosen if any(found.find_metric(name) for found in summaries)]
-    marks = {name: tl.mark_metric(summaries, name) for name in names}
+    marks = {name: tl.compare.mark_metric(summaries, name) for name in names}
     return {
         "reference": None,
         "alignment": None,
@@ -253,7 +263,7 @@ def _describe_across(
                 ],
             }
             for row, (name, summary) in enumerate(
-                zip(tl.name_runs(summaries), summaries, strict=True)
+                zip(tl.compare.name_runs(summaries), summaries, strict=True)
             )
         ],
     }
@@ -302,7 +312,7 @@ def _describe_signal(found: "SignalDifference") -> dict[str, Any]:
 
 
 def _find_better(name: str) -> str | None:
-    kind = tl.find_metric_kind(name)
+    kind = tl.measure.find_metric_kind(name)
     return None if kind is None else kind.better
 
 

@@ -126,7 +126,7 @@ def _require_targets(
 
 def _read(file: Path, tables: TableOptions, topics: TopicOptions | None) -> "Run":
     if tables.sort:
-        return tl.import_log(file, sort=True)
+        return tl.log.import_log(file, sort=True)
     (run,) = read_runs([file], topics)
     return run
 
@@ -140,11 +140,11 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
             tl.write_recording(run, path)
             written: tuple[Path, ...] = (path,)
         elif kind == "rosbag2":
-            written = tl.export_rosbag2(run, path)
+            written = tl.log.export_rosbag2(run, path)
         elif kind == "csv":
-            written = tl.export_csv(run, path, table=tables.table)
+            written = tl.log.export_csv(run, path, table=tables.table)
         else:
-            written = tl.export_parquet(run, path, table=tables.table)
+            written = tl.log.export_parquet(run, path, table=tables.table)
     with show_progress("reading back"):
         is_run = kind in {"mcap", "rosbag2"}
         require_read_back(run, written, tl.read_run(path) if is_run else None)

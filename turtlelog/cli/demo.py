@@ -25,18 +25,18 @@ def demo(*, output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("
         output.mkdir(parents=True, exist_ok=True)
     except OSError as err:
         raise UsageError(f"{output}: expected a folder to write into: {err.strerror}") from err
-    runs = [_record(name, output) for name in tl.PAPER_RUNS]
+    runs = [_record(name, output) for name in tl.scenario.PAPER_RUNS]
     tl.write_comparison_rrd(runs, output / "comparison.rrd")
     print_note(f"wrote {output / 'comparison.rrd'}")
     from turtlelog.log import replace_when_complete
 
-    table1 = tl.tabulate_table1(runs, beside_paper=True)
-    for kind in tl.TABLE_FORMATS:
+    table1 = tl.compare.tabulate_table1(runs, beside_paper=True)
+    for kind in tl.show.TABLE_FORMATS:
         with replace_when_complete(output / f"table1.{kind}") as path:
-            path.write_text(tl.format_table(table1, kind), encoding="utf-8")
-    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.TABLE_FORMATS)}}}")
+            path.write_text(tl.show.format_table(table1, kind), encoding="utf-8")
+    print_note(f"wrote {output / 'table1'}.{{{','.join(tl.show.TABLE_FORMATS)}}}")
     print_note("")
-    tables = [format_table(table) for table in (table1, tl.tabulate_whole_runs(runs))]
+    tables = [format_table(table) for table in (table1, tl.compare.tabulate_whole_runs(runs))]
     print_text("\n".join([*tables, _tell_next(output)]))
 
 

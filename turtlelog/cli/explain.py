@@ -20,7 +20,8 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import ExplainError
 
 if TYPE_CHECKING:
-    from turtlelog import Attribution, Identification, Run
+    from turtlelog import Run
+    from turtlelog.explain import Attribution, Identification
 
 _NOTHING: Final = "No metric is explained: no scenario stands for this log."
 
@@ -92,7 +93,7 @@ def explain(
 
     names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
     (run,) = read_runs([file], topics)
-    tl.require_mechanisms(run, metric, names)
+    tl.explain.require_mechanisms(run, metric, names)
     require_trust(run, trust_law=options.trust_law)
     found = tl.identify_run(run, trust_law=options.trust_law)
     if options.scenario is not None:
@@ -127,9 +128,11 @@ def _draw(
     with show_progress("simulating without", len(chosen)) as progress:
         without = {}
         for number, names in enumerate(chosen, start=1):
-            without[" and ".join(names)] = tl.simulate_without(found.build_scenario(), names)
+            without[" and ".join(names)] = tl.explain.simulate_without(
+                found.build_scenario(), names
+            )
             progress.done = number
-    tl.write_explanation_rrd(run, without, shares, path, metric=attribution.metric)
+    tl.show.write_explanation_rrd(run, without, shares, path, metric=attribution.metric)
     print_note(f"wrote {path}")
 
 

@@ -10,8 +10,7 @@ import turtlelog as tl
 from turtlelog.cli.output import format_table
 
 if TYPE_CHECKING:
-    from turtlelog import Attribution, Identification
-    from turtlelog.explain import Finding, StartRange
+    from turtlelog.explain import Attribution, Finding, Identification, StartRange
 
 
 _JSON: Final = {
@@ -156,7 +155,7 @@ def _describe_attribution(found: "Attribution") -> dict[str, Any]:
         ],
         "grain": {"size": found.grain.size, "reason": found.grain.reason},
         "starts": None if found.starts is None else _describe_starts(found.starts),
-        "sentences": tl.write_sentences(found),
+        "sentences": tl.explain.write_sentences(found),
     }
 
 
@@ -192,9 +191,11 @@ def format_identification(found: "Identification") -> str:
             finding = found.findings[key]
             evidence = "see below" if finding.evidence in found.notes else finding.evidence
             rows += _format_finding(name, replace(finding, evidence=evidence), unit)
-    table = tl.Table(
+    table = tl.compare.Table(
         title=f"What the log of {found.name} tells",
-        columns=tuple(tl.Column(title=title) for title in ("", "value", "how sure", "evidence")),
+        columns=tuple(
+            tl.compare.Column(title=title) for title in ("", "value", "how sure", "evidence")
+        ),
         rows=tuple(rows),
         notes=tuple(_capitalise(note) for note in found.notes),
     )
@@ -204,13 +205,13 @@ def format_identification(found: "Identification") -> str:
 def format_attribution(found: "Attribution") -> str:
     """Return the values, the shares, and what they mean."""
     unit = found.unit
-    table = tl.Table(
+    table = tl.compare.Table(
         title=f"What caused {found.metric}",
         columns=(
-            tl.Column(title="mechanism"),
-            tl.Column(title="share", unit=unit),
-            tl.Column(title="without it alone", unit=unit),
-            tl.Column(title="without it means"),
+            tl.compare.Column(title="mechanism"),
+            tl.compare.Column(title="share", unit=unit),
+            tl.compare.Column(title="without it alone", unit=unit),
+            tl.compare.Column(title="without it means"),
         ),
         rows=tuple(
             (
@@ -221,7 +222,7 @@ def format_attribution(found: "Attribution") -> str:
             )
             for share in (*found.shares, *found.others)
         ),
-        notes=tl.write_sentences(found),
+        notes=tl.explain.write_sentences(found),
     )
     return f"\n{format_table(table)}"
 

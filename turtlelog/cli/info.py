@@ -18,7 +18,8 @@ from turtlelog.errors import TurtlelogError
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import RecordingInfo, Table
+    from turtlelog.compare import Table
+    from turtlelog.log import RecordingInfo
 
 
 def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> int:
@@ -53,7 +54,7 @@ def _read(
     errors: list[TurtlelogError] = []
     for path in iterate_files(files):
         try:
-            found.append((path, tl.read_file_info(path, allow_partial=partial)))
+            found.append((path, tl.log.read_file_info(path, allow_partial=partial)))
         except TurtlelogError as err:
             errors.append(err)
     return found, errors
@@ -118,9 +119,9 @@ def _describe_completeness(recording: "RecordingInfo") -> str:
 
 
 def _tabulate(recording: "RecordingInfo") -> "Table":
-    return tl.Table(
+    return tl.compare.Table(
         title="topics",
-        columns=tuple(tl.Column(title=title) for title in ("topic", "type", "messages")),
+        columns=tuple(tl.compare.Column(title=title) for title in ("topic", "type", "messages")),
         rows=tuple((topic.topic, topic.type, topic.count) for topic in recording.topics),
     )
 

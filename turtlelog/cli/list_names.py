@@ -40,9 +40,9 @@ def list_(kind: Kind, /, *, json: bool = False) -> None:
         print_json({"kind": kind, "entries": entries})
         return
     titles = [title for title in entries[0] if title not in _IN_JSON]
-    table = tl.Table(
+    table = tl.compare.Table(
         title=kind.capitalize(),
-        columns=tuple(tl.Column(title=title) for title in titles),
+        columns=tuple(tl.compare.Column(title=title) for title in titles),
         rows=tuple(tuple(_show(entry[title]) for title in titles) for entry in entries),
         notes=(_NOTES[kind],) if kind in _NOTES else (),
     )
@@ -60,10 +60,10 @@ def _show(value: Any) -> str:
 
 
 def _list_metrics() -> Entries:
-    declaration = tl.declare_scenario(tl.load_scenario("textbook"))
+    declaration = tl.simulate.declare_scenario(tl.load_scenario("textbook"))
     return [
         {"name": name, "unit": kind.unit, "better": kind.better, "meaning": kind.meaning}
-        for name, kind in tl.list_metrics(declaration).items()
+        for name, kind in tl.measure.list_metrics(declaration).items()
     ]
 
 
@@ -79,7 +79,7 @@ def _list_presets() -> Entries:
         {
             "name": name,
             "meaning": _PRESETS.get(name, "a run that the paper recorded, as built"),
-            "scenario": dict(tl.flatten_scenario(tl.load_scenario(name))),
+            "scenario": dict(tl.scenario.flatten_scenario(tl.load_scenario(name))),
         }
         for name in tl.PRESETS
     ]
@@ -112,7 +112,7 @@ def _list_mechanisms() -> Entries:
 def _list_figures() -> Entries:
     return [
         {"name": name, "paper's figure": kind.paper or None, "meaning": kind.title}
-        for name, kind in tl.FIGURES.items()
+        for name, kind in tl.show.FIGURES.items()
     ]
 
 
@@ -152,7 +152,7 @@ def complete_mechanisms(context: "CompletionContext") -> dict[str, str]:
 
 def complete_keys(_: "CompletionContext") -> dict[str, str]:
     """Return what --set takes: the keys of a scenario, with the value of the preset `paper`."""
-    flat = tl.flatten_scenario(tl.load_scenario("paper"))
+    flat = tl.scenario.flatten_scenario(tl.load_scenario("paper"))
     return {f"{key}=": f"{value}, of paper" for key, value in flat.items()}
 
 

@@ -23,7 +23,8 @@ from turtlelog.cli.output import (
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import MeasureSettings, RunSummary
+    from turtlelog import MeasureSettings
+    from turtlelog.compare import RunSummary
 
 _MOST_COLUMNS: Final = 6
 
@@ -66,7 +67,7 @@ class MeasureOptions:
             "band": self.band,
             "initial": None if self.initial is None else _parse_values("--initial", self.initial),
             "final": None if self.final is None else _parse_values("--final", self.final),
-            "reference_path_xy_m": None if path is None else tl.read_reference_path(path),
+            "reference_path_xy_m": None if path is None else tl.measure.read_reference_path(path),
             "dead_time_ticks": self.dead_time,
         }
         return tl.MeasureSettings(
@@ -106,10 +107,10 @@ def metrics(
     kind = (formats or FormatOptions()).choose()
     patterns = measuring.list_patterns()
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
-    found = tl.summarise_files(
+    found = tl.compare.summarise_files(
         files,
         measuring.build_settings(),
-        only=tl.list_essential_metrics if is_short else patterns,
+        only=tl.measure.list_essential_metrics if is_short else patterns,
         topics=topics.build_choice(),
         jobs=jobs,
     )
@@ -133,23 +134,23 @@ def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | N
     """Refuse patterns that stand for no metric of any of the runs."""
     if patterns is None or not summaries or any(found.metrics for found in summaries):
         return
-    known = tl.list_metrics(*(found.declaration for found in summaries))
-    near = tl.suggest_metrics(patterns[0], known)
+    known = tl.measure.list_metrics(*(found.declaration for found in summaries))
+    near = tl.measure.suggest_metrics(patterns[0], known)
     raise UsageError(f"metric {patterns[0]!r}: expected {near}")
 
 
 def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, tell_more: bool) -> None:
     if not summaries:
         return
-    chosen = tl.order_ids(name for found in summaries for name in found.metrics)
-    summaries = tl.order_by_gain(summaries)
+    chosen = tl.compare.order_ids(name for found in summaries for name in found.metrics)
+    summaries = tl.compare.order_by_gain(summaries)
     if len(summaries) > _MOST_COLUMNS:
         table = tl.tabulate_runs(summaries, only=chosen)
     else:
-        names = tl.name_runs(summaries)
-        table = tl.tabulate_measured(names, [summary.metrics for summary in summaries])
+        names = tl.compare.name_runs(summaries)
+        table = tl.compare.tabulate_measured(names, [summary.metrics for summary in summaries])
     if tell_more:
-        count = len(tl.list_metrics(*(found.declaration for found in summaries)))
+        count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
         more = f"{len(chosen)} of {count} metrics: --all shows every one, --only chooses."
         table = replace(table, notes=(more, *table.notes))
     print_tables([table], kind)
@@ -157,11 +158,11 @@ def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, tell_more: bo
 
 def _print_csv(summaries: "Sequence[RunSummary]") -> None:
     """Print a row for every run, in the order given; a cell is empty without such a loop."""
-    chosen = tl.order_ids(name for found in summaries for name in found.metrics)
+    chosen = tl.compare.order_ids(name for found in summaries for name in found.metrics)
     heads = []
     for name in chosen:
         found = [summary.metrics[name] for summary in summaries if name in summary.metrics]
-        heads.append(f"{name} [{' or '.join(tl.list_units(found))}]")
+        heads.append(f"{name} [{' or '.join(tl.compare.list_units(found))}]")
     rows = ([found.file, found.name, *_list_cells(found, chosen)] for found in summaries)
     print_csv(["file", "run", *heads], rows)
 

@@ -15,7 +15,9 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Declaration, Run, RunSummary, Scenario, TopicChoice
+    from turtlelog import Declaration, Run, Scenario
+    from turtlelog.compare import RunSummary
+    from turtlelog.log import TopicChoice
 
 
 def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -74,7 +76,7 @@ class TopicOptions:
 
     def build_choice(self) -> "TopicChoice":
         """Return what is asked for as a choice."""
-        return tl.TopicChoice(
+        return tl.log.TopicChoice(
             pose_topic=self.pose_topic,
             command_topic=self.command_topic,
             allow_partial=self.partial,
@@ -98,7 +100,7 @@ def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) ->
     run = _read_run(path, TopicOptions())
     if not run.scenario_is_complete:
         raise UsageError(f"{path}: expected a recording with its whole scenario, found none in it")
-    base = tl.restore_scenario(run)
+    base = tl.scenario.restore_scenario(run)
     names_law = any(text.strip().startswith("law.kind") for text in _list_changes(options))
     declared = None if names_law else run.declaration
     return name_by_changes(change_scenario(base, options, declared), base.name, options)
@@ -145,7 +147,7 @@ def change_scenario(
         declaration: What its law declares, where a recording tells; otherwise the law is asked.
     """
     options = options or ScenarioOptions()
-    changes = tl.parse_assignments(options.assignments or (), source="--set")
+    changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
     _require_tables(changes, scenario)
     if "law.kind" in changes:
         # Another law has other keys: it is chosen before any of them is set.
@@ -166,7 +168,7 @@ def change_scenario(
 
 def _require_tables(changes: "Mapping[str, Any]", scenario: "Scenario") -> None:
     """Refuse a key without its table, and say which keys end like it."""
-    known = dict.fromkeys(["goal.heading_rad", *tl.flatten_scenario(scenario)])
+    known = dict.fromkeys(["goal.heading_rad", *tl.scenario.flatten_scenario(scenario)])
     lasts = {key.rpartition(".")[2] for key in known}
     for key in changes:
         if "." in key or key in known:
@@ -179,7 +181,7 @@ def _require_tables(changes: "Mapping[str, Any]", scenario: "Scenario") -> None:
 
 def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":
     """Return what the law of a scenario declares, once it has all values that it must have."""
-    return tl.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
+    return tl.simulate.declare_scenario(tl.override_scenario(scenario, changes, source="--set"))
 
 
 def read_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "list[Run]":

@@ -24,7 +24,8 @@ from turtlelog.errors import UsageError
 from turtlelog.escapes import escape_controls, guard_cell
 
 if TYPE_CHECKING:
-    from turtlelog import Metric, Table
+    from turtlelog import Metric
+    from turtlelog.compare import Table
 
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
@@ -126,7 +127,8 @@ def print_lines(lines: Iterable[str]) -> None:
 def print_tables(tables: "Sequence[Table]", kind: str) -> None:
     """Print tables in a format, an empty line between them."""
     texts = (
-        format_table(table) if kind == "txt" else tl.format_table(table, kind) for table in tables
+        format_table(table) if kind == "txt" else tl.show.format_table(table, kind)
+        for table in tables
     )
     print_text("\n".join(texts), is_data=kind == "csv")
 
@@ -160,7 +162,7 @@ def _drop(stream: TextIO) -> None:
 def format_table(table: "Table", *, indent: int = 0) -> str:
     """Return a table that fits the terminal; as wide as it needs where a file or program reads."""
     room = shutil.get_terminal_size().columns - indent if sys.stdout.isatty() else None
-    return tl.format_table(table, width=room)
+    return tl.show.format_table(table, width=room)
 
 
 def print_note(text: str) -> None:

@@ -16,7 +16,8 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Page, Run
+    from turtlelog import Run
+    from turtlelog.show import Page
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
@@ -59,7 +60,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         require_new_target(output, files or [], suffix=output.suffix.lower())
     elif output.exists() and not output.is_dir():
         raise UsageError(f"{output}: expected a folder to write to, found a file")
-    page = tl.Page(text_width_mm=text_width, columns=columns)
+    page = tl.show.Page(text_width_mm=text_width, columns=columns)
     kinds = (
         [output.suffix[1:].lower()]
         if is_file
@@ -96,7 +97,7 @@ def _require_one(output: Path, names: list[str] | None, formats: str | None) -> 
 
 
 def _choose_overview(runs: "Sequence[Run]") -> str:
-    found = [name for name in _OVERVIEWS if not tl.FIGURES[name].find_lack(runs)]
+    found = [name for name in _OVERVIEWS if not tl.show.FIGURES[name].find_lack(runs)]
     name = [*found, _OVERVIEWS[0]][0]
     print_note(f"plot: the figure {name}; --only chooses another (turtlelog list figures)")
     return name
@@ -125,7 +126,7 @@ def _draw_all(
     from turtlelog.show.figures.writing import add_figures, add_tables
     from turtlelog.show.output_files import replace_together
 
-    most = len(kinds) * len(tl.FIGURES if names is None else names)
+    most = len(kinds) * len(tl.show.FIGURES if names is None else names)
     with show_progress("drawing", most, "files at most") as progress:
 
         def count(_: Path) -> None:
@@ -153,8 +154,8 @@ def _describe(files: list[Path], figures: dict[Path, str], tables: list[Path]) -
             {
                 "file": str(path),
                 "figure": name,
-                "title": tl.FIGURES[name].title,
-                "paper": tl.FIGURES[name].paper or None,
+                "title": tl.show.FIGURES[name].title,
+                "paper": tl.show.FIGURES[name].paper or None,
             }
             for path, name in figures.items()
         ],

@@ -13,7 +13,7 @@ from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
-    from turtlelog import RecoveryReport
+    from turtlelog.log import RecoveryReport
 
 _MOST_LINES = 20
 

@@ -27,7 +27,8 @@ from turtlelog.cli.replay_plant import describe_plant, format_plant
 from turtlelog.cli.targets import require_new_target
 
 if TYPE_CHECKING:
-    from turtlelog import LawReplay, LoopReplay, PlantReplay, Run, Scenario
+    from turtlelog import Run, Scenario
+    from turtlelog.replay import LawReplay, LoopReplay, PlantReplay
 
 
 _Answer = tuple[dict[str, Any], str, "LawReplay | LoopReplay | PlantReplay"]
@@ -82,7 +83,7 @@ def replay(
         from turtlelog.check.judge_difference import judge_replay
 
         results = judge_replay(run, found, file=str(file))
-        verdict = tl.join_verdicts(results)
+        verdict = tl.check.join_verdicts(results)
         failed = verdict == "FAIL"
         described |= describe_results(verdict, results)
         text = f"{text}\n\n{format_results(results, files=1)}"

@@ -9,8 +9,9 @@ from turtlelog.display import format_pair, show_angle
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
-    from turtlelog import LawReplay, LoopReplay, Metric, Run, Table
-    from turtlelog.replay import Difference, PoseError, SignalDifference
+    from turtlelog import Metric, Run
+    from turtlelog.compare import Table
+    from turtlelog.replay import Difference, LawReplay, LoopReplay, PoseError, SignalDifference
 
     Measured = Mapping[str, Metric]
 
@@ -163,15 +164,15 @@ def _describe_signals(run: "Run", signals: "Iterable[SignalDifference]") -> list
 def _tabulate(
     run: "Run", signals: "Sequence[SignalDifference]", title: str, notes: tuple[str, ...]
 ) -> "Table":
-    return tl.Table(
+    return tl.compare.Table(
         title=title,
         columns=(
-            tl.Column(title="signal"),
-            tl.Column(title="unit"),
-            tl.Column(title="largest difference"),
-            tl.Column(title="at", unit="s", digits=3),
-            tl.Column(title="rows that differ"),
-            tl.Column(title="of"),
+            tl.compare.Column(title="signal"),
+            tl.compare.Column(title="unit"),
+            tl.compare.Column(title="largest difference"),
+            tl.compare.Column(title="at", unit="s", digits=3),
+            tl.compare.Column(title="rows that differ"),
+            tl.compare.Column(title="of"),
         ),
         rows=tuple(
             (
@@ -246,7 +247,7 @@ _OF_RUN: Final = frozenset({"final.heading_error", "final.position_error", "run.
 
 def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured]":
     """Return the essential metrics of both runs, in one order; what one does not have says so."""
-    essential = tl.list_essential_metrics(recorded.declaration, replayed.declaration)
+    essential = tl.measure.list_essential_metrics(recorded.declaration, replayed.declaration)
     parts = ((name, name.rpartition(".")[2]) for name in essential)
     of_loops = [name for name, plain in parts if plain in _OF_LOOP]
     names = [*(name for name in essential if name in _OF_RUN), *of_loops]
@@ -274,10 +275,10 @@ def format_changes(recorded: "Run", replayed: "Run") -> str:
     """Return the essential metrics of both, and the difference."""
     was, now = _measure_both(recorded, replayed)
     return format_table(
-        tl.Table(
+        tl.compare.Table(
             title=f"{recorded.name}, and what became of it: {replayed.name}",
             columns=tuple(
-                tl.Column(title=title)
+                tl.compare.Column(title=title)
                 for title in ("metric", "unit", "recorded", "replayed", "difference")
             ),
             rows=tuple(

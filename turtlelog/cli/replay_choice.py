@@ -102,12 +102,12 @@ def choose_scenario(
 def _find_base(run: "Run", name_or_path: str | None) -> "Scenario":
     """Return the scenario before any change."""
     if name_or_path is None:
-        return tl.restore_scenario(run)
+        return tl.scenario.restore_scenario(run)
     base = tl.load_scenario(name_or_path)
     if run.scenario_is_complete:
         return base
-    base = tl.resolve_scenario(base)
-    completed = tl.complete_scenario(run, base)
+    base = tl.scenario.resolve_scenario(base)
+    completed = tl.scenario.complete_scenario(run, base)
     _print_conflicts(completed, base, name_or_path)
     return completed
 
@@ -116,7 +116,7 @@ def _find_named_law(changes: ScenarioOptions | None) -> str | None:
     """Return the law that --set names: nothing of the recorded one is judged before it is gone."""
     if changes is None:
         return None
-    kind = tl.parse_assignments(changes.assignments or (), source="--set").get("law.kind")
+    kind = tl.scenario.parse_assignments(changes.assignments or (), source="--set").get("law.kind")
     return kind if isinstance(kind, str) else None
 
 
@@ -129,10 +129,10 @@ def _replace_law(run: "Run", kind: str) -> "Run":
 
 
 def _print_conflicts(completed: "Scenario", base: "Scenario", name: str) -> None:
-    was = tl.flatten_scenario(base)
+    was = tl.scenario.flatten_scenario(base)
     kept = [
         f"{key} = {value} ({was.get(key, 'none')})"
-        for key, value in tl.flatten_scenario(completed).items()
+        for key, value in tl.scenario.flatten_scenario(completed).items()
         if value != was.get(key)
     ]
     if kept:
@@ -140,7 +140,9 @@ def _print_conflicts(completed: "Scenario", base: "Scenario", name: str) -> None
 
 
 def _require_keys_of_law(changes: ScenarioOptions | None) -> None:
-    for key in tl.parse_assignments((changes and changes.assignments) or (), source="--set"):
+    for key in tl.scenario.parse_assignments(
+        (changes and changes.assignments) or (), source="--set"
+    ):
         if key.partition(".")[0] not in _OF_LAW:
             raise UsageError(
                 f"--set: {key}: expected a key of {', '.join(_OF_LAW)}, as --law takes the poses"

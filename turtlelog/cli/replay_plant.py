@@ -9,8 +9,8 @@ from turtlelog.cli.output import format_table
 from turtlelog.cli.replay_answer import describe_difference, describe_pose_error
 
 if TYPE_CHECKING:
-    from turtlelog import PlantReplay, Run
-    from turtlelog.replay import Jump
+    from turtlelog import Run
+    from turtlelog.replay import Jump, PlantReplay
 
 
 def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
@@ -73,10 +73,10 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
         *(("from", "s"), ("to", "s"), ("ticks", ""), ("x", "m"), ("y", "m")),
         *(("heading", "deg"), ("rounding", "m"), ("rounding", "deg")),
     )
-    stretches = tl.Table(
+    stretches = tl.compare.Table(
         title=f"Largest differences between the plant and {run.name}",
         columns=tuple(
-            tl.Column(title=title, unit=unit, digits=3 if unit == "s" else None)
+            tl.compare.Column(title=title, unit=unit, digits=3 if unit == "s" else None)
             for title, unit in heads
         ),
         rows=tuple(

@@ -27,7 +27,8 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Run, Scenario, Table
+    from turtlelog import Run, Scenario
+    from turtlelog.compare import Table
     from turtlelog.runner import Sink
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
@@ -106,7 +107,7 @@ def run(
     if record.strip_scenario and record.output is None and record.rrd is None:
         raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
     chosen = load_changed_scenario(scenario, options)
-    chosen = tl.resolve_scenario(chosen, trust_law=record.trust_law)
+    chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
     with _open_viewer(live) as (window, url):
         try:
             result = _run(chosen, record.output, live, url)
@@ -167,7 +168,9 @@ def _answer(result: "Run", record: RecordOptions, *, is_recorded: bool, json: bo
 
 
 def _tabulate(run: "Run") -> "Table":
-    return tl.tabulate_metrics([run], only=tl.list_essential_metrics(run.declaration))
+    return tl.compare.tabulate_metrics(
+        [run], only=tl.measure.list_essential_metrics(run.declaration)
+    )
 
 
 def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
@@ -208,7 +211,7 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
     if live.connect is not None or not live.live:
         yield None, live.connect
         return
-    with tl.open_window(_ADVICE) as (window, url):
+    with tl.show.open_window(_ADVICE) as (window, url):
         yield window, url
 
 
@@ -220,7 +223,7 @@ def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str 
     with ExitStack() as closing:
         closing.enter_context(interrupt_on_quit())
         sinks: list[Sink] = []
-        viewer = None if url is None else tl.LiveViewer(scenario, url)
+        viewer = None if url is None else tl.show.LiveViewer(scenario, url)
         if viewer is not None:
             closing.callback(viewer.close, {})  # also where nothing comes to run
         if live.realtime and output is not None:
@@ -231,7 +234,7 @@ def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str 
         sinks += [] if viewer is None else [viewer]
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))
-        result = tl.run_live(scenario, sinks, realtime=live.realtime)
+        result = tl.runner.run_live(scenario, sinks, realtime=live.realtime)
     if viewer is not None and viewer.lost:
         print_note(f"viewer: {viewer.lost}; the run went on without it")
     return result

@@ -10,7 +10,8 @@ from turtlelog.cli.output import format_table, print_json, print_text
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import SampledLoop, Table
+    from turtlelog.compare import Table
+    from turtlelog.theory import SampledLoop
 
 _MOST_GAINS: Final = 100
 
@@ -39,7 +40,8 @@ def theory(
     """
     gains = _parse_gains(kp)
     loops = [
-        tl.analyse_sampled_loop(gain, period_s=period, dead_time_ticks=dead_time) for gain in gains
+        tl.theory.analyse_sampled_loop(gain, period_s=period, dead_time_ticks=dead_time)
+        for gain in gains
     ]
     if json:
         print_json(_describe(loops))
@@ -76,10 +78,10 @@ def _describe(loops: "list[SampledLoop]") -> dict[str, Any]:
 
 
 def _describe_plant() -> dict[str, Any]:
-    verdict = tl.judge_bibo(*tl.PLANT)
-    ends = [(kind, tl.find_plant_final_value(kind)) for kind in tl.PLANT_INPUTS]
+    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
+    ends = [(kind, tl.theory.find_plant_final_value(kind)) for kind in tl.theory.PLANT_INPUTS]
     return {
-        "transfer_function": {"numerator": tl.PLANT[0], "denominator": tl.PLANT[1]},
+        "transfer_function": {"numerator": tl.theory.PLANT[0], "denominator": tl.theory.PLANT[1]},
         "bibo_stable": verdict.stable,
         "reason": verdict.reason,
         "final_values": [
@@ -92,9 +94,9 @@ def _describe_plant() -> dict[str, Any]:
 def _describe_loop(loop: "SampledLoop") -> dict[str, Any]:
     return {
         "kp": loop.kp,
-        "tau_s": tl.compute_time_constant(loop.kp),
-        "settling_time_s": tl.compute_settling_time(loop.kp),
-        "exact_settling_time_s": tl.compute_exact_settling_time(loop.kp),
+        "tau_s": tl.theory.compute_time_constant(loop.kp),
+        "settling_time_s": tl.theory.compute_settling_time(loop.kp),
+        "exact_settling_time_s": tl.theory.compute_exact_settling_time(loop.kp),
         "poles": [{"re": float(pole.real), "im": float(pole.imag)} for pole in loop.poles],
         "stable": loop.stable,
         "overshoots": loop.overshoots,
@@ -124,8 +126,8 @@ def tabulate_theory(loops: "list[SampledLoop]") -> "list[Table]":
 
 def compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
     """Return the gains [1/s] at which overshoot and instability begin."""
-    overshoot = tl.compute_overshoot_gain(period_s, ticks)
-    return overshoot, tl.compute_stability_gain(period_s, ticks)
+    overshoot = tl.theory.compute_overshoot_gain(period_s, ticks)
+    return overshoot, tl.theory.compute_stability_gain(period_s, ticks)
 
 
 def list_dead_times(loop: "SampledLoop") -> list[int]:
@@ -134,16 +136,18 @@ def list_dead_times(loop: "SampledLoop") -> list[int]:
 
 
 def _tabulate_plant() -> "Table":
-    ends = {kind: tl.find_plant_final_value(kind) for kind in tl.PLANT_INPUTS}
+    ends = {kind: tl.theory.find_plant_final_value(kind) for kind in tl.theory.PLANT_INPUTS}
     endless = {
         end.reason: [kind for kind in ends if ends[kind].reason == end.reason]
         for end in ends.values()
         if end.value is None
     }
-    verdict = tl.judge_bibo(*tl.PLANT)
-    return tl.Table(
+    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
+    return tl.compare.Table(
         title="The plant 1/s",
-        columns=tuple(tl.Column(title=title) for title in ("input", "response", "final value")),
+        columns=tuple(
+            tl.compare.Column(title=title) for title in ("input", "response", "final value")
+        ),
         rows=tuple(
             (kind, _RESPONSES[kind], end.status.value if end.value is None else f"{end.value:g}")
             for kind, end in ends.items()
@@ -163,20 +167,20 @@ def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
         (
             loop.kp,
             -loop.kp,
-            tl.compute_time_constant(loop.kp),
-            tl.compute_settling_time(loop.kp),
-            tl.compute_exact_settling_time(loop.kp),
+            tl.theory.compute_time_constant(loop.kp),
+            tl.theory.compute_settling_time(loop.kp),
+            tl.theory.compute_exact_settling_time(loop.kp),
         )
         for loop in loops
     ]
-    return tl.Table(
+    return tl.compare.Table(
         title="The ideal loop Kp / (s + Kp)",
         columns=(
-            tl.Column(title="Kp", unit="1/s"),
-            tl.Column(title="pole", unit="1/s"),
-            tl.Column(title="tau", unit="s"),
-            tl.Column(title="4 tau", unit="s"),
-            tl.Column(title="ln 50 tau", unit="s"),
+            tl.compare.Column(title="Kp", unit="1/s"),
+            tl.compare.Column(title="pole", unit="1/s"),
+            tl.compare.Column(title="tau", unit="s"),
+            tl.compare.Column(title="4 tau", unit="s"),
+            tl.compare.Column(title="ln 50 tau", unit="s"),
         ),
         rows=tuple(rows),
         notes=(
@@ -186,17 +190,17 @@ def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
 
 
 def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
-    return tl.Table(
+    return tl.compare.Table(
         title=f"Sampled every {_tell_period(loops[0])}, dead time {_tell_dead_time(loops[0])}",
         columns=(
-            tl.Column(title="Kp", unit="1/s"),
-            tl.Column(title="slowest pole"),
-            tl.Column(title="damping", digits=3),
-            tl.Column(title="overshoots"),
-            tl.Column(title="settles in", unit="s", digits=3),
-            tl.Column(title="gain margin", digits=2),
-            tl.Column(title="delay margin", unit="ticks", digits=1),
-            tl.Column(title="stable"),
+            tl.compare.Column(title="Kp", unit="1/s"),
+            tl.compare.Column(title="slowest pole"),
+            tl.compare.Column(title="damping", digits=3),
+            tl.compare.Column(title="overshoots"),
+            tl.compare.Column(title="settles in", unit="s", digits=3),
+            tl.compare.Column(title="gain margin", digits=2),
+            tl.compare.Column(title="delay margin", unit="ticks", digits=1),
+            tl.compare.Column(title="stable"),
         ),
         rows=tuple(
             (
@@ -221,13 +225,13 @@ def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
         (ticks, 1e3 * ticks * period_s, *compute_limits(period_s, ticks))
         for ticks in list_dead_times(loops[0])
     ]
-    return tl.Table(
+    return tl.compare.Table(
         title=f"Limits of the gain, sampled every {_tell_period(loops[0])}",
         columns=(
-            tl.Column(title="dead time d", unit="ticks"),
-            tl.Column(title="d T", unit="ms"),
-            tl.Column(title="no overshoot up to Kp", unit="1/s"),
-            tl.Column(title="stable below Kp", unit="1/s"),
+            tl.compare.Column(title="dead time d", unit="ticks"),
+            tl.compare.Column(title="d T", unit="ms"),
+            tl.compare.Column(title="no overshoot up to Kp", unit="1/s"),
+            tl.compare.Column(title="stable below Kp", unit="1/s"),
         ),
         rows=tuple(rows),
         notes=(

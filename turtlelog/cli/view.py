@@ -91,7 +91,7 @@ def view(
             print_note(f"wrote {save}")
         if picture.snapshot is not None:
             with show_progress("taking the picture"):
-                tl.write_snapshot(
+                tl.show.write_snapshot(
                     rrds[0],
                     picture.snapshot,
                     at_s=picture.at,
@@ -129,13 +129,13 @@ def _require_one_way(
 
 
 def _follow(path: Path, url: str | None) -> None:
-    run = tl.follow_recording(path, url)
+    run = tl.show.follow_recording(path, url)
     if run.stop_reason is None:
         print_note(f"{path}: not finished: followed up to {run.end_ns / 1e9:.3f} s")
 
 
 def _serve(rrds: list[Path]) -> None:
-    with tl.serve_recordings(rrds) as address:
+    with tl.show.serve_recordings(rrds) as address:
         print_text(address)
         with outlive_reader():
             sys.stdout.flush()

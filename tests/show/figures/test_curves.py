@@ -120,7 +120,7 @@ def simulate(kp: int) -> tl.Run:
 @cache
 def draw(name: str) -> Figure:
     """Draw two runs that differ in every column; the tests only look."""
-    return tl.draw_figure(name, [simulate(10), simulate(2)])
+    return tl.show.draw_figure(name, [simulate(10), simulate(2)])
 
 
 @cache
@@ -132,7 +132,7 @@ def simulate_unequal() -> tl.Run:
 
 @cache
 def draw_alone(name: str) -> Figure:
-    return tl.draw_figure(name, [simulate_unequal()])
+    return tl.show.draw_figure(name, [simulate_unequal()])
 
 
 def find_lines(axes: Axes, label: str) -> Iterator[tuple[Values, Values]]:
@@ -150,7 +150,7 @@ def find_levels(axes: Axes, label: str) -> list[float]:
     return sorted(float(np.asarray(line.get_ydata())[0]) for line in same)
 
 
-@pytest.mark.parametrize("name", tl.FIGURES)
+@pytest.mark.parametrize("name", tl.show.FIGURES)
 def test_every_axis_says_what_it_shows_and_in_which_unit(name: str) -> None:
     axes = draw(name).axes
     assert [panel.get_ylabel() for panel in axes] == LABELS[name]
@@ -198,7 +198,7 @@ def test_the_ideal_heading_turns_the_way_that_the_robot_turned() -> None:
     changes = {"start.heading_rad": 2.96706, "start.x_m": 8.0, "start.y_m": 6.0}
     goal = {"law.wrap_error": True, "goal.x_m": 8.0 - 3.939231, "goal.y_m": 6.0 - 0.6945927}
     run = tl.simulate_run(override_scenario(get_preset("paper-kp4"), {**changes, **goal}))
-    ((_, ideal),) = find_lines(tl.draw_figure("heading", [run]).axes[0], "ideal")
+    ((_, ideal),) = find_lines(tl.show.draw_figure("heading", [run]).axes[0], "ideal")
     assert heading(run)[-1] == pytest.approx(-170.0, abs=0.2)
     assert (ideal[0], ideal[-1]) == pytest.approx((170.0, 190.0), abs=0.1)
 
@@ -224,7 +224,7 @@ def test_goals_limits_and_tolerances_are_drawn_in(
 
 
 def test_a_goal_at_zero_is_drawn_in_as_any_other() -> None:
-    figure = tl.draw_figure("position", [replace(simulate(2), goal_xy_m=(0.0, 0.0))])
+    figure = tl.show.draw_figure("position", [replace(simulate(2), goal_xy_m=(0.0, 0.0))])
     assert [find_levels(axes, "goal") for axes in figure.axes] == [[0.0], [0.0]]
 
 
@@ -242,7 +242,7 @@ def test_the_plane_shows_where_each_run_drove_and_ended(panel: int) -> None:
 
 def test_every_start_is_marked() -> None:
     elsewhere = override_scenario(get_preset("paper-kp2"), {"start.x_m": 7.0})
-    figure = tl.draw_figure("plane", [simulate(2), tl.simulate_run(elsewhere)])
+    figure = tl.show.draw_figure("plane", [simulate(2), tl.simulate_run(elsewhere)])
     ((x_m, _),) = find_lines(figure.axes[0], "start")
     assert x_m == pytest.approx([5.5444446, 7.0])
 

@@ -49,14 +49,14 @@ def find_line(figure: Figure, label: str, axes: int = 0) -> tuple[np.ndarray, np
 
 @pytest.mark.parametrize("kp", GAINS)
 def test_the_plant_s_responses_and_the_closed_loop_s_are_the_textbook_s(kp: int) -> None:
-    time_s, values = find_line(tl.draw_figure("step-responses", [simulate(kp)]), f"Kp = {kp}")
+    time_s, values = find_line(tl.show.draw_figure("step-responses", [simulate(kp)]), f"Kp = {kp}")
     assert values == pytest.approx(1.0 - np.exp(-kp * time_s), abs=1e-12)
-    place, _ = find_line(tl.draw_figure("root-locus", [simulate(kp)]), f"Kp = {kp}")
+    place, _ = find_line(tl.show.draw_figure("root-locus", [simulate(kp)]), f"Kp = {kp}")
     assert place.tolist() == [-kp]
 
 
 def test_the_plant_answers_a_ramp_with_a_parabola() -> None:
-    figure = tl.draw_figure("plant")
+    figure = tl.show.draw_figure("plant")
     curves = [axes.get_lines()[0].get_xydata() for axes in figure.axes]
     assert all(np.asarray(curve).shape == (201, 2) for curve in curves)
     impulse, step, ramp = (np.asarray(curve) for curve in curves)
@@ -69,20 +69,20 @@ def test_the_plant_answers_a_ramp_with_a_parabola() -> None:
 def test_commands_hold_until_the_next() -> None:
     (line,) = [
         line
-        for line in tl.draw_figure("turn-rate", [simulate(4)]).axes[0].get_lines()
+        for line in tl.show.draw_figure("turn-rate", [simulate(4)]).axes[0].get_lines()
         if line.get_label() == "commanded"
     ]
     assert line.get_drawstyle() == "steps-post"
 
 
 def test_what_the_law_wanted_reaches_57_metres_a_second() -> None:
-    figure = tl.draw_figure("wanted-speed", RUNS)
+    figure = tl.show.draw_figure("wanted-speed", RUNS)
     largest = [float(find_line(figure, f"paper-kp{kp}")[1].max()) for kp in GAINS]
     assert largest == pytest.approx([5.69, 11.39, 22.77, 56.94], abs=0.02)
 
 
 def test_errors_stand_on_a_logarithmic_scale_where_exponentials_are_straight() -> None:
-    figure = tl.draw_figure("error-log", [simulate(1)])
+    figure = tl.show.draw_figure("error-log", [simulate(1)])
     assert [axes.get_yscale() for axes in figure.axes] == ["log", "log"]
     time_s, sizes = find_line(figure, "paper-kp1")
     free = (time_s > 3.0) & (time_s < 6.0)
@@ -92,7 +92,7 @@ def test_errors_stand_on_a_logarithmic_scale_where_exponentials_are_straight() -
 
 
 def test_the_plane_keeps_its_proportions_and_shows_how_runs_end() -> None:
-    figure = tl.draw_figure("plane", RUNS)
+    figure = tl.show.draw_figure("plane", RUNS)
     whole, close = figure.axes
     assert (whole.get_aspect(), close.get_aspect()) == (1.0, 1.0)
     low, high = close.get_xlim()
@@ -102,14 +102,14 @@ def test_the_plane_keeps_its_proportions_and_shows_how_runs_end() -> None:
 
 @pytest.mark.parametrize(("columns", "width_mm"), [(1, 87.5), (2, 181.0)])
 def test_figures_are_as_wide_as_the_page_has_room(columns: int, width_mm: float) -> None:
-    figure = tl.draw_figure("heading", [simulate(1)], page=tl.Page(columns=columns))  # type: ignore[arg-type]
+    figure = tl.show.draw_figure("heading", [simulate(1)], page=tl.show.Page(columns=columns))  # type: ignore[arg-type]
     assert figure.get_size_inches()[0] * 25.4 == pytest.approx(width_mm)
 
 
 @pytest.mark.parametrize("text_width_mm", [0.0, 119.0, 1001.0, float("nan"), float("inf")])
 def test_a_page_of_no_sensible_width_is_refused(text_width_mm: float) -> None:
     with pytest.raises(ShowError, match="text width: expected 120 to 1000 mm"):
-        tl.Page(text_width_mm=text_width_mm)
+        tl.show.Page(text_width_mm=text_width_mm)
 
 
 def keep_poses(run: tl.Run) -> tl.Run:
@@ -157,11 +157,11 @@ def test_the_same_runs_give_the_same_files(written: list[Path]) -> None:
 
 
 def test_without_runs_there_is_theory() -> None:
-    assert [name for name, kind in tl.FIGURES.items() if not kind.find_lack([])] == THEORY
+    assert [name for name, kind in tl.show.FIGURES.items() if not kind.find_lack([])] == THEORY
 
 
 def test_runs_stand_in_the_order_of_their_gains() -> None:
-    figure = tl.draw_figure("heading", [simulate(10), simulate(2), simulate(4), simulate(1)])
+    figure = tl.show.draw_figure("heading", [simulate(10), simulate(2), simulate(4), simulate(1)])
     assert list_legend(figure)[2:] == ["paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10"]
 
 
@@ -170,7 +170,7 @@ def test_runs_stand_in_the_order_of_their_gains() -> None:
 )
 def test_a_legend_names_everything_once_and_covers_no_curve(name: str, runs: int) -> None:
     drawn = (RUNS * 5)[:runs]
-    figure = tl.draw_figure(name, drawn, page=tl.Page(text_width_mm=120.0))
+    figure = tl.show.draw_figure(name, drawn, page=tl.show.Page(text_width_mm=120.0))
     figure.draw_without_rendering()
     names = list_legend(figure)
     assert len(set(names)) == len(names)
@@ -182,9 +182,9 @@ def test_a_legend_names_everything_once_and_covers_no_curve(name: str, runs: int
     assert all(axes.get_window_extent().y1 <= box.y0 + 1.0 for axes in figure.axes)
 
 
-@pytest.mark.parametrize("name", tl.FIGURES)
+@pytest.mark.parametrize("name", tl.show.FIGURES)
 def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
-    figure = tl.draw_figure(name, RUNS, page=tl.Page(text_width_mm=120.0))
+    figure = tl.show.draw_figure(name, RUNS, page=tl.show.Page(text_width_mm=120.0))
     figure.draw_without_rendering()
     page = figure.bbox
     left, low, right, high = np.multiply(figure.get_tightbbox().extents, figure.dpi)
@@ -221,14 +221,14 @@ def test_runs_stay_apart_in_grey(count: int) -> None:
     ids=["hidden", "taken", "dollars", "no glyph", "long"],
 )
 def test_names_of_all_kinds_can_be_printed(name: str, shown: str) -> None:
-    figure = tl.draw_figure("heading", [replace(simulate(1), name=name)])
+    figure = tl.show.draw_figure("heading", [replace(simulate(1), name=name)])
     figure.draw_without_rendering()
     assert list_legend(figure) == ["goal bearing", "ideal", shown]
 
 
 def test_names_that_differ_in_the_middle_stay_apart() -> None:
     runs = [replace(simulate(1), name=f"{'a' * 40}{part}{'b' * 40}") for part in "xy"]
-    first, second = list_legend(tl.draw_figure("heading", runs))[2:]
+    first, second = list_legend(tl.show.draw_figure("heading", runs))[2:]
     assert (first[:2], second[:2]) == ("1:", "2:")
 
 
@@ -280,19 +280,19 @@ def test_what_some_runs_lack_is_named_with_them() -> None:
 @pytest.mark.parametrize("command", ["speed", "turn-rate"])
 def test_commands_of_a_bag_are_those_of_its_topic(command: str) -> None:
     bag = make_foreign_run(50)
-    time_s, values = find_line(tl.draw_figure(command, [bag]), "commanded")
+    time_s, values = find_line(tl.show.draw_figure(command, [bag]), "commanded")
     commands = bag.commands
     expected = commands.speed_m_s if command == "speed" else commands.turn_rate_rad_s
     assert values.tolist() == expected.tolist()
     assert time_s == pytest.approx((commands.time_ns - bag.start_ns) / 1e9)
-    _, compared = find_line(tl.draw_figure(command, [bag, simulate(4)]), "bag")
+    _, compared = find_line(tl.show.draw_figure(command, [bag, simulate(4)]), "bag")
     assert compared.tolist() == expected.tolist()
 
 
 def test_an_axis_says_what_time_zero_is() -> None:
     bag = make_foreign_run(50)
     labels = [
-        tl.draw_figure("heading", runs).axes[0].get_xlabel()
+        tl.show.draw_figure("heading", runs).axes[0].get_xlabel()
         for runs in ([simulate(4)], [bag], [simulate(4), bag])
     ]
     assert labels == [
@@ -305,19 +305,19 @@ def test_an_axis_says_what_time_zero_is() -> None:
 def test_an_axis_of_commands_holds_those_of_a_run_without_limits() -> None:
     bag = make_foreign_run(50)
     fast = replace(bag, commands=replace(bag.commands, speed_m_s=np.full(50, 2.0)))
-    low, high = tl.draw_figure("speed", [simulate(4), fast]).axes[0].get_ylim()
+    low, high = tl.show.draw_figure("speed", [simulate(4), fast]).axes[0].get_ylim()
     assert low < 0.0
     assert high > 2.0
 
 
 def test_a_panel_has_no_empty_views() -> None:
-    figure = tl.draw_figure("panel", [make_foreign_run(50)])
+    figure = tl.show.draw_figure("panel", [make_foreign_run(50)])
     assert [axes.get_ylabel() for axes in figure.axes] == [
         "heading [deg]",
         "turn rate [rad/s]",
         "speed [m/s]",
     ]
-    whole = tl.draw_figure("panel", [simulate(4)])
+    whole = tl.show.draw_figure("panel", [simulate(4)])
     assert figure.get_size_inches()[1] < whole.get_size_inches()[1]
 
 
@@ -333,7 +333,7 @@ def list_words(axes: Axes) -> list[str]:
 
 
 def test_the_close_up_tells_how_far_each_run_ends_from_the_goal() -> None:
-    _, close = tl.draw_figure("plane", RUNS).axes
+    _, close = tl.show.draw_figure("plane", RUNS).axes
     assert list_words(close) == ["1.01, 2.52, 8.52 mm", "107 mm", "50 mm", "100 mm"]
     assert close.get_xlim() == pytest.approx((1.85, 2.15))
     assert close.get_ylim() == pytest.approx((9.85, 10.15))
@@ -341,9 +341,9 @@ def test_the_close_up_tells_how_far_each_run_ends_from_the_goal() -> None:
 
 def test_where_no_run_ends_at_the_goal_there_is_no_close_up() -> None:
     far = replace(simulate(4), goal_xy_m=(2.0, 2.0))
-    (whole,) = tl.draw_figure("plane", [far]).axes
+    (whole,) = tl.show.draw_figure("plane", [far]).axes
     assert whole.get_title() == "whole paths"
-    _, close = tl.draw_figure("plane", [simulate(4), stop_far_away(simulate(1))]).axes
+    _, close = tl.show.draw_figure("plane", [simulate(4), stop_far_away(simulate(1))]).axes
     assert close.get_title() == "how each run ends, 1 of 2 runs outside"
 
 
@@ -354,7 +354,7 @@ def stop_far_away(run: tl.Run) -> tl.Run:
 
 
 def test_a_table_without_a_value_is_left_out(tmp_path: Path) -> None:
-    written = tl.write_tables([make_foreign_run(50)], tmp_path)
+    written = tl.show.write_tables([make_foreign_run(50)], tmp_path)
     assert [path.name for path in written] == ["whole-runs.tex", "metrics.tex"]
 
 
@@ -388,7 +388,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
 
 
 def test_tables_are_written_as_latex_in_the_order_of_gains(tmp_path: Path) -> None:
-    written = tl.write_tables([simulate(10), simulate(2)], tmp_path)
+    written = tl.show.write_tables([simulate(10), simulate(2)], tmp_path)
     assert [path.name for path in written] == ["whole-runs.tex", "table1.tex", "metrics.tex"]
     for path in written:
         text = path.read_text("utf-8")
@@ -400,14 +400,14 @@ def test_tables_are_written_as_latex_in_the_order_of_gains(tmp_path: Path) -> No
 
 
 def test_metrics_of_many_runs_stand_in_rows(tmp_path: Path) -> None:
-    metrics = tl.write_tables([*RUNS, simulate(1)], tmp_path)[2].read_text("utf-8")
+    metrics = tl.show.write_tables([*RUNS, simulate(1)], tmp_path)[2].read_text("utf-8")
     assert metrics.count("paper-kp") == 5
     assert r"    paper-kp10 & 10 & " in metrics
 
 
 def test_a_run_of_one_pose_is_a_dot() -> None:
     poses = PoseColumns(time_ns=np.array([0]), xy_m=np.zeros((1, 2)), heading_rad=np.zeros(1))
-    figure = tl.draw_figure("position", [replace(keep_poses(simulate(4)), poses=poses)])
+    figure = tl.show.draw_figure("position", [replace(keep_poses(simulate(4)), poses=poses)])
     (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == "paper-kp4")
     assert (len(np.asarray(line.get_xdata())), line.get_marker()) == (1, "o")
 
@@ -425,7 +425,7 @@ def test_a_long_run_is_thinned_and_says_so() -> None:
     )
     run = replace(keep_poses(simulate(4)), poses=long)
     for name in ("position", "plane"):
-        figure = tl.draw_figure(name, [run])
+        figure = tl.show.draw_figure(name, [run])
         (line,) = (line for line in figure.axes[0].get_lines() if line.get_label() == run.name)
         drawn = np.asarray(line.get_ydata())
         assert len(drawn) < 21_000
@@ -442,4 +442,4 @@ def test_without_python_control_figures_of_theory_are_left_out(
     assert f"left out {theory}: expected python-control, found none" in list_left_out([run])
     with pytest.raises(ShowError, match="figure plant: expected python-control, found none"):
         tl.write_figures([], tmp_path)
-    assert tl.draw_figure("heading", [run]).axes
+    assert tl.show.draw_figure("heading", [run]).axes

@@ -31,7 +31,7 @@ def list_labels(axes: Axes) -> set[str]:
 
 
 def list_drawn(run: tl.Run) -> set[str]:
-    return {name for name, kind in tl.FIGURES.items() if not kind.find_lack([run])}
+    return {name for name, kind in tl.show.FIGURES.items() if not kind.find_lack([run])}
 
 
 THEORY = {"plant", "step-responses", "root-locus"}
@@ -58,7 +58,7 @@ def test_figures_and_tables_of_every_law_are_written(kind: str, tmp_path: Path) 
     run = simulate_law(kind)
     names = [path.stem for path in tl.write_figures([run], tmp_path, formats=["svg"])]
     assert set(names) == list_drawn(run)
-    for path in tl.write_tables([run], tmp_path):
+    for path in tl.show.write_tables([run], tmp_path):
         text = path.read_text("utf-8")
         assert "rotate." not in text
         assert "translate." not in text
@@ -66,12 +66,12 @@ def test_figures_and_tables_of_every_law_are_written(kind: str, tmp_path: Path) 
 
 def test_runs_of_laws_of_all_kinds_are_drawn_over_each_other() -> None:
     runs = [KP4, *map(simulate_law, KINDS)]
-    for name in tl.FIGURES:
-        tl.draw_figure(name, runs).savefig(io.BytesIO(), format="svg")
+    for name in tl.show.FIGURES:
+        tl.show.draw_figure(name, runs).savefig(io.BytesIO(), format="svg")
 
 
 def test_a_moving_reference_is_drawn_beside_the_heading() -> None:
-    axes = tl.draw_figure("heading", [STRANGE]).axes[0]
+    axes = tl.show.draw_figure("heading", [STRANGE]).axes[0]
     assert list_labels(axes) == {"strange", "reference"}
     _, values = find_line(axes, "reference")
     expected = np.degrees(STRANGE.samples.reference_heading_rad)  # type: ignore[arg-type]
@@ -81,21 +81,21 @@ def test_a_moving_reference_is_drawn_beside_the_heading() -> None:
 def test_a_reference_pose_is_drawn_beside_the_position_and_in_the_plane() -> None:
     xy_m = FOLLOWER.samples.reference_xy_m
     assert xy_m is not None
-    figure = tl.draw_figure("position", [FOLLOWER])
+    figure = tl.show.draw_figure("position", [FOLLOWER])
     for axes, column in zip(figure.axes, xy_m.T, strict=True):
         np.testing.assert_array_equal(find_line(axes, "reference")[1], column)
-    x_m, y_m = find_line(tl.draw_figure("plane", [FOLLOWER]).axes[0], "reference")
+    x_m, y_m = find_line(tl.show.draw_figure("plane", [FOLLOWER]).axes[0], "reference")
     known = np.isfinite(xy_m[:, 0])
     np.testing.assert_array_equal(np.column_stack([x_m, y_m]), xy_m[known])
 
 
 def test_the_bearing_of_the_goal_is_drawn_where_it_is_asked_for() -> None:
-    axes = tl.draw_figure("heading", [EXAMPLE]).axes[0]
+    axes = tl.show.draw_figure("heading", [EXAMPLE]).axes[0]
     assert list_labels(axes) == {"example", "bearing of the goal"}
 
 
 def test_the_panel_of_a_distance_loop_has_the_distance_with_its_ideal_decay() -> None:
-    figure = tl.draw_figure("panel", [STRANGE])
+    figure = tl.show.draw_figure("panel", [STRANGE])
     labels = [axes.get_ylabel() for axes in figure.axes]
     assert labels[:2] == ["heading [deg]", "distance [m]"]
     assert "along-track [m]" not in labels
@@ -106,12 +106,12 @@ def test_the_panel_of_a_distance_loop_has_the_distance_with_its_ideal_decay() ->
 
 
 def test_the_panel_of_several_laws_has_a_view_for_the_loops_of_each() -> None:
-    labels = [axes.get_ylabel() for axes in tl.draw_figure("panel", [KP4, STRANGE]).axes]
+    labels = [axes.get_ylabel() for axes in tl.show.draw_figure("panel", [KP4, STRANGE]).axes]
     assert labels[:3] == ["heading [deg]", "along-track [m]", "distance [m]"]
 
 
 def test_a_panel_is_no_higher_for_what_only_other_laws_have() -> None:
-    kind = tl.FIGURES["panel"]
+    kind = tl.show.FIGURES["panel"]
     assert kind.find_height([KP4]) == kind.find_height([STRANGE]) == kind.height
 
 
@@ -204,6 +204,6 @@ def test_limits_are_those_that_loops_declare() -> None:
     declaration = replace(EXAMPLE.declaration, loops=(EXAMPLE.declaration.loops[0], loop))
     parameters = {**EXAMPLE.parameters, "law.fastest": 0.7}
     run = replace(EXAMPLE, declaration=declaration, parameters=parameters)
-    axes = tl.draw_figure("speed", [run]).axes[0]
+    axes = tl.show.draw_figure("speed", [run]).axes[0]
     levels = {float(np.asarray(line.get_ydata())[0]) for line in axes.get_lines()[1:3]}
     assert levels == {0.7, -0.7}

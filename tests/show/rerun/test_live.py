@@ -85,8 +85,8 @@ ROWS = {
 @pytest.mark.realtime
 def test_a_live_run_has_the_entities_of_its_file(tmp_path: Path) -> None:
     with start_headless() as viewer:
-        sink = tl.LiveViewer(SHORT, viewer.url)
-        run = tl.run_live(SHORT, [sink], realtime=True)
+        sink = tl.show.LiveViewer(SHORT, viewer.url)
+        run = tl.runner.run_live(SHORT, [sink], realtime=True)
         assert sink.lost == ""
         viewer.wait_for_end(run.end_ns - run.start_ns)
         shown = viewer.list_entities()
@@ -100,16 +100,16 @@ def test_a_live_run_has_the_entities_of_its_file(tmp_path: Path) -> None:
 @pytest.mark.realtime
 def test_a_viewer_that_is_killed_does_the_recording_no_harm(tmp_path: Path) -> None:
     with start_headless() as viewer:
-        sink = tl.LiveViewer(SHORT, viewer.url)
+        sink = tl.show.LiveViewer(SHORT, viewer.url)
         killer = threading.Timer(0.4, viewer.kill)
         with tl.Recorder(tmp_path / "live.mcap", SHORT) as recorder:
             killer.start()
-            run = tl.run_live(SHORT, [recorder, sink], realtime=True)
+            run = tl.runner.run_live(SHORT, [recorder, sink], realtime=True)
         killer.join()
     assert sink.lost == "the connection has ended"
     assert run.stop_reason == "max_duration"
     with tl.Recorder(tmp_path / "alone.mcap", SHORT) as recorder:
-        tl.run_live(SHORT, [recorder], realtime=False)
+        tl.runner.run_live(SHORT, [recorder], realtime=False)
     assert read_arrays(tmp_path / "live.mcap") == read_arrays(tmp_path / "alone.mcap")
 
 
@@ -126,7 +126,7 @@ def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -
     class Watch:
         """Hands the ticks on, and notes how long that takes and how late the loop is."""
 
-        def __init__(self, sink: tl.LiveViewer) -> None:
+        def __init__(self, sink: tl.show.LiveViewer) -> None:
             self.sink = sink
 
         def receive(self, tick: Tick) -> None:
@@ -139,9 +139,9 @@ def test_a_viewer_that_hangs_holds_nothing_up(monkeypatch: pytest.MonkeyPatch) -
             self.sink.close(notes)
 
     with start_headless() as viewer, viewer.hold():
-        sink = tl.LiveViewer(scenario, viewer.url)
+        sink = tl.show.LiveViewer(scenario, viewer.url)
         start_s = time.monotonic()
-        tl.run_live(scenario, [Watch(sink)], realtime=True)
+        tl.runner.run_live(scenario, [Watch(sink)], realtime=True)
         assert time.monotonic() - start_s < 20.0
     assert sink.lost == "no answer for 0.5 s"
     assert max(taken_s) < 0.25  # One wait for the viewer would take 0.5 s.
@@ -156,7 +156,7 @@ def test_a_recording_in_progress_is_followed_to_its_end(tmp_path: Path) -> None:
     try:
         with start_headless() as viewer:
             wait_for_file(path)
-            run = tl.follow_recording(path, viewer.url)
+            run = tl.show.follow_recording(path, viewer.url)
             viewer.wait_for_end(run.end_ns - run.start_ns)
             assert {"/speed/commanded", "/plane/path", "/phase"} <= viewer.list_entities()
     finally:
@@ -171,7 +171,7 @@ import turtlelog as tl
 
 scenario = tl.override_scenario(tl.load_scenario("paper-kp4"), {"max_duration_s": 1.2})
 with tl.Recorder(sys.argv[1], scenario, flush_s=0.2) as recorder:
-    tl.run_live(scenario, [recorder], realtime=True)
+    tl.runner.run_live(scenario, [recorder], realtime=True)
 """
 
 
@@ -193,12 +193,12 @@ def wait_for_file(path: Path) -> None:
 )
 def test_an_address_without_a_viewer_is_refused_before_anything_runs(url: str, found: str) -> None:
     with pytest.raises(ShowError, match=found):
-        tl.LiveViewer(SHORT, url)
+        tl.show.LiveViewer(SHORT, url)
 
 
 def test_following_names_what_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"no recording at all")
     with pytest.raises(LogError, match=r"a\.mcap: "):
-        tl.follow_recording(tmp_path / "a.mcap")
+        tl.show.follow_recording(tmp_path / "a.mcap")
     with pytest.raises(ShowError, match=r"none\.mcap: expected a recording, found no such file"):
-        tl.follow_recording(tmp_path / "none.mcap")
+        tl.show.follow_recording(tmp_path / "none.mcap")

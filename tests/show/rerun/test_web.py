@@ -23,7 +23,7 @@ def test_a_browser_gets_the_page_the_program_and_every_recording(tmp_path: Path)
     paths = [tmp_path / "a b.rrd", tmp_path / "c.rrd"]
     for path in paths:
         path.write_bytes(path.name.encode() * 1000)
-    with tl.serve_recordings(paths) as address:
+    with tl.show.serve_recordings(paths) as address:
         root = address.partition("?")[0]
         assert root.startswith("http://127.0.0.1:")
         assert b"re_viewer.js" in fetch(address)
@@ -42,6 +42,6 @@ def test_a_browser_gets_the_page_the_program_and_every_recording(tmp_path: Path)
 def test_nothing_to_serve_is_an_error(tmp_path: Path) -> None:
     with (
         pytest.raises(ShowError, match="expected a recording, found no such file"),
-        tl.serve_recordings([tmp_path / "none.rrd"]),
+        tl.show.serve_recordings([tmp_path / "none.rrd"]),
     ):
         pass
