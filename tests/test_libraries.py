@@ -82,7 +82,7 @@ def test_command_that_needs_more_says_what_in_one_line(
         (("run", "textbook", "-o", "run.mcap", "--rrd", "run.rrd"), "rerun-sdk"),
         (("explain", RECORDING, "--scenario", "as-found.toml", "--rrd", "run.rrd"), "rerun-sdk"),
         (("compare", RECORDING, OTHER, "--rrd", "runs.rrd"), "rerun-sdk"),
-        (("export", RECORDING, "--csv", "poses.csv", "--parquet", "poses.parquet"), "pyarrow"),
+        (("convert", RECORDING, "-o", "poses.csv", "-o", "poses.parquet"), "pyarrow"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else value,
 )
