@@ -10,7 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Recording, UndecidedError, Verdict
-from turtlelog.check.result import CheckOutcome
+from turtlelog.check.result import CheckOutcome, find_worst
 from turtlelog.run import slice_run
 
 
@@ -114,6 +114,15 @@ def test_results_stand_for_their_verdicts() -> None:
     for result in (OPEN, make_result(Verdict.SKIPPED)):
         with pytest.raises(UndecidedError, match=r"^a: b: undecided: c$"):
             bool(result)
+
+
+@pytest.mark.parametrize(("margin", "worst"), [(0.3, "first"), (0.29, "second")])
+def test_of_results_of_one_margin_the_first_is_the_worst(margin: float, worst: str) -> None:
+    results = [
+        CheckResult(file="a", check=check, verdict=Verdict.PASS, margin=spare, unit="m")
+        for check, spare in (("first", 0.3), ("second", margin))
+    ]
+    assert [result.check for result in find_worst(results)] == [worst]
 
 
 def test_findings_stand_for_what_they_found() -> None:

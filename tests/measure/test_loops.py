@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.measure.runs import make_straight_run, set_times
 from tests.strange_law import simulate_strange
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
@@ -144,6 +145,30 @@ def test_bearing_now_is_that_of_every_pose() -> None:
     recorded = run.samples.heading_error_rad
     assert recorded is not None
     assert signal.values[run.samples.pose_sequence] == pytest.approx(recorded, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("times_s", "weights"),
+    [
+        ((0, 10, 20), (0.0, 0.5, 0.5)),
+        ((0, 15, 20), (0.0, 1.0, 0.0)),
+        ((0, 5, 10), (0.0, 0.0, 1.0)),
+    ],
+)
+def test_bearing_at_15_s_lies_between_the_poses_around_it(
+    times_s: tuple[int, ...], weights: tuple[float, ...]
+) -> None:
+    align = ControlLoop(
+        name="align", signal="heading", command="turn_rate", reference="bearing_now"
+    )
+    declared = Declaration(loops=(align,), phases={"one": ("align",), "two": (), "three": ()})
+    along_m = np.array([0.0, 2.0, 4.0])
+    run = make_straight_run(along_m, declaration=declared, goal_xy_m=(6.0, 6.0))
+    bearing_rad = np.arctan2(1.0, 5.0 - along_m)
+    found = read(
+        set_times(run, [time_s * 10**9 for time_s in times_s]), "final.heading_error_at_15s"
+    )
+    assert found == pytest.approx(math.degrees(np.dot(weights, bearing_rad)))
 
 
 def test_step_towards_a_bearing_that_moves_is_one_of_the_error() -> None:
