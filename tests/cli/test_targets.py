@@ -146,7 +146,8 @@ def test_of_several_figures_none_stands_where_the_disk_is_full(
     folder = small_disk / "figures"
     folder.mkdir()
     (folder / "heading.pdf").write_text("the old one")
-    answer = call("plot", kp4, "-o", folder, "--only", "heading,plane,panel")
+    words = ("--only", "heading,plane,panel", "--format", "pdf,png,svg")
+    answer = call("plot", kp4, "-o", folder, *words)
     assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
     assert "found: No space left on device" in answer.err
     assert list_files(small_disk) == ["figures", "figures/heading.pdf"]

@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 import turtlelog as tl
 from tests.check.artifact_files import read_mark
-from tests.pytest_plugin.conftest import run
+from tests.pytest_plugin.conftest import NAMES, run
 from tests.sequential import METRICS
 
 ROOT = Path(__file__).parents[2]
@@ -80,6 +80,7 @@ def test_accept(recording, reference):
 def test_workers_tell_the_same_and_do_not_write_over_each_other(
     suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    suite.makeconftest(NAMES)
     head = 'import pytest\npytestmark = pytest.mark.recordings("../runs/*")\n'
     for part in ("a", "b"):
         (suite.mkdir(part) / f"test_{part}.py").write_text(head + BODY)
