@@ -125,6 +125,18 @@ def test_of_results_of_one_margin_the_first_is_the_worst(margin: float, worst: s
     assert [result.check for result in find_worst(results)] == [worst]
 
 
+def test_what_fails_with_no_margin_is_worse_than_what_passes_with_none() -> None:
+    verdicts = {"closed": Verdict.PASS, "open": Verdict.FAIL}
+    results = [
+        CheckResult(file="a", check=check, verdict=verdict, margin=0.0, unit="m")
+        for check, verdict in verdicts.items()
+    ]
+    for order in (results, results[::-1]):
+        assert [result.check for result in find_worst(order)] == ["open"]
+    later = CheckResult(file="a", check="s", verdict=Verdict.PASS, margin=-0.0, unit="s")
+    assert [result.check for result in find_worst([later, *results])] == ["open", "s"]
+
+
 def test_findings_stand_for_what_they_found() -> None:
     run = simulate()
     assert tl.check.check_run(run, tl.expressions.parse_expression("always(speed <= 1)"))

@@ -159,13 +159,21 @@ def join_verdicts(results: Iterable[CheckResult]) -> Verdict:
 
 def find_worst(results: Iterable[CheckResult]) -> list[CheckResult]:
     """Return the result of least margin in each unit, what fails first: units have no order."""
-    worst: dict[str, tuple[float, CheckResult]] = {}
+    worst: dict[str, CheckResult] = {}
     for result in results:
-        margin, unit = result.margin, result.unit
-        if margin is not None and (unit not in worst or margin < worst[unit][0]):
-            worst[unit] = margin, result
-    ordered = sorted(worst.values(), key=lambda found: found[0] >= 0)
-    return [result for _, result in ordered]
+        before = worst.get(result.unit, result)
+        if result.margin is not None and (before is result or _rank(result) < _rank(before)):
+            worst[result.unit] = result
+    return sorted(worst.values(), key=_passes)
+
+
+def _rank(result: CheckResult) -> tuple[bool, float]:
+    # A strict bound that fails with a margin of 0 is worse than one that passes with it.
+    return _passes(result), result.margin or 0.0
+
+
+def _passes(result: CheckResult) -> bool:
+    return result.verdict is not Verdict.FAIL
 
 
 def describe_result(result: CheckResult) -> str:

@@ -55,7 +55,7 @@ def locate_stretch(run: "Run", start_s: float | None, end_s: float | None) -> tu
     start_ns = int(poses_ns[0]) if start_s is None else run.start_ns + round(start_s * 1e9)
     end_ns = run.end_ns if end_s is None else run.start_ns + round(end_s * 1e9)
     if start_s is not None and end_s is not None and end_s < start_s:
-        raise RunError(f"end_s: expected a time after start_s = {start_s:g}, found {end_s:g}")
+        raise RunError(f"end_s: expected start_s = {start_s:g} or later, found {end_s:g}")
     if not ((poses_ns >= start_ns) & (poses_ns <= end_ns)).any():
         first_s, last_s = ((int(time) - run.start_ns) / 1e9 for time in (poses_ns[0], poses_ns[-1]))
         found = f"{(start_ns - run.start_ns) / 1e9:g} to {(end_ns - run.start_ns) / 1e9:g} s"
