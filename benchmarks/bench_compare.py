@@ -75,7 +75,7 @@ def main() -> None:
     print(f"np.interp at both runs' rows      {interp_s:7.3f} s")
     print(f"reading all signals of one run    {read_s:7.3f} s")
     for name, time_s in (("x", 0.032), ("speed", 0.032), ("speed", 1.0), ("speed", 100.0)):
-        tolerance = tl.compare.Tolerance(abs=1e-3, time_s=time_s)
+        tolerance = tl.Tolerance(abs=1e-3, time_s=time_s)
         signals = [tl.read_signal(found, name) for found in (reference, run)]
         assert signals[0] is not None
         assert signals[1] is not None
@@ -85,17 +85,16 @@ def main() -> None:
         ]
 
         def compare(
-            pair: list[tl.measure.Signal] = placed, limit: tl.compare.Tolerance = tolerance
+            pair: list[tl.measure.Signal] = placed, limit: tl.Tolerance = tolerance
         ) -> object:
             grid = lay_grid(pair[0].time_ns, pair[1].time_ns, clock.span)
             return _measure_rows(pair[0], read_rows(pair[1], grid), limit, clock, [])
 
         took = measure(compare)
         print(f"tube of {name:5} within {time_s:7.3f} s    {took:7.3f} s, {took / interp_s:5.1f} x")
-    close = tl.compare.Tolerance(abs=1e-3, time_s=0.032)
+    close = tl.Tolerance(abs=1e-3, time_s=0.032)
     tolerances = {
-        name: close if name in {"x", "y", "speed"} else tl.compare.Tolerance()
-        for name in tl.SIGNALS
+        name: close if name in {"x", "y", "speed"} else tl.Tolerance() for name in tl.SIGNALS
     }
     took = measure(lambda: _compare_signals(reference, run, clock, tolerances))
     print(f"whole comparison, all signals     {took:7.3f} s, {took / read_s:5.1f} x reading them")

@@ -37,6 +37,7 @@ from .check import (
     parse_spec as parse_spec,
 )
 from .compare import (
+    Tolerance as Tolerance,
     compare_runs as compare_runs,
     summarise_run as summarise_run,
     tabulate_runs as tabulate_runs,

@@ -23,7 +23,7 @@ def hold_signals_to(limit: float) -> tl.Tolerances:
     labels = [name for name, kind in tl.SIGNALS.items() if kind.compared_as == "label"]
     return tl.Tolerances(
         signals={
-            name: tl.compare.Tolerance(abs=0.0 if name in labels else limit, reason="test")
+            name: tl.Tolerance(abs=0.0 if name in labels else limit, reason="test")
             for name in tl.SIGNALS
         }
     )
@@ -68,7 +68,7 @@ def test_every_changed_phase_is_found_also_within_a_burst(alignment: str, row: i
 
 def test_the_margin_and_the_first_time_outside_are_told() -> None:
     run = change_rows(change_rows(KP4, "x", [105], 0.002), "x", [205], -0.005)
-    tolerances = tl.Tolerances(signals={"x": tl.compare.Tolerance(abs=0.001)})
+    tolerances = tl.Tolerances(signals={"x": tl.Tolerance(abs=0.001)})
     (result,) = tl.check.match_run(run, KP4, tolerances)
     assert result.first_violation_s == pytest.approx(100 * 0.016)
     assert result.value_s == pytest.approx(200 * 0.016)
@@ -79,7 +79,7 @@ def test_the_margin_and_the_first_time_outside_are_told() -> None:
 def test_a_signal_that_is_not_there_fails(lacks: str) -> None:
     samples = dataclasses.replace(KP4.samples, wanted_speed_m_s=None)
     poor = dataclasses.replace(KP4, samples=samples, name="poor")
-    tolerances = tl.Tolerances(signals={"wanted_speed": tl.compare.Tolerance(abs=1e6)})
+    tolerances = tl.Tolerances(signals={"wanted_speed": tl.Tolerance(abs=1e6)})
     reference, run = (poor, KP4) if lacks == "reference" else (KP4, poor)
     (result,) = tl.check.match_run(run, reference, tolerances)
     assert (result.verdict, result.is_decided) == ("FAIL", False)
@@ -87,7 +87,7 @@ def test_a_signal_that_is_not_there_fails(lacks: str) -> None:
 
 
 def judge_metric(reference: tl.Run, run: tl.Run, name: str, **limits: float) -> tl.CheckResult:
-    tolerances = tl.Tolerances(metrics={name: tl.compare.Tolerance(reason="", **limits)})
+    tolerances = tl.Tolerances(metrics={name: tl.Tolerance(reason="", **limits)})
     (result,) = tl.check.match_run(run, reference, tolerances)
     return result
 
@@ -149,7 +149,7 @@ def test_a_run_is_as_it_is_with_no_tolerance_at_all() -> None:
 
 
 def test_by_sample_numbers_no_tolerance_in_time_applies_and_the_result_says_so() -> None:
-    tolerances = tl.Tolerances(signals={"x": tl.compare.Tolerance(abs=10.0, time_s=1.0)})
+    tolerances = tl.Tolerances(signals={"x": tl.Tolerance(abs=10.0, time_s=1.0)})
     (result,) = tl.check.match_run(KP1, KP4, tolerances, alignment="sample")
     text = "within 10 m of the reference"
     assert result.expected == f"{text}, sample by sample: no tolerance in time applies"
@@ -161,7 +161,7 @@ def test_by_sample_numbers_no_tolerance_in_time_applies_and_the_result_says_so()
 def test_runs_of_one_sample_can_be_compared(alignment: str) -> None:
     reference = make_run(sample_time_s=[0.0], speed_m_s=[0.5])
     other = make_run(sample_time_s=[0.0], speed_m_s=[0.25])
-    tolerances = tl.Tolerances(signals={"speed": tl.compare.Tolerance(abs=0.2, time_s=0.5)})
+    tolerances = tl.Tolerances(signals={"speed": tl.Tolerance(abs=0.2, time_s=0.5)})
     (result,) = tl.check.match_run(other, reference, tolerances, alignment=alignment)
     assert result.margin == pytest.approx(-0.05)
 
@@ -170,7 +170,7 @@ def test_runs_of_one_sample_can_be_compared(alignment: str) -> None:
 def test_times_count_from_the_first_sample_however_runs_are_aligned(alignment: str) -> None:
     row = int(np.flatnonzero(KP4.samples.phase == KP4.phase_names.index("translate"))[100])
     changed = change_rows(KP4, "speed", [row], 0.1)
-    tolerances = tl.Tolerances(signals={"speed": tl.compare.Tolerance(abs=0.01)})
+    tolerances = tl.Tolerances(signals={"speed": tl.Tolerance(abs=0.01)})
     (result,) = tl.check.match_run(changed, KP4, tolerances, alignment=alignment)
     at_s = (KP4.samples.time_ns[row] - KP4.start_ns) / 1e9
     assert (result.first_violation_s, result.value_s) == (at_s, at_s)
@@ -219,7 +219,7 @@ def test_a_difference_of_just_the_limit_passes_and_the_next_one_fails() -> None:
     changed = change_rows(KP4, "speed", [300], 0.25)
     off = float(abs(changed.samples.speed_m_s - KP4.samples.speed_m_s).max())
     for limit, verdict in ((off, "PASS"), (float(np.nextafter(off, 0.0)), "FAIL")):
-        tolerances = tl.Tolerances(signals={"speed": tl.compare.Tolerance(abs=limit)})
+        tolerances = tl.Tolerances(signals={"speed": tl.Tolerance(abs=limit)})
         (result,) = tl.check.match_run(changed, KP4, tolerances)
         assert (result.verdict, result.value) == (verdict, off)
         assert result.first_violation_s == (None if verdict == "PASS" else result.value_s)
@@ -239,7 +239,7 @@ def test_runs_are_as_long_to_a_microsecond(later_ns: int, verdict: str) -> None:
 def test_one_tolerance_in_time_is_one_for_the_length_too() -> None:
     reference, longer = (make_run(time_s=(0.0, end_s)) for end_s in (1.0, 1.5))
     for time_s, verdict in ((0.49, "FAIL"), (0.5, "PASS")):
-        tolerance = tl.compare.Tolerance(abs=9.0, time_s=time_s)
+        tolerance = tl.Tolerance(abs=9.0, time_s=time_s)
         found = {
             result.check: result for result in tl.check.match_run(longer, reference, tolerance)
         }

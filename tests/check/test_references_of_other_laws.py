@@ -12,7 +12,7 @@ from turtlelog.run import Run
 ONE = simulate_strange()
 TWO = simulate_strange(law__gain_b=2.0, name="faster")
 PAPER = tl.simulate_run(tl.load_scenario("paper-kp4"))
-CLOSE = tl.compare.Tolerance(abs=0.1, reason="as close as that")
+CLOSE = tl.Tolerance(abs=0.1, reason="as close as that")
 
 
 def judge(reference: Run, run: Run, **names: str) -> tl.CheckResult:

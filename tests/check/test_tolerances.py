@@ -19,7 +19,7 @@ def write(folder: Path, text: str) -> Path:
 
 def test_a_file_gives_the_tolerances_that_it_holds() -> None:
     tolerances = tl.check.load_tolerances(ROOT / "examples" / "tolerances.toml")
-    assert tolerances.signals["x"] == tl.compare.Tolerance(
+    assert tolerances.signals["x"] == tl.Tolerance(
         abs=0.001, time_s=0.032, reason="a float32 step, and two ticks of scheduling"
     )
     assert tolerances.metrics["final.position_error"].rel == 0.1
@@ -89,7 +89,7 @@ def test_figures_are_finite_and_not_negative(tmp_path: Path, key: str, value: st
 
 def test_a_share_above_one_is_most_likely_meant_in_per_cent() -> None:
     with pytest.raises(CompareError, match="rel: expected a number from 0 to 1, found 5"):
-        tl.compare.Tolerance(rel=5)
+        tl.Tolerance(rel=5)
 
 
 def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
@@ -108,11 +108,11 @@ def test_what_is_no_text_file_is_refused(tmp_path: Path) -> None:
 
 def test_tolerances_built_in_python_are_judged_as_well() -> None:
     with pytest.raises(CompareError, match=r"signals\.Heading: expected heading"):
-        tl.Tolerances(signals={"Heading": tl.compare.Tolerance(abs=1.0)})
+        tl.Tolerances(signals={"Heading": tl.Tolerance(abs=1.0)})
     with pytest.raises(CompareError, match=r"time_s: expected none for a metric"):
-        tl.Tolerances(metrics={"run.duration": tl.compare.Tolerance(time_s=1.0)})
+        tl.Tolerances(metrics={"run.duration": tl.Tolerance(time_s=1.0)})
     with pytest.raises(CompareError, match="abs: expected a finite number >= 0, found nan"):
-        tl.compare.Tolerance(abs=math.nan)
+        tl.Tolerance(abs=math.nan)
 
 
 def test_tables_that_are_parsed_already_may_be_handed_over() -> None:

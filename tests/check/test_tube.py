@@ -34,7 +34,7 @@ def draw_signal(data: st.DataObject) -> tuple[Values, Values]:
 
 
 def judge(reference: tl.Run, run: tl.Run, signal: str, **limits: float) -> tl.CheckResult:
-    tolerance = tl.compare.Tolerance(reason="", **limits)
+    tolerance = tl.Tolerance(reason="", **limits)
     tolerances = tl.Tolerances(signals={signal: tolerance})
     (result,) = tl.check.match_run(run, reference, tolerances, alignment="recorded")
     return result

@@ -177,7 +177,7 @@ def test_a_signal_that_a_recording_lacks_is_undecided(tmp_path: Path) -> None:
     samples = dataclasses.replace(run.samples, wanted_speed_m_s=None)
     bare = dataclasses.replace(run, samples=samples)
     tl.write_recording(run, tmp_path / "whole.mcap")
-    tolerances = tl.Tolerances(signals={"wanted_speed": tl.compare.Tolerance(abs=1.0, reason="a")})
+    tolerances = tl.Tolerances(signals={"wanted_speed": tl.Tolerance(abs=1.0, reason="a")})
     found = Recording(tmp_path / "whole.mcap").matches(bare, tolerance=tolerances)
     with pytest.raises(UndecidedError, match="does not hold it"):
         bool(found)

@@ -121,13 +121,15 @@ def test_what_reads_back_differently_is_refused(
         xy_m[-1, 0] += 1e-6
         return replace(run, poses=replace(run.poses, xy_m=xy_m))
 
-    for name in ("write_recording", "export_rosbag2", "export_csv", "export_parquet"):
-        right = getattr(tl, name)
+    writers = [(tl, "write_recording")]
+    writers += [(tl.log, name) for name in ("export_rosbag2", "export_csv", "export_parquet")]
+    for room, name in writers:
+        right = getattr(room, name)
 
         def write(run: tl.Run, path: Path, right: Any = right, **options: Any) -> Any:
             return right(bend(run), path, **options)
 
-        monkeypatch.setattr(tl, name, write)
+        monkeypatch.setattr(room, name, write)
     answer = call("convert", kp4, "-o", tmp_path / target)
     assert (answer.code, answer.out) == (2, "")
     line = "expected to read back what was written, found other values in x_m of poses"

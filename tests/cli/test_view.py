@@ -7,7 +7,6 @@ from urllib.request import ProxyHandler, build_opener
 
 import pytest
 
-import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.log.live import ROOT
 
@@ -66,7 +65,7 @@ def test_ways_to_look_that_exclude_each_other_are_refused(
 
 
 @pytest.mark.parametrize(
-    ("ending", "option"), [("open_viewer", None), ("follow_recording", "--follow")]
+    ("ending", "option"), [("open_viewer", None), ("show.follow_recording", "--follow")]
 )
 def test_ctrl_c_ends_a_look_as_well_as_the_windows_own_button(
     ending: str, option: str | None, kp10: Path, call: Call, monkeypatch: pytest.MonkeyPatch
@@ -74,7 +73,7 @@ def test_ctrl_c_ends_a_look_as_well_as_the_windows_own_button(
     def press_ctrl_c(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(tl, ending, press_ctrl_c)
+    monkeypatch.setattr(f"turtlelog.{ending}", press_ctrl_c)
     answer = call("view", kp10, *filter(None, [option]))
     assert (answer.code, answer.out, answer.err) == (0, "", "")
 

@@ -396,7 +396,7 @@ def test_tables_are_written_as_latex_in_the_order_of_gains(tmp_path: Path) -> No
         assert r"\toprule" in text
         assert r"\bottomrule" in text
         assert text.index("paper-kp2") < text.index("paper-kp10")
-    assert r"\caption{Errors 15 s after the first sample}" in written[0].read_text("utf-8")
+    assert r"\caption{Errors 15 s after the first sample}" in written[1].read_text("utf-8")
 
 
 def test_metrics_of_many_runs_stand_in_rows(tmp_path: Path) -> None:
