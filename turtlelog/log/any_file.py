@@ -124,7 +124,7 @@ def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
     Raises:
         LogError: Also where the file is too damaged to say who did.
     """
-    files = list_bag_files(path)
+    files = list_bag_files(path) if path.is_dir() else (path,)
     if len(files) != 1:
         return None
     try:
