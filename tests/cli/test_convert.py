@@ -56,7 +56,9 @@ def test_csv_tables_become_a_recording_with_the_same_rows(
     call("convert", kp4, "-o", tables, "--format", "csv")
     answer = call("convert", tables, "-o", again, "--json").json
     assert answer["name"] == "run7"
-    assert answer["absent"] == ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]
+    assert answer["absent"] == [
+        *("declaration", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason")
+    ]
     first, second = (tl.read_recording(path) for path in (kp4, again))
     for table in TABLES:
         expected, found = (tabulate_run(run, table) for run in (first, second))
@@ -79,7 +81,7 @@ def test_poses_alone_become_a_recording_of_poses(call: Call, kp4: Path, tmp_path
     answer = call("convert", kp4, "-o", poses)
     assert f"{poses} holds the poses alone: --table chooses another" in answer.out
     answer = call("convert", poses, "-o", again)
-    assert f"absent in {poses}: commands, samples, events, goal_xy_m" in answer.out
+    assert f"absent in {poses}: commands, samples, events, declaration, goal_xy_m" in answer.out
     assert len(tl.read_recording(again).poses) == 705
     info, of_recording = call("info", poses, again, "--json").json
     assert info["duration_s"] == of_recording["duration_s"] == 11.264

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from turtlelog.errors import TheoryError
+from turtlelog.errors import LibraryError, TheoryError
 from turtlelog.theory import (
     compute_closed_loop_response,
     compute_exact_settling_time,
@@ -81,5 +81,5 @@ def test_without_python_control_one_line_says_what_to_install(
     compute: Callable[[], object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(TheoryError, match="python-control: expected `pip install control`"):
+    with pytest.raises(LibraryError, match=r"control: needed .* `pip install control`"):
         compute()

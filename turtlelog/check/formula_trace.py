@@ -4,7 +4,7 @@ import enum
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
+from turtlelog.log.recording.contents import LOSS_NOTES, NO_LOSS
 from turtlelog.loops import PAUSE
 from turtlelog.measure import (
     list_signals,
@@ -26,17 +27,6 @@ from turtlelog.measure import (
     read_signal,
 )
 from turtlelog.run import Run
-
-_LOSSES: Final = ("partial", "recovered")
-"""Notes that say what a recording has lost."""
-
-
-_NO_LOSS: Final = (
-    "no data is lost, only the summary is damaged",
-    "from a damaged or unfinished file: no message is lost",
-)
-"""How the notes begin of files of which nothing is lost but the summary; what follows a semicolon
-is another loss."""
 
 
 class RunEnding(enum.Enum):
@@ -54,8 +44,8 @@ class RunEnding(enum.Enum):
 
 def find_ending(run: Run) -> RunEnding:
     """Return what is known of the time after a run's last row."""
-    notes = [run.notes[name] for name in _LOSSES if name in run.notes]
-    if not all(note.startswith(_NO_LOSS) and ";" not in note for note in notes):
+    notes = [run.notes[name] for name in LOSS_NOTES if name in run.notes]
+    if not all(note.startswith(NO_LOSS) and ";" not in note for note in notes):
         return RunEnding.LOST
     if run.is_complete:
         return RunEnding.SETTLED
@@ -66,7 +56,7 @@ def find_ending(run: Run) -> RunEnding:
 
 def find_loss(run: Run) -> str | None:
     """Return what a recording has lost, None where it is whole."""
-    for name in _LOSSES:
+    for name in LOSS_NOTES:
         if name in run.notes:
             return f"expected a whole recording, found one that is not: {run.notes[name]}"
     return None

@@ -1,6 +1,6 @@
 """Control laws, one per file: the thing under test."""
 
-from turtlelog.laws.base import ABSENT_BY_DEFAULT, Decision, Goal, Law, Pose
+from turtlelog.laws.base import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, Decision, Goal, Law, Pose
 from turtlelog.laws.loading import (
     LAWS,
     declare_law,
@@ -16,6 +16,7 @@ from turtlelog.laws.sequential_p import SequentialP, SequentialPParameters
 __all__ = [
     "ABSENT_BY_DEFAULT",
     "LAWS",
+    "MAY_BE_INFINITE",
     "Decision",
     "Goal",
     "Law",

@@ -11,6 +11,9 @@ ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_defa
 """Metadata of a parameter that a scenario's text leaves out while it has its default, so that
 adding it to a law changes no file that was written before."""
 
+MAY_BE_INFINITE: Final[Mapping[str, bool]] = MappingProxyType({"may_be_infinite": True})
+"""Metadata of a parameter whose inf means that there is no such limit."""
+
 # msgspec structs instead of dataclasses: the loop makes several per sample, and a frozen
 # dataclass costs ten times as much to build.
 

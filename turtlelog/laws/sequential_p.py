@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
-from turtlelog.laws.base import ABSENT_BY_DEFAULT, Decision, Goal, Pose
+from turtlelog.laws.base import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, Decision, Goal, Pose
 from turtlelog.loops import PAUSE, ControlLoop, Declaration, Mechanism
 
 _ROTATE: Final = "rotate"
@@ -70,6 +70,10 @@ _MECHANISMS: Final = (
 )
 
 
+_RULE: Final = {**ABSENT_BY_DEFAULT, **MAY_BE_INFINITE}
+"""Of a time in the rules that end a run; inf: that rule never does."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SequentialPParameters:
     """Parameters of the sequential proportional law.
@@ -97,9 +101,9 @@ class SequentialPParameters:
     projection: Literal["bearing", "heading"] = "heading"
     wrap_error: bool = True
     pause_ticks: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
-    timeout_s: Annotated[float, Meta(gt=0)] = field(default=30.0, metadata=ABSENT_BY_DEFAULT)
+    timeout_s: Annotated[float, Meta(gt=0)] = field(default=30.0, metadata=_RULE)
     settled_within_m: Annotated[float, Meta(ge=0)] = field(default=0.01, metadata=ABSENT_BY_DEFAULT)
-    settled_for_s: Annotated[float, Meta(ge=0)] = field(default=5.0, metadata=ABSENT_BY_DEFAULT)
+    settled_for_s: Annotated[float, Meta(ge=0)] = field(default=5.0, metadata=_RULE)
     standstill_samples: Annotated[int, Meta(ge=0, le=1_000_000)] = field(
         default=100, metadata=ABSENT_BY_DEFAULT
     )

@@ -11,7 +11,6 @@ from turtlelog.escapes import guard_cell
 from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.info import survey_file
-from turtlelog.log.recording.head import format_declaration
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
 from turtlelog.run import TABLES, Run, tabulate_run
@@ -134,8 +133,6 @@ def _write_csv(run: Run, table: str, path: Path) -> None:
 
 def _write_parquet(run: Run, table: str, path: Path) -> None:
     columns = run.to_arrow(table)
-    declared = {"turtlelog.declaration": format_declaration(run.declaration)}
-    columns = columns.replace_schema_metadata({**columns.schema.metadata, **declared})
     parquet = load_library("pyarrow.parquet")
     with path.open("wb") as stream:
         parquet.write_table(columns, stream, compression="zstd")

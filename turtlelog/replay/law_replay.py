@@ -17,6 +17,7 @@ from turtlelog.differences import (
 from turtlelog.errors import ReplayError
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import Law, Pose
+from turtlelog.log.recording.contents import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants.turtlesim import TICK_NS
@@ -177,7 +178,7 @@ def _answer_poses(
 
 def _count_published(run: Run) -> Difference | None:
     """Return how many commands there are beside how many samples, where no row is lost."""
-    is_lossy = count_missing(run.samples) or not {"partial", "recovered"}.isdisjoint(run.notes)
+    is_lossy = count_missing(run.samples) or not run.notes.keys().isdisjoint(LOSS_NOTES)
     if has_published(run) or is_lossy or "commands" in run.absent:
         return None
     samples, commands = len(run.samples), len(run.commands)

@@ -2,14 +2,22 @@
 
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import RunError
 
-_PAIRS = frozenset({"xy_m", "error_xy_m", "world_velocity_m_s", "reference_xy_m"})
+PAIRS: Final = MappingProxyType(
+    {
+        "xy_m": ("x_m", "y_m"),
+        "error_xy_m": ("error_x_m", "error_y_m"),
+        "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
+        "reference_xy_m": ("reference_x_m", "reference_y_m"),
+    }
+)
+"""What the two columns of a pair are called."""
 _MAY_BE_NAN = frozenset({"world_velocity_m_s", "reference_xy_m", "reference_heading_rad"})
 """Columns whose rows are NaN where a sample does not have them."""
 
@@ -95,6 +103,8 @@ class CommandColumns:
 class SampleColumns:
     """What the controller computed, one row per sample. Makes its arrays read-only.
 
+    Its columns stand in the order of the tables.
+
     The errors are the controller's own: a law may hold the last one it computed.
 
     Attributes:
@@ -125,18 +135,18 @@ class SampleColumns:
     sequence: NDArray[np.int64]
     pose_sequence: NDArray[np.int64]
     phase: NDArray[np.int64]
-    speed_m_s: NDArray[np.float64]
-    turn_rate_rad_s: NDArray[np.float64]
     bearing_rad: NDArray[np.float64] | None = None
     heading_error_rad: NDArray[np.float64] | None = None
     error_xy_m: NDArray[np.float64] | None = None
     distance_m: NDArray[np.float64] | None = None
+    speed_m_s: NDArray[np.float64]
+    turn_rate_rad_s: NDArray[np.float64]
     world_velocity_m_s: NDArray[np.float64] | None = None
     wanted_speed_m_s: NDArray[np.float64] | None = None
     wanted_turn_rate_rad_s: NDArray[np.float64] | None = None
-    states: NDArray[np.float64] | None = None
     reference_xy_m: NDArray[np.float64] | None = None
     reference_heading_rad: NDArray[np.float64] | None = None
+    states: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "sample")
@@ -192,7 +202,7 @@ def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -
         values = getattr(columns, column.name)
         if values is None:
             continue
-        shape = (rows, 2) if column.name in _PAIRS else (rows,)
+        shape = (rows, 2) if column.name in PAIRS else (rows,)
         if column.name == "states":
             shape = (rows, values.shape[-1])
         if values.shape != shape:

@@ -9,32 +9,16 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.declaration_json import format_declaration
 from turtlelog.errors import RunError
 from turtlelog.libraries import load_library
-from turtlelog.run.columns import CommandColumns, PoseColumns, SampleColumns
+from turtlelog.run.columns import PAIRS, CommandColumns, PoseColumns, SampleColumns
 
 if TYPE_CHECKING:
     from turtlelog.run.run import Run
 
 Table = Mapping[str, NDArray[Any]]
 """Columns by name, all of one length: float64, int64, or text as objects."""
-
-PAIRS: Final = MappingProxyType(
-    {
-        "xy_m": ("x_m", "y_m"),
-        "error_xy_m": ("error_x_m", "error_y_m"),
-        "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
-        "reference_xy_m": ("reference_x_m", "reference_y_m"),
-    }
-)
-"""What the two columns of a pair are called."""
-
-_SAMPLES: Final = (
-    *("time_ns", "sequence", "pose_sequence", "phase", "bearing_rad", "heading_error_rad"),
-    *("error_xy_m", "distance_m", "speed_m_s", "turn_rate_rad_s", "world_velocity_m_s"),
-    *("wanted_speed_m_s", "wanted_turn_rate_rad_s", "reference_xy_m", "reference_heading_rad"),
-)
-"""Columns of samples in order, the law's states apart."""
 
 _UNITS: Final = MappingProxyType(
     {"_rad_s": "rad/s", "_m_s": "m/s", "_rad": "rad", "_ns": "ns", "_m": "m"}
@@ -77,7 +61,7 @@ def list_units(run: "Run", table: str) -> dict[str, str]:
 def list_facts(run: "Run") -> dict[str, str]:
     """Return what a table alone does not hold, as texts by name; JSON where it is no text.
 
-    `scenario` are the parameters that are known, by dotted key; `units` are those of the columns.
+    `scenario` are the parameters that are known, by dotted key; `declaration` is the law's.
     """
     goal = None if run.goal_xy_m is None else [*run.goal_xy_m, run.goal_heading_rad]
     described = {
@@ -86,7 +70,9 @@ def list_facts(run: "Run") -> dict[str, str]:
         "scenario_is_complete": run.scenario_is_complete,
         "stop_reason": run.stop_reason,
     }
-    return {"name": run.name, "source": run.source} | {
+    texts = {"name": run.name, "source": run.source}
+    texts["declaration"] = format_declaration(run.declaration)
+    return texts | {
         name: json.dumps(value) for name, value in described.items() if value is not None
     }
 
@@ -118,10 +104,9 @@ def build_pandas(run: "Run", table: str) -> Any:
 
 def _flatten(columns: PoseColumns | CommandColumns | SampleColumns) -> Table:
     table: dict[str, NDArray[Any]] = {}
-    names = [column.name for column in fields(columns)]
-    for name in _SAMPLES if isinstance(columns, SampleColumns) else names:
-        values = getattr(columns, name)
-        if values is None:
+    for column in fields(columns):
+        name, values = column.name, getattr(columns, column.name)
+        if values is None or name == "states":
             continue
         if name in PAIRS:
             table |= zip(PAIRS[name], values.T, strict=True)

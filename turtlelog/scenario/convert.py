@@ -13,6 +13,7 @@ from turtlelog.errors import LawError, ScenarioError, describe_error, suggest_na
 from turtlelog.laws import (
     ABSENT_BY_DEFAULT,
     LAWS,
+    MAY_BE_INFINITE,
     Law,
     describe_law_error,
     find_law,
@@ -23,9 +24,6 @@ from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
 
-_INFINITE_KEYS = frozenset(
-    {"limits.speed_m_s", "limits.turn_rate_rad_s", "law.timeout_s", "law.settled_for_s"}
-)
 _LONGEST_KIND = 300
 """A path and a class are shown whole, so that they can be looked at before they are trusted."""
 
@@ -257,15 +255,18 @@ def _require_law_name(kind: str, source: str) -> None:
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:
     """Refuse unknown keys and nan or inf, which msgspec lets pass."""
     hints = get_type_hints(kind)
-    unlimited = {one.name for one in dataclasses.fields(kind) if one.default == math.inf}
+    unlimited = {
+        one.name
+        for one in dataclasses.fields(kind)
+        if one.default == math.inf or one.metadata.keys() & MAY_BE_INFINITE.keys()
+    }
     for key, value in table.items():
         place = f"{prefix}{name_key(key)}"
         if key not in hints:
             raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(hints))}")
         if isinstance(value, Mapping) and dataclasses.is_dataclass(hints[key]):
             _require_sound(value, hints[key], f"{place}.", source)
-        may_be_infinite = place in _INFINITE_KEYS or key in unlimited
-        infinite = isinstance(value, float) and math.isinf(value) and not may_be_infinite
+        infinite = isinstance(value, float) and math.isinf(value) and key not in unlimited
         if isinstance(value, float) and (math.isnan(value) or infinite):
             raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
 

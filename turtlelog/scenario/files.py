@@ -98,7 +98,13 @@ def format_scenario(scenario: Scenario) -> str:
 
 
 def get_preset(name: str) -> Scenario:
-    """Return a preset; KeyError where there is none of that name."""
+    """Return a preset.
+
+    Raises:
+        ScenarioError: Where there is none of that name.
+    """
+    if name not in _TABLES:
+        raise ScenarioError(f"preset: expected one of {', '.join(PRESETS)}, found {name!r}")
     return build_scenario(_TABLES[name], source=name)
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal
 from msgspec import Meta
 
 from turtlelog.escapes import escape_controls
-from turtlelog.laws import ABSENT_BY_DEFAULT, SequentialPParameters
+from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, SequentialPParameters
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
 
 Coordinate = Annotated[float, Meta(ge=TURTLESIM.low_m, le=TURTLESIM.high_m)]
@@ -91,8 +91,8 @@ class Limits:
         turn_rate_rad_s: Largest magnitude of the turn rate [rad/s].
     """
 
-    speed_m_s: Positive = 1.0
-    turn_rate_rad_s: Positive = 1.0
+    speed_m_s: Positive = field(default=1.0, metadata=MAY_BE_INFINITE)
+    turn_rate_rad_s: Positive = field(default=1.0, metadata=MAY_BE_INFINITE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.errors import TheoryError
+from turtlelog.libraries import load_library
 from turtlelog.theory.inputs import (
     require_even_times,
     require_gain,
@@ -83,7 +84,7 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
     Raises:
         TheoryError: Where there is no such input, or times are not even.
     """
-    control, times = load_control(), require_even_times(time_s)
+    control, times = load_library("control"), require_even_times(time_s)
     _require_kind(kind)
     plant = control.tf(*PLANT)
     if kind == "impulse":
@@ -210,7 +211,7 @@ def compute_closed_loop_response(kp: float, time_s: ArrayLike) -> NDArray[np.flo
     Raises:
         TheoryError: Where the gain is not a positive number, or times are not even.
     """
-    control = load_control()
+    control = load_library("control")
     kp, times = require_gain(kp), require_even_times(time_s)
     response = control.step_response(control.tf([kp], [1.0, kp]), times)
     return np.asarray(response.outputs, dtype=np.float64)
@@ -228,7 +229,7 @@ def compute_root_locus(kp: ArrayLike) -> NDArray[np.complex128]:
     Raises:
         TheoryError: Where a gain is negative or no number.
     """
-    control, gains = load_control(), require_gains(kp)
+    control, gains = load_library("control"), require_gains(kp)
     loci = control.root_locus_map(control.tf(*PLANT), gains=gains).loci
     return np.asarray(loci, dtype=np.complex128).reshape(len(gains))
 
@@ -256,19 +257,6 @@ def compute_step_response(
     kp, times = require_gain(kp), require_times(time_s)
     step = require_level("initial", initial) - require_level("reference", reference)
     return reference + step * np.exp(-kp * np.clip(times, 0.0, _DECAYED / kp))
-
-
-def load_control() -> Any:
-    """Return python-control, which is loaded only where it is needed.
-
-    Raises:
-        TheoryError: Where it is not installed.
-    """
-    try:
-        import control
-    except ImportError as err:
-        raise TheoryError("python-control: expected `pip install control`, found none") from err
-    return control
 
 
 def _require_kind(kind: str) -> None:

@@ -10,11 +10,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.declaration_json import parse_declaration
 from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
 from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.recording.head import parse_declaration
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import (
     TABLES,
@@ -25,7 +25,8 @@ from turtlelog.run import (
     SampleColumns,
     tabulate_run,
 )
-from turtlelog.run.tables import PAIRS, Table
+from turtlelog.run.columns import PAIRS
+from turtlelog.run.tables import Table
 
 TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
@@ -189,9 +190,11 @@ def _read_parquet(path: Path) -> tuple[Table, dict[str, Any]]:
 
 def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path) -> Run:
     declaration = parse_declaration(facts["declaration"]) if "declaration" in facts else None
+    is_declared = declaration is not None
     samples, declaration = _build_samples(tables.get("samples"), declaration)
     goal = json.loads(facts.get("goal_m_m_rad", "null"))
     absent = [name for name in ("commands", "samples", "events") if name not in tables]
+    absent += [] if is_declared else ["declaration"]
     if "scenario" not in facts:
         absent += ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]
     events = tables.get("events", {})

@@ -45,6 +45,17 @@ RECOVERY: Final = "turtlelog_recovery"
 
 _NOTE: Final = "recovered"
 
+LOSS_NOTES: Final = ("partial", "recovered")
+"""Notes of a run that say what its recording has lost."""
+
+_FROM_DAMAGED: Final = "from a damaged or unfinished file: "
+_NO_MESSAGE: Final = "no message is lost"
+
+SUMMARY_ALONE: Final = "no data is lost, only the summary is damaged"
+NO_LOSS: Final = (SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
+"""How the notes begin of files of which nothing is lost but the summary; what follows a semicolon
+is another loss."""
+
 _OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
 
 
@@ -273,7 +284,7 @@ def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
 def describe_damages(damages: Sequence[Loss]) -> str:
     """Say in one line how much is lost; the first place stands for all."""
     if not damages:
-        return "no data is lost, only the summary is damaged"
+        return SUMMARY_ALONE
     lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
     times = "1 place" if places == 1 else f"{places} places"
     extent = f"{lost} bytes are lost in" if lost else "not whole in"
@@ -303,7 +314,7 @@ def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
     if not found:
         return {}
     losses = "; ".join(dict.fromkeys(map(_describe, found)))
-    return {_NOTE: f"from a damaged or unfinished file: {losses}"}
+    return {_NOTE: f"{_FROM_DAMAGED}{losses}"}
 
 
 def _describe(record: Mapping[str, str]) -> str:
@@ -316,7 +327,7 @@ def _describe(record: Mapping[str, str]) -> str:
     elif missing:
         count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
     else:
-        count = "no message is lost"
+        count = _NO_MESSAGE
     places = [f"byte {loss.start}: {loss.reason}" for loss in lost[:1]]
     if len(lost) > 1:
         places.append("1 more place" if len(lost) == 2 else f"{len(lost) - 1} more places")

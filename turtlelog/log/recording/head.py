@@ -2,15 +2,16 @@
 
 import zlib
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Final
 
 import msgspec
 import tomli_w
 
-from turtlelog.errors import LogError, RunError, ScenarioError
+from turtlelog.declaration_json import format_declaration, parse_declaration
+from turtlelog.errors import LogError, ScenarioError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.loops import Declaration
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, nest_parameters
 from turtlelog.text_files import parse_toml
@@ -49,9 +50,6 @@ _LONGEST_DECLARATION: Final = _LONGEST // 2
 
 _OTHER_LAW: Final = Declaration(phases=dict.fromkeys(("rotate", "pause", "translate", "done"), ()))
 """What is known of another law in format 1: the phases that there were, for everybody."""
-
-_LONGEST_REASON: Final = 300
-"""Letters of an error line; what is found may be as long as the record."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,68 +247,6 @@ def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
         raise LogError(f"metadata {HEAD}: {key}: {err}, found {text[:60]!r}") from err
 
 
-class _Loop(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    name: str
-    signal: str
-    command: str
-    reference: str
-    gain: str | None = None
-    limit: str | None = None
-    is_proportional: bool = True
-
-
-class _Phase(msgspec.Struct, forbid_unknown_fields=True):
-    name: str
-    loops: tuple[str, ...]
-
-
-class _Entry(msgspec.Struct, forbid_unknown_fields=True):
-    loops: tuple[_Loop, ...]
-    phases: tuple[_Phase, ...]
-    states: tuple[str, ...]
-    uses_goal: bool
-
-
-def format_declaration(declaration: Declaration) -> str:
-    """Return a declaration as JSON; phases are a list, for their order counts."""
-    entry = _Entry(
-        loops=tuple(_Loop(**asdict(loop)) for loop in declaration.loops),
-        phases=tuple(_Phase(name=name, loops=of) for name, of in declaration.phases.items()),
-        states=declaration.states,
-        uses_goal=declaration.uses_goal,
-    )
-    return msgspec.json.encode(entry).decode()
-
-
-def parse_declaration(text: str) -> Declaration:
-    """Return the declaration in a JSON text.
-
-    Raises:
-        LogError: With what was expected and found; a place in it is as in JSON.
-    """
-    try:
-        entry = msgspec.json.decode(text, type=_Entry)
-        return Declaration(
-            loops=tuple(ControlLoop(**msgspec.structs.asdict(loop)) for loop in entry.loops),
-            phases=_name_phases(entry.phases),
-            states=entry.states,
-            uses_goal=entry.uses_goal,
-        )
-    except msgspec.MsgspecError as err:
-        raise LogError(f"{_shorten(str(err))}, found {text[:60]!r}") from err
-    except RunError as err:
-        raise LogError(_shorten(str(err))) from err
-
-
-def _name_phases(phases: tuple[_Phase, ...]) -> dict[str, tuple[str, ...]]:
-    named: dict[str, tuple[str, ...]] = {}
-    for phase in phases:
-        if phase.name in named:
-            raise RunError(f"phases: expected each name once, found {phase.name!r} twice")
-        named[phase.name] = phase.loops
-    return named
-
-
 def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declaration:
     """Return what is known of the law of a recording of format 1, which holds no declaration.
 
@@ -324,7 +260,3 @@ def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declarat
     if kind is None and not has_samples:
         return Declaration()
     return SEQUENTIAL_P if kind is None or kind == DEFAULT_LAW else _OTHER_LAW
-
-
-def _shorten(text: str) -> str:
-    return text if len(text) <= _LONGEST_REASON else f"{text[: _LONGEST_REASON - 3]}..."
