@@ -1,5 +1,6 @@
 """The thresholds on which `exact`, `fitted` and `unknown` turn, each from both sides."""
 
+import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -140,6 +141,14 @@ def test_a_gain_that_its_neighbour_reproduces_as_well_is_not_exact() -> None:
     tiny = np.array([5e-324, 1e-323, 1.5e-323])
     unsure = fit_gain(tiny * 3.0, lambda gain: gain * tiny)
     assert not unsure.is_exact
+
+
+def test_a_gain_that_many_doubles_reproduce_has_as_much_room_above_as_below() -> None:
+    error = np.array([1.0, 0.5, 0.25])
+    fit = fit_gain(error * 3.5, lambda gain: (gain * error).astype(np.float32).astype(np.float64))
+    assert (fit.value, fit.is_exact) == (3.5, False)
+    low, high = fit.interval
+    assert (3.5 - low, high - 3.5) == (16 * math.ulp(3.5), 16 * math.ulp(3.5))
 
 
 @pytest.mark.parametrize(("off", "is_common"), [(0.018, True), (0.023, False)])
