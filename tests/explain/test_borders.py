@@ -221,6 +221,19 @@ def test_a_time_is_taken_as_typed_where_it_has_two_digits(
     assert rules["law.timeout_s"].assumed == assumed_s
 
 
+@pytest.mark.parametrize(("left_out", "reason"), [(0, "within_tolerance"), (1, "cut")])
+def test_a_log_that_ends_with_a_command_of_zero_ended_within_the_tolerance(
+    left_out: int, reason: str
+) -> None:
+    log = make_log(Truth(position_tolerance=0.02, standstill_below=1e-9, jitter_s=0.0))
+    assert log.reason == "within_tolerance"
+    assert 0.0 == log.to_run().samples.speed_m_s[-1] < log.to_run().samples.speed_m_s[-2]
+    log = replace(log, rows=log.rows[: len(log.rows) - left_out])
+    trace = mark_breaks(trace_run(log.to_run(), PHASES))
+    found = find_stop_rule(trace, is_certain=True, is_finished=False).reason
+    assert (found.value, found.certainty) == (reason, Certainty.EXACT)
+
+
 def test_a_wrapped_error_is_exact_where_commands_show_it() -> None:
     truth = Truth(start=(5.5, 5.5, 3.0), goal=(2.0, 5.0), wrap=True)
     wrap = identify_run(make_log(truth).to_run()).findings["law.wrap_error"]
