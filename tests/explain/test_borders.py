@@ -16,11 +16,15 @@ from turtlelog.explain.law_identification import (
     identify_rotation,
     identify_translation,
 )
+from turtlelog.explain.loop_findings import describe_loop
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
+from turtlelog.explain.resimulation import count_lost_commands
+from turtlelog.explain.search import Fits
 from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
 from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
+from turtlelog.scenario import get_preset, override_scenario
 
 BUILT = {
     "law.pause_ticks": 34,
@@ -232,6 +236,25 @@ def test_a_log_that_ends_with_a_command_of_zero_ended_within_the_tolerance(
     trace = mark_breaks(trace_run(log.to_run(), PHASES))
     found = find_stop_rule(trace, is_certain=True, is_finished=False).reason
     assert (found.value, found.certainty) == (reason, Certainty.EXACT)
+
+
+@pytest.mark.parametrize(("queues", "certainty"), [((7, 8), "ambiguous"), ((8, 8), "exact")])
+def test_lost_commands_are_open_where_two_settings_that_fit_lose_different_numbers(
+    queues: tuple[int, int], certainty: str
+) -> None:
+    scenarios = tuple(
+        override_scenario(get_preset("paper-kp10"), {"loop.command_queue": depth})
+        for depth in queues
+    )
+    fits = Fits(
+        guesses=({}, {}), scenarios=scenarios, is_exact=True, reproduced=1, tried=2, ranges={}
+    )
+    trace = mark_breaks(trace_run(make_log(Truth()).to_run(), PHASES))
+    lost = describe_loop(trace, fits)["lost_commands"]
+    assert count_lost_commands(scenarios[0]) - count_lost_commands(scenarios[1]) == (
+        queues[1] - queues[0]
+    )
+    assert lost.certainty.value == certainty
 
 
 def test_a_wrapped_error_is_exact_where_commands_show_it() -> None:
