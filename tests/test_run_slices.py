@@ -120,3 +120,14 @@ def test_run_is_a_table_in_a_notebook() -> None:
     assert "&lt;b&gt;bold" in html
     for text in ("(2, 10) m", "12.61 s", "standstill", "770 rows", "rotate 2.46 s"):
         assert text in html
+
+
+@pytest.mark.parametrize(
+    ("stop_reason", "text"), [("standstill", "standstill"), (None, "not recorded")]
+)
+def test_the_table_of_a_run_says_why_it_stopped_or_that_nobody_knows(
+    stop_reason: str | None, text: str
+) -> None:
+    html = dataclasses.replace(RUN, stop_reason=stop_reason)._repr_html_()
+    (row,) = [line for line in html.splitlines() if ">stop reason<" in line]
+    assert f">{text}<" in row

@@ -10,6 +10,7 @@ import pytest
 import turtlelog as tl
 from tests.check.recordings import simulate
 from tests.check.test_mutations import build
+from turtlelog.check import check_runs, parse_spec
 from turtlelog.check.judge_formula import find_metric_violation
 from turtlelog.measure import list_metrics
 from turtlelog.run import slice_run
@@ -45,6 +46,21 @@ def test_a_run_cut_before_the_first_violation_passes(name: str) -> None:
     assert values[1] is not None
     assert values[1] > value / 2
     assert values[0] is None or values[0] <= value / 2
+
+
+@pytest.mark.parametrize(("rest", "has_moment"), [("", True), (" and run.path_length >= 0", False)])
+def test_a_bound_on_one_metric_has_a_moment_and_one_on_two_has_none(
+    rest: str,
+    has_moment: bool,  # noqa: FBT001
+) -> None:
+    value = METRICS["rotate.overshoot"].value
+    assert value is not None
+    table = {"expect": f"rotate.overshoot <= {value / 2!r}{rest}"}
+    (result,) = check_runs(parse_spec({"checks": {"it": table}}), [("a.mcap", RUN)])
+    assert result.verdict == "FAIL"
+    moment = find("rotate.overshoot", value / 2)
+    assert moment is not None
+    assert result.first_violation_s == (moment if has_moment else None)
 
 
 def measure_parts(change: str) -> list[Mapping[str, tl.Metric]]:

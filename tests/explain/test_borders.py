@@ -1,5 +1,6 @@
 """The thresholds on which `exact`, `fitted` and `unknown` turn, each from both sides."""
 
+import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -15,11 +16,15 @@ from turtlelog.explain.law_identification import (
     identify_rotation,
     identify_translation,
 )
+from turtlelog.explain.loop_findings import describe_loop
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.open_loop import drive_plant
+from turtlelog.explain.resimulation import count_lost_commands
+from turtlelog.explain.search import Fits
 from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
 from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
 from turtlelog.laws import SequentialPParameters
+from turtlelog.scenario import get_preset, override_scenario
 
 BUILT = {
     "law.pause_ticks": 34,
@@ -142,6 +147,14 @@ def test_a_gain_that_its_neighbour_reproduces_as_well_is_not_exact() -> None:
     assert not unsure.is_exact
 
 
+def test_a_gain_that_many_doubles_reproduce_has_as_much_room_above_as_below() -> None:
+    error = np.array([1.0, 0.5, 0.25])
+    fit = fit_gain(error * 3.5, lambda gain: (gain * error).astype(np.float32).astype(np.float64))
+    assert (fit.value, fit.is_exact) == (3.5, False)
+    low, high = fit.interval
+    assert (3.5 - low, high - 3.5) == (16 * math.ulp(3.5), 16 * math.ulp(3.5))
+
+
 @pytest.mark.parametrize(("off", "is_common"), [(0.018, True), (0.023, False)])
 def test_poses_have_a_common_step_up_to_a_fiftieth_of_it(off: float, is_common: bool) -> None:  # noqa: FBT001
     values = np.linspace(0.0, 0.039, 40) + np.pi * 1e-9
@@ -210,6 +223,38 @@ def test_a_time_is_taken_as_typed_where_it_has_two_digits(
     trace = mark_breaks(trace_run(log.to_run(), PHASES))
     rules = find_stop_rule(trace, is_certain=True, is_finished=True).rules
     assert rules["law.timeout_s"].assumed == assumed_s
+
+
+@pytest.mark.parametrize(("left_out", "reason"), [(0, "within_tolerance"), (1, "cut")])
+def test_a_log_that_ends_with_a_command_of_zero_ended_within_the_tolerance(
+    left_out: int, reason: str
+) -> None:
+    log = make_log(Truth(position_tolerance=0.02, standstill_below=1e-9, jitter_s=0.0))
+    assert log.reason == "within_tolerance"
+    assert 0.0 == log.to_run().samples.speed_m_s[-1] < log.to_run().samples.speed_m_s[-2]
+    log = replace(log, rows=log.rows[: len(log.rows) - left_out])
+    trace = mark_breaks(trace_run(log.to_run(), PHASES))
+    found = find_stop_rule(trace, is_certain=True, is_finished=False).reason
+    assert (found.value, found.certainty) == (reason, Certainty.EXACT)
+
+
+@pytest.mark.parametrize(("queues", "certainty"), [((7, 8), "ambiguous"), ((8, 8), "exact")])
+def test_lost_commands_are_open_where_two_settings_that_fit_lose_different_numbers(
+    queues: tuple[int, int], certainty: str
+) -> None:
+    scenarios = tuple(
+        override_scenario(get_preset("paper-kp10"), {"loop.command_queue": depth})
+        for depth in queues
+    )
+    fits = Fits(
+        guesses=({}, {}), scenarios=scenarios, is_exact=True, reproduced=1, tried=2, ranges={}
+    )
+    trace = mark_breaks(trace_run(make_log(Truth()).to_run(), PHASES))
+    lost = describe_loop(trace, fits)["lost_commands"]
+    assert count_lost_commands(scenarios[0]) - count_lost_commands(scenarios[1]) == (
+        queues[1] - queues[0]
+    )
+    assert lost.certainty.value == certainty
 
 
 def test_a_wrapped_error_is_exact_where_commands_show_it() -> None:

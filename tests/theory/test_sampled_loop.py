@@ -52,6 +52,16 @@ def test_the_poles_are_those_of_python_control(kp: float, dead_time_ticks: int) 
 
 
 @pytest.mark.parametrize("dead_time_ticks", DEAD_TIMES)
+@pytest.mark.parametrize("share", [1.0 - 1e-3, 1.0 - 1e-6, 1.0 + 1e-6])
+def test_the_poles_are_those_of_python_control_where_the_slow_ones_nearly_meet(
+    share: float, dead_time_ticks: int
+) -> None:
+    kp = share * compute_overshoot_gain(TICK_S, dead_time_ticks)
+    poles = compute_sampled_poles(kp, period_s=TICK_S, dead_time_ticks=dead_time_ticks)
+    assert measure_distance(poles, find_control_poles(kp, dead_time_ticks)) < 1e-9
+
+
+@pytest.mark.parametrize("dead_time_ticks", DEAD_TIMES)
 def test_below_the_overshoot_gain_python_controls_slowest_pole_is_positive(
     dead_time_ticks: int,
 ) -> None:
