@@ -1,3 +1,4 @@
+import math
 import pickle
 import re
 from collections.abc import Callable
@@ -15,6 +16,8 @@ from turtlelog.scenario import get_preset
 from turtlelog.simulate import simulate_run
 
 Columns = PoseColumns | CommandColumns | SampleColumns
+
+RUN = simulate_run(get_preset("textbook"))
 
 
 def make_poses(rows: int = 4, **changes: Any) -> PoseColumns:
@@ -345,3 +348,41 @@ def test_times_at_both_ends_of_64_bits_are_told_apart() -> None:
     time_ns[1:] = -(2**63)
     with pytest.raises(RunError, match=r"command\.time_ns: expected not decreasing"):
         replace(commands, time_ns=time_ns)
+
+
+@pytest.mark.parametrize(
+    "goal", [(1.0,), (1.0, 2.0, 3.0), "ab", 5, (math.nan, 0.0), (0.0, math.inf)], ids=repr
+)
+def test_run_refuses_what_is_no_goal(goal: Any) -> None:
+    with pytest.raises(RunError, match="goal_xy_m: expected two finite numbers"):
+        replace(RUN, goal_xy_m=goal)
+
+
+def test_run_refuses_a_heading_of_the_goal_that_is_no_number() -> None:
+    with pytest.raises(RunError, match="goal_heading_rad: expected a finite number"):
+        replace(RUN, goal_heading_rad=math.nan)
+
+
+@pytest.mark.parametrize("name", ["poses", "commands", "samples"])
+def test_run_refuses_what_are_no_columns(name: str) -> None:
+    wrong: Any = {name: None}
+    with pytest.raises(RunError, match=f"{name}: expected [A-Z][a-z]+Columns, found NoneType"):
+        replace(RUN, **wrong)
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "message"),
+    [
+        ("time_ns", lambda n: list(range(n)), "pose.time_ns: expected a numpy array, found list"),
+        ("time_ns", lambda n: np.arange(n) * 0.016, "expected whole numbers, found float64"),
+        ("heading_rad", lambda n: np.zeros(n, dtype=complex), "expected floats, found complex128"),
+        ("heading_rad", lambda n: np.array(["a"] * n), "pose.heading_rad: expected floats"),
+        ("heading_rad", lambda n: None, "pose.heading_rad: expected a numpy array, found NoneType"),
+    ],
+)
+def test_columns_refuse_what_is_no_array_of_their_kind(
+    column: str, values: Any, message: str
+) -> None:
+    wrong: Any = {column: values(len(RUN.poses))}
+    with pytest.raises(RunError, match=message):
+        replace(RUN.poses, **wrong)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from turtlelog.check.result import CheckResult
-from turtlelog.display import format_number
+from turtlelog.display import format_number, show_angle
 from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording
@@ -113,7 +113,7 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
     kinds = list_signals(run.declaration)
     for name in (name for name in names if name in kinds):
         unit = kinds[name].unit
-        title = name if unit == "1" else f"{name} [{unit}]"
+        title = name if unit == "1" else f"{name} [{show_angle(0.0, unit)[1]}]"
         columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
     widths = [max(map(len, column)) for column in columns]
     return [
@@ -130,9 +130,9 @@ def _read_value(run: Run, name: str, time_ns: int) -> str:
     if row < 0:
         return "-"
     value = float(signal.values[row])
-    return (
-        run.phase_names[int(value)] if signal.kind.compared_as == "label" else format_number(value)
-    )
+    if signal.kind.compared_as == "label":
+        return run.phase_names[int(value)]
+    return format_number(show_angle(value, signal.kind.unit)[0])
 
 
 _AROUND_S: Final = 1.0

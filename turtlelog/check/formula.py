@@ -16,6 +16,7 @@ from turtlelog.check.formula_trace import (
 from turtlelog.check.result import UndecidedError
 from turtlelog.check.robustness import FormulaWalk
 from turtlelog.check.vocabulary import find_kind
+from turtlelog.display import format_html, format_number
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import (
     Call,
@@ -90,8 +91,20 @@ class FormulaResult:
 
     def __repr__(self) -> str:
         word = {True: "holds", False: "violated", None: "undecided"}[self.holds]
-        margin = "" if self.margin is None else f", margin {self.margin:.4g} {self.unit}".rstrip()
+        margin = "" if self.margin is None else f", margin {format_number(self.margin, self.unit)}"
         return f"<FormulaResult {escape_controls(self.formula)}: {word}{margin}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("value", format_number(self.value, self.unit)),
+            ("limit", format_number(self.limit, self.unit)),
+            ("margin", format_number(self.margin, self.unit)),
+            ("margin at [s]", self.margin_s),
+            ("first violation at [s]", self.first_violation_s),
+            ("decided by", self.decided_by),
+            ("reason", self.reason),
+        ]
+        return format_html(rows, title=repr(self))
 
 
 def check_formula(

@@ -87,6 +87,9 @@ class CheckResult:
             f"<{self.verdict} {self.check} of {self.file}: {describe_result(self)}>"
         )
 
+    def _repr_html_(self) -> str:
+        return _tabulate_html([self], title="")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheckOutcome:
@@ -134,15 +137,7 @@ class CheckOutcome:
         return f"<{word}: {self._describe_first()}>"
 
     def _repr_html_(self) -> str:
-        heads = ("file", "check", "verdict", "value", "unit", "margin", "expected", "reason")
-        rows = [
-            (
-                *(one.file, one.check, one.verdict.value, one.value, one.unit, one.margin),
-                *(one.expected, one.reason),
-            )
-            for one in self.results
-        ]
-        return format_html(rows, heads=heads, title=repr(self))
+        return _tabulate_html(self.results, title=repr(self))
 
     def _describe_first(self) -> str:
         more = len(self.failures) - 1
@@ -194,3 +189,15 @@ def describe_result(result: CheckResult) -> str:
 def describe_status(metric: "Metric") -> str:
     """Return why a metric has no value: `no_phase (the run has no phase rotate)`."""
     return f"{metric.status.value} ({metric.reason})"
+
+
+def _tabulate_html(results: Iterable[CheckResult], *, title: str) -> str:
+    heads = ("file", "check", "verdict", "value", "margin", "expected", "reason")
+    rows = [
+        (
+            *(one.file, one.check, one.verdict.value, format_number(one.value, one.unit)),
+            *(format_number(one.margin, one.unit), one.expected, one.reason),
+        )
+        for one in results
+    ]
+    return format_html(rows, heads=heads, title=title)

@@ -8,6 +8,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.output import find_command_name, format_table, print_note, print_text
 from turtlelog.errors import UsageError
+from turtlelog.libraries import load_library
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -21,6 +22,7 @@ def demo(*, output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("
     Args:
         output: The folder to write into: recordings (.mcap), Rerun recordings (.rrd), Table 1.
     """
+    load_library("rerun")
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as err:

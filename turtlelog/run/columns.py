@@ -18,6 +18,7 @@ PAIRS: Final = MappingProxyType(
     }
 )
 """What the two columns of a pair are called."""
+_WHOLE = frozenset({"time_ns", "sequence", "pose_sequence", "phase"})
 _MAY_BE_NAN = frozenset({"world_velocity_m_s", "reference_xy_m", "reference_heading_rad"})
 """Columns whose rows are NaN where a sample does not have them."""
 
@@ -197,6 +198,7 @@ def _describe_columns(columns: PoseColumns | CommandColumns | SampleColumns) -> 
 
 
 def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
+    _require_arrays(columns, table)
     rows = len(columns.time_ns)
     for column in fields(columns):
         values = getattr(columns, column.name)
@@ -208,6 +210,19 @@ def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -
         if values.shape != shape:
             raise RunError(f"{table}.{column.name}: expected shape {shape}, found {values.shape}")
         values.flags.writeable = False
+
+
+def _require_arrays(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
+    """Refuse lists, and times in seconds: what is counted is whole, all else a float."""
+    for column in fields(columns):
+        values, place = getattr(columns, column.name), f"{table}.{column.name}"
+        if values is None and column.default is None:
+            continue
+        if not isinstance(values, np.ndarray):
+            raise RunError(f"{place}: expected a numpy array, found {type(values).__name__}")
+        kinds, expected = ("iu", "whole numbers") if column.name in _WHOLE else ("f", "floats")
+        if len(values) and values.dtype.kind not in kinds:
+            raise RunError(f"{place}: expected {expected}, found {values.dtype}")
 
 
 def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:

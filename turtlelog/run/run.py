@@ -114,8 +114,14 @@ class Run:
     notes: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.name or not self.name.isprintable():
+        if not isinstance(self.name, str) or not self.name or not self.name.isprintable():
             raise RunError(f"name: expected printable text, found {self.name!r}")
+        kinds = {"poses": PoseColumns, "commands": CommandColumns, "samples": SampleColumns}
+        for name, kind in kinds.items():
+            if not isinstance(getattr(self, name), kind):
+                found = type(getattr(self, name)).__name__
+                raise RunError(f"{name}: expected {kind.__name__}, found {found}")
+        self._require_goal()
         if not len(self.poses):
             raise RunError("poses: expected at least one row, found none")
         read = self.samples.pose_sequence
@@ -132,6 +138,15 @@ class Run:
 
     def __reduce__(self) -> Rebuilding:
         return rebuild, (type(self), list_fields(self))
+
+    def _require_goal(self) -> None:
+        goal, heading = self.goal_xy_m, self.goal_heading_rad
+        if goal is not None and not (
+            isinstance(goal, tuple) and len(goal) == 2 and all(map(_is_finite, goal))
+        ):
+            raise RunError(f"goal_xy_m: expected two finite numbers [m], found {goal!r}")
+        if heading is not None and not _is_finite(heading):
+            raise RunError(f"goal_heading_rad: expected a finite number [rad], found {heading!r}")
 
     def _require_declared(self) -> None:
         """Refuse samples that are not of the law that is declared."""
@@ -299,3 +314,7 @@ class Run:
         if len(published) < len(answered):
             return self.end_ns > int(answered[-1])
         return len(published) == len(answered) and bool(published[-1] > answered[-1])
+
+
+def _is_finite(value: object) -> bool:
+    return isinstance(value, int | float | np.floating) and math.isfinite(value)
