@@ -11,7 +11,7 @@ _PURPOSES: Final = MappingProxyType(
         "control": ("control", "these responses and margins"),
         "matplotlib": ("matplotlib", "figures"),
         "pandas": ("pandas", "data frames"),
-        "pyarrow": ("pyarrow", "Arrow tables and Parquet files"),
+        "pyarrow": ("pyarrow", "views, Arrow tables and Parquet files"),
         "rerun": ("rerun-sdk", "views, pictures of them and .rrd files"),
     }
 )
@@ -22,15 +22,16 @@ def load_library(module: str) -> Any:
     """Return a module of a library that a slim installation lacks.
 
     Raises:
-        LibraryError: Where the library is not installed; what it is needed for, and how to get it.
+        LibraryError: Where it, or another of these that it needs, is not installed; what that is
+            needed for, and how to get it.
     """
-    library = module.partition(".")[0]
     try:
         return import_module(module)
     except ModuleNotFoundError as err:
-        if err.name is None or err.name.partition(".")[0] != library:
+        missing = (err.name or "").partition(".")[0]
+        if missing not in _PURPOSES:
             raise
-        package, purpose = _PURPOSES[library]
+        package, purpose = _PURPOSES[missing]
         raise LibraryError(
             f"{package}: needed for {purpose}, and not installed; `pip install {package}`"
         ) from err

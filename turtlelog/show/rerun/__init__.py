@@ -10,7 +10,6 @@ def _import_rerun() -> None:
 
     turtlelog says so in a line. Rerun reads its log filter once, here; one of the user's own stays.
     """
-    load_library("pyarrow")
     name = "RUST_LOG"
     if name in os.environ:
         load_library("rerun")
