@@ -52,7 +52,7 @@ class SampledLoop:
         overshoots: The slowest poles have left the positive real axis.
         damping_ratio: Of the slowest pole: 1 on the positive real axis, negative where unstable.
         overshoot_percent: Furthest sample beyond the reference after a step [% of the step]; None
-            where it is unstable or too slow to tell.
+            where it is unstable or slower than 2,000,000 samples.
         settling_time_s: First sample after a step from which on it stays within 2 % [s]; None as
             before.
         gain_margin: Factor on Kp that makes it unstable; below 1 it is.
