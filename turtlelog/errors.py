@@ -29,7 +29,7 @@ def describe_error(err: BaseException) -> str:
 
 
 def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
-    """Return what a name that is none may stand for: those nearest to it, else the first ones."""
+    """Suggest known names for an unknown one: the nearest, else the first."""
     import difflib  # Only mistakes pay for it.
 
     listed = list(known)

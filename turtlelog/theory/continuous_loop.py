@@ -281,8 +281,15 @@ def _require_polynomial(coefficients: Any) -> NDArray[np.float64]:
         found = np.atleast_1d(np.asarray(coefficients, dtype=np.float64))
     except (TypeError, ValueError) as err:
         raise TheoryError(f"transfer function: expected coefficients, found {err}") from err
-    if found.ndim != 1 or not len(found) or not np.isfinite(found).all():
-        raise TheoryError("transfer function: expected finite coefficients, found others")
+    if found.ndim != 1 or not len(found):
+        raise TheoryError(
+            f"transfer function: expected a list of coefficients, found shape {found.shape}"
+        )
+    is_finite = np.isfinite(found)
+    if not is_finite.all():
+        index = int(np.argmin(is_finite))
+        value = f"{found[index]} at index {index}"
+        raise TheoryError(f"transfer function: expected finite coefficients, found {value}")
     return np.trim_zeros(found, "f")
 
 
