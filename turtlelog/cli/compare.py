@@ -193,7 +193,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
         return
     print_tables([table], kind)
     for note in notes if kind == "csv" else ():
-        # A file of figures has no room for notes.
+        # A file of values has no room for notes.
         print_note(note)
 
 

@@ -33,7 +33,7 @@ class Tolerance:
         reason: Why so much and no more.
 
     Raises:
-        CompareError: Where a figure is no finite number in its range.
+        CompareError: Where a value is no finite number in its range.
     """
 
     abs: float = 0.0
