@@ -9,6 +9,7 @@ from typing import Any, Final
 from turtlelog.escapes import escape_controls
 
 _LISTED: Final = 14
+"""Names in one message; of more, `...` stands for the rest."""
 
 
 class TurtlelogError(Exception):
