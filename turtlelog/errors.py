@@ -9,6 +9,7 @@ from typing import Any, Final
 from turtlelog.escapes import escape_controls
 
 _LISTED: Final = 14
+"""Names in one message; of more, `...` stands for the rest."""
 
 
 class TurtlelogError(Exception):
@@ -29,7 +30,7 @@ def describe_error(err: BaseException) -> str:
 
 
 def suggest_names(name: str, known: Iterable[str], *, most: int = 3) -> str:
-    """Return what a name that is none may stand for: those nearest to it, else the first ones."""
+    """Suggest known names for an unknown one: the nearest, else the first."""
     import difflib  # Only mistakes pay for it.
 
     listed = list(known)

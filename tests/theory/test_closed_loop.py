@@ -44,9 +44,18 @@ def test_the_root_locus_leads_from_the_origin_to_the_left() -> None:
     assert compute_root_locus(gains) == pytest.approx(-gains + 0j)
 
 
-@pytest.mark.parametrize("kp", [[], [-1.0], [math.nan], [[1.0]], ["a"]])
-def test_a_root_locus_needs_gains(kp: Any) -> None:
-    with pytest.raises(TheoryError, match="kp: expected a"):
+@pytest.mark.parametrize(
+    ("kp", "expected"),
+    [
+        ([], r"a list of gains, found an array of shape \(0,\)"),
+        ([[1.0]], r"a list of gains, found an array of shape \(1, 1\)"),
+        ([1.0, -1.0], r"gains from 0 to 1e\+100, found -1.0 at index 1$"),
+        ([math.nan], r"gains from 0 to 1e\+100, found nan at index 0$"),
+        (["a"], "an array of gains, found "),
+    ],
+)
+def test_a_root_locus_needs_gains(kp: Any, expected: str) -> None:
+    with pytest.raises(TheoryError, match=f"^kp: expected {expected}"):
         compute_root_locus(kp)
 
 

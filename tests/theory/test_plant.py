@@ -95,7 +95,21 @@ def test_an_unknown_input_is_refused_with_the_known_ones() -> None:
         compute_plant_response("x", TIME_S)
 
 
-@pytest.mark.parametrize("time_s", [[0.0], [1.0, 2.0], [0.0, 1.0, 1.5], [0.0, -1.0], [0.0, np.nan]])
-def test_responses_need_even_times_from_zero(time_s: list[float]) -> None:
+def test_a_transfer_function_names_the_coefficient_that_is_not_finite() -> None:
+    with pytest.raises(TheoryError, match=r"expected finite coefficients, found inf at index 1$"):
+        find_final_value([1.0], [1.0, np.inf])
+
+
+@pytest.mark.parametrize(
+    ("time_s", "found"),
+    [([0.0], "1, the first 0.0"), ([1.0, 2.0], "2, the first 1.0"), ([], "none")],
+)
+def test_responses_need_times_from_zero(time_s: list[float], found: str) -> None:
+    with pytest.raises(TheoryError, match=f"start at 0 and have at least 2 values, found {found}$"):
+        compute_plant_response("step", time_s)
+
+
+@pytest.mark.parametrize("time_s", [[0.0, 1.0, 1.5], [0.0, -1.0], [0.0, np.nan], [[0.0, 1.0]]])
+def test_responses_need_even_times(time_s: list[float]) -> None:
     with pytest.raises(TheoryError, match="time_s: expected"):
         compute_plant_response("step", time_s)

@@ -76,8 +76,8 @@ def check(
 
     The exit code is 0 where nothing fails, 1 where a check fails or cannot be
     decided, and 2 where the specification or its reference cannot be read. A
-    metric without a value fails; so does a recording that cannot be read, and
-    one of which something is lost, but for --partial.
+    metric without a value fails; so does a recording that cannot be read;
+    incomplete recordings fail unless --partial is given.
 
     Results stand in the order of the files, with a heading for each; of several recordings the
     verdicts stand in a matrix as well.

@@ -89,7 +89,7 @@ def compare(
 ) -> int:
     """Compare runs: which is best at what; with --reference, how far each is from it.
 
-    Without a reference, a file that cannot be read is told on stderr; the others
+    Without a reference, files that cannot be read are reported on stderr; the others
     are compared where there are two or more, and the exit code is 2.
 
     Example: turtlelog compare kp1.mcap kp2.mcap kp4.mcap --sort run.duration
@@ -193,7 +193,7 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
         return
     print_tables([table], kind)
     for note in notes if kind == "csv" else ():
-        # A file of figures has no room for notes.
+        # A file of values has no room for notes.
         print_note(note)
 
 

@@ -192,7 +192,7 @@ def format_identification(found: "Identification") -> str:
             evidence = "see below" if finding.evidence in found.notes else finding.evidence
             rows += _format_finding(name, replace(finding, evidence=evidence), unit)
     table = tl.compare.Table(
-        title=f"What the log of {found.name} tells",
+        title=f"Identified from the log of {found.name}",
         columns=tuple(
             tl.compare.Column(title=title) for title in ("", "value", "how sure", "evidence")
         ),

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> int:
     """Say what recordings hold: source, length, topics, scenario, and what is absent.
 
-    A file that cannot be read is told on stderr; the others are described, and the exit code is 2.
+    Files that cannot be read are reported on stderr; the others are described, and the exit code
+    is 2.
 
     Example: turtlelog info kp1.mcap
 

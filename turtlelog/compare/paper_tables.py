@@ -31,7 +31,7 @@ _CLOCK_NOTE: Final = (
 def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table:
     """Return the paper's Table 1: errors 15 s after the first sample; tau and 4 tau are theory.
 
-    Rows are sorted by gain; with `beside_paper` the paper's own figures stand beside ours. Theory's
+    Rows are sorted by gain; with `beside_paper` the paper's own values stand beside ours. Theory's
     columns are there where a law has loops that it holds for.
     """
     has_theory = _have_theory(runs)

@@ -31,8 +31,8 @@ class Column:
 
     Attributes:
         title: Head of the column.
-        unit: Of its figures, empty where they have none.
-        digits: Decimals of its figures; None: five significant digits.
+        unit: Of its values, empty where they have none.
+        digits: Decimals of its values; None: five significant digits.
         joined: Whether it makes sense only beside the column before it.
         lines: The title broken into lines, for where a terminal has no room for it.
     """

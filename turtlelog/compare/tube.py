@@ -29,11 +29,11 @@ class Tolerance:
     Attributes:
         abs: In the unit of the signal or metric, >= 0.
         rel: As a share of the reference's magnitude, 0 to 1; an angle's is that in [0, pi].
-        time_s: A signal passes by any value that the reference takes this close in time [s], >= 0.
+        time_s: Passes if it matches any reference value within +- time_s [s]; >= 0; signals only.
         reason: Why so much and no more.
 
     Raises:
-        CompareError: Where a figure is no finite number in its range.
+        CompareError: Where a value is no finite number in its range.
     """
 
     abs: float = 0.0

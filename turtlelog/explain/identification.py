@@ -29,7 +29,7 @@ class Certainty(enum.StrEnum):
     AMBIGUOUS = "ambiguous"
     """Several values fit alike; they are the candidates, and the value is the likeliest."""
     UNKNOWN = "unknown"
-    """The log does not tell it."""
+    """The log does not determine it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

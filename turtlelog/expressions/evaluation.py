@@ -38,7 +38,7 @@ _WORDS = {Kind.NUMBER: "a number", Kind.TEXT: "a text", Kind.TRUTH: "true or fal
 
 
 def evaluate_expression(expression: Expression, values: Values) -> Any:
-    """Return what an expression comes to.
+    """Return the value of an expression.
 
     None among the values means that there is none; what needs it has none either, as has a number
     divided by zero, out of a function's domain, or too large. Truths follow Kleene's logic:
@@ -60,7 +60,7 @@ def evaluate_expression(expression: Expression, values: Values) -> Any:
 
 
 def evaluate_node(expression: Expression, node: Node, values: Values) -> Operand:
-    """Return what part of an expression comes to.
+    """Return the value of a part of an expression.
 
     Raises:
         ExpressionError: As `evaluate_expression`.

@@ -66,8 +66,8 @@ class Response:
         rows: Its poses among those of the run.
         time_s: From the start of the stretch [s], shape (n,), n >= 2.
         values: Heading without jumps [rad], or a way [m], shape (n,).
-        initial: What the step starts from: the first value, or as asked.
-        reference: What the step leads to: what the loop should reach, or as asked.
+        initial: What the step starts from: the first value, or the setting `initial`.
+        reference: What the step leads to: what the loop should reach, or the setting `final`.
         band: Half-width of the settling band, as a share of the step.
         commands: Those of its samples.
         was_cut: Whether the run was cut before the loop had come to its end.

@@ -3,6 +3,7 @@
 Headings are in degrees. Of long curves those rows are chosen that draw the same.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -26,7 +27,8 @@ BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
 
 MOST_POINTS: Final = 20_000
-"""How many points of a curve are drawn; a page 7 inches wide at 600 dpi has 4,300 columns."""
+"""How many points of a curve are drawn: 3 for each of 6,666 stretches. A page 181 mm wide has 4,275
+columns at 600 dpi."""
 
 Command = Literal["speed", "turn_rate"]
 
@@ -189,7 +191,8 @@ def find_limits(runs: Sequence[Run], command: Command) -> list[float]:
 def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
     """Return the values that runs have of a parameter, rising; what is boundless is none."""
     found = {run.parameters.get(key) for run in runs}
-    return sorted(float(value) for value in found if isinstance(value, int | float) and value < 1e9)
+    numbers = [value for value in found if isinstance(value, int | float)]
+    return sorted(float(value) for value in numbers if math.isfinite(value))
 
 
 def list_aims(run: Run, signal: str) -> list[Curve]:

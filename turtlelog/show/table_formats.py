@@ -48,7 +48,7 @@ class _Column:
 
     @property
     def least_width(self) -> int:
-        """What it cannot do with less: figures stay whole, names may be broken."""
+        """What it cannot do with less: values stay whole, names may be broken."""
         if not self.is_numeric:
             return min(self.width, _LEAST_TEXT)
         return min(self.width, max(_LEAST_NUMBER, len(self.unit), *map(len, self.cells)))

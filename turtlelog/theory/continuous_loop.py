@@ -96,7 +96,11 @@ def compute_plant_response(kind: str, time_s: ArrayLike) -> NDArray[np.float64]:
 
 
 def find_plant_final_value(kind: str) -> FinalValue:
-    """Return where the response of 1/s to an impulse, a step or a ramp ends."""
+    """Return where the response of 1/s to an impulse, a step or a ramp ends.
+
+    Raises:
+        TheoryError: Where there is no such input.
+    """
     _require_kind(kind)
     numerator, denominator = PLANT
     return find_final_value(numerator, (*denominator, *(0.0,) * PLANT_INPUTS.index(kind)))
@@ -168,12 +172,20 @@ def compute_time_constant(kp: float) -> float:
 
 
 def compute_settling_time(kp: float) -> float:
-    """Return 4 tau [s], the textbook's rule for the 2 % settling time."""
+    """Return 4 tau [s], the textbook's rule for the 2 % settling time.
+
+    Raises:
+        TheoryError: Where the gain is not a positive number.
+    """
     return 4.0 * compute_time_constant(kp)
 
 
 def compute_exact_settling_time(kp: float) -> float:
-    """Return ln 50 tau [s], when exp(-t / tau) is 2 %: 3.912 tau."""
+    """Return ln 50 tau [s], when exp(-t / tau) is 2 %: 3.912 tau.
+
+    Raises:
+        TheoryError: Where the gain is not a positive number.
+    """
     return math.log(50.0) * compute_time_constant(kp)
 
 
@@ -269,8 +281,15 @@ def _require_polynomial(coefficients: Any) -> NDArray[np.float64]:
         found = np.atleast_1d(np.asarray(coefficients, dtype=np.float64))
     except (TypeError, ValueError) as err:
         raise TheoryError(f"transfer function: expected coefficients, found {err}") from err
-    if found.ndim != 1 or not len(found) or not np.isfinite(found).all():
-        raise TheoryError("transfer function: expected finite coefficients, found others")
+    if found.ndim != 1 or not len(found):
+        raise TheoryError(
+            f"transfer function: expected a list of coefficients, found shape {found.shape}"
+        )
+    is_finite = np.isfinite(found)
+    if not is_finite.all():
+        index = int(np.argmin(is_finite))
+        value = f"{found[index]} at index {index}"
+        raise TheoryError(f"transfer function: expected finite coefficients, found {value}")
     return np.trim_zeros(found, "f")
 
 

@@ -10,8 +10,14 @@ from turtlelog.errors import TheoryError
 
 SMALLEST: Final = 1e-100
 LARGEST: Final = 1e100
+"""Magnitudes in the unit of each number: a product or quotient of two, 1e-200 to 1e200, neither
+overflows a double (1.8e308) nor loses digits (2.2e-308)."""
+
 MAX_DEAD_TIME_TICKS: Final = 1000
+"""In samples: 16 s at turtlesim's tick of 16 ms."""
+
 MAX_COUNT: Final = 100_000_000
+"""In samples: 800 MB as doubles."""
 
 
 def require_gain(kp: Any) -> float:
@@ -52,8 +58,14 @@ def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
         gains = np.atleast_1d(np.asarray(kp, dtype=np.float64))
     except (TypeError, ValueError, OverflowError) as err:
         raise TheoryError(f"kp: expected an array of gains, found {err}") from err
-    if gains.ndim != 1 or not len(gains) or not ((gains >= 0.0) & (gains <= LARGEST)).all():
-        raise TheoryError("kp: expected a list of gains >= 0, found others")
+    if gains.ndim != 1 or not len(gains):
+        raise TheoryError(f"kp: expected a list of gains, found an array of shape {gains.shape}")
+    is_outside = ~((gains >= 0.0) & (gains <= LARGEST))
+    if is_outside.any():
+        index = int(np.argmax(is_outside))
+        raise TheoryError(
+            f"kp: expected gains from 0 to {LARGEST:g}, found {gains[index]} at index {index}"
+        )
     return gains
 
 
@@ -71,8 +83,15 @@ def require_times(time_s: ArrayLike) -> NDArray[np.float64]:
 def require_even_times(time_s: ArrayLike) -> NDArray[np.float64]:
     """Return times [s] that python-control can simulate over."""
     times = require_times(time_s)
-    if times.ndim != 1 or len(times) < 2 or times[0] != 0.0:
-        raise TheoryError("time_s: expected at least 2 times from 0 on, found others")
+    if times.ndim != 1:
+        raise TheoryError(
+            f"time_s: expected a list of times, found an array of shape {times.shape}"
+        )
+    if len(times) < 2 or times[0] != 0.0:
+        found = f"{len(times)}, the first {times[0]}" if len(times) else "none"
+        raise TheoryError(
+            f"time_s: times must start at 0 and have at least 2 values, found {found}"
+        )
     steps = np.diff(times)
     if not steps.min() > 0.0 or not np.allclose(steps, steps[0], rtol=1e-6, atol=0.0):
         raise TheoryError("time_s: expected even steps forward, found uneven ones")

@@ -33,10 +33,14 @@ LARGEST_DEVIATION: Final = 1e9
 """Where the response of an unstable loop is stopped, in steps from the reference."""
 
 _NEGLIGIBLE_DEVIATION: Final = 1e-20
+"""In steps from the reference: far below the last digit of a double near 1, 2e-16."""
+
 _ROUNDING: Final = 1e-9
 """More than adding the reference to a response can change, as a share of it."""
 
 _LONGEST: Final = 2_000_000
+"""In samples, of the response that overshoot and settling time are read from: 16 MB as doubles, and
+8.9 h at turtlesim's tick of 16 ms."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,7 +56,7 @@ class SampledLoop:
         overshoots: The slowest poles have left the positive real axis.
         damping_ratio: Of the slowest pole: 1 on the positive real axis, negative where unstable.
         overshoot_percent: Furthest sample beyond the reference after a step [% of the step]; None
-            where it is unstable or too slow to tell.
+            where it is unstable or slower than 2,000,000 samples.
         settling_time_s: First sample after a step from which on it stays within 2 % [s]; None as
             before.
         gain_margin: Factor on Kp that makes it unstable; below 1 it is.
@@ -83,14 +87,22 @@ class SampledLoop:
 
 
 def compute_overshoot_gain(period_s: float, dead_time_ticks: int = 0) -> float:
-    """Return the largest Kp [1/s] without overshoot: d^d / (d + 1)^(d + 1) / T, 1 / T for d = 0."""
+    """Return the largest Kp [1/s] without overshoot: d^d / (d + 1)^(d + 1) / T, 1 / T for d = 0.
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
     return _compute_overshoot_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
         period_s
     )
 
 
 def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
-    """Return the Kp [1/s] from which the loop is unstable: 2 sin(pi / (2 (2 d + 1))) / T."""
+    """Return the Kp [1/s] from which the loop is unstable: 2 sin(pi / (2 (2 d + 1))) / T.
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
     return _compute_stability_loop_gain(require_dead_time(dead_time_ticks)) / require_period(
         period_s
     )
@@ -99,7 +111,11 @@ def compute_stability_gain(period_s: float, dead_time_ticks: int = 0) -> float:
 def compute_sampled_poles(
     kp: float, *, period_s: float, dead_time_ticks: int = 0
 ) -> NDArray[np.complex128]:
-    """Return the poles of the sampled loop, shape (d + 1,), largest magnitude first."""
+    """Return the poles of the sampled loop, shape (d + 1,), largest magnitude first.
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
     loop_gain = require_gain(kp) * require_period(period_s)
     return _find_sampled_poles(loop_gain, require_dead_time(dead_time_ticks))
 
@@ -255,6 +271,7 @@ def _measure_step(
     poles: NDArray[np.complex128], loop_gain: float, d: int
 ) -> tuple[float | None, int | None]:
     """Return overshoot [%] and 2 % settling time [samples] of the step response itself."""
+    # A pole at 0, which has no logarithm, counts as one of 1e-3: 0.1 % is left after one sample.
     decay = -math.log(max(abs(poles[0]), 1e-3)) if abs(poles[0]) < 1.0 else 0.0
     # exp(-12) of the slowest pole is left after so many samples, far below 2 %.
     if decay * _LONGEST < 12.0:
@@ -339,7 +356,7 @@ def _bisect(
 ) -> NDArray[np.float64]:
     """Return where rising functions cross zero, to the last digit of the interval."""
     low, high = np.atleast_1d(low), np.atleast_1d(high)
-    for _ in range(52):
+    for _ in range(52):  # 2^-52 of the interval is left, the last digit of a double near 1
         middle = low + 0.5 * (high - low)
         is_below = rise(middle) < 0.0
         low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)

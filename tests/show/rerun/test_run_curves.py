@@ -149,6 +149,13 @@ def test_references_lie_at_bearing_goal_and_limits(run_rrd: Path) -> None:
         assert read_rows(run_rrd, entity, "Scalars:scalars") == [levels, levels]
 
 
+def test_every_finite_limit_draws_a_line(tmp_path: Path) -> None:
+    parameters = {**RUN.parameters, "limits.speed_m_s": 2e9}
+    write_run_rrd(replace(RUN, parameters=parameters), tmp_path / "run.rrd")
+    levels = [-2e9, 2e9]
+    assert read_rows(tmp_path / "run.rrd", "/reference/speed", "Scalars:scalars") == [levels] * 2
+
+
 def test_infinite_limits_draw_no_line(tmp_path: Path) -> None:
     limits = {"limits.speed_m_s": float("inf"), "limits.turn_rate_rad_s": float("inf")}
     write_run_rrd(replace(RUN, parameters={**RUN.parameters, **limits}), tmp_path / "run.rrd")

@@ -132,7 +132,7 @@ class MessageType:
     Attributes:
         fields: Of the type, nested ones within theirs.
         layout: None where its messages differ in size.
-        size: Numbers, texts and sequences that the fields come to.
+        size: Total size of the fields, counted in numbers, texts and sequences.
     """
 
     fields: tuple[Field, ...]
@@ -163,7 +163,7 @@ def read_type(name: str, definition: str) -> MessageType:
 
 
 def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
-    """Return the fields of the message type `name`, nested types resolved, and what they come to.
+    """Return the fields of the message type `name`, nested types resolved, and their total size.
 
     Args:
         name: `package/msg/Type` or `package/Type`.
@@ -186,7 +186,7 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
 
 
 class _Resolver:
-    """Puts nested types in, once each, and counts what they come to."""
+    """Puts nested types in, once each, and counts the total size of the fields."""
 
     def __init__(self, definitions: Mapping[str, str]) -> None:
         self._definitions = definitions

@@ -15,12 +15,27 @@ from turtlelog.show.rerun.world import Bounds, find_plane_bounds
 from turtlelog.show.shared_curves import find_end_of_turn
 
 _HEADROOM = 1.25
+"""End of a command's range, as a multiple of its most extreme value."""
+
 _ROOM = 0.08
+"""Room above and below what was measured, as a share of its range; where all values are one, of
+that value."""
+
 _LEAST_ROOM = 1e-9
+"""In the unit of the plot, at least where all values are one: a range needs a height."""
+
 _LEAST_SIDE = 0.15
+"""What a command's range shows at least on either side of 0, as a share of its largest limit,
+times `_HEADROOM`."""
+
 _CLOSE_UP = 2.0
-_MOST_IN_PLOT = 4
+"""Half-height of the close-up, as a multiple of the largest error in it: it fills half of it."""
+
 _SMALLEST_CLOSE_UP_DEG = 0.1
+"""Half-height of the close-up at least [deg]: also errors of 0 need a range with a height."""
+
+_MOST_IN_PLOT = 4
+"""How many runs a legend inside a plot names; of more, the names have a view of their own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
