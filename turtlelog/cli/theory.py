@@ -33,7 +33,7 @@ def theory(
     Example: turtlelog theory --kp 1,2,4,10 --dead-time 6
 
     Args:
-        kp: Gains [1/s], at most 100, with commas between.
+        kp: Gains [1/s], with commas between; at most 100 of them.
         period: Sampling period [s]; turtlesim's tick by default.
         dead_time: Dead time [ticks], 0 to 1000; 0 is the least possible.
         json: Print one JSON object instead of tables.

@@ -3,7 +3,6 @@
 Headings are in degrees. Of long curves those rows are chosen that draw the same.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -25,6 +24,10 @@ REFERENCE: Final = REFERENCE_WORDS["recorded"]
 
 BEARING_NOW: Final = REFERENCE_WORDS["bearing_now"]
 """Name of the curve of the bearing from the present position."""
+
+_NO_LIMIT: Final = 1e9
+"""A speed [m/s], rate [rad/s] or tolerance from which on no robot meets it: its line would only
+flatten every curve beside it, so it is drawn as little as one at infinity."""
 
 MOST_POINTS: Final = 20_000
 """How many points of a curve are drawn: 3 for each of 6,666 stretches. A page 181 mm wide has 4,275
@@ -192,7 +195,7 @@ def find_parameters(runs: Sequence[Run], key: str) -> list[float]:
     """Return the values that runs have of a parameter, rising; what is boundless is none."""
     found = {run.parameters.get(key) for run in runs}
     numbers = [value for value in found if isinstance(value, int | float)]
-    return sorted(float(value) for value in numbers if math.isfinite(value))
+    return sorted(float(value) for value in numbers if value < _NO_LIMIT)
 
 
 def list_aims(run: Run, signal: str) -> list[Curve]:

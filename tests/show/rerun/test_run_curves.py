@@ -149,11 +149,15 @@ def test_references_lie_at_bearing_goal_and_limits(run_rrd: Path) -> None:
         assert read_rows(run_rrd, entity, "Scalars:scalars") == [levels, levels]
 
 
-def test_every_finite_limit_draws_a_line(tmp_path: Path) -> None:
-    parameters = {**RUN.parameters, "limits.speed_m_s": 2e9}
-    write_run_rrd(replace(RUN, parameters=parameters), tmp_path / "run.rrd")
-    levels = [-2e9, 2e9]
-    assert read_rows(tmp_path / "run.rrd", "/reference/speed", "Scalars:scalars") == [levels] * 2
+def test_limit_that_no_robot_meets_draws_no_line(tmp_path: Path) -> None:
+    for limit, levels in ((0.99e9, [[-0.99e9, 0.99e9]] * 2), (1e9, [])):
+        parameters = {**RUN.parameters, "limits.speed_m_s": limit}
+        write_run_rrd(replace(RUN, parameters=parameters), tmp_path / "run.rrd")
+        has_line = "/reference/speed" in list_entities(tmp_path / "run.rrd")
+        assert has_line == bool(levels)
+        if has_line:
+            found = read_rows(tmp_path / "run.rrd", "/reference/speed", "Scalars:scalars")
+            assert found == levels
 
 
 def test_infinite_limits_draw_no_line(tmp_path: Path) -> None:
