@@ -192,3 +192,16 @@ def test_a_wrong_value_of_a_run_is_named() -> None:
     )
     with pytest.raises(ScenarioError, match=r"textbook: law\.kp_linear: expected a number > 0"):
         complete_scenario(run, get_preset("paper"))
+
+
+@pytest.mark.parametrize(
+    ("key", "line"),
+    [
+        ("speed_m_s", "changes: speed_m_s: expected limits.speed_m_s, found no such key"),
+        ("kp_lin", "changes: kp_lin: expected law.kp_linear, found no such key"),
+        ("nosuch.key", "changes: nosuch: expected "),
+    ],
+)
+def test_key_without_its_table_is_answered_with_the_whole_key(key: str, line: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(line)):
+        override_scenario(get_preset("textbook"), {key: 2})

@@ -17,7 +17,22 @@ if TYPE_CHECKING:
     from turtlelog import Run
 
 _FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet"}
-_NO_FOLDERS: Final = (".db3", ".json", ".rrd", ".yaml", ".zip", ".toml", ".png", ".bag")
+_NO_FOLDERS: Final = (
+    *(
+        ".arrow",
+        ".bag",
+        ".db3",
+        ".feather",
+        ".gz",
+        ".h5",
+        ".hdf5",
+        ".json",
+        ".png",
+        ".rrd",
+        ".toml",
+    ),
+    *(".tsv", ".txt", ".xlsx", ".yaml", ".zip", ".zst"),
+)
 """How no folder is called: who writes this means another file."""
 
 _TableName = Literal["poses", "commands", "samples", "events"]

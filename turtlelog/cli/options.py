@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -148,7 +147,6 @@ def change_scenario(
     """
     options = options or ScenarioOptions()
     changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
-    _require_tables(changes, scenario)
     if "law.kind" in changes:
         # Another law has other keys: it is chosen before any of them is set.
         kind = {"law.kind": changes.pop("law.kind")}
@@ -164,19 +162,6 @@ def change_scenario(
     if options.goal is not None:
         scenario = tl.override_scenario(scenario, _parse_goal(options.goal), source="--goal")
     return tl.override_scenario(scenario, changes, source="--set")
-
-
-def _require_tables(changes: "Mapping[str, Any]", scenario: "Scenario") -> None:
-    """Refuse a key without its table, and say which keys end like it."""
-    known = dict.fromkeys(["goal.heading_rad", *tl.scenario.flatten_scenario(scenario)])
-    lasts = {key.rpartition(".")[2] for key in known}
-    for key in changes:
-        if "." in key or key in known:
-            continue
-        near = [last for last in lasts if last.startswith(key)] or get_close_matches(key, lasts)
-        homes = [name for name in known if name.rpartition(".")[2] in near]
-        if any("." in name for name in homes):
-            raise UsageError(f"--set: {key}: expected {' or '.join(homes)}, found no such key")
 
 
 def _ask_law(scenario: "Scenario", changes: "Mapping[str, Any]") -> "Declaration":

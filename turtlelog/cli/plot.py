@@ -58,6 +58,11 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     if is_file:
         _require_one(output, names, formats)
         require_new_target(output, files or [], suffix=output.suffix.lower())
+    elif output.suffix.lower() in _OTHER_PICTURES:
+        raise UsageError(
+            f"{output}: expected a folder, or a file that ends in .pdf, .png or .svg, found"
+            f" {output.suffix}"
+        )
     elif output.exists() and not output.is_dir():
         raise UsageError(f"{output}: expected a folder to write to, found a file")
     page = tl.show.Page(text_width_mm=text_width, columns=columns)
@@ -85,6 +90,10 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 
 
 _SUFFIXES: Final = frozenset({".pdf", ".png", ".svg"})
+_OTHER_PICTURES: Final = frozenset(
+    {".bmp", ".eps", ".gif", ".jpeg", ".jpg", ".ps", ".tif", ".tiff", ".webp"}
+)
+"""How no folder is called: who writes this means a picture."""
 _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 """What one file shows where nothing is asked for: the first that there is data for."""
 

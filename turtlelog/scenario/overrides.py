@@ -31,8 +31,25 @@ def override_scenario(
     Raises:
         ScenarioError: Where a key or value is wrong.
     """
+    _require_tables(scenario, values, source)
     is_trusted = "law.kind" in values or _is_trusted(scenario)
     return _override(scenario, values, source=source, trust_law=is_trusted)
+
+
+def _require_tables(scenario: Scenario, values: Mapping[str, Any], source: str) -> None:
+    """Refuse a key without its table, and say which keys end like it."""
+    known = dict.fromkeys(["goal.heading_rad", *flatten_scenario(scenario)])
+    lasts = {key.rpartition(".")[2] for key in known}
+    for key in values:
+        if "." in key or key in known:
+            continue
+        from difflib import get_close_matches  # Only mistakes pay for it.
+
+        near = [last for last in lasts if last.startswith(key)] or get_close_matches(key, lasts)
+        homes = [name for name in known if name.rpartition(".")[2] in near]
+        if any("." in name for name in homes):
+            expected = " or ".join(homes)
+            raise ScenarioError(f"{source}: {key}: expected {expected}, found no such key")
 
 
 def override_gains(
