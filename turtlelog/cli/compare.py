@@ -44,7 +44,7 @@ class ReferenceOptions:
 
     Attributes:
         reference: The run that differences are taken from.
-        align: What to bring together: first-sample (the usual), phase:NAME (the start of a phase),
+        align: What to bring together: first_sample (the usual), phase:NAME (the start of a phase),
             recorded (times as they are), sample (samples by their number).
     """
 
@@ -200,7 +200,9 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
 def _compare_against(
     runs: "Iterator[Run]", paths: Sequence[Path], against: ReferenceOptions, kind: str
 ) -> None:
-    alignment = (against.align or "first_sample").replace("-", "_")
+    alignment = against.align or "first_sample"
+    if alignment == "first-sample":
+        alignment = "first_sample"
     reference = next(runs)
     summaries: list[RunSummary] = []
 
