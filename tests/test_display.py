@@ -1,13 +1,17 @@
 """Public values show themselves: one line in a console, a table in a notebook."""
 
+import math
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, Final
 
 import pytest
 
 import turtlelog as tl
 from turtlelog.display import NamedValues, format_html
+from turtlelog.explain.attribution import ValueSet
+from turtlelog.explain.identification import Certainty
 from turtlelog.laws.loading import LAWS
 
 FILE: Final = "recordings/paper/kp10.mcap"
@@ -131,6 +135,35 @@ def test_check_of_a_recording_is_a_table_in_a_notebook() -> None:
     outcome = tl.Recording(FILE).holds("run.duration < 1")
     for text in ("<table", "FAIL", "12.6", "run.duration &lt; 1"):
         assert text in outcome._repr_html_()
+
+
+def test_angles_of_a_comparison_are_in_degrees_in_a_notebook() -> None:
+    comparison = tl.compare_runs(RUN, OTHER)
+    (heading,) = (found for found in comparison.signals if found.signal == "heading")
+    cells = f'deg</td><td style="text-align:right">{math.degrees(heading.largest):.5g}</td>'
+    assert cells in comparison._repr_html_()
+    assert ">rad<" not in comparison._repr_html_()
+
+
+def test_value_that_several_settings_fit_is_not_called_known() -> None:
+    found = tl.identify_run(RUN)
+    key = "law.kp_linear"
+    for certainty, known in ((Certainty.FITTED, 27), (Certainty.AMBIGUOUS, 26)):
+        changed = replace(found.findings[key], certainty=certainty)
+        again = replace(found, findings={**found.findings, key: changed})
+        assert f"{known} of 29 values known" in repr(again)
+
+
+def test_attribution_without_shares_does_not_say_that_no_effect_acts() -> None:
+    found = replace(tl.attribute_run(RUN), shares=())
+    assert repr(found).endswith("0.1067 m: no effect changes it>")
+    for why in ({"withheld": "the log differs"}, {"without_value": (ValueSet(mechanisms=("a",)),)}):
+        assert repr(replace(found, **why)).endswith("0.1067 m: no shares>")
+
+
+def test_counts_of_one_are_singular() -> None:
+    assert ": 1 sample, " in repr(RUN.slice(0, 0))
+    assert ": 2 samples, " in repr(RUN.slice(0, 0.016))
 
 
 def test_html_is_escaped_and_numbers_stand_on_the_right() -> None:

@@ -21,7 +21,7 @@ def test_slice_holds_what_was_recorded_between_two_times_of_the_run() -> None:
         assert start_ns <= columns.time_ns.min() <= columns.time_ns.max() <= end_ns
     read_ns = part.poses.time_ns[part.samples.pose_sequence]
     assert start_ns <= read_ns.min()
-    assert part.notes["slice"] == "2 to 5 s after the first sample"
+    assert part.notes["slice"] == "2 to 5 s after the first sample of its run"
     assert (part.stop_reason, part.scenario_is_complete) == (None, False)
 
 

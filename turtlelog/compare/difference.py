@@ -80,7 +80,10 @@ class RunComparison:
 
     def _repr_html_(self) -> str:
         heads = ("signal", "unit", "largest difference", "at [s]")
-        rows = [(found.signal, found.unit, found.largest, found.at_s) for found in self.signals]
+        rows = [
+            (found.signal, *show_angle(found.largest, found.unit)[::-1], found.at_s)
+            for found in self.signals
+        ]
         return format_html(rows, heads=heads, title=repr(self))
 
 

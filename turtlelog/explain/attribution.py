@@ -215,7 +215,8 @@ class Attribution:
 
     def __repr__(self) -> str:
         parts = [f"{share.mechanism} {share.share:.4g}" for share in self.shares if share.share]
-        cause = (self.withheld and "no shares") or ", ".join(parts) or "no effect changes it"
+        is_divided = not (self.withheld or self.without_value)
+        cause = (", ".join(parts) or "no effect changes it") if is_divided else "no shares"
         value = self.as_built if self.as_logged is None else self.as_logged
         size = "no value" if value is None else f"{value:.4g} {self.unit}"
         return f"<Attribution of {self.metric}: {size}: {cause}>"

@@ -171,7 +171,8 @@ class Identification:
         return self.scenario
 
     def __repr__(self) -> str:
-        known = sum(found.certainty is not Certainty.UNKNOWN for found in self.findings.values())
+        unsure = (Certainty.UNKNOWN, Certainty.AMBIGUOUS)
+        known = sum(found.certainty not in unsure for found in self.findings.values())
         return escape_controls(
             f"<Identification of {self.name}: {known} of {len(self.findings)} values known>"
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from turtlelog.display import format_html
+from turtlelog.display import describe_count, format_html
 from turtlelog.errors import RunError
 from turtlelog.escapes import escape_controls
 from turtlelog.loops import PAUSE, Declaration
@@ -231,7 +231,7 @@ class Run:
         if start_ns <= self.poses.time_ns[0] and end_ns >= self.end_ns:
             return self
         first_s, last_s = ((time_ns - self.start_ns) / 1e9 for time_ns in (start_ns, end_ns))
-        note = {"slice": f"{first_s:g} to {last_s:g} s after the first sample"}
+        note = {"slice": f"{first_s:g} to {last_s:g} s after the first sample of its run"}
         part = slice_run(self, start_ns=start_ns, end_ns=end_ns)
         return replace(part, notes={**self.notes, **note})
 
@@ -266,7 +266,8 @@ class Run:
         return build_pandas(self, table)
 
     def __repr__(self) -> str:
-        rows = f"{len(self.samples)} samples" if len(self.samples) else f"{len(self.poses)} poses"
+        samples, poses = len(self.samples), len(self.poses)
+        rows = describe_count(samples, "sample") if samples else describe_count(poses, "pose")
         ended = self.stop_reason or "end not recorded"
         return escape_controls(f"<Run {self.name}: {rows}, {self.duration_s:.1f} s, {ended}>")
 
