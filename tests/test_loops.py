@@ -40,6 +40,9 @@ def make_loop(**changes: Any) -> ControlLoop:
         ({"signal": "distance", "reference": "goal_bearing"}, "expected one of zero, recorded"),
         ({"gain": "gain"}, "loop a: gain: expected a key such as law.kp_angular, or None"),
         ({"limit": 1.0}, "loop a: limit: expected a key such as law.kp_angular, or None"),
+        ({"integral_gain": "ki"}, "loop a: integral_gain: expected a key such as law.kp_angular"),
+        ({"derivative_gain": ""}, "loop a: derivative_gain: expected a key such as"),
+        ({"derivative_filter": 1}, "loop a: derivative_filter: expected a key such as"),
         ({"is_proportional": "no"}, "loop a: is_proportional: expected True or False, found 'no'"),
     ],
 )

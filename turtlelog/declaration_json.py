@@ -20,6 +20,9 @@ class _Loop(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     gain: str | None = None
     limit: str | None = None
     is_proportional: bool = True
+    integral_gain: str | None = None
+    derivative_gain: str | None = None
+    derivative_filter: str | None = None
 
 
 class _Phase(msgspec.Struct, forbid_unknown_fields=True):

@@ -107,6 +107,10 @@ class ControlLoop:
         limit: Scenario key of the limit of its command; None for that of the command's kind.
         is_proportional: Whether the command is gain times error and nothing else. False of a loop
             with an integral or a derivative (PI, PD, PID): theory's lines do not hold for it.
+        integral_gain: Scenario key of the integral gain, None where there is none.
+        derivative_gain: Scenario key of the derivative gain, None where there is none.
+        derivative_filter: Scenario key of the time constant of the derivative's first-order filter
+            [s], None where it is not filtered.
 
     Raises:
         RunError: One line with the field, what was expected and what was found.
@@ -119,6 +123,9 @@ class ControlLoop:
     gain: str | None = None
     limit: str | None = None
     is_proportional: bool = True
+    integral_gain: str | None = None
+    derivative_gain: str | None = None
+    derivative_filter: str | None = None
 
     def __post_init__(self) -> None:
         _require_name("loop", self.name)
@@ -129,7 +136,8 @@ class ControlLoop:
         _require_one_of(f"{place}: signal", self.signal, tuple(REFERENCES))
         _require_one_of(f"{place}: command", self.command, tuple(COMMAND_WORDS))
         _require_one_of(f"{place}: reference", self.reference, REFERENCES[self.signal])
-        for field_name, key in (("gain", self.gain), ("limit", self.limit)):
+        for field_name in _KEY_FIELDS:
+            key = getattr(self, field_name)
             if key is not None and not (isinstance(key, str) and _KEY.fullmatch(key)):
                 expected = "a key such as law.kp_angular, or None"
                 raise RunError(f"{place}: {field_name}: expected {expected}, found {key!r}")
@@ -174,6 +182,9 @@ class ControlLoop:
         """Scenario key of the limit of its command."""
         return self.limit or LIMIT_KEYS[self.command]
 
+
+_KEY_FIELDS: Final = ("gain", "limit", "integral_gain", "derivative_gain", "derivative_filter")
+"""Fields of a loop that hold a scenario key."""
 
 _INTEGRATED: Final = frozenset(
     {("heading", "turn_rate"), ("along_track", "speed"), ("distance", "speed")}

@@ -63,6 +63,19 @@ def test_only_a_loop_that_is_not_proportional_says_so_and_comes_back() -> None:
     assert parse_declaration(text) == declaration
 
 
+def test_keys_of_a_pid_come_back_and_stay_out_where_there_are_none() -> None:
+    keys = {
+        "integral_gain": "law.ki",
+        "derivative_gain": "law.kd",
+        "derivative_filter": "law.derivative_filter_s",
+    }
+    assert not keys.keys() & json.loads(format_declaration(STRANGE))["loops"][1].keys()
+    declaration = replace(STRANGE, loops=(STRANGE.loops[0], replace(STRANGE.loops[1], **keys)))
+    text = format_declaration(declaration)
+    assert json.loads(text)["loops"][1] == LOOP | keys
+    assert parse_declaration(text) == declaration
+
+
 LOOP = ENTRY["loops"][1]
 WRONG = {
     "no object": ([], "Expected `object`, got `array`"),
