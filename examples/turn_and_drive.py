@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.paths import Path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +25,7 @@ class TurnAndDrive:
 
     @classmethod
     def declare(
-        cls, parameters: TurnAndDriveParameters, goal: Goal | None, path: None
+        cls, parameters: TurnAndDriveParameters, goal: Goal | None, path: Path | None
     ) -> Declaration:
         align = ControlLoop(
             name="align",
@@ -46,7 +47,7 @@ class TurnAndDrive:
         self.parameters = parameters
         self.goal = Goal(0.0, 0.0)
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         if goal is not None:
             self.goal = goal
 

@@ -10,6 +10,7 @@ import turtlelog as tl
 from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration, Mechanism
+from turtlelog.paths import Path as Track
 
 KIND: Final = f"{Path(__file__)}:StrangeLaw"
 """What a scenario's law.kind says of it."""
@@ -38,7 +39,9 @@ class StrangeLaw:
     counts_samples = ()
 
     @classmethod
-    def declare(cls, parameters: StrangeParameters, goal: Goal | None, path: None) -> Declaration:
+    def declare(
+        cls, parameters: StrangeParameters, goal: Goal | None, path: Track | None
+    ) -> Declaration:
         return Declaration(
             loops=(
                 ControlLoop(
@@ -68,7 +71,7 @@ class StrangeLaw:
         self.first_ns: int | None = None
         self.start_rad = 0.0
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Track | None) -> None:
         assert goal is not None
         self.goal, self.start_rad = goal, start.heading_rad
         self.memory, self.is_second, self.first_ns = 0.0, False, None

@@ -40,7 +40,7 @@ VALUES: Final[dict[str, tuple[Callable[[], Any], str]]] = {
     "METRICS": (lambda: tl.METRICS, "metrics: <loop>.duration, "),
     "SIGNALS": (lambda: tl.SIGNALS, "signals: x, y, heading, speed, ...>"),
     "FIGURES": (lambda: tl.show.FIGURES, "figures: plant, "),
-    "LAWS": (lambda: LAWS, "<1 law: sequential-p"),
+    "LAWS": (lambda: LAWS, f"<{len(LAWS)} laws: sequential-p"),
     "kind of metric": (
         lambda: tl.METRICS["run.duration"],
         "<MetricKind [s]: From the first sample",

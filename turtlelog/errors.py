@@ -64,6 +64,10 @@ class FrameError(TurtlelogError):
     """Arrays that are no vectors."""
 
 
+class PathError(TurtlelogError):
+    """Points and sizes that make no path."""
+
+
 class RunError(TurtlelogError):
     """Columns that do not make a run."""
 

@@ -17,9 +17,9 @@ DONE: Final = "done"
 
 REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
-        "heading": ("goal_bearing", "bearing_now", "goal_heading", "zero", "recorded"),
-        "along_track": ("goal_distance", "zero", "recorded"),
-        "cross_track": ("zero", "recorded"),
+        "heading": ("goal_bearing", "bearing_now", "goal_heading", "zero", "path", "recorded"),
+        "along_track": ("goal_distance", "zero", "path", "recorded"),
+        "cross_track": ("zero", "path", "recorded"),
         "distance": ("zero", "recorded"),
     }
 )
@@ -28,6 +28,9 @@ REFERENCES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 - `goal_bearing`: the bearing of the goal from the start; `bearing_now`: from the present position.
 - `goal_heading`: the heading that the goal asks for.
 - `goal_distance`: the distance from start to goal.
+- `path`: the path that the law tracks: its direction, the arc length where the robot should be now,
+  or the path itself, from which the cross-track error counts. Each sample records the point of the
+  path where the robot should be: by time, or else the nearest.
 - `recorded`: the reference pose that each sample records: its heading, or its projection on the
   line from start to goal; of `distance` the distance to that pose, which should be 0.
 """
@@ -49,6 +52,7 @@ REFERENCE_WORDS: Final[Mapping[str, str]] = MappingProxyType(
         "goal_heading": "goal heading",
         "goal_distance": "goal",
         "zero": "zero",
+        "path": "path",
         "recorded": "reference",
     }
 )
@@ -61,7 +65,7 @@ COMMAND_WORDS: Final[Mapping[str, str]] = MappingProxyType(
 
 COMMAND_UNITS: Final[Mapping[str, str]] = MappingProxyType({"turn_rate": "rad/s", "speed": "m/s"})
 
-MOVING: Final = frozenset({"recorded"})
+MOVING: Final = frozenset({"path", "recorded"})
 """References that the law moves: their loops have tracking metrics instead of step metrics."""
 
 RESERVED: Final = frozenset({"run", "final", PAUSE})
@@ -264,7 +268,12 @@ class Declaration:
     @property
     def has_reference(self) -> bool:
         """Whether samples record a reference pose."""
-        return any(loop.reference == "recorded" for loop in self.loops)
+        return any(loop.moves for loop in self.loops)
+
+    @property
+    def follows_path(self) -> bool:
+        """Whether its law tracks the path of the scenario."""
+        return any(loop.reference == "path" for loop in self.loops)
 
     def find_loop(self, name: str) -> ControlLoop | None:
         """Return a loop by name, None where the law has none of that name."""

@@ -97,9 +97,12 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
         (["--set", "law.kp_linar=4"], "--set: law.kp_linar: expected kp_linear or kp_angular,"),
         (
             ["--set", "speed_m_s=2"],
-            "--set: speed_m_s: expected limits.speed_m_s, found no such key",
+            "--set: speed_m_s: expected limits.speed_m_s or path.speed_m_s, found no such key",
         ),
-        (["--set", "speed=2"], "--set: speed: expected limits.speed_m_s, found no such key"),
+        (
+            ["--set", "speed=2"],
+            "--set: speed: expected limits.speed_m_s or path.speed_m_s, found no such key",
+        ),
         (["--set", "x_m=2"], "--set: x_m: expected start.x_m or goal.x_m, found no such key"),
         (["--set", "sed=2"], "--set: sed: expected seed, found an unknown key"),
         (["--set", "seed"], "--set: expected key=value, found 'seed'"),

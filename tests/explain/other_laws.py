@@ -10,6 +10,7 @@ from tests.strange_law import StrangeLaw
 from turtlelog.angles import subtract_headings
 from turtlelog.laws import Decision, Goal, Pose, SequentialP, SequentialPParameters
 from turtlelog.loops import Mechanism
+from turtlelog.paths import Path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +33,7 @@ class SequentialPid:
         self._sum = [0.0, 0.0]
         self._last = [0.0, 0.0]
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         self._law.reset(start, goal, path)
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
@@ -77,7 +78,7 @@ class Counting:
     def __init__(self, parameters: CountingParameters) -> None:
         self._left = parameters.samples
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         pass
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
@@ -104,7 +105,7 @@ class Weaving:
         self._goal = Goal(0.0, 0.0)
         self._count = 0
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         self._goal = goal or self._goal
         self._count = 0
 

@@ -13,6 +13,7 @@ from tests.strange_law import simulate_strange
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.paths import Path
 
 STRANGE = simulate_strange()
 DRIVE = "examples/turn_and_drive.py:TurnAndDrive"
@@ -205,13 +206,13 @@ class Blind:
     Parameters = Speeds
 
     @classmethod
-    def declare(cls, parameters: Speeds, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Speeds, goal: Goal | None, path: Path | None) -> Declaration:
         return Declaration(uses_goal=False)
 
     def __init__(self, parameters: Speeds) -> None:
         self.parameters = parameters
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         assert goal is None
 
     def step(self, time_ns: int, pose: Pose) -> Decision:

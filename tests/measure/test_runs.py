@@ -296,7 +296,7 @@ def test_only_what_is_asked_for_is_computed() -> None:
     [
         ("rotate.overshot", "one like rotate.overshoot or"),
         ("position_eror", "one like final.position_error"),
-        ("turn.*xyz", "one like turn.ise or"),
+        ("turn.*xyz", "one like turn.lag or turn.ise or"),
         ("", "an id such as final.position_error"),
     ],
 )

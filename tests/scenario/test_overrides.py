@@ -197,7 +197,10 @@ def test_a_wrong_value_of_a_run_is_named() -> None:
 @pytest.mark.parametrize(
     ("key", "line"),
     [
-        ("speed_m_s", "changes: speed_m_s: expected limits.speed_m_s, found no such key"),
+        (
+            "speed_m_s",
+            "changes: speed_m_s: expected limits.speed_m_s or path.speed_m_s, found no such key",
+        ),
         ("kp_lin", "changes: kp_lin: expected law.kp_linear, found no such key"),
         ("nosuch.key", "changes: nosuch: expected "),
     ],

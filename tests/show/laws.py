@@ -9,6 +9,7 @@ import turtlelog as tl
 from tests.strange_law import KIND as STRANGE
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.paths import Path as Track
 
 EXAMPLE: Final = f"{Path(__file__).parents[2] / 'examples' / 'turn_and_drive.py'}:TurnAndDrive"
 
@@ -25,7 +26,7 @@ class _Plain:
         self.gain = parameters.gain
         self.count = 0
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Track | None) -> None:
         self.start, self.goal, self.count = start, goal, 0
 
 
@@ -33,7 +34,7 @@ class OpenLoop(_Plain):
     """Drives a curve without a goal or a loop."""
 
     @classmethod
-    def declare(cls, parameters: Gains, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Gains, goal: Goal | None, path: Track | None) -> Declaration:
         return Declaration(uses_goal=False)
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
@@ -48,7 +49,7 @@ class EightPhases(_Plain):
     names = ("sim", "wall", "c", "d", "e", "f", "g", "h")
 
     @classmethod
-    def declare(cls, parameters: Gains, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Gains, goal: Goal | None, path: Track | None) -> Declaration:
         loop = ControlLoop(name="creep", signal="distance", command="speed", reference="zero")
         phases = dict.fromkeys(cls.names, ("creep",))
         return Declaration(loops=(loop,), phases=phases, states=("left", "seen", "worn", "old"))
@@ -71,7 +72,7 @@ class Follower(_Plain):
     """Follows a pose that goes ahead of it along the axes, by two loops of one command."""
 
     @classmethod
-    def declare(cls, parameters: Gains, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Gains, goal: Goal | None, path: Track | None) -> Declaration:
         loops = (
             ControlLoop(name="near", signal="distance", command="speed", reference="recorded"),
             ControlLoop(

@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import pytest
 
 from turtlelog.laws import Decision, Goal, Pose, SequentialPParameters
+from turtlelog.paths import Path
 from turtlelog.scenario import Limits, LoopSettings, Scenario
 from turtlelog.simulate import Controller, Sample
 
@@ -20,7 +21,7 @@ class Script:
         self.resets: list[tuple[Pose, Goal | None]] = []
         self.times_ns: list[int] = []
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         assert path is None
         self.resets.append((start, goal))
 

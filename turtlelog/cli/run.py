@@ -192,7 +192,8 @@ def _strip(run: "Run", path: Path) -> "Run":
     return replace(
         run,
         name=path.stem,
-        parameters={},
+        # A path was observed as the goal was: errors count from it.
+        parameters={key: value for key, value in run.parameters.items() if key[:5] == "path."},
         scenario_is_complete=False,
         absent=("parameters",),
         notes={"scenario": "left out when the run was recorded"},

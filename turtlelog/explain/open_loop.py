@@ -17,6 +17,7 @@ from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
 from turtlelog.explain.trace import OFF_GRID, Trace, Values, list_breaks
 from turtlelog.laws import Decision, Goal, Pose
+from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M
 from turtlelog.scenario import LawChoice, Limits, LoopSettings, Scenario, Start, Target
 from turtlelog.simulate import iterate_ticks
@@ -71,7 +72,7 @@ class Playback:
         self._parameters = parameters
         self._next = 0
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         """Begin with the first command."""
         del start, goal, path
         self._next = 0

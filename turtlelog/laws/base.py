@@ -7,6 +7,8 @@ from typing import Any, ClassVar, Final, Protocol
 
 import msgspec
 
+from turtlelog.paths import Path
+
 ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
 """Metadata of a parameter that a scenario's text leaves out while it has its default, so that
 adding it to a law changes no file that was written before."""
@@ -108,13 +110,13 @@ class Law(Protocol):
         """Take the parameters."""
         ...
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         """Begin a run.
 
         Args:
             start: The first pose that the controller reads.
             goal: None where the law declares that it uses none.
-            path: None: a scenario holds no path.
+            path: What the scenario's table `[path]` describes; None where it has none.
         """
         ...
 

@@ -16,12 +16,22 @@ from turtlelog.display import NamedValues
 from turtlelog.errors import LawError, TurtlelogError, describe_error
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import Goal, Law
+from turtlelog.laws.kanayama import Kanayama
+from turtlelog.laws.pure_pursuit import PurePursuit
 from turtlelog.laws.sequential_p import SequentialP
 from turtlelog.loops import Declaration, Mechanism
+from turtlelog.paths import Path as TrackedPath
 
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
 
-LAWS: Final[Mapping[str, type[Law]]] = NamedValues("law", {"sequential-p": SequentialP})
+LAWS: Final[Mapping[str, type[Law]]] = NamedValues(
+    "law",
+    {
+        "sequential-p": SequentialP,
+        "pure-pursuit": PurePursuit,
+        "kanayama": Kanayama,
+    },
+)
 """The built-in laws by kind."""
 
 
@@ -44,7 +54,9 @@ def find_law(kind: str) -> type[Law]:
     return law  # type: ignore[no-any-return]
 
 
-def declare_law(law: type[Law], parameters: object, goal: Goal | None) -> Declaration:
+def declare_law(
+    law: type[Law], parameters: object, goal: Goal | None, path: TrackedPath | None = None
+) -> Declaration:
     """Return what a law declares of itself; a law that declares nothing has one phase and no loop.
 
     Raises:
@@ -56,7 +68,7 @@ def declare_law(law: type[Law], parameters: object, goal: Goal | None) -> Declar
     try:
         with print_to_stderr():
             # Twice: who records a run asks again, and reads its samples by the answer.
-            declared, again = declare(parameters, goal, None), declare(parameters, goal, None)
+            declared, again = declare(parameters, goal, path), declare(parameters, goal, path)
     except KeyboardInterrupt:
         raise
     except BaseException as err:

@@ -11,6 +11,7 @@ from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
 from turtlelog.laws.base import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, Decision, Goal, Pose
 from turtlelog.loops import PAUSE, ControlLoop, Declaration, Mechanism
+from turtlelog.paths import Path
 
 _ROTATE: Final = "rotate"
 _TRANSLATE: Final = "translate"
@@ -121,7 +122,7 @@ class SequentialP:
 
     @classmethod
     def declare(
-        cls, parameters: SequentialPParameters, goal: Goal | None, path: None
+        cls, parameters: SequentialPParameters, goal: Goal | None, path: Path | None
     ) -> Declaration:
         """Return its two loops, one after the other."""
         del parameters, goal, path
@@ -138,7 +139,7 @@ class SequentialP:
         self._still_samples = 0
         self._close_since_ns: int | None = None
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         """Compute the goal bearing, once."""
         del path
         if goal is None:

@@ -33,10 +33,10 @@ METRICS: Final[Mapping[str, MetricKind]] = NamedValues(
 """Every metric there is, those of a loop as `<loop>.overshoot`; `list_metrics` has a law's ids."""
 
 _ESSENTIAL_OF_LOOP: Final = (
-    *("duration", "rise_time", "overshoot", "settling_time", "final_error", "rms_error", "iae"),
-    *("saturated_share", "dead_time"),
+    *("duration", "rise_time", "overshoot", "settling_time", "final_error", "rms_error"),
+    *("largest_error", "lag", "corner_overshoot", "iae", "saturated_share", "dead_time"),
 )
-_OF_MOVING: Final = frozenset({"rms_error", "largest_error"})
+_OF_MOVING: Final = frozenset({"rms_error", "largest_error", "lag", "corner_overshoot"})
 """Essential only where there is no step, whose figures say more."""
 
 _ESSENTIAL_OF_RUN: Final = (

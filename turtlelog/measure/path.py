@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
+from turtlelog.paths import Path as TrackedPath, PathFollower
 from turtlelog.text_files import read_text_file
 
 Values = NDArray[np.float64]
@@ -76,6 +77,24 @@ def _measure_parts(points: Values, starts: Values, ways: Values) -> Values:
     share = np.clip(along / np.where(squares > 0.0, squares, 1.0), 0.0, 1.0)
     rest = to_point - share[..., None] * ways[None]
     return np.asarray(np.hypot(rest[..., 0], rest[..., 1]))
+
+
+def trace_path(path: TrackedPath, xy_m: Values, arc_m: float) -> tuple[Values, Values]:
+    """Return where positions are with respect to a path, one after the other.
+
+    Args:
+        path: What is tracked.
+        xy_m: World frame [m], shape (n, 2).
+        arc_m: Near which arc length the first is [m].
+
+    Returns:
+        Arc length of the nearest point [m], and distance from there, positive to the left [m]; each
+        of shape (n,).
+    """
+    follower = PathFollower(path, arc_m)
+    places = [follower.advance(x_m, y_m) for x_m, y_m in xy_m.tolist()]
+    arcs_m, offsets_m = zip(*places, strict=True) if places else ((), ())
+    return np.array(arcs_m, dtype=np.float64), np.array(offsets_m, dtype=np.float64)
 
 
 _MOST_BYTES: Final = 2**24

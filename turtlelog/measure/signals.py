@@ -10,6 +10,7 @@ loop, at every pose:
 | `goal_heading` | heading that the goal asks for | |
 | `goal_distance` | | along-track: length of that line |
 | `zero` | 0 | 0 |
+| `path` | heading of the recorded pose | along-track: its arc length by time; cross-track: 0 |
 | `recorded` | heading of the recorded pose | its projection on that line; distance: 0 |
 """
 
@@ -27,6 +28,8 @@ from turtlelog.angles import subtract_headings
 from turtlelog.display import NamedValues
 from turtlelog.errors import MeasureError, suggest_names
 from turtlelog.loops import STATE_PATTERN, ControlLoop, Declaration
+from turtlelog.measure.path import trace_path
+from turtlelog.paths import Path
 from turtlelog.run import GoalLine, Run
 
 Values = NDArray[np.float64]
@@ -38,10 +41,10 @@ def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
     Otherwise one value per pose, shape (n,), that of a sample held until the next. None where the
     run does not hold it.
     """
-    line = run.goal_line
-    match loop.reference:
-        case "zero":
-            return 0.0
+    line, reference = run.goal_line, loop.reference
+    if reference in {"path", "recorded"}:
+        return _read_path(run, loop) if reference == "path" else _read_recorded(run, loop, line)
+    match reference:
         case "goal_bearing":
             return None if line is None else line.bearing_rad
         case "goal_distance":
@@ -50,8 +53,7 @@ def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
             return run.goal_heading_rad
         case "bearing_now":
             return _read_bearings(run)
-        case _:
-            return _read_recorded(run, loop, line)
+    return 0.0
 
 
 def read_heading_reference(run: Run) -> float | Values | None:
@@ -116,24 +118,54 @@ def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float 
         return None
     if loop.signal == "distance":
         return 0.0
-    rows = np.flatnonzero(np.isfinite(heading_rad))
-    if not len(rows) or (line is None and loop.signal != "heading"):
+    if loop.signal == "heading":
+        return _hold_reference(run, heading_rad)
+    held_xy_m = None if line is None else _hold_reference(run, xy_m)
+    if held_xy_m is None or line is None:
         return None
-    held = rows[_find_latest(run, rows)]
-    if loop.signal == "heading" or line is None:
-        return np.asarray(heading_rad[held])
-    return project_on_line(xy_m[held], line, along=loop.signal == "along_track")
+    return project_on_line(held_xy_m, line, along=loop.signal == "along_track")
+
+
+def _read_path(run: Run, loop: ControlLoop) -> Values | None:
+    """Return what the path asks for at every pose; an arc length only where time belongs to it."""
+    path, held_xy_m = run.path, _hold_reference(run, run.samples.reference_xy_m)
+    if path is None:
+        return None
+    if loop.signal == "cross_track":
+        return np.zeros(len(run.poses))
+    if loop.signal == "heading":
+        return _hold_reference(run, run.samples.reference_heading_rad)
+    if path.speed_m_s is None or held_xy_m is None:
+        return None
+    return trace_path(path, held_xy_m, find_first_arc(run, path))[0]
+
+
+def find_first_arc(run: Run, path: Path) -> float:
+    """Return near which arc length of a path a run begins [m].
+
+    At its beginning; where the first sample is lost, at the first reference that is recorded.
+    """
+    xy_m, sequence = run.samples.reference_xy_m, run.samples.sequence
+    if xy_m is None or not len(xy_m) or sequence[0] == 0:
+        return 0.0
+    x_m, y_m = map(float, xy_m[0])
+    return path.find_nearest(x_m, y_m, 0.0, path.length_m).arc_m
+
+
+def _hold_reference(run: Run, column: Values | None) -> Values | None:
+    """Return the part of the recorded reference pose that holds at each pose, None without one."""
+    if column is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(column if column.ndim == 1 else column[:, 0]))
+    return np.asarray(column[rows[_find_latest(run, rows)]]) if len(rows) else None
 
 
 def read_controlled_distance(run: Run) -> Values | None:
     """Return the distance of every pose to the recorded reference pose [m]."""
-    xy_m = run.samples.reference_xy_m
-    if xy_m is None:
+    held_xy_m = _hold_reference(run, run.samples.reference_xy_m)
+    if held_xy_m is None:
         return None
-    rows = np.flatnonzero(np.isfinite(xy_m[:, 0]))
-    if not len(rows):
-        return None
-    away_m = xy_m[rows[_find_latest(run, rows)]] - run.poses.xy_m
+    away_m = held_xy_m - run.poses.xy_m
     return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
 
 
@@ -235,7 +267,11 @@ def _read_state(run: Run, column: int) -> Values | None:
 
 
 def _read_track(run: Run, *, along: bool) -> Values | None:
-    """Return a coordinate along, or left of, the line from the first pose read to the goal."""
+    """Return a coordinate along, or left of, the path or the line from first pose read to goal."""
+    path = run.path
+    if path is not None:
+        arcs_m, offsets_m = trace_path(path, run.poses.xy_m, find_first_arc(run, path))
+        return arcs_m if along else offsets_m
     line = run.goal_line
     return None if line is None else project_on_line(run.poses.xy_m, line, along=along)
 
@@ -322,12 +358,13 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
         ),
         "along_track": _pose(
             "m",
-            "Along the line from start to goal, from the start.",
+            "Along the line from start to goal, from the start; where the law tracks a path, the"
+            " arc length of its nearest point.",
             lambda run: _read_track(run, along=True),
         ),
         "cross_track": _pose(
             "m",
-            "To the left of the line from start to goal.",
+            "To the left of the line from start to goal, or of the path that the law tracks.",
             lambda run: _read_track(run, along=False),
         ),
         "phase": SignalKind(

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from turtlelog.display import describe_count, format_html
-from turtlelog.errors import RunError
+from turtlelog.errors import PathError, RunError
 from turtlelog.escapes import escape_controls
 from turtlelog.loops import PAUSE, Declaration
+from turtlelog.paths import Path, restore_path
 from turtlelog.run.columns import (
     CommandColumns,
     PoseColumns,
@@ -158,6 +159,10 @@ class Run:
             raise RunError(
                 f"sample.phase[{row}]: expected 0 to {phases - 1}, found {samples.phase[row]}"
             )
+        try:
+            _ = self.path
+        except PathError as err:
+            raise RunError(f"parameters: path.{err}") from err
         found = 0 if samples.states is None else samples.states.shape[1]
         if found != len(declaration.states):
             raise RunError(
@@ -192,6 +197,11 @@ class Run:
         if length_m is None and samples.error_xy_m is not None:
             length_m = float(np.hypot(*samples.error_xy_m[0]))
         return GoalLine(start_xy_m=(x_m, y_m), bearing_rad=bearing_rad, length_m=length_m)
+
+    @property
+    def path(self) -> Path | None:
+        """The path that its law tracks; None where it tracks none, or it is not recorded."""
+        return restore_path(self.parameters) if self.declaration.follows_path else None
 
     @property
     def start_ns(self) -> int:

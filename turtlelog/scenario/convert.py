@@ -5,11 +5,11 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from datetime import date, time
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import msgspec
 
-from turtlelog.errors import LawError, ScenarioError, describe_error, suggest_names
+from turtlelog.errors import LawError, PathError, ScenarioError, describe_error, suggest_names
 from turtlelog.laws import (
     ABSENT_BY_DEFAULT,
     LAWS,
@@ -20,6 +20,8 @@ from turtlelog.laws import (
     print_to_stderr,
     require_law_name,
 )
+from turtlelog.paths import Path
+from turtlelog.plants import TURTLESIM
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
@@ -64,6 +66,7 @@ def build_scenario(
     else:
         _require_law_name(kind, source)
     scenario: Scenario = _convert(rest, Scenario, "", source)
+    _require_inside(scenario.path, source)
     return dataclasses.replace(scenario, law=law)
 
 
@@ -151,6 +154,11 @@ def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     tables["law"] = {"kind": scenario.law.kind, **own}
     for name in ("start", "goal", "limits", "loop"):
         tables[name] = _drop_absent(tables[name], getattr(scenario, name))
+    if scenario.path is None:
+        del tables["path"]
+    elif scenario.path.points is not None:
+        # As a file gives them back.
+        tables["path"]["points"] = [list(point) for point in scenario.path.points]
     return {key: _drop_none(value) for key, value in tables.items()}
 
 
@@ -252,6 +260,19 @@ def _require_law_name(kind: str, source: str) -> None:
         raise ScenarioError(f"{source}: law.kind: {err}") from err
 
 
+def _require_inside(path: Path | None, source: str) -> None:
+    """Refuse a path that leaves the plant's world."""
+    if path is None:
+        return
+    low_m, high_m = TURTLESIM.low_m, TURTLESIM.high_m
+    for name, least_m, most_m in (("x", *path.bounds_m[:2]), ("y", *path.bounds_m[2:])):
+        if least_m < low_m or most_m > high_m:
+            raise ScenarioError(
+                f"{source}: path: expected {name} from {low_m:.10g} to {high_m:.10g} m,"
+                f" found {least_m:.10g} to {most_m:.10g} m"
+            )
+
+
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:
     """Refuse unknown keys and nan or inf, which msgspec lets pass."""
     hints = get_type_hints(kind)
@@ -264,17 +285,26 @@ def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: st
         place = f"{prefix}{name_key(key)}"
         if key not in hints:
             raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(hints))}")
-        if isinstance(value, Mapping) and dataclasses.is_dataclass(hints[key]):
-            _require_sound(value, hints[key], f"{place}.", source)
+        below = _find_table(hints[key])
+        if isinstance(value, Mapping) and below is not None:
+            _require_sound(value, below, f"{place}.", source)
         infinite = isinstance(value, float) and math.isinf(value) and key not in unlimited
         if isinstance(value, float) and (math.isnan(value) or infinite):
             raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
+
+
+def _find_table(hint: Any) -> Any:
+    """Return the dataclass of a key that holds a table, also where the table may be absent."""
+    kinds = [hint, *get_args(hint)]
+    return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
 
 
 def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str) -> Any:
     """Let msgspec judge; it says where, and the type there says what was expected."""
     try:
         return msgspec.convert(table, kind)
+    except PathError as err:
+        raise ScenarioError(f"{source}: path.{err}") from err
     except msgspec.ValidationError as err:
         place = _PLACE.search(str(err))
         path = f"{prefix}{place[1]}" if place else prefix.rstrip(".")

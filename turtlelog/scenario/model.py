@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, SequentialPParameters
+from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
 
 Coordinate = Annotated[float, Meta(ge=TURTLESIM.low_m, le=TURTLESIM.high_m)]
@@ -132,6 +133,7 @@ class Scenario:
         law: The law under test.
         limits: Where commands are clipped.
         loop: Queues, delays and precision.
+        path: What a law that tracks a path follows; None where there is none.
     """
 
     name: str = "textbook"
@@ -142,6 +144,7 @@ class Scenario:
     law: LawChoice = field(default_factory=LawChoice)
     limits: Limits = field(default_factory=Limits)
     loop: LoopSettings = field(default_factory=LoopSettings)
+    path: Path | None = None
 
     def __repr__(self) -> str:
         goal = f"goal ({self.goal.x_m:g}, {self.goal.y_m:g}) m"

@@ -1,11 +1,12 @@
 """Changing a scenario by dotted keys: `law.kp_linear=4`."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, Final, get_type_hints
 
 from turtlelog.errors import ScenarioError
 from turtlelog.laws import find_law
+from turtlelog.paths import Path
 from turtlelog.run import Run
 from turtlelog.scenario.convert import (
     build_scenario,
@@ -16,6 +17,9 @@ from turtlelog.scenario.convert import (
 )
 from turtlelog.scenario.model import LawTable, Scenario
 from turtlelog.text_files import parse_toml
+
+PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
+"""Keys of the table of the path, which is absent where no path is tracked."""
 
 _LARGEST_WHOLE: Final = 2**53
 """Beyond, doubles leave whole numbers out: nobody typed such a gain as an int."""
@@ -38,7 +42,7 @@ def override_scenario(
 
 def _require_tables(scenario: Scenario, values: Mapping[str, Any], source: str) -> None:
     """Refuse a key without its table, and say which keys end like it."""
-    known = dict.fromkeys(["goal.heading_rad", *flatten_scenario(scenario)])
+    known = dict.fromkeys(["goal.heading_rad", *flatten_scenario(scenario), *PATH_KEYS])
     lasts = {key.rpartition(".")[2] for key in known}
     for key in values:
         if "." in key or key in known:
@@ -115,7 +119,7 @@ def complete_scenario(run: Run, base: Scenario) -> Scenario:
         ScenarioError: Where a value of the run is wrong, or the law of `base` may not run.
     """
     base = resolve_scenario(base)
-    known = flatten_scenario(base).keys() | {"goal.heading_rad"}
+    known = flatten_scenario(base).keys() | {"goal.heading_rad", *PATH_KEYS}
     values: dict[str, Any] = {} if run.goal_xy_m is None else _name_goal(run.goal_xy_m)
     values |= {key: value for key, value in run.parameters.items() if key in known}
     is_same = values.get("law.kind", base.law.kind) == base.law.kind

@@ -89,6 +89,7 @@ class LawDriver:
         "_kind",
         "_law",
         "_limits",
+        "_path",
         "_phases",
         "_sequence",
         "_step",
@@ -101,7 +102,8 @@ class LawDriver:
         self._law, self._kind = law, scenario.law.kind
         self._step = law.step if type(law) in LAWS.values() else self._step_of_others
         goal, parameters = _build_goal(scenario), scenario.law.parameters
-        self.declaration = declaration = declare_law(type(law), parameters, goal)
+        self.declaration = declaration = declare_law(type(law), parameters, goal, scenario.path)
+        self._path = scenario.path
         self._goal = goal if declaration.uses_goal else None
         self._limits = scenario.limits.speed_m_s, scenario.limits.turn_rate_rad_s
         self._phases = {name: number for number, name in enumerate(declaration.phase_names)}
@@ -110,7 +112,7 @@ class LawDriver:
         self._with_reference = frozenset(
             phase
             for loop in declaration.loops
-            if loop.reference == "recorded"
+            if loop.moves
             for phase in declaration.list_phases(loop.name)
         )
         self._sequence = 0
@@ -149,7 +151,7 @@ class LawDriver:
 
     def _reset(self, pose: Pose) -> None:
         with print_to_stderr():
-            self._law.reset(pose, self._goal, None)
+            self._law.reset(pose, self._goal, self._path)
 
     def _step_of_others(self, time_ns: int, pose: Pose) -> Decision:
         """Return the decision of a law that may print, complete and in plain numbers."""
@@ -228,7 +230,7 @@ class LawDriver:
         if not self.declaration.has_reference:
             raise SimulationError(
                 "expected no reference pose, for no loop is declared with the reference"
-                f" recorded, found {reference}"
+                f" path or recorded, found {reference}"
             )
         if not isfinite(reference.x_m + reference.y_m + reference.heading_rad):
             raise SimulationError(f"expected a finite reference pose, found {reference}")
@@ -261,7 +263,8 @@ def declare_scenario(scenario: Scenario) -> Declaration:
         LawError: Where there is no such law, or its declaration is wrong.
     """
     choice = resolve_law(scenario.law)
-    return declare_law(find_law(choice.kind), choice.parameters, _build_goal(scenario))
+    law = find_law(choice.kind)
+    return declare_law(law, choice.parameters, _build_goal(scenario), scenario.path)
 
 
 def _build_goal(scenario: Scenario) -> Goal:

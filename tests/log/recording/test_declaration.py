@@ -64,7 +64,7 @@ def test_only_a_loop_that_is_not_proportional_says_so_and_comes_back() -> None:
 
 
 def test_keys_of_a_pid_come_back_and_stay_out_where_there_are_none() -> None:
-    keys = {
+    keys: dict[str, Any] = {
         "integral_gain": "law.ki",
         "derivative_gain": "law.kd",
         "derivative_filter": "law.derivative_filter_s",

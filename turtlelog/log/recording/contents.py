@@ -267,7 +267,7 @@ def _take_described(
 
 def _list_reference_phases(declaration: Declaration) -> list[int]:
     """Return the numbers of the phases in which every sample has a reference pose."""
-    moved = {loop.name for loop in declaration.loops if loop.reference == "recorded"}
+    moved = {loop.name for loop in declaration.loops if loop.moves}
     phases = declaration.phases.values()
     return [number for number, loops in enumerate(phases) if not moved.isdisjoint(loops)]
 

@@ -1,10 +1,11 @@
 """The metrics of the registry: importing this room enters them, in the order they are shown in."""
 
 from turtlelog.measure.table import loop_metrics  # isort: skip
+from turtlelog.measure.table import tracking  # isort: skip
 from turtlelog.measure.table import commands  # isort: skip
 from turtlelog.measure.table import theories  # isort: skip
 from turtlelog.measure.table import end  # isort: skip
 from turtlelog.measure.table import whole  # isort: skip
 from turtlelog.measure.table import clock  # isort: skip
 
-__all__ = ["clock", "commands", "end", "loop_metrics", "theories", "whole"]
+__all__ = ["clock", "commands", "end", "loop_metrics", "theories", "tracking", "whole"]

@@ -1,0 +1,157 @@
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from turtlelog.measure import Status
+from turtlelog.measure.table.tracking import _find_shift
+from turtlelog.scenario import build_scenario
+
+SQUARE: dict[str, Any] = {
+    "kind": "polygon",
+    "points": [[3.0, 3.0], [8.0, 3.0], [8.0, 8.0], [3.0, 8.0]],
+    "speed_m_s": 0.5,
+}
+LINE: dict[str, Any] = {"kind": "line", "points": [[1.0, 5.0], [10.0, 5.0]]}
+
+
+def track(path: dict[str, Any], *, law: str = "pure-pursuit", **tables: Any) -> tl.Run:
+    x_m, y_m = path["points"][0]
+    start = {"x_m": x_m, "y_m": y_m}
+    return tl.simulate_run(
+        build_scenario({"law": {"kind": law}, "path": path, "start": start, **tables})
+    )
+
+
+@pytest.fixture(scope="module", name="square")
+def simulate_square() -> tl.Run:
+    return track(SQUARE)
+
+
+def read(run: tl.Run, name: str) -> float:
+    value = tl.measure_run(run, only=[name])[name].value
+    assert value is not None
+    return value
+
+
+def test_loops_of_a_tracker_have_no_step_metrics(square: tl.Run) -> None:
+    names = tl.measure.list_metrics(square.declaration)
+    assert {"along.lag", "along.rms_error", "cross.corner_overshoot", "cross.largest_error"} <= {
+        *names
+    }
+    assert not {"along.overshoot", "cross.settling_time", "cross.lag", "along.corner_overshoot"} & {
+        *names
+    }
+
+
+def test_cross_track_error_is_the_distance_from_the_square(square: tl.Run) -> None:
+    points = np.array([*SQUARE["points"], SQUARE["points"][0]])
+    away_m = tl.measure.path.compute_path_distances(square.poses.xy_m, points)
+    found = tl.measure.read_signal(square, "cross_track")
+    assert found is not None
+    assert np.abs(found.values) == pytest.approx(away_m, abs=1e-9)
+    assert read(square, "cross.largest_error") == pytest.approx(away_m.max())
+    assert read(square, "run.cross_track_max") == pytest.approx(away_m.max())
+
+
+def test_along_error_is_the_reference_minus_the_nearest_point(square: tl.Run) -> None:
+    arc = tl.measure.read_signal(square, "along_track")
+    assert arc is not None
+    due_m = np.minimum(0.5 * (square.poses.time_ns - square.start_ns) / 1e9, 20.0)
+    assert read(square, "along.largest_error") == pytest.approx(np.abs(due_m - arc.values).max())
+    assert read(square, "along.final_error") == pytest.approx(abs(20.0 - arc.values[-1]))
+
+
+@pytest.mark.parametrize("late_s", [0.5, -0.25])
+def test_lag_of_a_robot_that_is_late_is_its_delay(late_s: float) -> None:
+    time_s = np.arange(0.0, 20.0, 0.016)
+    reference, signal = (
+        np.sin(0.7 * time_s) + time_s,
+        np.sin(0.7 * (time_s - late_s)) + time_s - late_s,
+    )
+    assert _find_shift(time_s, reference, signal) == pytest.approx(late_s, abs=1e-4)
+
+
+def test_lag_of_a_slow_robot_is_what_its_speed_limit_costs() -> None:
+    limits = {"speed_m_s": 0.25, "turn_rate_rad_s": 1.0}
+    run = track({**LINE, "speed_m_s": 0.5}, limits=limits)
+    # The reference needs 18 s for the way, the robot drives half of it: s = v t / 2.
+    assert read(run, "along.final_error") == pytest.approx(4.5, abs=0.01)
+    assert read(run, "along.lag") > 4.0
+
+
+def test_path_without_a_speed_has_no_error_along_it() -> None:
+    run = track(LINE)
+    metric = tl.measure_run(run, only=["along.rms_error"])["along.rms_error"]
+    assert (metric.status, metric.value) == (Status.ABSENT, None)
+    assert metric.reason == "the reference path of along_track is not known"
+
+
+def test_corner_overshoot_counts_the_outer_side_alone(square: tl.Run) -> None:
+    offset = tl.measure.read_signal(square, "cross_track")
+    arc = tl.measure.read_signal(square, "along_track")
+    assert offset is not None
+    assert arc is not None
+    passed = arc.values >= 5.0
+    # All corners turn left: the outer side is the right one.
+    assert read(square, "cross.corner_overshoot") == pytest.approx(-offset.values[passed].min())
+
+
+def test_corner_overshoot_to_the_right_counts_the_left_side() -> None:
+    mirrored = {**SQUARE, "points": [[x, 11.0 - y] for x, y in SQUARE["points"]]}
+    run, other = track(SQUARE), track(mirrored)
+    found, twin = (read(one, "cross.corner_overshoot") for one in (run, other))
+    assert found == pytest.approx(twin, rel=1e-3)
+    assert found > 0.1
+
+
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        (LINE, "the path has no corner"),
+        (
+            {"kind": "waypoints", "points": [[1, 5], [9, 5], [9, 9]]},
+            "no corner of the path was passed",
+        ),
+    ],
+)
+def test_corner_overshoot_without_a_corner_has_a_reason(path: dict[str, Any], reason: str) -> None:
+    run = track({**path, "speed_m_s": 0.5}, max_duration_s=5.0)
+    run = replace(run, stop_reason="path_end")
+    metric = tl.measure_run(run, only=["cross.corner_overshoot"])["cross.corner_overshoot"]
+    assert (metric.value, metric.reason) == (None, reason)
+
+
+def test_run_without_its_beginning_is_measured_from_the_same_path(square: tl.Run) -> None:
+    part = square.slice(12.0, 30.0)
+    whole, found = (tl.measure.read_signal(one, "cross_track") for one in (square, part))
+    assert whole is not None
+    assert found is not None
+    first = int(np.searchsorted(whole.time_ns, found.time_ns[0]))
+    assert found.values == pytest.approx(whole.values[first : first + len(found.values)], abs=1e-9)
+    reference = tl.measure.read_reference(part, part.declaration.loops[0])
+    due_m = 0.5 * (part.poses.time_ns - square.start_ns) / 1e9
+    assert reference == pytest.approx(due_m, abs=0.5 * 0.017)
+
+
+def test_recording_gives_the_path_back(square: tl.Run, tmp_path: Any) -> None:
+    file = tmp_path / "square.mcap"
+    tl.write_recording(square, file)
+    found = tl.read_run(file)
+    assert found.path == square.path
+    assert found.path is not None
+    assert found.path.length_m == pytest.approx(20.0)
+    assert [*tl.measure_run(found).values()] == [*tl.measure_run(square).values()]
+
+
+def test_path_that_the_law_does_not_track_is_no_path_of_the_run() -> None:
+    run = tl.simulate_run(build_scenario({"path": SQUARE}))
+    assert run.path is None
+    assert run.parameters["path.kind"] == "polygon"
+    assert math.isclose(
+        read(run, "run.cross_track_max"),
+        read(tl.simulate_run(tl.Scenario()), "run.cross_track_max"),
+    )

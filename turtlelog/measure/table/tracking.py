@@ -1,0 +1,106 @@
+"""Metrics of loops whose reference moves: how late they are, how far they run past corners."""
+
+from typing import Final
+
+import numpy as np
+
+from turtlelog.loops import ControlLoop
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.registry import loop_metric
+from turtlelog.measure.response import Response, Values
+from turtlelog.measure.signals import read_reference
+
+_STANDS_STILL: Final = Missing(status=Status.NO_STEP, reason="the reference does not move")
+_NO_PATH: Final = Missing(status=Status.ABSENT, reason="the path is not known")
+_NO_CORNER: Final = Missing(status=Status.NO_STEP, reason="the path has no corner")
+_NOT_PASSED: Final = Missing(status=Status.NOT_REACHED, reason="no corner of the path was passed")
+
+_MOST_ROWS: Final = 2000
+"""Rows on which a lag is looked for: half a minute of poses; of more, every n-th."""
+
+_LEAST_MOVED: Final = 1e-6
+"""A reference that moves by less stands still [rad or m]: poses are rounded to 32 bits."""
+
+
+def _has_lag(loop: ControlLoop) -> bool:
+    """Whether its reference is a signal of time: a distance and a cross-track error have none."""
+    is_error = loop.signal == "distance" or (loop.signal, loop.reference) == ("cross_track", "path")
+    return loop.moves and not is_error
+
+
+def _has_corners(loop: ControlLoop) -> bool:
+    return (loop.signal, loop.reference) == ("cross_track", "path")
+
+
+@loop_metric(
+    "lag",
+    "s",
+    "Shift of the {goal} in time that fits the {signal} best: positive where the {signal} is late.",
+    floor=0.0,
+    applies=_has_lag,
+)
+def _compute_lag(context: RunContext, response: Response) -> Result:
+    reference = read_reference(context.run, response.loop)
+    if not isinstance(reference, np.ndarray):
+        return _STANDS_STILL
+    every = slice(None, None, -(-len(response.time_s) // _MOST_ROWS))
+    inside = reference[response.rows]
+    inside = np.unwrap(inside) if response.loop.signal == "heading" else inside
+    if np.ptp(inside) <= _LEAST_MOVED:
+        return _STANDS_STILL
+    signal = inside - response.error
+    return Found(_find_shift(response.time_s[every], inside[every], signal[every]))
+
+
+def _find_shift(time_s: Values, reference: Values, signal: Values) -> float:
+    """Return by how much the reference is shifted to fit the signal best in the mean square [s].
+
+    At most half of the duration either way, so that at least half of the rows are compared.
+    """
+    step_s = float(time_s[-1]) / max(len(time_s) - 1, 1)
+    most = len(time_s) // 2
+    shifts_s = step_s * np.arange(-most, most + 1)
+    misfits = np.array([_compute_misfit(time_s, reference, signal, one) for one in shifts_s])
+    best = int(misfits.argmin())
+    if not 0 < best < len(misfits) - 1:
+        return float(shifts_s[best])
+    before, least, after = misfits[best - 1 : best + 2]
+    bend = before - 2.0 * least + after
+    return float(shifts_s[best] + (step_s * (before - after) / (2.0 * bend) if bend > 0.0 else 0.0))
+
+
+def _compute_misfit(time_s: Values, reference: Values, signal: Values, shift_s: float) -> float:
+    """Return the mean square of the signal minus the shifted reference, where both are known."""
+    first_s, last_s = time_s[0] + max(shift_s, 0.0), time_s[-1] + min(shift_s, 0.0)
+    rows = (time_s >= first_s) & (time_s <= last_s)
+    fitted = np.interp(time_s[rows] - shift_s, time_s, reference)
+    return float(np.mean((signal[rows] - fitted) ** 2))
+
+
+@loop_metric(
+    "corner_overshoot",
+    "m",
+    "Furthest past a corner of the path, on its outer side; negative where it stays inside.",
+    floor=0.0,
+    grows=True,
+    applies=_has_corners,
+)
+def _compute_corner_overshoot(context: RunContext, response: Response) -> Result:
+    path, along = context.run.path, context.get_signal("along_track")
+    if path is None or along is None:
+        return _NO_PATH
+    if not path.corners:
+        return _NO_CORNER
+    arcs_m, offsets_m = along.values[response.rows], -response.error
+    found: list[tuple[float, float]] = []
+    for corner in path.corners:
+        rows = np.flatnonzero((arcs_m >= corner.arc_m) & (arcs_m < corner.arc_m + corner.leg_m))
+        if len(rows):
+            outside_m = offsets_m[rows] * -np.sign(corner.turn_rad)
+            row = int(outside_m.argmax())
+            found.append((float(outside_m[row]), float(response.time_s[rows[row]])))
+    if not found:
+        return _NOT_PASSED
+    largest_m, at_s = max(found)
+    return Found(largest_m, response.start_s + at_s)

@@ -1,0 +1,479 @@
+"""A path to track: straight pieces and arcs of circles, by arc length.
+
+Every path is a chain of pieces of constant curvature, so that the point at an arc length, the
+nearest point and the point a lookahead away are closed forms.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
+from typing import Any, Final, Literal, NamedTuple, get_args
+
+from turtlelog.angles import wrap_angle
+from turtlelog.errors import PathError
+
+PathKind = Literal["line", "polygon", "waypoints", "circle", "figure-eight"]
+
+MOST_POINTS: Final = 4096
+"""Points of a path: as text they take some 160 kB, and a recording holds up to 256 KiB of it."""
+
+REACH_M: Final = 0.5
+"""How far along the path from the last nearest point the next is looked for, either way [m].
+
+Far more than a robot drives from one pose to the next, and short of where a path that is as large
+as the world comes back to itself: at a crossing the robot stays on its branch."""
+
+CORNER_RAD: Final = math.radians(1.0)
+"""From this change of direction on a bend between two pieces is a corner: less is the bend of a
+circle that is given by 360 points or more."""
+
+
+class PathPoint(NamedTuple):
+    """A point of a path.
+
+    Attributes:
+        x_m: World frame [m].
+        y_m: World frame [m].
+        heading_rad: Direction of the path there, counter-clockwise from +x, in [-pi, pi).
+        curvature_1_m: Positive where the path bends to the left [1/m].
+    """
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    curvature_1_m: float
+
+
+class Place(NamedTuple):
+    """Where a robot is with respect to a path.
+
+    Attributes:
+        arc_m: Arc length of the nearest point from the beginning of the path [m].
+        offset_m: Distance from there, positive on the left of the path [m].
+    """
+
+    arc_m: float
+    offset_m: float
+
+
+class Corner(NamedTuple):
+    """A point where the direction of a path jumps.
+
+    Attributes:
+        arc_m: Where it is [m].
+        turn_rad: By how much the direction changes, positive to the left.
+        leg_m: Length of the path from there to the next corner, or to the end.
+    """
+
+    arc_m: float
+    turn_rad: float
+    leg_m: float
+
+
+class _Piece(NamedTuple):
+    """A straight piece, or an arc where the curvature is not 0."""
+
+    number: int
+    start_m: float
+    length_m: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    curvature_1_m: float
+
+    def locate(self, way_m: float) -> PathPoint:
+        """Return the point that far from the start of the piece, also beyond its ends."""
+        heading, bend = self.heading_rad, self.curvature_1_m
+        if bend == 0.0:
+            x_m = self.x_m + way_m * math.cos(heading)
+            y_m = self.y_m + way_m * math.sin(heading)
+            return PathPoint(x_m, y_m, wrap_angle(heading), 0.0)
+        end = heading + bend * way_m
+        x_m = self.x_m + (math.sin(end) - math.sin(heading)) / bend
+        y_m = self.y_m - (math.cos(end) - math.cos(heading)) / bend
+        return PathPoint(x_m, y_m, wrap_angle(end), bend)
+
+    def go_straight(self, way_m: float) -> "_Piece":
+        """Return the tangent from the point at a way on, without an end."""
+        start = self.locate(way_m)
+        return _Piece(
+            self.number,
+            self.start_m + way_m,
+            math.inf,
+            start.x_m,
+            start.y_m,
+            start.heading_rad,
+            0.0,
+        )
+
+    def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> float:
+        """Return the way to the point between two ways that is nearest to a position [m]."""
+        bend = self.curvature_1_m
+        if bend == 0.0:
+            cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
+            way_m = (x_m - self.x_m) * cos + (y_m - self.y_m) * sin
+            return min(max(way_m, low_m), high_m)
+        middle_m = (low_m + high_m) / 2.0
+        turned = self._turn_to(x_m, y_m)
+        # The same direction is met once a turn: that nearest to the middle of the stretch.
+        turn_m = 2.0 * math.pi / abs(bend)
+        way_m = turned / bend
+        way_m += turn_m * round((middle_m - way_m) / turn_m)
+        return min(max(way_m, low_m), high_m)
+
+    def find_exit(self, x_m: float, y_m: float, radius_m: float, low_m: float) -> float | None:
+        """Return the first way from `low_m` on at which the piece leaves a circle [m].
+
+        None where it does not within its length.
+        """
+        bend = self.curvature_1_m
+        if bend == 0.0:
+            cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
+            ahead_m, left_m = x_m - self.x_m, y_m - self.y_m
+            way_m = ahead_m * cos + left_m * sin
+            square = radius_m**2 - (left_m * cos - ahead_m * sin) ** 2
+            if square < 0.0:
+                return None
+            way_m += math.sqrt(square)
+            return way_m if low_m <= way_m <= self.length_m else None
+        return self._find_exit_of_arc(x_m, y_m, radius_m, low_m)
+
+    def _find_exit_of_arc(
+        self, x_m: float, y_m: float, radius_m: float, low_m: float
+    ) -> float | None:
+        bend = self.curvature_1_m
+        own_m = 1.0 / abs(bend)
+        center_x_m, center_y_m = self._find_center()
+        away_m = math.hypot(x_m - center_x_m, y_m - center_y_m)
+        if away_m == 0.0:
+            return None
+        cosine = (own_m**2 + away_m**2 - radius_m**2) / (2.0 * own_m * away_m)
+        if not -1.0 <= cosine <= 1.0:
+            return None
+        way_m = (self._turn_to(x_m, y_m) + math.copysign(math.acos(cosine), bend)) / bend
+        turn_m = 2.0 * math.pi * own_m
+        way_m += turn_m * math.ceil((low_m - way_m) / turn_m)
+        return way_m if way_m <= self.length_m else None
+
+    def _find_center(self) -> tuple[float, float]:
+        x_m = self.x_m - math.sin(self.heading_rad) / self.curvature_1_m
+        return x_m, self.y_m + math.cos(self.heading_rad) / self.curvature_1_m
+
+    def _turn_to(self, x_m: float, y_m: float) -> float:
+        """Return by how much an arc has turned where it is nearest to a position [rad]."""
+        center_x_m, center_y_m = self._find_center()
+        away = math.atan2(y_m - center_y_m, x_m - center_x_m)
+        return away + math.copysign(math.pi / 2.0, self.curvature_1_m) - self.heading_rad
+
+
+@dataclass(frozen=True, kw_only=True)
+class Path:
+    """A path to track: the table `[path]` of a scenario.
+
+    Attributes:
+        kind: `line`: two points; `polygon`: corners, closed; `waypoints`: points, open; `circle`:
+            counter-clockwise from its rightmost point; `figure-eight`: two circles that touch at
+            the center, first the upper counter-clockwise, then the lower clockwise.
+        points: Of a line, a polygon or waypoints, world frame [m].
+        center_x_m: Of a circle or a figure eight, world frame [m].
+        center_y_m: Of a circle or a figure eight, world frame [m].
+        size_m: Radius of the circle, or of both circles of a figure eight [m].
+        closed: Whether a polygon or waypoints lead back to the first point; None for as usual.
+        speed_m_s: Speed at which the reference moves along the path from its beginning [m/s]; None:
+            no time belongs to the path, and the reference is its point nearest to the robot.
+
+    Raises:
+        PathError: One line with the key, what was expected and what was found.
+    """
+
+    kind: PathKind
+    points: tuple[tuple[float, float], ...] | None = None
+    center_x_m: float | None = None
+    center_y_m: float | None = None
+    size_m: float | None = None
+    closed: bool | None = None
+    speed_m_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(PathKind):
+            known = ", ".join(get_args(PathKind))
+            raise PathError(f"kind: expected one of {known}, found {self.kind!r:.40}")
+        if self.kind in _ROUND:
+            self._require_keys("center_x_m", "center_y_m", "size_m")
+            self._refuse_keys("points", "closed")
+            if not _require_finite("size_m", self.size_m) > 0.0:
+                raise PathError(f"size_m: expected a radius > 0, found {self.size_m!r}")
+            _require_finite("center_x_m", self.center_x_m)
+            _require_finite("center_y_m", self.center_y_m)
+        else:
+            self._require_keys("points")
+            self._refuse_keys("center_x_m", "center_y_m", "size_m")
+            self._require_points(self.points or ())
+        if self.speed_m_s is not None and not _require_finite("speed_m_s", self.speed_m_s) > 0.0:
+            raise PathError(f"speed_m_s: expected a speed > 0, found {self.speed_m_s!r}")
+
+    def _require_keys(self, *names: str) -> None:
+        for name in names:
+            if getattr(self, name) is None:
+                raise PathError(f"{name}: expected one, for kind is {self.kind}, found none")
+
+    def _refuse_keys(self, *names: str) -> None:
+        for name in names:
+            if getattr(self, name) is not None:
+                found = f"{getattr(self, name)!r:.40}"
+                raise PathError(f"{name}: expected none, for kind is {self.kind}, found {found}")
+
+    def _require_points(self, points: tuple[tuple[float, float], ...]) -> None:
+        if self.kind == "line":
+            self._refuse_keys("closed")
+        least, most = {"line": (2, 2), "polygon": (3, MOST_POINTS)}.get(self.kind, (2, MOST_POINTS))
+        if not least <= len(points) <= most:
+            expected = f"{least}" if least == most else f"{least} to {most}"
+            raise PathError(f"points: expected {expected} points, found {len(points)}")
+        for number, point in enumerate(points):
+            if not isinstance(point, tuple) or len(point) != 2:
+                raise PathError(f"points[{number}]: expected [x, y] in m, found {point!r:.40}")
+            for value in point:
+                _require_finite(f"points[{number}]", value)
+            if number and point == points[number - 1]:
+                raise PathError(
+                    f"points[{number}]: expected another point than the one before, found {point}"
+                )
+        if self.is_closed and points[0] == points[-1]:
+            expected = "another point than the first, for the path is closed"
+            raise PathError(f"points[{len(points) - 1}]: expected {expected}, found {points[-1]}")
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether it ends where it begins."""
+        if self.closed is None:
+            return self.kind not in {"line", "waypoints"}
+        return self.closed
+
+    @cached_property
+    def length_m(self) -> float:
+        """Its length, once around where it is closed [m]."""
+        last = self._pieces[-1]
+        return last.start_m + last.length_m
+
+    @cached_property
+    def corners(self) -> tuple[Corner, ...]:
+        """Where its direction jumps, in order; the end of a closed path is none."""
+        found = [
+            (piece.start_m, turn)
+            for before, piece in zip(self._pieces, self._pieces[1:], strict=False)
+            if abs(turn := _find_turn(before, piece)) >= CORNER_RAD
+        ]
+        ends_m = [*(arc_m for arc_m, _ in found[1:]), self.length_m]
+        return tuple(
+            Corner(arc_m, turn, end_m - arc_m)
+            for (arc_m, turn), end_m in zip(found, ends_m, strict=False)
+        )
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """Least and greatest x, least and greatest y of the path [m]."""
+        if self.points is not None:
+            xs, ys = zip(*self.points, strict=True)
+            return min(xs), max(xs), min(ys), max(ys)
+        x_m, y_m, size_m = (self.center_x_m or 0.0), (self.center_y_m or 0.0), (self.size_m or 0.0)
+        high_m = size_m if self.kind == "circle" else 2.0 * size_m
+        return x_m - size_m, x_m + size_m, y_m - high_m, y_m + high_m
+
+    def locate(self, arc_m: float) -> PathPoint:
+        """Return the point at an arc length [m].
+
+        Beyond its ends a closed path goes round again, and an open one goes straight on.
+        """
+        length_m = self.length_m
+        if arc_m == length_m:  # the end, in the direction in which it is reached
+            return self._pieces[-1].locate(self._pieces[-1].length_m)
+        if self.is_closed and not 0.0 <= arc_m < length_m:
+            arc_m = math.fmod(arc_m, length_m)
+            arc_m += length_m if arc_m < 0.0 else 0.0
+        if not self.is_closed and not 0.0 <= arc_m <= length_m:
+            piece = self._pieces[0 if arc_m < 0.0 else -1]
+            end_m = 0.0 if arc_m < 0.0 else piece.length_m
+            return piece.go_straight(end_m).locate(arc_m - piece.start_m - end_m)
+        piece = self._pieces[self._find_piece(arc_m)]
+        return piece.locate(arc_m - piece.start_m)
+
+    def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> Place:
+        """Return where a position is with respect to the stretch between two arc lengths.
+
+        The stretch of an open path is cut at its ends; a closed one goes round, so that an arc
+        length may be negative or beyond the length. Of points at equal distance the first counts.
+        """
+        if not self.is_closed:
+            low_m, high_m = max(low_m, 0.0), min(high_m, self.length_m)
+        best_m, best = math.inf, (low_m, self._pieces[0])
+        for piece in self._list_pieces(low_m, high_m):
+            start_m = piece.start_m
+            ends_m = max(low_m - start_m, 0.0), min(high_m - start_m, piece.length_m)
+            way_m = piece.find_nearest(x_m, y_m, *ends_m)
+            point = piece.locate(way_m)
+            away_m = math.hypot(x_m - point.x_m, y_m - point.y_m)
+            if away_m < best_m:
+                best_m, best = away_m, (start_m + way_m, piece)
+        return Place(best[0], math.copysign(best_m, self._find_side(x_m, y_m, *best)))
+
+    def find_ahead(self, x_m: float, y_m: float, lookahead_m: float, from_m: float) -> PathPoint:
+        """Return the first point from an arc length on that is a lookahead away from a position.
+
+        Where the path at `from_m` is further away than that, the point there; where no point of a
+        closed path is that far away, the point that is a lookahead further along it.
+        """
+        near = self.locate(from_m)
+        if math.hypot(x_m - near.x_m, y_m - near.y_m) >= lookahead_m:
+            return near
+        for piece in self._iterate_on(from_m):
+            low_m = max(from_m - piece.start_m, 0.0)
+            way_m = piece.find_exit(x_m, y_m, lookahead_m, low_m)
+            if way_m is not None:
+                return piece.locate(way_m)
+        return self.locate(from_m + lookahead_m)
+
+    @cached_property
+    def _pieces(self) -> tuple[_Piece, ...]:
+        return tuple(_build_round(self) if self.kind in _ROUND else _build_straight(self))
+
+    @cached_property
+    def _starts_m(self) -> list[float]:
+        return [piece.start_m for piece in self._pieces]
+
+    def _find_piece(self, arc_m: float) -> int:
+        return max(bisect_right(self._starts_m, arc_m) - 1, 0)
+
+    def _list_pieces(self, low_m: float, high_m: float) -> Iterator[_Piece]:
+        """Yield the pieces that a stretch touches; of a closed path those of every lap."""
+        length_m = self.length_m
+        if not self.is_closed or 0.0 < low_m <= high_m < length_m:
+            first = self._find_piece(low_m)
+            # A stretch that begins at a corner belongs to the piece before it, too.
+            first -= first > 0 and self._starts_m[first] == low_m
+            yield from self._pieces[first : self._find_piece(high_m) + 1]
+            return
+        for lap in range(math.floor(low_m / length_m), math.floor(high_m / length_m) + 1):
+            for piece in self._pieces:
+                start_m = piece.start_m + lap * length_m
+                if start_m <= high_m and start_m + piece.length_m >= low_m:
+                    yield piece._replace(start_m=start_m)
+
+    def _iterate_on(self, from_m: float) -> Iterator[_Piece]:
+        """Yield the pieces from an arc length on: once around, or to the end and straight on."""
+        first = self._find_piece(from_m)
+        yield from self._pieces[first:]
+        if self.is_closed:
+            for piece in self._pieces[: first + 1]:
+                yield piece._replace(start_m=piece.start_m + self.length_m)
+        else:
+            yield self._pieces[-1].go_straight(self._pieces[-1].length_m)
+
+    def _find_side(self, x_m: float, y_m: float, arc_m: float, piece: _Piece) -> float:
+        """Return a number that is positive where a position is on the left of the path.
+
+        `arc_m` is that of the nearest point, `piece` the first that holds it.
+        """
+        way_m = arc_m - piece.start_m
+        point = piece.locate(way_m)
+        cos, sin = math.cos(point.heading_rad), math.sin(point.heading_rad)
+        if way_m in (0.0, piece.length_m):
+            # At a corner both directions count: outside of it either may point at the position.
+            heading = self._find_heading_beyond(piece, is_end=way_m > 0.0)
+            cos, sin = cos + math.cos(heading), sin + math.sin(heading)
+        return cos * (y_m - point.y_m) - sin * (x_m - point.x_m)
+
+    def _find_heading_beyond(self, piece: _Piece, *, is_end: bool) -> float:
+        """Return the direction of the path just beyond an end of a piece [rad]."""
+        number = piece.number + (1 if is_end else -1)
+        if not self.is_closed and not 0 <= number < len(self._pieces):
+            return piece.locate(piece.length_m if is_end else 0.0).heading_rad
+        other = self._pieces[number % len(self._pieces)]
+        return other.locate(0.0 if is_end else other.length_m).heading_rad
+
+
+class PathFollower:
+    """Keeps track of the point of a path that is nearest to a robot, pose by pose.
+
+    The nearest point is looked for within `REACH_M` of the one before, so that a path that crosses
+    itself is followed in its order.
+    """
+
+    __slots__ = ("_path", "arc_m")
+
+    def __init__(self, path: Path, arc_m: float = 0.0) -> None:
+        """Begin at an arc length [m]."""
+        self._path = path
+        self.arc_m = arc_m
+
+    def advance(self, x_m: float, y_m: float) -> Place:
+        """Return where the robot is now."""
+        place = self._path.find_nearest(x_m, y_m, self.arc_m - REACH_M, self.arc_m + REACH_M)
+        self.arc_m = place.arc_m
+        return place
+
+
+def restore_path(parameters: Mapping[str, Any]) -> Path | None:
+    """Return the path among a run's parameters (`path.kind` ...); None where there is none.
+
+    Raises:
+        PathError: Where they make no path.
+    """
+    values = {
+        one.name: parameters[f"path.{one.name}"]
+        for one in fields(Path)
+        if f"path.{one.name}" in parameters
+    }
+    if not values:
+        return None
+    points = values.get("points")
+    if isinstance(points, list | tuple):
+        values["points"] = tuple(tuple(one) if isinstance(one, list) else one for one in points)
+    try:
+        return _build_path(tuple(values.items()))
+    except TypeError as err:  # a list where a number belongs, or no kind
+        raise PathError(f"expected a path, found {values!r:.60}") from err
+
+
+@lru_cache(maxsize=16)
+def _build_path(values: tuple[tuple[str, Any], ...]) -> Path:
+    return Path(**dict(values))
+
+
+_ROUND: Final = ("circle", "figure-eight")
+
+
+def _require_finite(place: str, value: Any) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value):
+        raise PathError(f"{place}: expected a finite number, found {value!r:.40}")
+    return float(value)
+
+
+def _find_turn(before: _Piece, after: _Piece) -> float:
+    end = before.heading_rad + before.curvature_1_m * before.length_m
+    return wrap_angle(after.heading_rad - end)
+
+
+def _build_straight(path: Path) -> Iterator[_Piece]:
+    points = path.points or ()
+    start_m = 0.0
+    ends = (*points[1:], points[0]) if path.is_closed else points[1:]
+    for number, ((x_m, y_m), end) in enumerate(zip(points, ends, strict=False)):
+        end_x_m, end_y_m = end
+        length_m = math.hypot(end_x_m - x_m, end_y_m - y_m)
+        heading = math.atan2(end_y_m - y_m, end_x_m - x_m)
+        yield _Piece(number, start_m, length_m, x_m, y_m, heading, 0.0)
+        start_m += length_m
+
+
+def _build_round(path: Path) -> Iterator[_Piece]:
+    x_m, y_m, size_m = path.center_x_m or 0.0, path.center_y_m or 0.0, path.size_m or 0.0
+    turn_m = 2.0 * math.pi * size_m
+    if path.kind == "circle":
+        yield _Piece(0, 0.0, turn_m, x_m + size_m, y_m, math.pi / 2.0, 1.0 / size_m)
+        return
+    yield _Piece(0, 0.0, turn_m, x_m, y_m, 0.0, 1.0 / size_m)
+    yield _Piece(1, turn_m, turn_m, x_m, y_m, 0.0, -1.0 / size_m)
