@@ -7,7 +7,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.measure import Status
-from turtlelog.measure.table.tracking import _find_shift
+from turtlelog.measure.table.tracking import find_shift
 from turtlelog.scenario import build_scenario
 
 SQUARE: dict[str, Any] = {
@@ -72,7 +72,7 @@ def test_lag_of_a_robot_that_is_late_is_its_delay(late_s: float) -> None:
         np.sin(0.7 * time_s) + time_s,
         np.sin(0.7 * (time_s - late_s)) + time_s - late_s,
     )
-    assert _find_shift(time_s, reference, signal) == pytest.approx(late_s, abs=1e-4)
+    assert find_shift(time_s, reference, signal) == pytest.approx(late_s, abs=1e-4)
 
 
 def test_lag_of_a_slow_robot_is_what_its_speed_limit_costs() -> None:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Final, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,10 +138,10 @@ def _read_path(run: Run, loop: ControlLoop) -> Values | None:
         return _hold_reference(run, run.samples.reference_heading_rad)
     if path.speed_m_s is None or held_xy_m is None:
         return None
-    return trace_path(path, held_xy_m, find_first_arc(run, path))[0]
+    return _trace(run, path, "reference", held_xy_m)[0]
 
 
-def find_first_arc(run: Run, path: Path) -> float:
+def _find_first_arc(run: Run, path: Path) -> float:
     """Return near which arc length of a path a run begins [m].
 
     At its beginning; where the first sample is lost, at the first reference that is recorded.
@@ -270,10 +271,21 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
     """Return a coordinate along, or left of, the path or the line from first pose read to goal."""
     path = run.path
     if path is not None:
-        arcs_m, offsets_m = trace_path(path, run.poses.xy_m, find_first_arc(run, path))
-        return arcs_m if along else offsets_m
+        return _trace(run, path, "poses", run.poses.xy_m)[0 if along else 1]
     line = run.goal_line
     return None if line is None else project_on_line(run.poses.xy_m, line, along=along)
+
+
+_TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
+"""Where poses and references of a run are on its path, found row by row, while the run is kept."""
+
+
+def _trace(run: Run, path: Path, what: str, xy_m: Values) -> tuple[Values, Values]:
+    """Return arc lengths and offsets [m] of positions with respect to the path of a run."""
+    known = _TRACES.setdefault(run, {})
+    if what not in known:
+        known[what] = trace_path(path, xy_m, _find_first_arc(run, path))
+    return known[what]
 
 
 def _read_heading(run: Run) -> Values:

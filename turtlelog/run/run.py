@@ -75,7 +75,7 @@ class GoalLine:
     length_m: float | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Run:
     """Everything that is known of one run.
 

@@ -16,8 +16,12 @@ _NO_PATH: Final = Missing(status=Status.ABSENT, reason="the path is not known")
 _NO_CORNER: Final = Missing(status=Status.NO_STEP, reason="the path has no corner")
 _NOT_PASSED: Final = Missing(status=Status.NOT_REACHED, reason="no corner of the path was passed")
 
-_MOST_ROWS: Final = 2000
-"""Rows on which a lag is looked for: half a minute of poses; of more, every n-th."""
+_COARSE_ROWS: Final = 400
+"""Rows on which a lag is looked for first: of more, every n-th. A tenth of a second of a path that
+takes 40 s, over which a path hardly bends."""
+
+_FINE_STEPS: Final = 40
+"""Halvings of the search for the lag: each leaves 0.62 of the interval, all of them 5e-9."""
 
 _LEAST_MOVED: Final = 1e-6
 """A reference that moves by less stands still [rad or m]: poses are rounded to 32 bits."""
@@ -44,30 +48,46 @@ def _compute_lag(context: RunContext, response: Response) -> Result:
     reference = read_reference(context.run, response.loop)
     if not isinstance(reference, np.ndarray):
         return _STANDS_STILL
-    every = slice(None, None, -(-len(response.time_s) // _MOST_ROWS))
     inside = reference[response.rows]
     inside = np.unwrap(inside) if response.loop.signal == "heading" else inside
     if np.ptp(inside) <= _LEAST_MOVED:
         return _STANDS_STILL
     signal = inside - response.error
-    return Found(_find_shift(response.time_s[every], inside[every], signal[every]))
+    return Found(find_shift(response.time_s, inside, signal))
 
 
-def _find_shift(time_s: Values, reference: Values, signal: Values) -> float:
+def find_shift(time_s: Values, reference: Values, signal: Values) -> float:
     """Return by how much the reference is shifted to fit the signal best in the mean square [s].
 
     At most half of the duration either way, so that at least half of the rows are compared.
     """
-    step_s = float(time_s[-1]) / max(len(time_s) - 1, 1)
-    most = len(time_s) // 2
-    shifts_s = step_s * np.arange(-most, most + 1)
-    misfits = np.array([_compute_misfit(time_s, reference, signal, one) for one in shifts_s])
-    best = int(misfits.argmin())
-    if not 0 < best < len(misfits) - 1:
-        return float(shifts_s[best])
-    before, least, after = misfits[best - 1 : best + 2]
-    bend = before - 2.0 * least + after
-    return float(shifts_s[best] + (step_s * (before - after) / (2.0 * bend) if bend > 0.0 else 0.0))
+    every = slice(None, None, -(-len(time_s) // _COARSE_ROWS))
+    coarse = time_s[every], reference[every], signal[every]
+    most_s = float(time_s[-1] - time_s[0]) / 2.0
+    shifts_s = np.linspace(-most_s, most_s, len(coarse[0]) | 1)
+    best = int(np.argmin([_compute_misfit(*coarse, float(shift_s)) for shift_s in shifts_s]))
+    low_s, high_s = shifts_s[max(best - 1, 0)], shifts_s[min(best + 1, len(shifts_s) - 1)]
+    return _find_least(time_s, reference, signal, (float(low_s), float(high_s)))
+
+
+def _find_least(
+    time_s: Values, reference: Values, signal: Values, interval_s: tuple[float, float]
+) -> float:
+    """Return the shift of the least misfit in an interval, by golden section [s]."""
+    golden = (5.0**0.5 - 1.0) / 2.0
+    low_s, high_s = interval_s
+    inner_s = [high_s - golden * (high_s - low_s), low_s + golden * (high_s - low_s)]
+    misfits = [_compute_misfit(time_s, reference, signal, shift_s) for shift_s in inner_s]
+    for _ in range(_FINE_STEPS):
+        if misfits[0] <= misfits[1]:
+            high_s = inner_s[1]
+            inner_s = [high_s - golden * (high_s - low_s), inner_s[0]]
+            misfits = [_compute_misfit(time_s, reference, signal, inner_s[0]), misfits[0]]
+        else:
+            low_s = inner_s[0]
+            inner_s = [inner_s[1], low_s + golden * (high_s - low_s)]
+            misfits = [misfits[1], _compute_misfit(time_s, reference, signal, inner_s[1])]
+    return (low_s + high_s) / 2.0
 
 
 def _compute_misfit(time_s: Values, reference: Values, signal: Values, shift_s: float) -> float:
