@@ -20,6 +20,7 @@ _OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
+_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.largest_gap")
 _SHARE: Final = 0.1
 """What a bound leaves at least, as a share of the value: the scatter of repeats stays within it.
 
@@ -86,7 +87,8 @@ def _choose_metrics(declaration: Declaration) -> list[str]:
         for name in (_OF_MOVING if loop.moves else _OF_STEP)
     )
     known = list_metrics(declaration)
-    return [name for name in (*of_loops, *_OF_RUN) if name in known]
+    of_run = _OF_RUN if declaration.uses_goal else _WITHOUT_GOAL
+    return [name for name in (*of_loops, *of_run) if name in known]
 
 
 def _is_name(text: str) -> bool:

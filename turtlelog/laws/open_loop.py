@@ -29,12 +29,6 @@ LARGEST: Final = 1e6
 """Magnitude of amplitudes and commands [in their units] and of times [s]: as long as a run may be,
 and far from where turtlesim's 32-bit floats end."""
 
-DECLARATION: Final = Declaration(
-    phases={_WAIT: (), _EXCITE: ()},
-    uses_goal=False,
-)
-"""What the law declares, whatever its parameters: it controls nothing and has no goal."""
-
 _COMMON: Final = {"axis": "turn_rate", "amplitude": 1.0, "start_s": 0.0, "duration_s": 2.4}
 _MAXIMUM_LENGTH: Final = {"bit_s": 0.192, "order": 7, "register": 1}
 
@@ -168,9 +162,12 @@ class OpenLoop:
 
     @classmethod
     def declare(cls, parameters: OpenLoopParameters, goal: Goal | None, path: None) -> Declaration:
-        """Return its phases: it has no loop and no goal."""
-        del parameters, goal, path
-        return DECLARATION
+        """Return its phases, `wait` where the signal begins later: it has no loop and no goal."""
+        del goal, path
+        values = parameters.complete()
+        begins_s = values["time_s"][0] if "time_s" in values else values["start_s"]
+        phases = (_WAIT, _EXCITE) if begins_s > 0.0 else (_EXCITE,)
+        return Declaration(phases=dict.fromkeys(phases, ()), uses_goal=False)
 
     def __init__(self, parameters: OpenLoopParameters) -> None:
         """Take the parameters."""

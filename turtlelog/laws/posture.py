@@ -16,6 +16,7 @@ from turtlelog.laws.base import MAY_BE_INFINITE, Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration, Mechanism
 
 _DRIVE: Final = "drive"
+_TURN: Final = "turn"
 _NO_TOLERANCE: Final = 1e-6
 """About one step of a 32-bit coordinate near 10 m, 9.5e-7 m: a published pose comes no nearer."""
 
@@ -44,7 +45,8 @@ DECLARATION: Final = Declaration(
             is_proportional=False,
         ),
     ),
-    phases={_DRIVE: ("approach", "align")},
+    # Turning on the spot at the goal is neither: the bearing means nothing there.
+    phases={_DRIVE: ("approach", "align"), _TURN: ()},
     states=("lyapunov",),
 )
 """What the posture law declares, whatever its parameters."""
@@ -108,6 +110,7 @@ class Posture:
         self._parameters = parameters
         self._goal = Goal(0.0, 0.0)
         self._arrival_rad = 0.0
+        self._phase = _DRIVE
         self._first_ns: int | None = None
 
     def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
@@ -116,6 +119,7 @@ class Posture:
         if goal is None:
             raise LawError("posture: expected a goal, found none")
         self._goal = goal
+        self._phase = _DRIVE
         self._first_ns = None
         line_rad = math.atan2(goal.y_m - start.y_m, goal.x_m - start.x_m)
         self._arrival_rad = line_rad if goal.heading_rad is None else goal.heading_rad
@@ -134,11 +138,12 @@ class Posture:
         lyapunov = 0.5 * (rho * rho + alpha * alpha + rules.h * phi * phi)
         speed_m_s, stop_reason = 0.0, None
         if rho > rules.position_tolerance_m:
+            self._phase = _DRIVE
             speed_m_s = rules.gamma * math.cos(alpha) * rho
             turn_rate_rad_s = self._compute_turn_rate(alpha, phi)
         elif self._has_heading and abs(turn_rad) > rules.heading_tolerance_rad:
-            # The bearing means nothing here: the robot turns on the spot, as if it had arrived on
-            # the line of the goal's heading, where phi is 0.
+            # The same law, as if it had arrived along the goal's heading, where phi is 0.
+            self._phase = _TURN
             turn_rate_rad_s = self._compute_turn_rate(turn_rad, 0.0)
         else:
             turn_rate_rad_s, stop_reason = 0.0, "within_tolerance"
@@ -147,7 +152,7 @@ class Posture:
         return Decision(
             speed_m_s=speed_m_s,
             turn_rate_rad_s=turn_rate_rad_s,
-            phase=_DRIVE,
+            phase=self._phase,
             bearing_rad=bearing_rad,
             heading_error_rad=alpha,
             error_x_m=error_x_m,

@@ -44,6 +44,12 @@ _ESSENTIAL_OF_RUN: Final = (
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
 
+_ESSENTIAL_WITHOUT_GOAL: Final = (
+    *("run.duration", "run.path_length", "run.speed_effort", "run.turn_rate_effort"),
+    "run.largest_gap",
+)
+"""Of laws that use no goal: how far they drove, by what commands."""
+
 
 def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
     """Return every metric that runs of these laws have, by id: of each loop, the end, the run."""
@@ -68,7 +74,9 @@ def list_essential_metrics(*declarations: Declaration) -> tuple[str, ...]:
         for name in _ESSENTIAL_OF_LOOP
         if LOOP_METRICS[name].applies(loop) and (loop.moves or name not in _OF_MOVING)
     )
-    return (*dict.fromkeys(of_loops), *_ESSENTIAL_OF_RUN)
+    is_free = bool(declarations) and not any(one.uses_goal for one in declarations)
+    of_run = _ESSENTIAL_WITHOUT_GOAL if is_free else _ESSENTIAL_OF_RUN
+    return (*dict.fromkeys(of_loops), *of_run)
 
 
 def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:
