@@ -12,6 +12,7 @@ from msgspec import Meta
 from turtlelog.errors import ParameterError
 from turtlelog.laws.base import Decision, Goal, Pose
 from turtlelog.loops import Declaration
+from turtlelog.paths import Path
 
 _WAIT: Final = "wait"
 _EXCITE: Final = "excite"
@@ -161,7 +162,9 @@ class OpenLoop:
     counts_samples: ClassVar = ()
 
     @classmethod
-    def declare(cls, parameters: OpenLoopParameters, goal: Goal | None, path: None) -> Declaration:
+    def declare(
+        cls, parameters: OpenLoopParameters, goal: Goal | None, path: Path | None
+    ) -> Declaration:
         """Return its phases, `wait` where the signal begins later: it has no loop and no goal."""
         del goal, path
         values = parameters.complete()
@@ -188,7 +191,7 @@ class OpenLoop:
         self._turn_rates = values.get("turn_rate_rad_s", ()) or none
         self._first_ns: int | None = None
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         """Begin anew, wherever the robot is."""
         del start, goal, path
         self._first_ns = None

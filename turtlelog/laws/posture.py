@@ -14,6 +14,7 @@ from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
 from turtlelog.laws.base import MAY_BE_INFINITE, Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration, Mechanism
+from turtlelog.paths import Path
 
 _DRIVE: Final = "drive"
 _TURN: Final = "turn"
@@ -100,7 +101,9 @@ class Posture:
     counts_samples: ClassVar = ()
 
     @classmethod
-    def declare(cls, parameters: PostureParameters, goal: Goal | None, path: None) -> Declaration:
+    def declare(
+        cls, parameters: PostureParameters, goal: Goal | None, path: Path | None
+    ) -> Declaration:
         """Return its two loops, which act together."""
         del parameters, goal, path
         return DECLARATION
@@ -113,7 +116,7 @@ class Posture:
         self._phase = _DRIVE
         self._first_ns: int | None = None
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         """Settle the heading to arrive with: the goal's, or else that of the line from start."""
         del path
         if goal is None:
