@@ -20,7 +20,6 @@ _OF_RUN: Final = (
     *("final.heading_error", "final.position_error"),
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
-_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.largest_gap")
 _SHARE: Final = 0.1
 """What a bound leaves at least, as a share of the value: the scatter of repeats stays within it.
 
@@ -87,8 +86,16 @@ def _choose_metrics(declaration: Declaration) -> list[str]:
         for name in (_OF_MOVING if loop.moves else _OF_STEP)
     )
     known = list_metrics(declaration)
-    of_run = _OF_RUN if declaration.uses_goal else _WITHOUT_GOAL
-    return [name for name in (*of_loops, *of_run) if name in known]
+    return [name for name in (*of_loops, *_choose_of_run(declaration)) if name in known]
+
+
+def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
+    """Return what is asked of the end and of the run: no errors where there is no goal or path."""
+    if declaration.uses_goal:
+        return _OF_RUN
+    follows = any(loop.reference == "path" for loop in declaration.loops)
+    others = ("run.cross_track_max",) if not follows else ()
+    return tuple(name for name in _OF_RUN if not name.startswith("final.") and name not in others)
 
 
 def _is_name(text: str) -> bool:
