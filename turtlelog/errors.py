@@ -76,6 +76,10 @@ class LawError(TurtlelogError):
     """A control law that cannot be found, loaded or trusted."""
 
 
+class ParameterError(LawError, ValueError):
+    """A parameter of a law that does not go with the others; the line begins with its key."""
+
+
 class ScenarioError(TurtlelogError):
     """A scenario with a wrong key or value."""
 

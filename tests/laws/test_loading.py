@@ -45,7 +45,8 @@ def match_whole(text: str) -> str:
 
 def test_built_in_law_is_found_by_its_kind() -> None:
     assert find_law("sequential-p") is SequentialP
-    assert set(LAWS) == {"sequential-p", "pure-pursuit", "kanayama"}
+    kinds = ["sequential-p", "posture", "pure-pursuit", "kanayama", "open-loop"]
+    assert list(LAWS) == kinds
 
 
 def test_law_of_a_module_is_found() -> None:

@@ -1,6 +1,9 @@
+import math
+
 import pytest
 
 from turtlelog.laws import SequentialPParameters
+from turtlelog.laws.posture import PostureParameters
 from turtlelog.plants.turtlesim import SPAWN_XY_M
 from turtlelog.scenario import (
     PAPER_RUNS,
@@ -12,8 +15,9 @@ from turtlelog.scenario import (
 )
 
 
-def test_presets_are_the_paper_as_built_and_the_textbook() -> None:
-    assert (*PAPER_RUNS, "paper", "textbook") == PRESETS
+def test_presets_are_the_paper_as_built_the_textbook_and_other_laws() -> None:
+    plant = ("plant-impulse", "plant-step", "plant-ramp")
+    assert (*PAPER_RUNS, "paper", "textbook", "posture", *plant) == PRESETS
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -60,7 +64,23 @@ def test_textbook_keeps_limits_sampling_and_precision_alone() -> None:
 def test_presets_drive_from_the_spawn_pose_to_the_goal_of_the_paper(name: str) -> None:
     preset = get_preset(name)
     assert (preset.start.x_m, preset.start.y_m) == (SPAWN_XY_M, SPAWN_XY_M)
-    assert (preset.goal.x_m, preset.goal.y_m, preset.goal.heading_rad) == (2.0, 10.0, None)
+    heading_rad = math.pi / 2.0 if name == "posture" else None
+    assert (preset.goal.x_m, preset.goal.y_m, preset.goal.heading_rad) == (2.0, 10.0, heading_rad)
+
+
+def test_posture_drives_in_the_loop_of_the_textbook() -> None:
+    posture, textbook = get_preset("posture"), get_preset("textbook")
+    assert posture.law.parameters == PostureParameters()
+    assert (posture.loop, posture.limits) == (textbook.loop, textbook.limits)
+
+
+@pytest.mark.parametrize("signal", ["impulse", "step", "ramp"])
+def test_plant_presets_excite_the_turn_rate_without_limits(signal: str) -> None:
+    preset = get_preset(f"plant-{signal}")
+    law = preset.law.parameters
+    assert (law.signal, law.axis, law.amplitude, law.start_s) == (signal, "turn_rate", 1.0, 0.0)
+    assert (preset.limits.speed_m_s, preset.limits.turn_rate_rad_s) == (math.inf, math.inf)
+    assert preset.loop == get_preset("textbook").loop
 
 
 def test_paper_runs_come_by_rising_gain() -> None:

@@ -86,7 +86,16 @@ def _choose_metrics(declaration: Declaration) -> list[str]:
         for name in (_OF_MOVING if loop.moves else _OF_STEP)
     )
     known = list_metrics(declaration)
-    return [name for name in (*of_loops, *_OF_RUN) if name in known]
+    return [name for name in (*of_loops, *_choose_of_run(declaration)) if name in known]
+
+
+def _choose_of_run(declaration: Declaration) -> tuple[str, ...]:
+    """Return what is asked of the end and of the run: no errors where there is no goal or path."""
+    if declaration.uses_goal:
+        return _OF_RUN
+    follows = any(loop.reference == "path" for loop in declaration.loops)
+    others = ("run.cross_track_max",) if not follows else ()
+    return tuple(name for name in _OF_RUN if not name.startswith("final.") and name not in others)
 
 
 def _is_name(text: str) -> bool:

@@ -72,6 +72,9 @@ _DEAD_TIME: Final = "dead_time."
 
 _DRIVEN: Final = "No simulation stands for this log. The plant was driven with its commands."
 
+_TEXT_WIDTH: Final = 95
+"""As wide as the notes of tables."""
+
 _EVIDENCE_WIDTH: Final = 46
 
 _WIDTH: Final = 96
@@ -204,7 +207,12 @@ def format_identification(found: "Identification") -> str:
 
 def format_attribution(found: "Attribution") -> str:
     """Return the values, the shares, and what they mean."""
-    unit = found.unit
+    unit, sentences = found.unit, tl.explain.write_sentences(found)
+    parts = (*found.shares, *found.others)
+    if all(one.share is None and one.alone is None for one in parts):
+        # No table of dashes: what there is to say stands in the sentences.
+        wrapped = "\n".join(textwrap.fill(one, _TEXT_WIDTH) for one in sentences)
+        return f"\nWhat caused {found.metric}\n\n{wrapped}"
     table = tl.compare.Table(
         title=f"What caused {found.metric}",
         columns=(
@@ -220,9 +228,9 @@ def format_attribution(found: "Attribution") -> str:
                 share.alone,
                 share.meaning,
             )
-            for share in (*found.shares, *found.others)
+            for share in parts
         ),
-        notes=tl.explain.write_sentences(found),
+        notes=sentences,
     )
     return f"\n{format_table(table)}"
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, Partial, iterate_files, require_files
@@ -20,6 +20,9 @@ from turtlelog.escapes import escape_controls
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.log import RecordingInfo
+
+_MOST_ENTRIES: Final = 8
+"""Of a list that is printed: a sequence of commands has thousands. As JSON they are all there."""
 
 
 def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> int:
@@ -107,8 +110,16 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         known = "scenario" if recording.scenario else "known of the scenario"
         lines += ["", f"  {known}"]
         pairs = recording.parameters.items()
-        lines += [escape_controls(f"    {key} = {value}") for key, value in pairs]
+        lines += [escape_controls(f"    {key} = {_shorten(value)}") for key, value in pairs]
     return "\n".join(lines)
+
+
+def _shorten(value: object) -> object:
+    """Return a value as it is shown: of a long list its first entries and how many there are."""
+    if not isinstance(value, list | tuple) or len(value) <= _MOST_ENTRIES:
+        return value
+    first = ", ".join(map(str, value[:_MOST_ENTRIES]))
+    return f"[{first}, ...]: {len(value):,} values"
 
 
 def _describe_completeness(recording: "RecordingInfo") -> str:

@@ -23,7 +23,7 @@ from turtlelog.cli.output import (
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import MeasureSettings
+    from turtlelog import Declaration, MeasureSettings
     from turtlelog.compare import RunSummary
 
 _MOST_COLUMNS: Final = 6
@@ -107,10 +107,11 @@ def metrics(
     kind = (formats or FormatOptions()).choose()
     patterns = measuring.list_patterns()
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
+    essential = tl.measure.list_essential_metrics
     found = tl.compare.summarise_files(
         files,
         measuring.build_settings(),
-        only=tl.measure.list_essential_metrics if is_short else patterns,
+        only=(_list_with_path if measuring.reference_path else essential) if is_short else patterns,
         topics=topics.build_choice(),
         jobs=jobs,
     )
@@ -128,6 +129,12 @@ def metrics(
     for err in errors:
         print_error(str(err))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
+
+
+def _list_with_path(declaration: "Declaration") -> tuple[str, ...]:
+    """Return the essential metrics, and how far from the path that was given, goal or none."""
+    essential = tl.measure.list_essential_metrics(declaration)
+    return tuple(dict.fromkeys([*essential, "run.cross_track_max"]))
 
 
 def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | None) -> None:

@@ -44,12 +44,15 @@ class ScenarioOptions:
     """Changes to a scenario, applied in this order.
 
     Attributes:
+        commands: Send the commands of this recording at their times, by the law open-loop, in place
+            of the scenario's law.
         kp: Set the gains that the law declares [1/s].
         goal: Set the goal position, as in 2,10 [m].
         assignments: Change one value by its dotted key, as in law.kp_linear=4; may stand
             several times. The unit stands in the key.
     """
 
+    commands: Annotated[Path | None, Parameter(metavar="FILE")] = None
     kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
     goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
     assignments: Annotated[
@@ -126,7 +129,8 @@ def name_by_changes(
 def _list_changes(options: ScenarioOptions | None) -> list[str]:
     if options is None:
         return []
-    said = [] if options.kp is None else [f"kp={options.kp:g}"]
+    said = [] if options.commands is None else [f"commands={options.commands.stem}"]
+    said += [] if options.kp is None else [f"kp={options.kp:g}"]
     said += [] if options.goal is None else [f"goal={options.goal}"]
     texts = options.assignments or ()
     # A name is one line; a value need not be.
@@ -146,6 +150,9 @@ def change_scenario(
         declaration: What its law declares, where a recording tells; otherwise the law is asked.
     """
     options = options or ScenarioOptions()
+    if options.commands is not None:
+        run = _read_run(options.commands, TopicOptions())
+        scenario, declaration = tl.scenario.replay_commands(scenario, run), None
     changes = tl.scenario.parse_assignments(options.assignments or (), source="--set")
     if "law.kind" in changes:
         # Another law has other keys: it is chosen before any of them is set.

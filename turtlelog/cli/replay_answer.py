@@ -242,7 +242,12 @@ def _tell_time(run: "Run", time_ns: int) -> float:
 
 
 _OF_LOOP: Final = frozenset({"overshoot", "settling_time", "rms_error"})
-_OF_RUN: Final = frozenset({"final.heading_error", "final.position_error", "run.duration"})
+_OF_RUN: Final = frozenset(
+    {
+        *("final.heading_error", "final.position_error", "run.duration"),
+        *("run.speed_effort", "run.turn_rate_effort"),  # essential where there is no goal
+    }
+)
 
 
 def _measure_both(recorded: "Run", replayed: "Run") -> "tuple[Measured, Measured]":

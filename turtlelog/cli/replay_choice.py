@@ -153,4 +153,5 @@ def _require_keys_of_law(changes: ScenarioOptions | None) -> None:
 def _name_changes(changes: ScenarioOptions | None) -> dict[str, object]:
     if changes is None:
         return {}
-    return {"--kp": changes.kp, "--goal": changes.goal, "--set": changes.assignments}
+    given: dict[str, object] = {"--commands": changes.commands}
+    return given | {"--kp": changes.kp, "--goal": changes.goal, "--set": changes.assignments}

@@ -68,7 +68,9 @@ def tabulate_table1(runs: Sequence[Run], *, beside_paper: bool = False) -> Table
 def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
     """Return Table 1 without its window: each run to its own end, how its loops answered."""
     has_theory, of_loops = _have_theory(runs), _list_loop_columns(runs)
-    shown = {**of_loops, **_WHOLE_RUN}
+    has_goal = any(run.declaration.uses_goal for run in runs)
+    of_run = {name: _WHOLE_RUN[name] for name in _WHOLE_RUN if has_goal or "error" not in name}
+    shown = {**of_loops, **of_run}
     rows: list[tuple[Cell, ...]] = []
     for name, run in _name_in_order(runs):
         own = [metric for metric in shown if metric in list_metrics(run.declaration)]
@@ -83,7 +85,7 @@ def tabulate_whole_runs(runs: Sequence[Run]) -> Table:
         if any(name.endswith(f".{metric}") for name in of_loops)
     ]
     return Table(
-        title=f"To the end of each run: {', '.join([*words, 'errors'])}",
+        title=f"To the end of each run: {', '.join([*words, 'errors' if has_goal else 'length'])}",
         columns=(_RUN, *((_KP, _FOUR_TAU) if has_theory else ()), *shown.values()),
         rows=tuple(rows),
     )

@@ -224,7 +224,8 @@ def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
     """Return the ids of the metrics that tell runs of these laws apart at a glance.
 
     Of the loops that turn the robot how they answer, where a law has such loops, else of all; and
-    where the run ended. How it drove shows in the position at the end.
+    where the run ended. How it drove shows in the position at the end. Of laws without a goal how
+    far they drove.
     """
     chosen: dict[str, None] = {}
     for declaration in declarations:
@@ -233,7 +234,8 @@ def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
         essential = list_essential_metrics(declaration)
         usual = (f"{loop}.{name}" for loop in loops for name in _USUAL_OF_LOOP)
         chosen |= dict.fromkeys(name for name in usual if name in essential)
-    return order_ids([*chosen, *_USUAL_OF_RUN])
+    is_free = bool(declarations) and not any(one.uses_goal for one in declarations)
+    return order_ids([*chosen, *(_USUAL_WITHOUT_GOAL if is_free else _USUAL_OF_RUN)])
 
 
 def order_ids(ids: Iterable[str]) -> tuple[str, ...]:
@@ -274,6 +276,7 @@ _MOST_NOTES: Final = 5
 
 _USUAL_OF_LOOP: Final = ("settling_time", "overshoot", "rms_error")
 _USUAL_OF_RUN: Final = ("final.heading_error", "final.position_error", "run.duration")
+_USUAL_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.turn_rate_effort")
 _USUAL_PATTERNS: Final = (*(f"*.{name}" for name in _USUAL_OF_LOOP), *_USUAL_OF_RUN)
 """Whatever the law; the runs are not read yet."""
 

@@ -17,6 +17,8 @@ from turtlelog.errors import LawError, TurtlelogError, describe_error
 from turtlelog.expressions.tokens import KEYWORDS
 from turtlelog.laws.base import Goal, Law
 from turtlelog.laws.kanayama import Kanayama
+from turtlelog.laws.open_loop import OpenLoop
+from turtlelog.laws.posture import Posture
 from turtlelog.laws.pure_pursuit import PurePursuit
 from turtlelog.laws.sequential_p import SequentialP
 from turtlelog.loops import Declaration, Mechanism
@@ -28,8 +30,10 @@ LAWS: Final[Mapping[str, type[Law]]] = NamedValues(
     "law",
     {
         "sequential-p": SequentialP,
+        "posture": Posture,
         "pure-pursuit": PurePursuit,
         "kanayama": Kanayama,
+        "open-loop": OpenLoop,
     },
 )
 """The built-in laws by kind."""

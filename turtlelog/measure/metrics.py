@@ -44,6 +44,15 @@ _ESSENTIAL_OF_RUN: Final = (
     *("run.duration", "run.path_length", "run.cross_track_max", "run.largest_gap"),
 )
 
+_ESSENTIAL_OF_PATH: Final = _ESSENTIAL_OF_RUN[2:]
+"""Of laws that use no goal and follow a path."""
+
+_ESSENTIAL_WITHOUT_GOAL: Final = (
+    *("run.duration", "run.path_length", "run.speed_effort", "run.turn_rate_effort"),
+    "run.largest_gap",
+)
+"""Of laws that use no goal and follow nothing: how far they drove, by what commands."""
+
 
 def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
     """Return every metric that runs of these laws have, by id: of each loop, the end, the run."""
@@ -68,7 +77,14 @@ def list_essential_metrics(*declarations: Declaration) -> tuple[str, ...]:
         for name in _ESSENTIAL_OF_LOOP
         if LOOP_METRICS[name].applies(loop) and (loop.moves or name not in _OF_MOVING)
     )
-    return (*dict.fromkeys(of_loops), *_ESSENTIAL_OF_RUN)
+    return (*dict.fromkeys(of_loops), *_choose_of_run(declarations))
+
+
+def _choose_of_run(declarations: tuple[Declaration, ...]) -> tuple[str, ...]:
+    if not declarations or any(one.uses_goal for one in declarations):
+        return _ESSENTIAL_OF_RUN
+    follows = any(loop.reference == "path" for loop in _list_loops(declarations))
+    return _ESSENTIAL_OF_PATH if follows else _ESSENTIAL_WITHOUT_GOAL
 
 
 def _list_loops(declarations: Iterable[Declaration]) -> list[ControlLoop]:

@@ -36,6 +36,7 @@ from turtlelog.scenario.overrides import (
     override_gains,
     override_scenario,
     parse_assignments,
+    replay_commands,
 )
 
 __all__ = [
@@ -65,6 +66,7 @@ __all__ = [
     "parse_assignments",
     "parse_scenario",
     "read_scenario",
+    "replay_commands",
     "resolve_law",
     "resolve_scenario",
     "restore_scenario",

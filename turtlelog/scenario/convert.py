@@ -9,7 +9,14 @@ from typing import Any, get_args, get_type_hints
 
 import msgspec
 
-from turtlelog.errors import LawError, PathError, ScenarioError, describe_error, suggest_names
+from turtlelog.errors import (
+    LawError,
+    ParameterError,
+    PathError,
+    ScenarioError,
+    describe_error,
+    suggest_names,
+)
 from turtlelog.laws import (
     ABSENT_BY_DEFAULT,
     LAWS,
@@ -308,6 +315,8 @@ def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str
     except msgspec.ValidationError as err:
         place = _PLACE.search(str(err))
         path = f"{prefix}{place[1]}" if place else prefix.rstrip(".")
+        if isinstance(err.__cause__, ParameterError):
+            raise ScenarioError(f"{source}: {path}.{err.__cause__}") from err
         if err.__cause__ is not None:  # a dataclass that judges its values itself
             raise ScenarioError(f"{source}: {path}: {describe_error(err.__cause__)}") from err
         missing = _MISSING.match(str(err))

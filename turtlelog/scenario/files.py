@@ -1,5 +1,6 @@
 """Scenarios by name: TOML files in and out, and the presets that come with turtlelog."""
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -10,6 +11,7 @@ import tomli_w
 from turtlelog.errors import ScenarioError
 from turtlelog.scenario.convert import build_scenario, nest_scenario
 from turtlelog.scenario.model import Scenario
+from turtlelog.scenario.table_files import embed_files
 from turtlelog.text_files import parse_toml, read_text_file
 
 
@@ -30,6 +32,15 @@ def _describe_paper_run(
     }
 
 
+def _describe_plant_run(signal: str, **more: float) -> dict[str, Any]:
+    law = {"kind": "open-loop", "signal": signal, "axis": "turn_rate", "amplitude": 1.0}
+    return {
+        "name": f"plant-{signal}",
+        "law": {**law, "start_s": 0.0, "duration_s": 2.4, **more},
+        "limits": {"speed_m_s": math.inf, "turn_rate_rad_s": math.inf},
+    }
+
+
 _TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
         "paper-kp1": _describe_paper_run("paper-kp1", 1.0, 6, 34),
@@ -38,11 +49,20 @@ _TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
         "paper-kp10": _describe_paper_run("paper-kp10", 10.0, 5, 33),
         "paper": _describe_paper_run("paper", 1.0, 5, 33),
         "textbook": {"name": "textbook"},
+        "posture": {
+            "name": "posture",
+            "goal": {"heading_rad": math.pi / 2.0},
+            "law": {"kind": "posture"},
+        },
+        "plant-impulse": _describe_plant_run("impulse", width_s=0.016),
+        "plant-step": _describe_plant_run("step"),
+        "plant-ramp": _describe_plant_run("ramp"),
     }
 )
 
 PRESETS: Final = tuple(_TABLES)
-"""Names of the presets: the paper's four recorded runs, its controller as built, the textbook's."""
+"""Names of the presets: the paper's four recorded runs, its controller as built, the textbook's,
+another law in the textbook's loop, and the plant's responses of the paper's figure 2."""
 
 PAPER_RUNS: Final = ("paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10")
 """The presets of the paper's experiment, by rising gain."""
@@ -64,7 +84,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """Return the scenario in a TOML file.
+    """Return the scenario in a TOML file, with the numbers of the files that it names.
 
     Raises:
         ScenarioError: Where the file cannot be read, is no TOML, or a key or value is wrong.
@@ -76,19 +96,26 @@ def read_scenario(path: str | Path) -> Scenario:
     except (OSError, ValueError) as err:
         found = getattr(err, "strerror", None) or err
         raise ScenarioError(f"{path}: expected a scenario file, found: {found}") from err
-    return parse_scenario(text, source=str(path))
+    return _build(text, str(path), Path(path))
 
 
 def parse_scenario(text: str, *, source: str = "scenario") -> Scenario:
     """Return the scenario that a TOML text describes. The text is the user's own: its law may run.
 
+    A text lies in no folder: it names no file of commands.
+
     Raises:
         ScenarioError: Where it is no TOML, or a key or value is wrong.
     """
+    return _build(text, source, None)
+
+
+def _build(text: str, source: str, path: Path | None) -> Scenario:
     try:
         tables = parse_toml(text)
     except ValueError as err:
         raise ScenarioError(f"{source}: expected TOML, found: {err}") from err
+    tables = tables if path is None else embed_files(tables, path)
     return build_scenario(tables, source=source, trust_law=True)
 
 

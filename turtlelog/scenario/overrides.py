@@ -15,7 +15,7 @@ from turtlelog.scenario.convert import (
     resolve_scenario,
     set_nested,
 )
-from turtlelog.scenario.model import LawTable, Scenario
+from turtlelog.scenario.model import LawChoice, LawTable, Scenario
 from turtlelog.text_files import parse_toml
 
 PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
@@ -124,6 +124,51 @@ def complete_scenario(run: Run, base: Scenario) -> Scenario:
     values |= {key: value for key, value in run.parameters.items() if key in known}
     is_same = values.get("law.kind", base.law.kind) == base.law.kind
     return _override(base, values, source=run.name, trust_law=is_same)
+
+
+def replay_commands(scenario: Scenario, run: Run) -> Scenario:
+    """Return the scenario with the commands of a run in place of its law, by the law `open-loop`.
+
+    Their times count from the run's first sample, or from its first command where that is earlier.
+    Of commands published at one time the last one counts, and what repeats the command before it is
+    left out, for each holds until the next: what waited in a queue is not told apart.
+
+    Raises:
+        ScenarioError: Where the run has no commands, more than a scenario holds, or sideways ones.
+    """
+    commands = run.commands
+    if not len(commands):
+        raise ScenarioError(f"{run.name}: expected a run with commands, found none")
+    if commands.lateral_speed_m_s.any():
+        expected = "commands along the heading, as laws give them"
+        raise ScenarioError(f"{run.name}: expected {expected}, found one to the side")
+    origin_ns = min(run.start_ns, int(commands.time_ns[0]))
+    rows = {
+        time_ns: (speed_m_s, turn_rate_rad_s)
+        for time_ns, speed_m_s, turn_rate_rad_s in zip(
+            commands.time_ns.tolist(),
+            commands.speed_m_s.tolist(),
+            commands.turn_rate_rad_s.tolist(),
+            strict=True,
+        )
+    }
+    last_ns = int(commands.time_ns[-1])
+    before: tuple[float, float] | None = None
+    kept: list[tuple[float, float, float]] = []
+    for time_ns, command in rows.items():
+        if command != before or time_ns == last_ns:
+            kept.append(((time_ns - origin_ns) / 1e9, *command))
+        before = command
+    times_s, speeds, turn_rates = zip(*kept, strict=True)
+    values = {
+        "law.kind": "open-loop",
+        "law.signal": "sequence",
+        "law.time_s": times_s,
+        "law.speed_m_s": speeds,
+        "law.turn_rate_rad_s": turn_rates,
+    }
+    without_law = replace(scenario, law=LawChoice())
+    return override_scenario(without_law, values, source=run.name)
 
 
 def parse_assignments(assignments: Iterable[str], *, source: str = "changes") -> dict[str, Any]:

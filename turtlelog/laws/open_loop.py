@@ -1,0 +1,262 @@
+"""Commands over time, whatever the robot does: an excitation, or a sequence as it was recorded."""
+
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Final, Literal
+
+from msgspec import Meta
+
+from turtlelog.errors import ParameterError
+from turtlelog.laws.base import Decision, Goal, Pose
+from turtlelog.loops import Declaration
+from turtlelog.paths import Path
+
+_WAIT: Final = "wait"
+_EXCITE: Final = "excite"
+_TICK_S: Final = 0.016
+"""One tick of turtlesim [s], which is the usual period of the controller."""
+
+END_OF_SIGNAL: Final = "end_of_signal"
+"""Stop reason of every run of this law."""
+
+MOST_ROWS: Final = 2500
+"""Of a sequence. Its three lists stand in the scenario's text, at most 87 bytes a row: 212 KiB of
+the 256 KiB that a recording's scenario may have. At a row each tick of 16 ms it lasts 40 s."""
+
+LARGEST: Final = 1e6
+"""Magnitude of amplitudes and commands [in their units] and of times [s]: as long as a run may be,
+and far from where turtlesim's 32-bit floats end."""
+
+_COMMON: Final = {"axis": "turn_rate", "amplitude": 1.0, "start_s": 0.0, "duration_s": 2.4}
+_MAXIMUM_LENGTH: Final = {"bit_s": 0.192, "order": 7, "register": 1}
+
+USED_KEYS: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "impulse": {**_COMMON, "width_s": _TICK_S},
+        "step": _COMMON,
+        "ramp": _COMMON,
+        "prbs": {**_COMMON, **_MAXIMUM_LENGTH, "amplitude": 0.5, "duration_s": 24.384},
+        "sequence": {"time_s": (), "speed_m_s": (), "turn_rate_rad_s": ()},
+    }
+)
+"""The keys of each signal, with the value of one that is left out. In 2.4 s, 150 ticks, a step of
+1 rad/s stays below half a turn. The usual PRBS lasts one period: 127 bits of 12 ticks."""
+
+TAPS: Final[Mapping[int, tuple[int, int]]] = MappingProxyType(
+    {2: (2, 1), 3: (3, 2), 4: (4, 3), 5: (5, 3), 6: (6, 5), 7: (7, 6), 9: (9, 5), 10: (10, 7)}
+    | {11: (11, 9), 15: (15, 14)}
+)
+"""Feedback of shift registers by their order: x^n + x^m + 1 is primitive, so each runs through all
+2^n - 1 states but 0 (S. W. Golomb, "Shift Register Sequences", 1967). Orders 8, 12, 13 and 14 have
+no such polynomial of three terms."""
+
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Duration = Annotated[float, Meta(ge=1e-9, le=LARGEST)]
+"""No shorter than the nanosecond in which the clocks count [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenLoopParameters:
+    """Parameters of the open loop. A key that the signal does not use is refused.
+
+    Times count from the first sample. A command is held until the next sample.
+
+    Attributes:
+        signal: `impulse`, `step`, `ramp`, `prbs` (a pseudo-random binary sequence of maximum
+            length), or `sequence`: the rows of `time_s`, `speed_m_s` and `turn_rate_rad_s`.
+        axis: `turn_rate`, `speed` or `both`, with the same amplitude in rad/s and m/s. On `both` a
+            PRBS drives the speed half a period later, where the two hardly correlate.
+        amplitude: Of a step, and of a PRBS, which is plus or minus that, the height [rad/s or m/s];
+            of an impulse the area [rad or m], of a ramp the slope [rad/s^2 or m/s^2].
+        start_s: When the signal begins; before that the command is 0 [s].
+        duration_s: The run ends so long after `start_s`, with the command 0 [s].
+        width_s: The impulse is a pulse of this width and the height amplitude / width [s]. It has
+            its area where the controller's period is as long.
+        bit_s: Time for which a PRBS holds each bit [s].
+        order: Bits of the shift register of a PRBS, whose period is 2^order - 1 bits.
+        register: Its state at the beginning, 1 to 2^order - 1: it shifts the sequence in time.
+        time_s: When each row of a sequence begins, rising, from 0 or later [s]. A row holds until
+            the next; with the last one the run ends.
+        speed_m_s: Of each row of a sequence; none: 0 [m/s].
+        turn_rate_rad_s: Of each row of a sequence; none: 0 [rad/s].
+    """
+
+    signal: Literal["impulse", "step", "ramp", "prbs", "sequence"] = "step"
+    axis: Literal["turn_rate", "speed", "both"] | None = None
+    amplitude: Number | None = None
+    start_s: Annotated[float, Meta(ge=0.0, le=LARGEST)] | None = None
+    duration_s: Duration | None = None
+    width_s: Duration | None = None
+    bit_s: Duration | None = None
+    order: int | None = None
+    register: int | None = None
+    time_s: tuple[float, ...] | None = None
+    speed_m_s: tuple[float, ...] | None = None
+    turn_rate_rad_s: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        used = USED_KEYS[self.signal]
+        for one in fields(self):
+            is_used = one.name == "signal" or one.name in used
+            if not is_used and getattr(self, one.name) is not None:
+                expected = f"a key of the signal {self.signal} ({', '.join(used)})"
+                raise ParameterError(f"{one.name}: expected {expected}, found one of another")
+        if self.signal == "prbs":
+            self._require_register()
+        if self.signal == "sequence":
+            self._require_rows()
+
+    def complete(self) -> dict[str, Any]:
+        """Return the value of every key that the signal uses, whether given or usual."""
+        usual = USED_KEYS[self.signal]
+        given = {name: getattr(self, name) for name in usual}
+        return {name: usual[name] if value is None else value for name, value in given.items()}
+
+    def _require_register(self) -> None:
+        values = self.complete()
+        order, register = values["order"], values["register"]
+        if order not in TAPS:
+            known = ", ".join(map(str, TAPS))
+            raise ParameterError(f"order: expected one of {known}, found {order}")
+        most = 2**order - 1
+        if not 1 <= register <= most:
+            expected = f"1 to {most} at order {order}"
+            raise ParameterError(f"register: expected {expected}, found {register}")
+
+    def _require_rows(self) -> None:
+        times = self.time_s or ()
+        if not 1 <= len(times) <= MOST_ROWS:
+            expected = f"1 to {MOST_ROWS:,} rows"
+            raise ParameterError(f"time_s: expected {expected}, found {len(times):,}")
+        for name in ("speed_m_s", "turn_rate_rad_s"):
+            values = getattr(self, name) or ()
+            if values and len(values) != len(times):
+                expected = f"{len(times):,} values, as time_s has"
+                raise ParameterError(f"{name}: expected {expected}, found {len(values):,}")
+            _require_numbers(name, values)
+        _require_numbers("time_s", times)
+        if times[0] < 0.0:
+            raise ParameterError(f"time_s: value 1: expected 0 or later, found {times[0]:g}")
+        for number, (before, time_s) in enumerate(pairwise(times), start=2):
+            # In the nanoseconds in which the clock counts.
+            if not _count_ns(time_s) > _count_ns(before):
+                expected = f"a time after {before:g}"
+                raise ParameterError(f"time_s: value {number}: expected {expected}, found {time_s}")
+
+
+def _require_numbers(name: str, values: Iterable[float]) -> None:
+    for number, value in enumerate(values, start=1):
+        if not -LARGEST <= value <= LARGEST:
+            expected = f"a number within +-{LARGEST:g}"
+            raise ParameterError(f"{name}: value {number}: expected {expected}, found {value:g}")
+
+
+class OpenLoop:
+    """Send commands over time, whatever the robot does: impulse, step, ramp, PRBS or a sequence."""
+
+    Parameters: ClassVar = OpenLoopParameters
+    mechanisms: ClassVar = ()
+    counts_samples: ClassVar = ()
+
+    @classmethod
+    def declare(
+        cls, parameters: OpenLoopParameters, goal: Goal | None, path: Path | None
+    ) -> Declaration:
+        """Return its phases, `wait` where the signal begins later: it has no loop and no goal."""
+        del goal, path
+        values = parameters.complete()
+        begins_s = values["time_s"][0] if "time_s" in values else values["start_s"]
+        phases = (_WAIT, _EXCITE) if begins_s > 0.0 else (_EXCITE,)
+        return Declaration(phases=dict.fromkeys(phases, ()), uses_goal=False)
+
+    def __init__(self, parameters: OpenLoopParameters) -> None:
+        """Take the parameters."""
+        values = parameters.complete()
+        self._signal = parameters.signal
+        self._axis = values.get("axis", "both")
+        self._amplitude = values.get("amplitude", 0.0)
+        self._start_ns = _count_ns(values.get("start_s", 0.0))
+        self._duration_ns = _count_ns(values.get("duration_s", 0.0))
+        self._width_s = values.get("width_s", _TICK_S)
+        self._bit_ns = _count_ns(values.get("bit_s", _TICK_S))
+        self._bits: tuple[int, ...] = ()
+        if self._signal == "prbs":
+            self._bits = generate_bits(values["order"], values["register"])
+        self._rows_ns = [_count_ns(time_s) for time_s in values.get("time_s", ())]
+        none = (0.0,) * len(self._rows_ns)
+        self._speeds = values.get("speed_m_s", ()) or none
+        self._turn_rates = values.get("turn_rate_rad_s", ()) or none
+        self._first_ns: int | None = None
+
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
+        """Begin anew, wherever the robot is."""
+        del start, goal, path
+        self._first_ns = None
+
+    def step(self, time_ns: int, pose: Pose) -> Decision:
+        """Answer one pose by what its time asks for."""
+        del pose
+        if self._first_ns is None:
+            self._first_ns = time_ns
+        since_ns = time_ns - self._first_ns
+        if self._signal == "sequence":
+            return self._decide_row(since_ns)
+        since_ns -= self._start_ns
+        if since_ns < 0:
+            return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_WAIT)
+        if since_ns >= self._duration_ns:
+            return Decision(
+                speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_EXCITE, stop_reason=END_OF_SIGNAL
+            )
+        return Decision(
+            speed_m_s=0.0 if self._axis == "turn_rate" else self._compute_value(since_ns, 1),
+            turn_rate_rad_s=0.0 if self._axis == "speed" else self._compute_value(since_ns, 0),
+            phase=_EXCITE,
+        )
+
+    def _decide_row(self, since_ns: int) -> Decision:
+        row = bisect_right(self._rows_ns, since_ns) - 1
+        if row < 0:
+            return Decision(speed_m_s=0.0, turn_rate_rad_s=0.0, phase=_WAIT)
+        return Decision(
+            speed_m_s=self._speeds[row],
+            turn_rate_rad_s=self._turn_rates[row],
+            phase=_EXCITE,
+            stop_reason=END_OF_SIGNAL if row == len(self._rows_ns) - 1 else None,
+        )
+
+    def _compute_value(self, since_ns: int, channel: int) -> float:
+        """Return the signal at a time since its start; `channel` 1 is the speed."""
+        amplitude: float = self._amplitude
+        if self._signal == "impulse":
+            return amplitude / self._width_s if since_ns < _count_ns(self._width_s) else 0.0
+        if self._signal == "ramp":
+            return amplitude * (since_ns / 1e9)
+        if self._signal == "step":
+            return amplitude
+        shift = channel * (len(self._bits) // 2) if self._axis == "both" else 0
+        bit = since_ns // self._bit_ns - shift
+        return amplitude if self._bits[bit % len(self._bits)] else -amplitude
+
+
+def _count_ns(time_s: float) -> int:
+    return round(time_s * 1e9)
+
+
+def generate_bits(order: int, register: int) -> tuple[int, ...]:
+    """Return one period of a maximum-length sequence: 2^order - 1 bits, one more of them 1 than 0.
+
+    Args:
+        order: A key of `TAPS`.
+        register: State of the shift register at the beginning, 1 to 2^order - 1.
+    """
+    first, second = TAPS[order]
+    bits = []
+    for _ in range(2**order - 1):
+        bits.append(register & 1)
+        fed = ((register >> (order - first)) ^ (register >> (order - second))) & 1
+        register = register >> 1 | fed << (order - 1)
+    return tuple(bits)

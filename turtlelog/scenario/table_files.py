@@ -1,0 +1,146 @@
+"""Files of numbers that a scenario file names: their columns become values of the scenario.
+
+`[law] file = "commands.csv"` is read when the scenario file is, from its folder. The scenario, and
+so the recording, holds the numbers and no name of a file: reading a recording opens no other file.
+"""
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from turtlelog.errors import ScenarioError
+from turtlelog.laws.open_loop import MOST_ROWS
+from turtlelog.scenario.describe import describe_value
+from turtlelog.text_files import read_text_file
+
+_FILE: Final = "file"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableFile:
+    """What a table of a scenario takes from a file.
+
+    Attributes:
+        columns: Its columns, which are keys of the table; the first is needed and rises.
+        most_rows: Below the line of names.
+        where: What the table must say for its `file` to be this; of another law it is its own key.
+        sets: What the file stands for; the table may say the same.
+    """
+
+    columns: tuple[str, ...]
+    most_rows: int
+    where: Mapping[str, str]
+    sets: Mapping[str, str]
+
+
+TABLE_FILES: Final[Mapping[str, TableFile]] = MappingProxyType(
+    {
+        "law": TableFile(
+            columns=("time_s", "speed_m_s", "turn_rate_rad_s"),
+            most_rows=MOST_ROWS,
+            where={"kind": "open-loop"},
+            sets={"signal": "sequence"},
+        )
+    }
+)
+"""By the name of the scenario's table."""
+
+
+def embed_files(tables: Mapping[str, Any], path: Path) -> dict[str, Any]:
+    """Return the tables of a scenario file with the numbers of the files that it names.
+
+    Raises:
+        ScenarioError: Where a file cannot be read, or what it holds stands in the table as well.
+    """
+    embedded = dict(tables)
+    for name, kind in TABLE_FILES.items():
+        table = tables.get(name)
+        if isinstance(table, Mapping) and _FILE in table and _agrees(table, kind.where):
+            embedded[name] = _embed(table, kind, f"{path}: {name}", path.parent)
+    return embedded
+
+
+def _embed(table: Mapping[str, Any], kind: TableFile, place: str, folder: Path) -> dict[str, Any]:
+    file = table[_FILE]
+    if not isinstance(file, str) or not file:
+        expected = "the name of a CSV file"
+        raise ScenarioError(f"{place}.file: expected {expected}, found {describe_value(file)}")
+    for key in kind.columns:
+        if key in table:
+            raise ScenarioError(f"{place}.{key}: expected it in {file} alone, found it here, too")
+    for key, value in kind.sets.items():
+        if table.get(key, value) != value:
+            expected, found = f"{value} beside file", describe_value(table[key])
+            raise ScenarioError(f"{place}.{key}: expected {expected}, found {found}")
+    rest = {key: value for key, value in table.items() if key != _FILE}
+    return {**rest, **kind.sets, **read_columns_of_numbers(folder / file, kind)}
+
+
+def read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[float]]:
+    """Return the columns of a CSV file by name.
+
+    Raises:
+        ScenarioError: Where it cannot be read, or a line is wrong: file, line, expected, found.
+    """
+    try:
+        text = read_text_file(path)
+    except UnicodeDecodeError as err:
+        raise ScenarioError(f"{path}: expected CSV, found bytes that are no text") from err
+    except (OSError, ValueError) as err:
+        found = getattr(err, "strerror", None) or err
+        raise ScenarioError(f"{path}: expected a CSV file, found: {found}") from err
+    lines = csv.reader(text.rstrip().splitlines())
+    try:
+        names = _read_names(next(lines, []), kind, path)
+        return _read_rows(lines, names, kind, path)
+    except csv.Error as err:
+        raise ScenarioError(f"{path}: line {lines.line_num}: expected CSV, found: {err}") from err
+
+
+def _read_names(cells: list[str], kind: TableFile, path: Path) -> list[str]:
+    names = [cell.strip() for cell in cells]
+    is_known = set(names) <= set(kind.columns) and len(set(names)) == len(names)
+    if not is_known or kind.columns[0] not in names or len(names) < 2:
+        needed, *others = kind.columns
+        expected = f"the columns {needed} and {' or '.join(others)}"
+        found = describe_value(",".join(names)) if names else "nothing"
+        raise ScenarioError(f"{path}: line 1: expected {expected}, found {found}")
+    return names
+
+
+def _read_rows(lines: Any, names: list[str], kind: TableFile, path: Path) -> dict[str, list[float]]:
+    columns: dict[str, list[float]] = {name: [] for name in names}
+    rising = columns[kind.columns[0]]
+    for cells in lines:
+        place = f"{path}: line {lines.line_num}"
+        if len(rising) == kind.most_rows:
+            raise ScenarioError(f"{place}: expected up to {kind.most_rows:,} rows, found more")
+        if len(cells) != len(names):
+            raise ScenarioError(f"{place}: expected {len(names)} numbers, found {len(cells)}")
+        for name, cell in zip(names, cells, strict=True):
+            columns[name].append(_read_number(cell, f"{place}: {name}"))
+        if len(rising) > 1 and not rising[-1] > rising[-2]:
+            expected = f"more than {rising[-2]} of the line before"
+            found = f"{kind.columns[0]}: expected {expected}, found {rising[-1]}"
+            raise ScenarioError(f"{place}: {found}")
+    if not rising:
+        raise ScenarioError(f"{path}: line 2: expected a row of numbers, found none")
+    return columns
+
+
+def _read_number(cell: str, place: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or "_" in cell:
+        raise ScenarioError(f"{place}: expected a finite number, found {describe_value(cell)}")
+    return value
+
+
+def _agrees(table: Mapping[str, Any], values: Mapping[str, str]) -> bool:
+    return all(table.get(key) == value for key, value in values.items())
