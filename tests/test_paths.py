@@ -178,10 +178,10 @@ def test_bounds_hold_every_point() -> None:
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "kind": ({"kind": "spiral"}, "kind: expected one of line, polygon, waypoints, circle"),
     "no points": ({"kind": "line"}, "points: expected one, for kind is line, found none"),
-    "one point": ({"points": ((1.0, 1.0),)}, "points: expected 2 to 4096 points, found 1"),
+    "one point": ({"points": ((1.0, 1.0),)}, "points: expected 2 to 3000 points, found 1"),
     "many": (
         {"points": tuple((float(n), 0.0) for n in range(MOST_POINTS + 1))},
-        "points: expected 2 to 4096 points, found 4097",
+        "points: expected 2 to 3000 points, found 3001",
     ),
     "line of three": (
         {"kind": "line", "points": ((1.0, 1.0), (2.0, 1.0), (3.0, 1.0))},
@@ -189,7 +189,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "two corners": (
         {"kind": "polygon", "points": ((1.0, 1.0), (2.0, 1.0))},
-        "points: expected 3 to 4096 points, found 2",
+        "points: expected 3 to 3000 points, found 2",
     ),
     "nan": (
         {"points": ((1.0, 1.0), (2.0, math.nan))},

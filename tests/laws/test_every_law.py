@@ -25,6 +25,11 @@ VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     "sequential-p": ({}, {"law": {"pause_ticks": 33, "projection": "bearing", "kp_linear": 10.0}}),
     "pure-pursuit": ({"path": SQUARE}, {"path": {**SQUARE, "speed_m_s": 0.4}}),
     "kanayama": ({"path": SQUARE}, {"path": {**SQUARE, "speed_m_s": 0.4}}),
+    "posture": ({"goal": {"heading_rad": 1.5}}, {}),
+    "open-loop": (
+        {"law": {"signal": "prbs", "duration_s": 5.0}},
+        {"law": {"signal": "sequence", "time_s": [0.0, 1.0], "turn_rate_rad_s": [0.5, -0.5]}},
+    ),
 }
 """Scenarios by law, each with what it needs."""
 

@@ -166,7 +166,7 @@ def test_wrong_key_is_one_line(changes: dict[str, Any], line: str) -> None:
 
 def test_path_with_one_point_is_one_line() -> None:
     path = {"kind": "waypoints", "points": [[1.0, 1.0]]}
-    with pytest.raises(ScenarioError, match=r"path\.points: expected 2 to 4096 points, found 1"):
+    with pytest.raises(ScenarioError, match=r"path\.points: expected 2 to 3000 points, found 1"):
         build_scenario({"law": {"kind": "kanayama"}, "path": path})
 
 

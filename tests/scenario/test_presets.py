@@ -17,7 +17,7 @@ from turtlelog.scenario import (
 
 def test_presets_are_the_paper_as_built_the_textbook_and_other_laws() -> None:
     plant = ("plant-impulse", "plant-step", "plant-ramp")
-    assert (*PAPER_RUNS, "paper", "textbook", "posture", *plant) == PRESETS
+    assert (*PAPER_RUNS, "paper", "textbook", "posture", "track-square", *plant) == PRESETS
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -60,12 +60,20 @@ def test_textbook_keeps_limits_sampling_and_precision_alone() -> None:
     assert (textbook.loop.period_ticks, textbook.loop.pose_precision) == (1, "float32")
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", [name for name in PRESETS if name != "track-square"])
 def test_presets_drive_from_the_spawn_pose_to_the_goal_of_the_paper(name: str) -> None:
     preset = get_preset(name)
     assert (preset.start.x_m, preset.start.y_m) == (SPAWN_XY_M, SPAWN_XY_M)
     heading_rad = math.pi / 2.0 if name == "posture" else None
     assert (preset.goal.x_m, preset.goal.y_m, preset.goal.heading_rad) == (2.0, 10.0, heading_rad)
+
+
+def test_square_is_tracked_by_time_from_its_first_corner() -> None:
+    preset = get_preset("track-square")
+    assert preset.path is not None
+    assert preset.path.points == ((3.0, 3.0), (8.0, 3.0), (8.0, 8.0), (3.0, 8.0))
+    assert (preset.start.x_m, preset.start.y_m, preset.start.heading_rad) == (3.0, 3.0, 0.0)
+    assert (preset.law.kind, preset.path.speed_m_s) == ("pure-pursuit", 0.5)
 
 
 def test_posture_drives_in_the_loop_of_the_textbook() -> None:

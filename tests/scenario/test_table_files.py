@@ -214,3 +214,57 @@ def test_commands_to_the_side_are_refused() -> None:
     run = replace(run, commands=replace(run.commands, lateral_speed_m_s=sideways))
     with pytest.raises(ScenarioError, match=r"\Atextbook: expected commands along the heading, .*"):
         replay_commands(load_scenario("textbook"), run)
+
+
+TRACK = '[law]\nkind = "kanayama"\n[path]\nkind = "waypoints"\nfile = "commands.csv"\n'
+POINTS = [(1.0, 1.0), (2.0, 1.5), (2.0, 4.0)]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    ["1,1\n2,1.5\n2,4\n", "x_m,y_m\n1,1\n2,1.5\n2,4\n\n", "y_m, x_m\n1,1\n1.5,2\n4,2\n"],
+    ids=["no names", "names", "the other way round"],
+)
+def test_waypoints_of_a_file_become_part_of_the_scenario_and_the_recording(
+    rows: str, tmp_path: Path
+) -> None:
+    scenario = load_scenario(write(tmp_path, rows, TRACK))
+    assert scenario.path is not None
+    assert scenario.path.points == tuple(POINTS)
+    tl.write_recording(tl.simulate_run(scenario), tmp_path / "track.mcap")
+    (tmp_path / "commands.csv").unlink()
+    found = tl.read_run(tmp_path / "track.mcap")
+    assert found.path == scenario.path
+
+
+@pytest.mark.parametrize(
+    ("rows", "line"),
+    [
+        ("x_m,y_m\n1,1\n5,\n", "FILE: line 3: y_m: expected a finite number, found ''"),
+        ("1,1\nnan,2\n", "FILE: line 2: x_m: expected a finite number, found 'nan'"),
+        ("1,1\n2\n", "FILE: line 2: expected 2 numbers, found 1"),
+        ("x_m,z\n1,1\n", "FILE: line 1: expected the columns x_m and y_m, found 'x_m,z'"),
+        ("x_m,y_m\n", "FILE: line 2: expected a row of numbers, found none"),
+        ("1,1\n", "SCENARIO: path.points: expected 2 to 3000 points, found 1"),
+        ("1,1\n\n2,2\n", "FILE: line 2: expected 2 numbers, found 0"),
+        ("1,1\n" * 3001, "FILE: line 3001: expected up to 3,000 rows, found more"),
+    ],
+)
+def test_waypoints_that_cannot_be_are_refused_by_line(rows: str, line: str, tmp_path: Path) -> None:
+    assert fail(write(tmp_path, rows, TRACK)) == line
+
+
+def test_longest_path_fits_into_a_recording(tmp_path: Path) -> None:
+    steps = np.arange(3000) / 3000.0
+    points = [(1.0 + 9.0 * step, 2.0 + np.pi * step) for step in steps.tolist()]
+    scenario = parse_scenario('max_duration_s = 1.0\n[law]\nkind = "kanayama"')
+    scenario = replace(scenario, path=tl.paths.Path(kind="waypoints", points=tuple(points)))
+    run = tl.simulate_run(scenario)
+    tl.write_recording(run, tmp_path / "long.mcap")
+    assert tl.read_run(tmp_path / "long.mcap").path == run.path
+
+
+def test_path_says_points_or_a_file(tmp_path: Path) -> None:
+    law = f"{TRACK}points = [[1.0, 1.0], [2.0, 2.0]]\n"
+    line = "SCENARIO: path.points: expected it in commands.csv alone, found it here, too"
+    assert fail(write(tmp_path, "1,1\n2,2\n", law)) == line

@@ -17,6 +17,7 @@ _PRESETS: Final = {
     "paper": "the paper's controller as built, with Kp = 1",
     "textbook": "the loop of the equations: no pause, no backlog, the newest command wins",
     "posture": "the law posture in the textbook's loop: to the goal and a heading of 90 deg",
+    "track-square": "pure pursuit along a square of 5 m at 0.5 m/s",
     "plant-impulse": "the turn rate's unit impulse, without limits: the heading stays at 1 rad",
     "plant-step": "the turn rate's unit step, without limits: the heading is t",
     "plant-ramp": "the turn rate's unit ramp, without limits: the heading is t^2 / 2, sampled",

@@ -54,6 +54,16 @@ _TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
             "goal": {"heading_rad": math.pi / 2.0},
             "law": {"kind": "posture"},
         },
+        "track-square": {
+            "name": "track-square",
+            "start": {"x_m": 3.0, "y_m": 3.0},
+            "law": {"kind": "pure-pursuit"},
+            "path": {
+                "kind": "polygon",
+                "points": [[3.0, 3.0], [8.0, 3.0], [8.0, 8.0], [3.0, 8.0]],
+                "speed_m_s": 0.5,
+            },
+        },
         "plant-impulse": _describe_plant_run("impulse", width_s=0.016),
         "plant-step": _describe_plant_run("step"),
         "plant-ramp": _describe_plant_run("ramp"),
@@ -62,7 +72,7 @@ _TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
 
 PRESETS: Final = tuple(_TABLES)
 """Names of the presets: the paper's four recorded runs, its controller as built, the textbook's,
-another law in the textbook's loop, and the plant's responses of the paper's figure 2."""
+other laws in the textbook's loop, and the plant's responses of the paper's figure 2."""
 
 PAPER_RUNS: Final = ("paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10")
 """The presets of the paper's experiment, by rising gain."""

@@ -7,13 +7,14 @@ so the recording, holds the numbers and no name of a file: reading a recording o
 import csv
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog.errors import ScenarioError
 from turtlelog.laws.open_loop import MOST_ROWS
+from turtlelog.paths import MOST_POINTS
 from turtlelog.scenario.describe import describe_value
 from turtlelog.text_files import read_text_file
 
@@ -25,16 +26,26 @@ class TableFile:
     """What a table of a scenario takes from a file.
 
     Attributes:
-        columns: Its columns, which are keys of the table; the first is needed and rises.
+        columns: Its columns; the first is needed.
         most_rows: Below the line of names.
+        rises: Whether the first column rises, as times do.
+        key: The key of the table that holds all rows, each a list in the order of `columns`, which
+            are all needed, or need no line of names; None where each column is a key.
         where: What the table must say for its `file` to be this; of another law it is its own key.
         sets: What the file stands for; the table may say the same.
     """
 
     columns: tuple[str, ...]
     most_rows: int
-    where: Mapping[str, str]
-    sets: Mapping[str, str]
+    rises: bool = True
+    key: str | None = None
+    where: Mapping[str, str] = field(default_factory=dict)
+    sets: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys of the table that the file gives."""
+        return self.columns if self.key is None else (self.key,)
 
 
 TABLE_FILES: Final[Mapping[str, TableFile]] = MappingProxyType(
@@ -44,7 +55,8 @@ TABLE_FILES: Final[Mapping[str, TableFile]] = MappingProxyType(
             most_rows=MOST_ROWS,
             where={"kind": "open-loop"},
             sets={"signal": "sequence"},
-        )
+        ),
+        "path": TableFile(columns=("x_m", "y_m"), most_rows=MOST_POINTS, rises=False, key="points"),
     }
 )
 """By the name of the scenario's table."""
@@ -69,7 +81,7 @@ def _embed(table: Mapping[str, Any], kind: TableFile, place: str, folder: Path) 
     if not isinstance(file, str) or not file:
         expected = "the name of a CSV file"
         raise ScenarioError(f"{place}.file: expected {expected}, found {describe_value(file)}")
-    for key in kind.columns:
+    for key in kind.keys:
         if key in table:
             raise ScenarioError(f"{place}.{key}: expected it in {file} alone, found it here, too")
     for key, value in kind.sets.items():
@@ -77,7 +89,11 @@ def _embed(table: Mapping[str, Any], kind: TableFile, place: str, folder: Path) 
             expected, found = f"{value} beside file", describe_value(table[key])
             raise ScenarioError(f"{place}.{key}: expected {expected}, found {found}")
     rest = {key: value for key, value in table.items() if key != _FILE}
-    return {**rest, **kind.sets, **read_columns_of_numbers(folder / file, kind)}
+    columns = read_columns_of_numbers(folder / file, kind)
+    if kind.key is None:
+        return {**rest, **kind.sets, **columns}
+    rows = zip(*(columns[name] for name in kind.columns), strict=True)
+    return {**rest, **kind.sets, kind.key: [list(row) for row in rows]}
 
 
 def read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[float]]:
@@ -93,9 +109,11 @@ def read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[float
     except (OSError, ValueError) as err:
         found = getattr(err, "strerror", None) or err
         raise ScenarioError(f"{path}: expected a CSV file, found: {found}") from err
-    lines = csv.reader(text.rstrip().splitlines())
+    rows = text.rstrip().splitlines()
+    is_unnamed = kind.key is not None and bool(rows) and not any(map(str.isalpha, rows[0]))
+    lines = csv.reader(rows)
     try:
-        names = _read_names(next(lines, []), kind, path)
+        names = [*kind.columns] if is_unnamed else _read_names(next(lines, []), kind, path)
         return _read_rows(lines, names, kind, path)
     except csv.Error as err:
         raise ScenarioError(f"{path}: line {lines.line_num}: expected CSV, found: {err}") from err
@@ -104,7 +122,8 @@ def read_columns_of_numbers(path: Path, kind: TableFile) -> dict[str, list[float
 def _read_names(cells: list[str], kind: TableFile, path: Path) -> list[str]:
     names = [cell.strip() for cell in cells]
     is_known = set(names) <= set(kind.columns) and len(set(names)) == len(names)
-    if not is_known or kind.columns[0] not in names or len(names) < 2:
+    is_whole = kind.key is None or set(names) == set(kind.columns)
+    if not is_known or kind.columns[0] not in names or len(names) < 2 or not is_whole:
         needed, *others = kind.columns
         expected = f"the columns {needed} and {' or '.join(others)}"
         found = describe_value(",".join(names)) if names else "nothing"
@@ -123,7 +142,7 @@ def _read_rows(lines: Any, names: list[str], kind: TableFile, path: Path) -> dic
             raise ScenarioError(f"{place}: expected {len(names)} numbers, found {len(cells)}")
         for name, cell in zip(names, cells, strict=True):
             columns[name].append(_read_number(cell, f"{place}: {name}"))
-        if len(rising) > 1 and not rising[-1] > rising[-2]:
+        if kind.rises and len(rising) > 1 and not rising[-1] > rising[-2]:
             expected = f"more than {rising[-2]} of the line before"
             found = f"{kind.columns[0]}: expected {expected}, found {rising[-1]}"
             raise ScenarioError(f"{place}: {found}")
