@@ -52,6 +52,11 @@ def require_positive(name: str, value: Any) -> float:
     return _require_between(name, "a number", value)
 
 
+def require_not_negative(name: str, value: Any) -> float:
+    """Return a magnitude as float; refuse what is neither 0 nor a positive number."""
+    return 0.0 if _is_real(value) and value == 0.0 else _require_between(name, "a number", value)
+
+
 def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
     """Return gains [1/s] as an array of one axis; refuse negative ones."""
     try:
