@@ -53,8 +53,10 @@ def require_positive(name: str, value: Any) -> float:
 
 
 def require_not_negative(name: str, value: Any) -> float:
-    """Return a magnitude as float; refuse what is neither 0 nor a positive number."""
-    return 0.0 if _is_real(value) and value == 0.0 else _require_between(name, "a number", value)
+    """Return a magnitude as float; refuse what is not a number from 0 to 1e100."""
+    if not _is_real(value) or not 0.0 <= value <= LARGEST:
+        raise TheoryError(f"{name}: expected a number from 0 to {LARGEST:g}, found {value!r}")
+    return float(value)
 
 
 def require_gains(kp: ArrayLike) -> NDArray[np.float64]:

@@ -211,14 +211,14 @@ def _list_boundaries(held: LoopShape) -> list[float]:
     d, a = held.delay, held.a or 0.0
 
     def split(angle: _Array) -> tuple[_Array, _Array]:
-        """Return the real part of that, and the imaginary part over -2 sin(angle / 2)."""
+        """Return the real part of that, and the imaginary part over -sin(angle)."""
         sine, cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
         x = 2.0 * sine * sine
         filtered = (1.0 - a) ** 2 + 2.0 * a * x
         real = 2.0 * np.sin((d + 0.5) * angle) * sine + 0.5 * held.i
         real -= held.b * (1.0 + a) * x / filtered
-        rest = np.cos((d + 0.5) * angle) - held.i * cosine / (4.0 * sine * sine)
-        return real, rest + held.b * (1.0 - a) * cosine / filtered
+        rest = np.cos((d + 0.5) * angle) / cosine - held.i / (4.0 * sine * sine)
+        return real, rest + held.b * (1.0 - a) / filtered
 
     angles = _find_roots(lambda angle: split(angle)[1], _list_angles(d))
     end = 2.0 * (-1.0) ** d + 0.5 * held.i - 2.0 * held.b / (1.0 + a)  # at z = -1
@@ -227,7 +227,7 @@ def _list_boundaries(held: LoopShape) -> list[float]:
 
 def _list_angles(delay: int) -> _Array:
     """Return angles between 0 and pi, 64 in each half wave of the dead time, dense towards 0."""
-    even = np.linspace(0.0, math.pi, 64 * (delay + 2))[1:-1]
+    even = np.linspace(0.0, math.pi - 1e-7, 64 * (delay + 2))[1:]
     return np.union1d(np.geomspace(1e-12, 0.1, 3000), even)
 
 
