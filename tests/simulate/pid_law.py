@@ -37,7 +37,7 @@ class PidLaw:
             reference="zero",
             gain="law.kp",
             is_proportional=False,
-            **({} if parameters.tells == "gain" else named),  # type: ignore[arg-type]
+            **({} if parameters.tells == "gain" else named),
         )
         return Declaration(loops=(turn,), phases={"turn": ("turn",)}, uses_goal=False)
 

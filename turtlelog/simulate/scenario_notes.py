@@ -22,9 +22,9 @@ _ROUNDING: Final = 1e-9
 _LONGEST_HOLD_TICKS: Final = WATCHDOG_NS // TURTLESIM.period_ns + 1
 """A command is held for so many ticks; in the next the plant stops by itself."""
 
-_UNDERSTOOD: Final = frozenset(
-    {*flatten_scenario(Scenario()), "goal.heading_rad", "start.precision"}
-)
+_DEFAULTS: Final = flatten_scenario(Scenario())
+
+_UNDERSTOOD: Final = frozenset({*_DEFAULTS, "goal.heading_rad", "start.precision"})
 """Keys whose part in the loop is known here. Of a loop with any other nothing is claimed."""
 
 _BESIDE_THE_LOOP: Final = ("law.", "path.")
@@ -191,12 +191,11 @@ def _describe_unused(
         *([] if declaration.uses_goal else ["goal"]),
         *list_unused_keys(find_law(scenario.law.kind), scenario.law.parameters),
     ]
-    defaults = flatten_scenario(Scenario())
     found = {
         f"[{unused_key}]" if "." not in unused_key else unused_key
         for key, value in parameters.items()
         for unused_key in unused
-        if f"{key}.".startswith(f"{unused_key}.") and (key in given or defaults.get(key) != value)
+        if f"{key}.".startswith(f"{unused_key}.") and (key in given or _DEFAULTS.get(key) != value)
     }
     shown = sorted(name for name in found if f"[{name.partition('.')[0]}]" not in found - {name})
     return [f"law {scenario.law.kind} does not use {' and '.join(shown)}"] if shown else []
