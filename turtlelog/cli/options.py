@@ -108,6 +108,14 @@ def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) ->
     return name_by_changes(change_scenario(base, options, declared), base.name, options)
 
 
+def list_given_keys(options: ScenarioOptions | None) -> list[str]:
+    """Return the keys of a scenario that the options set by name."""
+    if options is None:
+        return []
+    assigned = tl.scenario.parse_assignments(options.assignments or (), source="--set")
+    return [*assigned, *([] if options.goal is None else _parse_goal(options.goal))]
+
+
 def name_by_changes(
     scenario: "Scenario", base: str, options: ScenarioOptions | None, *more: str
 ) -> "Scenario":

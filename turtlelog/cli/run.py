@@ -11,7 +11,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_changed_scenario
+from turtlelog.cli.options import (
+    Connect,
+    Json,
+    Output,
+    ScenarioOptions,
+    list_given_keys,
+    load_changed_scenario,
+)
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
@@ -94,6 +101,9 @@ def run(
     is finished (exit code 130). With --live a viewer shows it on the way; closing that does the run
     no harm. Of a law that fails, what came before is written (exit code 2).
 
+    A note on stderr says where a gain is beyond theory's limit of stability, with the dead time
+    that the settings make certain, and what of the scenario the law does not use.
+
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
             scenario is simulated again.
@@ -108,6 +118,8 @@ def run(
         raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
     chosen = load_changed_scenario(scenario, options)
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
+    for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(options)):
+        print_note(note)
     with _open_viewer(live) as (window, url):
         try:
             result = _run(chosen, record.output, live, url)

@@ -8,6 +8,7 @@ from turtlelog.laws.loading import (
     find_law,
     list_mechanisms,
     list_sample_counters,
+    list_unused_keys,
     print_to_stderr,
     require_law_name,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "find_law",
     "list_mechanisms",
     "list_sample_counters",
+    "list_unused_keys",
     "print_to_stderr",
     "require_law_name",
 ]

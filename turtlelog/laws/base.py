@@ -98,6 +98,9 @@ class Law(Protocol):
     - `mechanisms: tuple[Mechanism, ...]`: what it adds to the ideal loop; `explain` takes each out.
     - `counts_samples: tuple[str, ...]`: its parameters that count samples, which grow with a finer
       clock; otherwise `explain` leaves the clock as it is.
+    - `list_unused(cls, parameters) -> tuple[str, ...]`, a class method: tables and keys of a
+      scenario that it does not use with these parameters, as in `("path", "goal.heading_rad")`;
+      `run` prints a note where one of them is set. Otherwise there is no note.
 
     Attributes:
         Parameters: A frozen dataclass whose fields are the keys of a scenario's `[law]` table

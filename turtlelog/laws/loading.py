@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import importlib
 import inspect
+import re
 import sys
 import traceback
 from collections.abc import Mapping
@@ -25,6 +26,9 @@ from turtlelog.loops import Declaration, Mechanism
 from turtlelog.paths import Path as TrackedPath
 
 _PROTOCOL: Final = "docs/own-law.md describes what a law is"
+
+_SCENARIO_KEY: Final = re.compile(r"(?!law\b)[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
+"""A table, or a key in it; what a law does with its own parameters is its own affair."""
 
 LAWS: Final[Mapping[str, type[Law]]] = NamedValues(
     "law",
@@ -126,6 +130,31 @@ def list_sample_counters(law: type[Law]) -> tuple[str, ...] | None:
         return counters
     expected = f"a tuple of {', '.join(known)}" if known else "()"
     raise LawError(f"{law.__name__}.counts_samples: expected {expected}, found {counters!r:.60}")
+
+
+def list_unused_keys(law: type[Law], parameters: object) -> tuple[str, ...]:
+    """Return the tables and keys of a scenario that a law does not use; () where it does not tell.
+
+    Raises:
+        LawError: Where it fails, or names something that is neither.
+    """
+    ask = getattr(law, "list_unused", None)
+    if ask is None:
+        return ()
+    place = f"{law.__name__}.list_unused"
+    try:
+        with print_to_stderr():
+            found = ask(parameters)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as err:
+        raise LawError(f"{place}: {describe_law_error(err, law)}") from err
+    if isinstance(found, tuple) and all(
+        isinstance(key, str) and _SCENARIO_KEY.fullmatch(key) for key in found
+    ):
+        return found
+    expected = "a tuple of tables and keys outside [law], such as goal.heading_rad"
+    raise LawError(f"{place}: expected {expected}, found {found!r:.60}")
 
 
 def print_to_stderr() -> AbstractContextManager[object]:

@@ -128,6 +128,12 @@ class SequentialP:
         del parameters, goal, path
         return DECLARATION
 
+    @classmethod
+    def list_unused(cls, parameters: SequentialPParameters) -> tuple[str, ...]:
+        """Return the path, and the goal's heading where it does not turn to it at the end."""
+        turns_to_it = getattr(parameters, "reorient", False)
+        return ("path",) if turns_to_it else ("path", "goal.heading_rad")
+
     def __init__(self, parameters: SequentialPParameters) -> None:
         """Take the parameters."""
         self._parameters = parameters

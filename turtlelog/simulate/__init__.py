@@ -4,6 +4,7 @@ from turtlelog.simulate.closed_loop import CommandQueue, Tick, iterate_ticks
 from turtlelog.simulate.collect import RunCollector, SampleRows, collect_run, simulate_run
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import LawDriver, Sample, build_law, declare_scenario
+from turtlelog.simulate.scenario_notes import list_scenario_notes
 
 __all__ = [
     "CommandQueue",
@@ -17,5 +18,6 @@ __all__ = [
     "collect_run",
     "declare_scenario",
     "iterate_ticks",
+    "list_scenario_notes",
     "simulate_run",
 ]

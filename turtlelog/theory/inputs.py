@@ -52,6 +52,13 @@ def require_positive(name: str, value: Any) -> float:
     return _require_between(name, "a number", value)
 
 
+def require_not_negative(name: str, value: Any) -> float:
+    """Return a magnitude as float; refuse what is not a number from 0 to 1e100."""
+    if not _is_real(value) or not 0.0 <= value <= LARGEST:
+        raise TheoryError(f"{name}: expected a number from 0 to {LARGEST:g}, found {value!r}")
+    return float(value)
+
+
 def require_gains(kp: ArrayLike) -> NDArray[np.float64]:
     """Return gains [1/s] as an array of one axis; refuse negative ones."""
     try:

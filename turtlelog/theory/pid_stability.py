@@ -1,0 +1,244 @@
+"""Whether a sampled PID loop on an integrator is stable: poles counted, not computed.
+
+Its characteristic polynomial is z^d A(z) + B(z). Only z^d knows the dead time; A and B are of third
+and second degree at most (`pid_loop` derives them):
+
+    PI   A = (z - 1)^2          B = Kp T (z - 1) + Ki T^2
+    PD   A = (z - 1) (z - a)    B = Kp T (z - a) + b (z - 1)
+    PID  A = (z - 1)^2 (z - a)  B = Kp T (z - 1) (z - a) + Ki T^2 (z - a) + b (z - 1)^2
+
+The argument principle counts the roots inside the unit circle: the phase of the polynomial grows by
+pi for each along the upper half. Where |A| > |B| that is the phase of z^d A and of 1 + L, elsewhere
+of B and of 1 + 1 / L, with the open loop L = B / (z^d A). The second part stays within +-pi/2, and
+the first has a closed form, so no grid of frequencies is needed and 1000 ticks of dead time are as
+good as none. |A| = |B| does not know d: in x = 1 - cos(w T) it is a cubic equation.
+
+Eigenvalues of a companion matrix are worse at just this. Where many poles crowd the unit circle, or
+two meet, they are wrong by more than the distance to it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Array = NDArray[np.float64]
+
+NEAREST: Final = 1e-10
+"""Distance |1 + L| of the open loop from -1 below which rounding could decide: with 1000 ticks of
+dead time its phase is known to some 1e-12. A loop that is nearer counts as unstable."""
+
+_SMALLEST_X: Final = 1e-60
+"""Of x = 1 - cos(w T): below every crossover, which is above (Kp T)^2 / 8, at least 1e-19."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoopShape:
+    """A PID loop without units.
+
+    Attributes:
+        p: Kp T.
+        i: Ki T^2; 0: there is no integral.
+        b: Kd T / (Tf + T).
+        a: Tf / (Tf + T), from 0 up to 1; None: there is no derivative.
+        delay: Dead time d [samples].
+    """
+
+    p: float
+    i: float
+    b: float
+    a: float | None
+    delay: int
+
+    @property
+    def integrators(self) -> int:
+        """Poles of the open loop at z = 1."""
+        return 2 if self.i > 0.0 else 1
+
+    @property
+    def degree(self) -> int:
+        """Number of poles of the closed loop."""
+        return self.delay + self.integrators + (self.a is not None)
+
+    @property
+    def numerator(self) -> tuple[float, float, float]:
+        """B in powers of z - 1: constant, linear, quadratic."""
+        if self.a is None:
+            return (self.i, self.p, 0.0) if self.i > 0.0 else (self.p, 0.0, 0.0)
+        gap = 1.0 - self.a
+        if self.i > 0.0:
+            return self.i * gap, self.p * gap + self.i, self.p + self.b
+        return self.p * gap, self.p + self.b, 0.0
+
+
+def is_stable(shape: LoopShape) -> bool:
+    """Return whether all poles lie inside the unit circle, by more than rounding."""
+    return count_unstable(shape) == 0
+
+
+def count_unstable(shape: LoopShape) -> int | None:
+    """Return the number of poles outside the unit circle; None where one is as good as on it."""
+    crossings = _find_crossovers(shape)
+    halves = [0.5 * _compute_phase(shape, x) for x in crossings]
+    # |1 + L| = 2 cos(half the phase) where |L| = 1.
+    if any(2.0 * math.cos(half) < NEAREST for half in halves) or _is_at_minus_one(shape):
+        return None
+    edges, halves = [0.0, *crossings, 2.0], [0.0, *halves, 0.0]
+    phase = 0.0
+    for number, (low, high) in enumerate(pairwise(edges)):
+        change = halves[number + 1] - halves[number]
+        if _compare(shape, 0.5 * (low + high)) > 0.0:
+            phase += _turn_poles(shape, high) - _turn_poles(shape, low) + change
+        else:
+            phase += _turn_zeros(shape, high) - _turn_zeros(shape, low) - change
+    return shape.degree - round(phase / math.pi)
+
+
+def find_stable_intervals(
+    build: Callable[[float], LoopShape], held: LoopShape
+) -> tuple[tuple[float, float], ...]:
+    """Return the intervals of Kp T in which a loop is stable, in rising order.
+
+    Args:
+        build: Returns the loop at a Kp T.
+        held: Its other parameters; its own `p` does not count.
+    """
+    edges = sorted({0.0, *(p for p in _list_boundaries(held) if p > 0.0)})
+    found: list[tuple[float, float]] = []
+    for low, high in pairwise(edges):
+        if high - low > NEAREST * high and is_stable(build(0.5 * (low + high))):
+            joined = bool(found) and found[-1][1] == low
+            found[-1:] = [(found[-1][0], high)] if joined else [*found[-1:], (low, high)]
+    return tuple(found)
+
+
+def _find_crossovers(shape: LoopShape) -> list[float]:
+    """Return where |L| = 1, as x = 1 - cos(w T) strictly between 0 and 2, rising."""
+    coefficients = _list_coefficients(shape)
+    slope = [power * value for power, value in enumerate(coefficients)][1:]
+    turns = [root.real for root in np.roots(slope[::-1]) if abs(root.imag) <= 1e-6 * abs(root)]
+    edges = [_SMALLEST_X, *sorted(x for x in turns if _SMALLEST_X < x < 2.0), 2.0]
+    return [
+        _bisect(shape, low, high)
+        for low, high in pairwise(edges)
+        if (_compare(shape, low) > 0.0) != (_compare(shape, high) > 0.0)
+    ]
+
+
+def _bisect(shape: LoopShape, low: float, high: float) -> float:
+    """Return where |A| = |B| between two x, to the last digit whatever its magnitude."""
+    is_above = _compare(shape, low) > 0.0
+    for _ in range(64):  # 8 halvings of the exponent, 52 of the digits, some to spare
+        middle = math.sqrt(low * high)
+        if (_compare(shape, middle) > 0.0) == is_above:
+            low = middle
+        else:
+            high = middle
+    return math.sqrt(low * high)
+
+
+def _list_coefficients(shape: LoopShape) -> list[float]:
+    """Return |A|^2 - |B|^2 on the unit circle in rising powers of x, up to a factor."""
+    c0, c1, c2 = shape.numerator
+    found = [
+        -c0 * c0,
+        2.0 * (c1 * c0 + 2.0 * c2 * c0 - c1 * c1),
+        4.0 * c2 * (c1 - c2 - c0),
+        0.0,
+    ]
+    gap = 1.0 if shape.a is None else 1.0 - shape.a
+    found[shape.integrators] += 2.0**shape.integrators * gap * gap
+    found[shape.integrators + 1] += 2.0**shape.integrators * 2.0 * (shape.a or 0.0)
+    largest = max(map(abs, found))
+    return [value / largest for value in found]
+
+
+def _compare(shape: LoopShape, x: float) -> float:
+    """Return a number with the sign of |A| - |B|."""
+    c0, c1, c2 = shape.numerator
+    gap = 1.0 if shape.a is None else 1.0 - shape.a
+    poles = (2.0 * x) ** shape.integrators * (gap * gap + 2.0 * (shape.a or 0.0) * x)
+    # The real and imaginary part of B / z, whose squares lose no digits near z = 1.
+    real, imaginary = c0 - x * (2.0 * c2 - c1 + c0), (c1 - c0) * math.sqrt(x * (2.0 - x))
+    return poles - real * real - imaginary * imaginary
+
+
+def _turn_zeros(shape: LoopShape, x: float) -> float:
+    """Return the phase of B at x, continuous along the half circle.
+
+    The imaginary part of B / z keeps one sign, as it is (c1 - c0) sin(w T).
+    """
+    c0, c1, c2 = shape.numerator
+    turn = math.atan2((c1 - c0) * math.sqrt(x * (2.0 - x)), c0 - x * (2.0 * c2 - c1 + c0))
+    return _find_angle(x) + turn
+
+
+def _turn_poles(shape: LoopShape, x: float) -> float:
+    """Return the phase of z^d A at x, continuous along the half circle."""
+    angle = _find_angle(x)
+    turn = shape.delay * angle + shape.integrators * 0.5 * (angle + math.pi)
+    if shape.a is None:
+        return turn
+    return turn + math.atan2(math.sqrt(x * (2.0 - x)), 1.0 - shape.a - x)
+
+
+def _compute_phase(shape: LoopShape, x: float) -> float:
+    """Return the phase of L at x, in [-pi, pi]."""
+    return math.remainder(_turn_zeros(shape, x) - _turn_poles(shape, x), 2.0 * math.pi)
+
+
+def _find_angle(x: float) -> float:
+    return 2.0 * math.asin(math.sqrt(0.5 * x))
+
+
+def _is_at_minus_one(shape: LoopShape) -> bool:
+    """Return whether L is as good as -1 at z = -1, the end of the half circle."""
+    c0, c1, c2 = shape.numerator
+    denominator = (-1.0) ** shape.delay * (-2.0) ** shape.integrators
+    denominator *= 1.0 if shape.a is None else -1.0 - shape.a
+    return abs(1.0 + (c0 - 2.0 * c1 + 4.0 * c2) / denominator) < NEAREST
+
+
+def _list_boundaries(held: LoopShape) -> list[float]:
+    """Return every Kp T at which some pole lies on the unit circle, and 0 is no pole there.
+
+    There Kp T = -(z^d (z - 1) + Ki T^2 / (z - 1) + b (z - 1) / (z - a)), which must be real.
+    """
+    d, a = held.delay, held.a or 0.0
+
+    def split(angle: _Array) -> tuple[_Array, _Array]:
+        """Return the real part of that, and the imaginary part over -sin(angle)."""
+        sine, cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
+        x = 2.0 * sine * sine
+        filtered = (1.0 - a) ** 2 + 2.0 * a * x
+        real = 2.0 * np.sin((d + 0.5) * angle) * sine + 0.5 * held.i
+        real -= held.b * (1.0 + a) * x / filtered
+        rest = np.cos((d + 0.5) * angle) / cosine - held.i / (4.0 * sine * sine)
+        return real, rest + held.b * (1.0 - a) / filtered
+
+    angles = _find_roots(lambda angle: split(angle)[1], _list_angles(d))
+    end = 2.0 * (-1.0) ** d + 0.5 * held.i - 2.0 * held.b / (1.0 + a)  # at z = -1
+    return [*split(angles)[0].tolist(), end]
+
+
+def _list_angles(delay: int) -> _Array:
+    """Return angles between 0 and pi, 64 in each half wave of the dead time, dense towards 0."""
+    even = np.linspace(0.0, math.pi - 1e-7, 64 * (delay + 2))[1:]
+    return np.union1d(np.geomspace(1e-12, 0.1, 3000), even)
+
+
+def _find_roots(compute: Callable[[_Array], _Array], angles: _Array) -> _Array:
+    """Return where a function of the angle changes its sign."""
+    is_above = compute(angles) > 0.0
+    at = np.flatnonzero(is_above[1:] != is_above[:-1])
+    low, high, rises = angles[at], angles[at + 1], is_above[at + 1]
+    for _ in range(60):  # more than the 52 digits of a double
+        middle = 0.5 * (low + high)
+        beyond = (compute(middle) > 0.0) == rises
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    found: _Array = 0.5 * (low + high)
+    return found
