@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
-from turtlelog.cli.options import Connect, Json, Output, ScenarioOptions, load_changed_scenario
+from turtlelog.cli.options import Connect, Json, LawOptions, Output, load_changed_scenario
 from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
 
-ScenarioWord = Annotated[str, Parameter(name="SCENARIO", completer=complete_preset)]
+ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
 _ADVICE: Final = (
     "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"
@@ -77,10 +77,10 @@ class RecordOptions:
 
 
 def run(
-    scenario: ScenarioWord = "paper",
+    scenario: ScenarioWord = None,
     /,
     *,
-    options: ScenarioOptions | None = None,
+    options: LawOptions | None = None,
     record: RecordOptions | None = None,
     live: LiveOptions | None = None,
     json: Json = False,
@@ -96,12 +96,13 @@ def run(
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
-            scenario is simulated again.
+            scenario is simulated again. Without one paper, and with --law textbook.
         json: Print one JSON object instead of tables.
     """
     record, live = record or RecordOptions(), live or LiveOptions()
-    require_new_target(record.output, [Path(scenario)], suffix=".mcap")
-    require_new_target(record.rrd, [Path(scenario)], suffix=".rrd")
+    inputs = [] if scenario is None else [Path(scenario)]
+    require_new_target(record.output, inputs, suffix=".mcap")
+    require_new_target(record.rrd, inputs, suffix=".rrd")
     if record.strip_scenario and live.realtime:
         raise UsageError("--strip-scenario: expected a run written at its end, found --realtime")
     if record.strip_scenario and record.output is None and record.rrd is None:
@@ -125,10 +126,10 @@ def run(
 
 
 def scenario(
-    scenario: ScenarioWord = "paper",
+    scenario: ScenarioWord = None,
     /,
     *,
-    options: ScenarioOptions | None = None,
+    options: LawOptions | None = None,
 ) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
@@ -138,6 +139,7 @@ def scenario(
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
+            Without one paper, and with --law textbook.
     """
     chosen = load_changed_scenario(scenario, options)
     print_text(tl.format_scenario(chosen))
