@@ -72,3 +72,46 @@ def test_the_same_law_by_both_options_is_one_law(call: Call) -> None:
 def test_a_law_that_is_none_is_one_line(words: tuple[str, ...], error: str, call: Call) -> None:
     answer = call("run", *words)
     assert (answer.code, answer.out, answer.err) == (2, "", f"turtlelog: error: {error}\n")
+
+
+SLOW = """
+from turtlelog.laws import SequentialP
+
+class Slow(SequentialP):
+    samples = -1
+
+    def step(self, time_ns, pose):
+        self.samples += 1
+        while self.samples == 12:
+            pass
+        return super().step(time_ns, pose)
+"""
+
+
+@pytest.mark.parametrize("more", [(), ("--realtime",)], ids=["at once", "live"])
+def test_a_law_without_end_ends_the_run_with_its_recording(
+    more: tuple[str, ...], call: Call, tmp_path: Path
+) -> None:
+    (tmp_path / "slow.py").write_text(SLOW, encoding="utf-8")
+    law, path = f"{tmp_path / 'slow.py'}:Slow", tmp_path / "a.mcap"
+    answer = call("run", "--law", law, "--step-budget-ms", "250", "-o", path, *more)
+    told = f"law {law}, sample 12 took more than 1250 ms of a budget of 250 ms"
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.splitlines() == [f"wrote {path}", f"turtlelog: error: {told}"]
+    run = tl.read_recording(path)
+    assert (len(run.samples), run.stop_reason) == (12, "step_budget")
+    assert run.events[-1].text == f"The run ended: step budget: {told}."
+    assert not any("budget" in key for key in run.parameters)  # the clock is no part of a scenario
+
+
+def test_a_law_in_time_is_as_without_a_budget(call: Call) -> None:
+    answer = call("run", "textbook", "--step-budget-ms", "5e3", "--json")
+    assert answer.json == call("run", "textbook", "--json").json
+
+
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "text", "1e-400"])
+def test_a_budget_that_is_no_time_is_one_line(value: str, call: Call) -> None:
+    answer = call("run", "--step-budget-ms", value)
+    expected = "--step-budget-ms: expected a time above 0 in milliseconds"
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err == f"turtlelog: error: {expected}, found {value!r}\n"

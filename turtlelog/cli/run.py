@@ -1,13 +1,14 @@
 """`turtlelog run`: simulate a scenario; `turtlelog scenario`: print it."""
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
@@ -41,6 +42,15 @@ _ADVICE: Final = (
 )
 
 
+def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
+    text = tokens[0].value
+    with suppress(ValueError):
+        if 0.0 < float(text) < inf:
+            return float(text)
+    expected = "a time above 0 in milliseconds"
+    raise UsageError(f"--step-budget-ms: expected {expected}, found {text[:60]!r}")
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions:
@@ -50,11 +60,19 @@ class LiveOptions:
         realtime: Run at the speed of the wall clock.
         live: Show the run in a viewer while it goes on, and until its window is closed.
         connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
+        step_budget_ms: End the run where the law computes for longer than so many milliseconds in
+            one step, by the clock; also where it never returns.
     """
 
     realtime: bool = False
     live: bool = False
     connect: Connect = None
+    step_budget_ms: Annotated[float | None, Parameter(metavar="MS", converter=_read_budget)] = None
+
+    @property
+    def step_budget_s(self) -> float | None:
+        """The budget in seconds."""
+        return None if self.step_budget_ms is None else self.step_budget_ms / 1e3
 
 
 @Parameter(name="*")
@@ -201,10 +219,11 @@ def _strip(run: "Run", path: Path) -> "Run":
     )
 
 
-def _simulate(scenario: "Scenario") -> "Run":
+def _simulate(scenario: "Scenario", step_budget_s: float | None) -> "Run":
     from turtlelog.simulate import collect_run, iterate_ticks
 
-    return collect_run(scenario, watch_ticks(iterate_ticks(scenario), scenario.max_duration_s))
+    ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
+    return collect_run(scenario, watch_ticks(ticks, scenario.max_duration_s))
 
 
 @contextmanager
@@ -219,7 +238,7 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
 
 def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
     if not live.realtime and url is None:
-        return _simulate(scenario)
+        return _simulate(scenario, live.step_budget_s)
     from turtlelog.log.interrupts import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
@@ -236,7 +255,9 @@ def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str 
         sinks += [] if viewer is None else [viewer]
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))
-        result = tl.runner.run_live(scenario, sinks, realtime=live.realtime)
+        result = tl.runner.run_live(
+            scenario, sinks, realtime=live.realtime, step_budget_s=live.step_budget_s
+        )
     if viewer is not None and viewer.lost:
         print_note(f"viewer: {viewer.lost}; the run went on without it")
     return result
