@@ -5,6 +5,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from math import inf
 from queue import Empty, SimpleQueue
 from typing import Final
@@ -114,15 +115,16 @@ def _work(
     start_s: list[float],
 ) -> None:
     """Answer one question after the other, with the time that each took [s]."""
-    while (question := questions.get()) is not None:
-        decision, error = None, None
-        began_s = time.perf_counter()
-        start_s.append(began_s)
-        try:
-            decision = run_step(step, *question)
-        except BaseException as err:
-            error = err
-        answers.put((decision, error, time.perf_counter() - began_s))
+    with suppress(_Ended):  # it may come when the step has just returned
+        while (question := questions.get()) is not None:
+            decision, error = None, None
+            began_s = time.perf_counter()
+            start_s.append(began_s)
+            try:
+                decision = run_step(step, *question)
+            except BaseException as err:
+                error = err
+            answers.put((decision, error, time.perf_counter() - began_s))
 
 
 def _end(thread: threading.Thread) -> None:
