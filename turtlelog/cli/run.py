@@ -1,6 +1,5 @@
 """`turtlelog run`: simulate a scenario; `turtlelog scenario`: print it."""
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -17,14 +16,15 @@ from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
     describe_metrics,
+    flush_stdout,
     format_table,
-    outlive_reader,
     print_json,
     print_note,
     print_text,
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
 from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.watch import describe_change, find_scenario_file, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
@@ -54,9 +54,11 @@ def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions:
-    """What happens while the loop runs.
+    """What happens while the loop runs, and after it.
 
     Attributes:
+        watch: Run again whenever the file of the law, or the scenario file, is saved, and show what
+            changed. Ctrl-C, or closing the window of --live, ends it.
         realtime: Run at the speed of the wall clock.
         live: Show the run in a viewer while it goes on, and until its window is closed.
         connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
@@ -64,6 +66,7 @@ class LiveOptions:
             one step, by the clock; also where it never returns.
     """
 
+    watch: bool = False
     realtime: bool = False
     live: bool = False
     connect: Connect = None
@@ -118,26 +121,16 @@ def run(
         json: Print one JSON object instead of tables.
     """
     record, live = record or RecordOptions(), live or LiveOptions()
-    inputs = [] if scenario is None else [Path(scenario)]
-    require_new_target(record.output, inputs, suffix=".mcap")
-    require_new_target(record.rrd, inputs, suffix=".rrd")
-    if record.strip_scenario and live.realtime:
-        raise UsageError("--strip-scenario: expected a run written at its end, found --realtime")
-    if record.strip_scenario and record.output is None and record.rrd is None:
-        raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
+    _require_sound(scenario, record, live, json=json)
+    if live.watch:
+        return _watch(scenario, options or LawOptions(), record, live)
     chosen = load_changed_scenario(scenario, options)
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
     with _open_viewer(live) as (window, url):
-        try:
-            result = _run(chosen, record.output, live, url)
-        except SimulationError as err:
-            if err.run is not None:
-                _write(err.run, record, is_recorded=live.realtime)
-            raise
+        result = _run(chosen, record, live, url)
         code = _answer(result, record, is_recorded=live.realtime, json=json)
         if window is not None and code == EXIT_FINE:
-            with outlive_reader():
-                sys.stdout.flush()
+            flush_stdout()
             with suppress(KeyboardInterrupt):  # all is done: only the window is to be closed
                 window.wait()
     return code
@@ -163,7 +156,61 @@ def scenario(
     print_text(tl.format_scenario(chosen))
 
 
-def _answer(result: "Run", record: RecordOptions, *, is_recorded: bool, json: bool) -> int:
+def _require_sound(
+    scenario: str | None, record: RecordOptions, live: LiveOptions, *, json: bool
+) -> None:
+    """Refuse options that do not go together, and outputs that could not be written."""
+    inputs = [] if scenario is None else [Path(scenario)]
+    require_new_target(record.output, inputs, suffix=".mcap")
+    require_new_target(record.rrd, inputs, suffix=".rrd")
+    if record.strip_scenario and live.realtime:
+        raise UsageError("--strip-scenario: expected a run written at its end, found --realtime")
+    if record.strip_scenario and record.output is None and record.rrd is None:
+        raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
+    if live.watch and live.realtime:
+        raise UsageError("--watch: expected runs as fast as they go, found --realtime")
+    if live.watch and json:
+        raise UsageError("--watch: expected tables, as there are many runs, found --json")
+
+
+def _watch(
+    scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
+) -> int:
+    file, kind = find_scenario_file(scenario), options.find_law()
+    if file is None and kind is None:
+        kind = load_changed_scenario(scenario, options).law.kind
+    files = list_watched(file, kind)
+
+    def load() -> "tuple[Scenario, Sequence[Path]]":
+        chosen = load_changed_scenario(scenario, options)
+        return chosen, list_watched(file, chosen.law.kind)
+
+    with _open_viewer(live) as (window, url):
+
+        def simulate(chosen: "Scenario") -> "Run":
+            chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
+            return _run(chosen, record, live, url)
+
+        def answer(result: "Run", before: "Run | None") -> int:
+            return _answer(result, record, before=before)
+
+        return watch_runs(
+            files,
+            load,
+            simulate,
+            answer,
+            is_over=lambda: window is not None and window.has_ended,
+        )
+
+
+def _answer(
+    result: "Run",
+    record: RecordOptions,
+    *,
+    is_recorded: bool = False,
+    json: bool = False,
+    before: "Run | None" = None,
+) -> int:
     code = EXIT_INTERRUPTED if result.stop_reason == "interrupted" else EXIT_FINE
     if code:
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
@@ -182,8 +229,9 @@ def _answer(result: "Run", record: RecordOptions, *, is_recorded: bool, json: bo
             }
         )
         return code
-    print_text(f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n")
-    print_text(format_table(_tabulate(result)))
+    head = f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n"
+    table = format_table(_tabulate(result)) if before is None else describe_change(result, before)
+    print_text(f"{head}\n{table}")
     return code
 
 
@@ -236,7 +284,17 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
         yield window, url
 
 
-def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
+def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: str | None) -> "Run":
+    """Return the run; of a law that fails, write what came before."""
+    try:
+        return _drive(scenario, record.output, live, url)
+    except SimulationError as err:
+        if err.run is not None:
+            _write(err.run, record, is_recorded=live.realtime)
+        raise
+
+
+def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
     if not live.realtime and url is None:
         return _simulate(scenario, live.step_budget_s)
     from turtlelog.log.interrupts import hold_stop, interrupt_on_quit
