@@ -17,6 +17,7 @@ import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.log.live import ROOT
 from tests.show.rerun.headless import start_headless
+from turtlelog.show.rerun.viewer import ViewerProcess
 
 PATIENCE_S = 60.0
 
@@ -317,5 +318,37 @@ def test_one_viewer_shows_run_after_run(law: Path, tmp_path: Path) -> None:
             watch.wait_for(": 200 samples.")
             viewer.wait_for_end(199 * 16_000_000)
             assert watch.interrupt() == 130
-        first_ns, second_ns = sorted(viewer.list_ends())
-        assert first_ns < 199 * 16_000_000 <= second_ns
+        state = viewer.client.get_state()
+        shown = {
+            recording.store_id: line.end or 0
+            for recording in state.recordings
+            for line in recording.timelines
+            if line.name == "sim_time"
+        }
+        assert len(shown) == 2
+        assert max(shown, key=lambda name: shown[name]) == state.active_recording
+
+
+@pytest.mark.viewer
+def test_a_window_that_is_closed_ends_the_watch(
+    law: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with start_headless() as viewer:
+
+        @contextmanager
+        def open_window(advice: str) -> Iterator[tuple[ViewerProcess, str]]:
+            yield viewer.process, viewer.url
+
+        def save_and_close() -> None:
+            viewer.wait_for_end(99 * 16_000_000)
+            law.write_text(format_law(200), encoding="utf-8")
+            viewer.wait_for_end(199 * 16_000_000)
+            viewer.process.end()
+
+        monkeypatch.setattr(tl.show, "open_window", open_window)
+        user = threading.Thread(target=save_and_close)
+        user.start()
+        answer = call("run", "--watch", "--live", "--law", f"{law}:Own")
+        user.join()
+    assert (answer.code, "error" in answer.err) == (0, False)
+    assert answer.out.count(" samples. The run ended: done.") == 2
