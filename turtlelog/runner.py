@@ -92,6 +92,7 @@ def run_live(
     *,
     realtime: bool,
     clock: Clock = WALL_CLOCK,
+    step_budget_s: float | None = None,
 ) -> Run:
     """Simulate a scenario, hand every tick to the sinks as it comes, and return the run.
 
@@ -103,11 +104,14 @@ def run_live(
         sinks: Who sees the ticks, in this order.
         realtime: Whether ticks wait for their time by the clock.
         clock: The clock that they wait for.
+        step_budget_s: How long the law may compute for one answer by the computer's own clock [s];
+            None: as long as it takes.
 
     Raises:
         ScenarioError: Where the law cannot be loaded or may not run.
         SimulationError: Where the law fails, with the run so far as `run`. The sinks have seen the
-            tick in which it did, whose stop reason is `law_failed`, and are closed.
+            tick in which it did, whose stop reason is `law_failed`, or `step_budget` where it
+            computed for too long, and are closed.
         KeyboardInterrupt: Where it was interrupted before the first sample.
         LogError: Where a recorder can take no more.
     """
@@ -118,7 +122,8 @@ def run_live(
         for sink in reversed(sinks):
             closing.callback(sink.close, notes)
         try:
-            run = collect_run(scenario, _drive(iterate_ticks(scenario), sinks, pace, request))
+            ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
+            run = collect_run(scenario, _drive(ticks, sinks, pace, request))
         except SimulationError as err:
             notes.update(pace.describe() if pace else {})
             err.run = err.run and replace(err.run, notes=notes)

@@ -121,6 +121,7 @@ def test_completion_is_written_where_asked(call: Call, tmp_path: Path, shell: st
         (["run", ""], "paper-kp10"),
         (["run", "--set", ""], "limits.speed_m_s="),
         (["scenario", "pap"], "textbook"),
+        (["run", "--law", ""], "sequential-p"),
         (["metrics", "a.mcap", "--only", ""], "rotate.overshoot"),
         (
             ["metrics", "--only", "final.position_error,rot"],
@@ -147,3 +148,15 @@ def test_completion_offers_scenario_files_and_recordings(
     offered = [line.partition("\t")[0] for line in call("__complete", "run", "").out.splitlines()]
     assert {"mine.toml", "run.mcap", "paper"} < {*offered}
     assert "notes.txt" not in offered
+
+
+def test_completion_offers_python_files_as_laws_and_runs_none(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text("raise SystemExit(3)", encoding="utf-8")
+    (tmp_path / "mine.toml").touch()
+    offered = call("__complete", "scenario", "--law", "")
+    names = [line.partition("\t")[0] for line in offered.out.splitlines()]
+    assert "mine.py" in names
+    assert "mine.toml" not in names

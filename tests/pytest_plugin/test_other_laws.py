@@ -66,3 +66,40 @@ def test_it(simulate):
 
     result = run(strange, f"KIND = {KIND!r}\n{body}", marker="")
     result.assert_outcomes(passed=1)
+
+
+OWN = """
+import pytest
+from turtlelog.errors import CheckError
+from turtlelog.laws import SequentialP
+
+class Own(SequentialP):
+    pass
+
+def test_class(turtlelog_simulate):
+    recording = turtlelog_simulate(law=Own, kp=2)
+    assert recording.run.parameters["law.kind"].endswith(":Own")
+    assert recording.run.parameters["loop.start_backlog"] == 1  # of textbook
+    assert recording.phase("rotate").overshoot < 5
+    assert recording.driven_by(Own(Own.Parameters(kp_angular=2, kp_linear=2, projection="heading",
+        wrap_error=True, pause_ticks=0))).matches(recording)
+
+def test_scenario(turtlelog_simulate):
+    assert turtlelog_simulate("paper", law=Own).run.parameters["loop.start_backlog"] == 5
+
+def test_file(turtlelog_simulate):
+    assert turtlelog_simulate(law=f"{__file__}:Own").phase("rotate").overshoot < 5
+
+def test_no_class_of_a_module(turtlelog_simulate):
+    class Inner(SequentialP):
+        pass
+    with pytest.raises(CheckError, match="law: expected a class at the top of a module, or path"):
+        turtlelog_simulate(law=Inner)
+    with pytest.raises(CheckError, match="found 3"):
+        turtlelog_simulate(law=3)
+"""
+
+
+def test_a_class_of_ones_own_is_simulated_by_itself(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(OWN)
+    pytester.runpytest("-p", "turtlelog.pytest_plugin").assert_outcomes(passed=4)

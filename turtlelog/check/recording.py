@@ -1,5 +1,6 @@
 """A recording that tests ask questions of: read once, when the first is asked; or simulated."""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -220,24 +221,31 @@ class SimulatedRuns:
 
     def simulate(
         self,
-        scenario: str | Path | Scenario = "paper",
+        scenario: str | Path | Scenario | None = None,
         *,
+        law: type[Law] | str | None = None,
         kp: float | None = None,
         changes: Mapping[str, Any] | None = None,
     ) -> Recording:
         """Return the recording of a simulation.
 
         Args:
-            scenario: A preset, a file, or the scenario itself.
+            scenario: A preset, a file, or the scenario itself. Without one `paper`, and with a law
+                `textbook`.
+            law: The law that drives, a class or what names one, as `my_law.py:MyLaw`.
             kp: All gains that the law declares.
             changes: Other values by dotted key, as in `{"law.pause_ticks": 0}`.
 
         Raises:
+            CheckError: Where the law is no class that its module knows.
             ScenarioError: Where there is no such scenario, or a change is wrong.
             SimulationError: Where the law fails.
         """
         if not isinstance(scenario, Scenario):
-            scenario = load_scenario(str(scenario))
+            scenario = load_scenario(str(scenario or ("paper" if law is None else "textbook")))
+        if law is not None:
+            kind = law if isinstance(law, str) else _name_law(law)
+            scenario = override_scenario(scenario, {"law.kind": kind}, source="simulate")
         scenario = override_scenario(scenario, changes or {}, source="simulate")
         if kp is not None:
             keys = declare_scenario(scenario).list_gains()
@@ -247,6 +255,18 @@ class SimulatedRuns:
         path = self._folder / f"simulated-{self._count}.mcap"
         write_recording(simulate_run(scenario), path)
         return Recording(path, name=f"{scenario.name} ({path.name})", watch=self._watch)
+
+
+def _name_law(law: object) -> str:
+    """Return the name by which the class of a law is found again, here and in a recording."""
+    module, name = getattr(law, "__module__", None), getattr(law, "__qualname__", None)
+    if (
+        not isinstance(law, type)
+        or getattr(sys.modules.get(str(module)), str(name), None) is not law
+    ):
+        expected = "a class at the top of a module, or path.py:Class"
+        raise CheckError(f"law: expected {expected}, found {name or law!r:.60}")
+    return f"{module}:{name}"
 
 
 class HasRun(Protocol):

@@ -133,11 +133,21 @@ _LISTS: Final[Mapping[Kind, Callable[[], Entries]]] = {
 
 def complete_preset(context: "CompletionContext") -> dict[str, str]:
     """Return the presets, and the scenario files and recordings that a word may become."""
+    found = _find_files(context, {".toml", ".mcap"})
+    return {entry["name"]: entry["meaning"] for entry in _list_presets()} | found
+
+
+def complete_law(context: "CompletionContext") -> dict[str, str]:
+    """Return the built-in laws, and the Python files that a word may become; no code is run."""
+    found = _find_files(context, {".py"})
+    return {entry["name"]: entry["meaning"] for entry in _list_laws()} | found
+
+
+def _find_files(context: "CompletionContext", suffixes: set[str]) -> dict[str, str]:
     place = Path(context.incomplete)
     folder = place if context.incomplete.endswith("/") else place.parent
     files = sorted(folder.iterdir()) if folder.is_dir() else []
-    found = {str(path): "" for path in files if path.suffix in {".toml", ".mcap"}}
-    return {entry["name"]: entry["meaning"] for entry in _list_presets()} | found
+    return {str(path): "" for path in files if path.suffix in suffixes}
 
 
 def complete_metrics(context: "CompletionContext") -> dict[str, str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter, Token
 
 import turtlelog as tl
-from turtlelog.cli.list_names import complete_keys
+from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
@@ -63,6 +63,31 @@ class ScenarioOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
+class LawOptions(ScenarioOptions):
+    """Changes to a scenario, the law first.
+
+    Attributes:
+        law: Let another law drive: a built-in kind, path.py:Class or package.module:Class. Its code
+            runs. SCENARIO is textbook then, unless one is given.
+    """
+
+    law: Annotated[str | None, Parameter(metavar="KIND", completer=complete_law)] = None
+
+    def find_law(self) -> str | None:
+        """Return the law that --law or --set names.
+
+        Raises:
+            UsageError: Where they name two.
+        """
+        changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
+        kind = changes.get("law.kind")
+        if self.law is not None and kind not in (None, self.law):
+            raise UsageError(f"--law: expected one law, found {self.law} and --set law.kind={kind}")
+        return self.law or (kind if isinstance(kind, str) else None)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TopicOptions:
     """How recordings are read: which topics of somebody else's bag, and damaged ones.
 
@@ -89,23 +114,35 @@ _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
 """How files that may hold a scenario end, beside scenario files."""
 
 
-def load_changed_scenario(name_or_path: str, options: ScenarioOptions | None) -> "Scenario":
+def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
     """Return a preset, or the scenario of a file or recording, with the options applied.
 
     Its name tells the changes. The code of a law is loaded only where its gains are to be set, and
     never that of a recording, which tells them itself.
+
+    Args:
+        name_or_path: Where None `paper`; with a law that --law names `textbook`, whose loop adds
+            nothing to the law.
+        options: The changes.
     """
-    path = Path(name_or_path)
+    options = options or LawOptions()
+    named = options.find_law()
+    name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
+    path, declared = Path(name_or_path), None
     if path.suffix.lower() not in _RECORDINGS and not path.is_dir():
         base = tl.load_scenario(name_or_path)
-        return name_by_changes(change_scenario(base, options), base.name, options)
-    run = _read_run(path, TopicOptions())
-    if not run.scenario_is_complete:
-        raise UsageError(f"{path}: expected a recording with its whole scenario, found none in it")
-    base = tl.scenario.restore_scenario(run)
-    names_law = any(text.strip().startswith("law.kind") for text in _list_changes(options))
-    declared = None if names_law else run.declaration
-    return name_by_changes(change_scenario(base, options, declared), base.name, options)
+    else:
+        run = _read_run(path, TopicOptions())
+        if not run.scenario_is_complete:
+            expected = "a recording with its whole scenario"
+            raise UsageError(f"{path}: expected {expected}, found none in it")
+        base = tl.scenario.restore_scenario(run)
+        declared = None if named else run.declaration
+    scenario, said = base, []
+    if options.law is not None:
+        scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
+        said = [_tell(f"law={options.law}")]
+    return name_by_changes(change_scenario(scenario, options, declared), base.name, options, *said)
 
 
 def list_given_keys(options: ScenarioOptions | None) -> list[str]:
@@ -140,9 +177,12 @@ def _list_changes(options: ScenarioOptions | None) -> list[str]:
     said = [] if options.commands is None else [f"commands={options.commands.stem}"]
     said += [] if options.kp is None else [f"kp={options.kp:g}"]
     said += [] if options.goal is None else [f"goal={options.goal}"]
-    texts = options.assignments or ()
-    # A name is one line; a value need not be.
-    return said + [text if text.isprintable() else repr(text)[1:-1] for text in texts]
+    return said + [_tell(text) for text in options.assignments or ()]
+
+
+def _tell(text: str) -> str:
+    """Return a change for a name, which is one line; a value need not be."""
+    return text if text.isprintable() else repr(text)[1:-1]
 
 
 def change_scenario(

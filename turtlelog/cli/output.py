@@ -144,6 +144,12 @@ def outlive_reader() -> Iterator[None]:
         drop_stdout()
 
 
+def flush_stdout() -> None:
+    """Let the reader of stdout have what was printed so far."""
+    with outlive_reader():
+        sys.stdout.flush()
+
+
 def _is_device() -> bool:
     """Return whether stdout is a terminal, or was: of a closed one `isatty` returns False."""
     return stat.S_ISCHR(os.fstat(sys.stdout.fileno()).st_mode)

@@ -1,21 +1,21 @@
 """`turtlelog run`: simulate a scenario; `turtlelog scenario`: print it."""
 
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_preset
 from turtlelog.cli.options import (
     Connect,
     Json,
+    LawOptions,
     Output,
-    ScenarioOptions,
     list_given_keys,
     load_changed_scenario,
 )
@@ -23,14 +23,15 @@ from turtlelog.cli.output import (
     EXIT_FINE,
     EXIT_INTERRUPTED,
     describe_metrics,
+    flush_stdout,
     format_table,
-    outlive_reader,
     print_json,
     print_note,
     print_text,
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
 from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.watch import describe_change, find_scenario_file, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from turtlelog.show.rerun.viewer import ViewerProcess
     from turtlelog.simulate import Tick
 
-ScenarioWord = Annotated[str, Parameter(name="SCENARIO", completer=complete_preset)]
+ScenarioWord = Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)]
 
 _ADVICE: Final = (
     "leave out --live, record with -o X.mcap, and `turtlelog view X.mcap --snapshot X.png` makes"
@@ -48,20 +49,40 @@ _ADVICE: Final = (
 )
 
 
+def _read_budget(_: Any, tokens: Sequence[Token]) -> float:
+    text = tokens[0].value
+    with suppress(ValueError):
+        if 0.0 < float(text) < inf:
+            return float(text)
+    expected = "a time above 0 in milliseconds"
+    raise UsageError(f"--step-budget-ms: expected {expected}, found {text[:60]!r}")
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveOptions:
-    """What happens while the loop runs.
+    """What happens while the loop runs, and after it.
 
     Attributes:
+        watch: Run again whenever the file of the law, or the scenario file, is saved, and show what
+            changed. Ctrl-C, or closing the window of --live, ends it.
         realtime: Run at the speed of the wall clock.
         live: Show the run in a viewer while it goes on, and until its window is closed.
         connect: As --live, in a viewer that runs, as in rerun+http://127.0.0.1:9876/proxy.
+        step_budget_ms: End the run where the law computes for longer than so many milliseconds in
+            one step, by the clock; also where it never returns.
     """
 
+    watch: bool = False
     realtime: bool = False
     live: bool = False
     connect: Connect = None
+    step_budget_ms: Annotated[float | None, Parameter(metavar="MS", converter=_read_budget)] = None
+
+    @property
+    def step_budget_s(self) -> float | None:
+        """The budget in seconds."""
+        return None if self.step_budget_ms is None else self.step_budget_ms / 1e3
 
 
 @Parameter(name="*")
@@ -84,10 +105,10 @@ class RecordOptions:
 
 
 def run(
-    scenario: ScenarioWord = "paper",
+    scenario: ScenarioWord = None,
     /,
     *,
-    options: ScenarioOptions | None = None,
+    options: LawOptions | None = None,
     record: RecordOptions | None = None,
     live: LiveOptions | None = None,
     json: Json = False,
@@ -106,41 +127,32 @@ def run(
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
-            scenario is simulated again.
+            scenario is simulated again. Without one paper, and with --law textbook.
         json: Print one JSON object instead of tables.
     """
     record, live = record or RecordOptions(), live or LiveOptions()
-    require_new_target(record.output, [Path(scenario)], suffix=".mcap")
-    require_new_target(record.rrd, [Path(scenario)], suffix=".rrd")
-    if record.strip_scenario and live.realtime:
-        raise UsageError("--strip-scenario: expected a run written at its end, found --realtime")
-    if record.strip_scenario and record.output is None and record.rrd is None:
-        raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
+    _require_sound(scenario, record, live, json=json)
+    if live.watch:
+        return _watch(scenario, options or LawOptions(), record, live)
     chosen = load_changed_scenario(scenario, options)
     chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
     for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(options)):
         print_note(note)
     with _open_viewer(live) as (window, url):
-        try:
-            result = _run(chosen, record.output, live, url)
-        except SimulationError as err:
-            if err.run is not None:
-                _write(err.run, record, is_recorded=live.realtime)
-            raise
+        result = _run(chosen, record, live, url)
         code = _answer(result, record, is_recorded=live.realtime, json=json)
         if window is not None and code == EXIT_FINE:
-            with outlive_reader():
-                sys.stdout.flush()
+            flush_stdout()
             with suppress(KeyboardInterrupt):  # all is done: only the window is to be closed
                 window.wait()
     return code
 
 
 def scenario(
-    scenario: ScenarioWord = "paper",
+    scenario: ScenarioWord = None,
     /,
     *,
-    options: ScenarioOptions | None = None,
+    options: LawOptions | None = None,
 ) -> None:
     """Print the scenario of a preset, file or recording as a whole file, to edit and run.
 
@@ -150,12 +162,67 @@ def scenario(
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording.
+            Without one paper, and with --law textbook.
     """
     chosen = load_changed_scenario(scenario, options)
     print_text(tl.format_scenario(chosen))
 
 
-def _answer(result: "Run", record: RecordOptions, *, is_recorded: bool, json: bool) -> int:
+def _require_sound(
+    scenario: str | None, record: RecordOptions, live: LiveOptions, *, json: bool
+) -> None:
+    """Refuse options that do not go together, and outputs that could not be written."""
+    inputs = [] if scenario is None else [Path(scenario)]
+    require_new_target(record.output, inputs, suffix=".mcap")
+    require_new_target(record.rrd, inputs, suffix=".rrd")
+    if record.strip_scenario and live.realtime:
+        raise UsageError("--strip-scenario: expected a run written at its end, found --realtime")
+    if record.strip_scenario and record.output is None and record.rrd is None:
+        raise UsageError("--strip-scenario: expected -o or --rrd beside it, found neither")
+    if live.watch and live.realtime:
+        raise UsageError("--watch: expected runs as fast as they go, found --realtime")
+    if live.watch and json:
+        raise UsageError("--watch: expected tables, as there are many runs, found --json")
+
+
+def _watch(
+    scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
+) -> int:
+    file, kind = find_scenario_file(scenario), options.find_law()
+    if file is None and kind is None:
+        kind = load_changed_scenario(scenario, options).law.kind
+    files = list_watched(file, kind)
+
+    def load() -> "tuple[Scenario, Sequence[Path]]":
+        chosen = load_changed_scenario(scenario, options)
+        return chosen, list_watched(file, chosen.law.kind)
+
+    with _open_viewer(live) as (window, url):
+
+        def simulate(chosen: "Scenario") -> "Run":
+            chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
+            return _run(chosen, record, live, url)
+
+        def answer(result: "Run", before: "Run | None") -> int:
+            return _answer(result, record, before=before)
+
+        return watch_runs(
+            files,
+            load,
+            simulate,
+            answer,
+            is_over=lambda: window is not None and window.has_ended,
+        )
+
+
+def _answer(
+    result: "Run",
+    record: RecordOptions,
+    *,
+    is_recorded: bool = False,
+    json: bool = False,
+    before: "Run | None" = None,
+) -> int:
     code = EXIT_INTERRUPTED if result.stop_reason == "interrupted" else EXIT_FINE
     if code:
         print_note(f"interrupted at {result.end_ns / 1e9:.3f} s")
@@ -174,8 +241,9 @@ def _answer(result: "Run", record: RecordOptions, *, is_recorded: bool, json: bo
             }
         )
         return code
-    print_text(f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n")
-    print_text(format_table(_tabulate(result)))
+    head = f"{result.name}: {len(result.samples)} samples. {result.events[-1].text}\n"
+    table = format_table(_tabulate(result)) if before is None else describe_change(result, before)
+    print_text(f"{head}\n{table}")
     return code
 
 
@@ -212,10 +280,11 @@ def _strip(run: "Run", path: Path) -> "Run":
     )
 
 
-def _simulate(scenario: "Scenario") -> "Run":
+def _simulate(scenario: "Scenario", step_budget_s: float | None) -> "Run":
     from turtlelog.simulate import collect_run, iterate_ticks
 
-    return collect_run(scenario, watch_ticks(iterate_ticks(scenario), scenario.max_duration_s))
+    ticks = iterate_ticks(scenario, step_budget_s=step_budget_s)
+    return collect_run(scenario, watch_ticks(ticks, scenario.max_duration_s))
 
 
 @contextmanager
@@ -228,9 +297,19 @@ def _open_viewer(live: LiveOptions) -> "Iterator[tuple[ViewerProcess | None, str
         yield window, url
 
 
-def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
+def _run(scenario: "Scenario", record: RecordOptions, live: LiveOptions, url: str | None) -> "Run":
+    """Return the run; of a law that fails, write what came before."""
+    try:
+        return _drive(scenario, record.output, live, url)
+    except SimulationError as err:
+        if err.run is not None:
+            _write(err.run, record, is_recorded=live.realtime)
+        raise
+
+
+def _drive(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str | None) -> "Run":
     if not live.realtime and url is None:
-        return _simulate(scenario)
+        return _simulate(scenario, live.step_budget_s)
     from turtlelog.log.interrupts import hold_stop, interrupt_on_quit
 
     with ExitStack() as closing:
@@ -247,7 +326,9 @@ def _run(scenario: "Scenario", output: Path | None, live: LiveOptions, url: str 
         sinks += [] if viewer is None else [viewer]
         progress = show_progress("simulated", scenario.max_duration_s, "s at most")
         sinks.append(_Watcher(closing.enter_context(progress)))
-        result = tl.runner.run_live(scenario, sinks, realtime=live.realtime)
+        result = tl.runner.run_live(
+            scenario, sinks, realtime=live.realtime, step_budget_s=live.step_budget_s
+        )
     if viewer is not None and viewer.lost:
         print_note(f"viewer: {viewer.lost}; the run went on without it")
     return result

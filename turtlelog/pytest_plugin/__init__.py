@@ -119,7 +119,7 @@ def turtlelog_reference(
 def turtlelog_simulate(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> "Callable[..., Recording]":
-    """Simulate a scenario, record it and read it back: `turtlelog_simulate("paper", kp=4)`."""
+    """Simulate, record and read back: `turtlelog_simulate("paper", kp=4)`, or a law of your own."""
     from turtlelog.check.recording import SimulatedRuns
 
     return SimulatedRuns(tmp_path, request.config.stash[SESSION].watch).simulate

@@ -26,7 +26,7 @@ from turtlelog.run.tables import TABLES, build_arrow, build_pandas
 
 Parameter = bool | int | float | str | list[Any]
 
-CUT_SHORT = frozenset({"max_duration", "interrupted", "law_failed"})
+CUT_SHORT = frozenset({"max_duration", "interrupted", "law_failed", "step_budget"})
 """Stop reasons of runs whose controller did not come to its own end."""
 
 

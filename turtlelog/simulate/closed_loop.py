@@ -13,6 +13,7 @@ from turtlelog.run import Event
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.law_driver import Sample, Samples, build_law
+from turtlelog.simulate.step_budget import STEP_BUDGET, StepBudgetError
 
 _POSE: Final = Struct("<5f")
 """How turtlesim publishes x, y, heading, speed and turn rate: as 32-bit floats."""
@@ -46,14 +47,22 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
     stop_reason: str | None
 
 
-def iterate_ticks(scenario: Scenario, plant: Plant = TURTLESIM) -> Iterator[Tick]:
+def iterate_ticks(
+    scenario: Scenario, plant: Plant = TURTLESIM, *, step_budget_s: float | None = None
+) -> Iterator[Tick]:
     """Yield the ticks of a closed loop until the law is done or `max_duration_s` has passed.
 
     Ticks are steps of the plant, one per period; what the scenario counts in ticks as well.
 
+    Args:
+        scenario: What to simulate.
+        plant: On whose clock.
+        step_budget_s: How long the law may compute for one answer [s]; None: as long as it takes.
+
     Raises:
         SimulationError: Where the law fails or answers with something that is no number; after the
-            tick in which it does, whose stop reason is `law_failed`.
+            tick in which it does, whose stop reason is `law_failed`, or `step_budget` where it
+            computed for too long.
     """
     scenario = resolve_scenario(scenario)
     loop = scenario.loop
@@ -64,7 +73,12 @@ def iterate_ticks(scenario: Scenario, plant: Plant = TURTLESIM) -> Iterator[Tick
         is_rounded=scenario.start.precision == "float32",
         plant=plant,
     )
-    controller = Controller(scenario, build_law(scenario.law), steps_per_tick=plant.steps_per_tick)
+    controller = Controller(
+        scenario,
+        build_law(scenario.law),
+        steps_per_tick=plant.steps_per_tick,
+        step_budget_s=step_budget_s,
+    )
     commands = CommandQueue(
         depth=loop.command_queue,
         newest_only=loop.queue_policy == "newest",
@@ -92,7 +106,8 @@ def iterate_ticks(scenario: Scenario, plant: Plant = TURTLESIM) -> Iterator[Tick
             stop_reason = sample.decision.stop_reason
         failure = controller.failure
         if failure is not None:
-            stop_reason = LAW_FAILED
+            is_late = isinstance(failure, StepBudgetError)
+            stop_reason = STEP_BUDGET if is_late else LAW_FAILED
         if stop_reason is None and tick == last_tick:
             stop_reason = "max_duration"
         yield Tick(

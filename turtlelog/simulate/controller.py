@@ -27,12 +27,19 @@ class Controller:
         "failure",
     )
 
-    def __init__(self, scenario: Scenario, law: Law, *, steps_per_tick: int = 1) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        law: Law,
+        *,
+        steps_per_tick: int = 1,
+        step_budget_s: float | None = None,
+    ) -> None:
         """Wait for `loop.start_backlog` poses before the first answer.
 
         A law blocks for ticks of the plant as it is; a finer clock makes several steps of each.
         """
-        self._driver = LawDriver(scenario, law)
+        self._driver = LawDriver(scenario, law, step_budget_s=step_budget_s)
         self._period_ticks = scenario.loop.period_ticks
         self._steps_per_tick = steps_per_tick
         self._waits_for = scenario.loop.start_backlog

@@ -21,6 +21,7 @@ from turtlelog.laws import (
 from turtlelog.loops import Declaration
 from turtlelog.scenario import LawChoice, Scenario, resolve_law
 from turtlelog.simulate.answers import complete_decision
+from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
 
 _LARGEST: Final = 3.4e38
 """Applied velocities are published as 32-bit floats."""
@@ -82,6 +83,7 @@ class LawDriver:
     """
 
     __slots__ = (
+        "_call",
         "_ended",
         "_first_phase",
         "_goal",
@@ -97,10 +99,14 @@ class LawDriver:
         "declaration",
     )
 
-    def __init__(self, scenario: Scenario, law: Law) -> None:
-        """Take goal and limits from a scenario; the law begins at the first pose."""
+    def __init__(self, scenario: Scenario, law: Law, *, step_budget_s: float | None = None) -> None:
+        """Take goal and limits from a scenario; the law begins at the first pose.
+
+        With a budget a step that computes for longer by the clock fails with a StepBudgetError.
+        """
         self._law, self._kind = law, scenario.law.kind
-        self._step = law.step if type(law) in LAWS.values() else self._step_of_others
+        self._call = law.step if step_budget_s is None else StepBudget(law.step, step_budget_s)
+        self._step = self._call if type(law) in LAWS.values() else self._step_of_others
         goal, parameters = _build_goal(scenario), scenario.law.parameters
         self.declaration = declaration = declare_law(type(law), parameters, goal, scenario.path)
         self._path = scenario.path
@@ -137,6 +143,8 @@ class LawDriver:
                 phase = self._judge(decision)
         except KeyboardInterrupt:
             raise
+        except StepBudgetError as err:
+            raise StepBudgetError(f"law {self._kind}, sample {sequence} {err}") from err
         except BaseException as err:
             reason = describe_law_error(err, type(self._law))
             raise SimulationError(f"law {self._kind}, sample {sequence}: {reason}") from err
@@ -157,7 +165,7 @@ class LawDriver:
         """Return the decision of a law that may print, complete and in plain numbers."""
         stdout, sys.stdout = sys.stdout, sys.stderr
         try:
-            decision = self._law.step(time_ns, pose)
+            decision = self._call(time_ns, pose)
         finally:
             sys.stdout = stdout
         return complete_decision(decision, pose, self._goal, self._first_phase)

@@ -1,0 +1,149 @@
+"""`turtlelog run --watch`: runs again on every save, and says what changed."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import turtlelog as tl
+from turtlelog.cli.output import (
+    EXIT_FINE,
+    EXIT_INTERRUPTED,
+    flush_stdout,
+    format_table,
+    print_error,
+    print_note,
+)
+from turtlelog.errors import TurtlelogError, UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run, Scenario
+
+_POLL_S: Final = 0.1
+"""Between two looks at the files: a run begins before one has looked up from saving, and reading
+some kilobytes as often costs nothing that could be measured."""
+
+_Texts = Mapping[Path, tuple[int, bytes] | None]
+
+
+def find_scenario_file(scenario: str | None) -> Path | None:
+    """Return the scenario file that a word names, None where it names a preset or a recording."""
+    is_file = scenario is not None and scenario not in tl.PRESETS
+    path = Path(scenario) if is_file and scenario is not None else None
+    return path if path is not None and path.suffix.lower() == ".toml" else None
+
+
+def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
+    """Return the files that decide what a run does: the scenario's, and that of the law.
+
+    Raises:
+        UsageError: Where there is none, or one is not there.
+    """
+    place = (kind or "").rpartition(":")[0]
+    law_file = Path(place) if place.endswith(".py") else None
+    files = tuple(file for file in (scenario_file, law_file) if file is not None)
+    if not files:
+        raise UsageError(
+            "--watch: expected a law of the form path.py:Class, or a scenario file,"
+            f" found no file to watch: {f'the law {kind}' if kind else 'a preset'}"
+        )
+    for file in files:
+        if not file.is_file():
+            raise UsageError(f"{file}: expected a file to watch, found none")
+    return files
+
+
+def watch_runs(
+    files: Sequence[Path],
+    load: "Callable[[], tuple[Scenario, Sequence[Path]]]",
+    simulate: "Callable[[Scenario], Run]",
+    answer: "Callable[[Run, Run | None], int]",
+    *,
+    is_over: Callable[[], bool],
+) -> int:
+    """Run, and run again whenever a file is saved, until Ctrl-C; return the exit code.
+
+    An error of the law or the scenario is one line, and the next save is waited for.
+
+    Args:
+        files: What is watched until a scenario has been loaded.
+        load: Returns the scenario as it is now, and what is to be watched from then on.
+        simulate: Runs it.
+        answer: Prints a run beside the one before and returns an exit code; what is not 0 ends the
+            watch.
+        is_over: Whether nobody watches any more.
+    """
+    before: Run | None = None
+    told: Sequence[Path] = ()
+    try:
+        while True:
+            seen = _read_texts(files)
+            try:
+                scenario, files = load()
+                seen = {**_read_texts(files), **seen}
+                run = simulate(scenario)
+                code = answer(run, before)
+                if code != EXIT_FINE:
+                    return code
+                before = run
+            except (TurtlelogError, OSError) as err:
+                print_error(str(err))
+            flush_stdout()
+            if told != files:
+                names = ", ".join(map(str, files))
+                print_note(f"watching {names}: every save runs again, Ctrl-C ends")
+                told = files
+            saved = _wait_for_save(files, seen, is_over)
+            if saved is None:
+                return EXIT_FINE
+            print_note(f"saved: {saved}")
+    except KeyboardInterrupt:
+        print_note("watch ended")
+        return EXIT_INTERRUPTED
+
+
+def describe_change(run: "Run", before: "Run") -> str:
+    """Return the metrics of a run as a table, and beside those that changed what they were."""
+    names = [tl.measure.list_essential_metrics(one.declaration) for one in (run, before)]
+    only = [*dict.fromkeys([*names[0], *names[1]])]
+    measured = [tl.measure_run(one) for one in (run, before)]
+    kept = [{name: one[name] for name in only if name in one} for one in measured]
+    table = tl.compare.tabulate_measured(("now", "before"), kept)
+    rows = [(*row[:-1], "" if row[-1] == row[-2] else row[-1]) for row in table.rows]
+    if all(row[-1] == "" for row in rows):
+        return "No metric changed."
+    return format_table(replace(table, rows=tuple(rows)))
+
+
+def _wait_for_save(files: Sequence[Path], seen: _Texts, is_over: Callable[[], bool]) -> Path | None:
+    """Return the first file that was saved, once all of them have stayed for a while.
+
+    Editors write in several steps, or put a new file in the place of the old one: what has changed
+    since the last look may change again, and a file that is gone is not saved before it is back.
+    None where it is over.
+    """
+    last: _Texts = {}
+    while not is_over():
+        time.sleep(_POLL_S)
+        now = _read_texts(files)
+        saved = [file for file in files if now[file] not in (None, seen.get(file))]
+        if saved and now == last:
+            return saved[0]
+        last = now
+    return None
+
+
+def _read_texts(files: Sequence[Path]) -> _Texts:
+    """Return time and content of each file, None where it cannot be read.
+
+    The time tells of a save that changes nothing, the content of one within the same tick of a
+    file system's clock, which may be two seconds long.
+    """
+    found: dict[Path, tuple[int, bytes] | None] = {}
+    for file in files:
+        found[file] = None
+        with suppress(OSError):
+            found[file] = file.stat().st_mtime_ns, file.read_bytes()
+    return found
