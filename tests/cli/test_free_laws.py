@@ -163,9 +163,7 @@ def test_wrong_line_of_a_file_of_commands_is_named(call: Call, folder: Path) -> 
 
 
 def test_run_along_a_path_keeps_its_distance_from_it(call: Call, folder: Path) -> None:
-    text = (
-        '[law]\nkind = "kanayama"\n[path]\nkind = "line"\npoints = [[5.6, 5.6], [7.0, 5.6]]\n'
-    )
+    text = '[law]\nkind = "kanayama"\n[path]\nkind = "line"\npoints = [[5.6, 5.6], [7.0, 5.6]]\n'
     (folder / "path.toml").write_text(text, encoding="utf-8")
     out = call("run", "path.toml", "-o", "path.mcap").out
     assert "run.cross_track_max" in out

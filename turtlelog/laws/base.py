@@ -98,6 +98,8 @@ class Law(Protocol):
     - `mechanisms: tuple[Mechanism, ...]`: what it adds to the ideal loop; `explain` takes each out.
     - `counts_samples: tuple[str, ...]`: its parameters that count samples, which grow with a finer
       clock; otherwise `explain` leaves the clock as it is.
+    - `take_limits(self, speed_m_s, turn_rate_rad_s)`: told where the loop clips its commands, once,
+      before `reset`; inf where it does not. An integral that must not wind up needs them.
 
     Attributes:
         Parameters: A frozen dataclass whose fields are the keys of a scenario's `[law]` table
