@@ -208,8 +208,10 @@ def _find_other_law(run: Run) -> str | None:
     if kind != DEFAULT_LAW:
         return f"its law is {kind}: {told}"
     names = [loop.name for loop in run.declaration.loops]
-    if {*names} != {*PHASES}:
+    if not {*PHASES} <= {*names}:
         return f"its loops are {', '.join(names) or 'not recorded'}: {told}"
+    if len(names) > len(PHASES):
+        return f"its loops are {', '.join(names)}: {told} that rotates and translates"
     if any(loop.gain is None for loop in run.declaration.loops):
         return f"its gains are scheduled: {told} with constant gains"
     return None

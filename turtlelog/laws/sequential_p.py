@@ -131,6 +131,9 @@ class SequentialP:
             for field in fields(parameters)
             if field.name.startswith(("kp_", "ki_", "kd_"))
         }
+        if parameters.schedule is not None:
+            # In the place of the method: constant gains are not asked for a schedule each time.
+            self.step = self._step_scheduled  # type: ignore[method-assign]
         self._adds_terms = False
         self._goal = Goal(0.0, 0.0)
         self._goal_heading_rad = 0.0
@@ -158,25 +161,25 @@ class SequentialP:
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
         """Answer one pose."""
-        phase = self._phase
-        if phase is None:
-            self._phase = ROTATE
-            self._first_ns = time_ns
-            return self._decide_rotation(pose, turn_rate_rad_s=0.0)
-        if self._parameters.schedule is not None:
-            self._follow_schedule(self._parameters.schedule, pose)
-        if phase is TRANSLATE:
+        if self._phase is TRANSLATE:
             return self._translate(time_ns, pose)
-        if phase is ROTATE:
+        if self._phase is ROTATE:
             return self._rotate(time_ns, pose)
-        return self._reorient(time_ns, pose)
+        if self._phase is REORIENT:
+            return self._reorient(time_ns, pose)
+        self._phase = ROTATE
+        self._first_ns = time_ns
+        return self._decide_rotation(pose, turn_rate_rad_s=0.0)
 
-    def _follow_schedule(self, schedule: GainSchedule, pose: Pose) -> None:
+    def _step_scheduled(self, time_ns: int, pose: Pose) -> Decision:
+        """Answer one pose with the gains that the schedule has there."""
+        schedule: GainSchedule = self._parameters.schedule  # type: ignore[assignment]
         if schedule.over == DISTANCE:
             place = math.hypot(self._goal.x_m - pose.x_m, self._goal.y_m - pose.y_m)
         else:
             place = self._find_heading_error(pose)
         self._gains.update(schedule.compute_gains(place))
+        return type(self).step(self, time_ns, pose)
 
     def _find_heading_error(self, pose: Pose) -> float:
         """Return what the heading lacks of the goal bearing, or reorienting of the goal's own."""
@@ -257,10 +260,7 @@ class SequentialP:
             stop_reason = self._find_stop_reason(time_ns, speed_m_s, error_x_m, error_y_m)
         else:
             speed_m_s, stop_reason = 0.0, "within_tolerance"
-        ends_phase = stop_reason is not None and parameters.reorient and stop_reason != "timeout"
-        if ends_phase:
-            self._phase, stop_reason = REORIENT, None
-        return Decision(
+        decision = Decision(
             speed_m_s=speed_m_s,
             turn_rate_rad_s=0.0,
             phase=TRANSLATE,
@@ -270,9 +270,12 @@ class SequentialP:
             error_y_m=error_y_m,
             world_v_x_m_s=self._world_v_m_s[0],
             world_v_y_m_s=self._world_v_m_s[1],
-            ends_phase=ends_phase,
             stop_reason=stop_reason,
         )
+        if stop_reason is None or stop_reason == "timeout" or not parameters.reorient:
+            return decision
+        self._phase = REORIENT
+        return replace(decision, ends_phase=True, stop_reason=None)
 
     def _find_stop_reason(
         self, time_ns: int, speed_m_s: float, error_x_m: float, error_y_m: float
