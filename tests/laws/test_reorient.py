@@ -10,6 +10,7 @@ from turtlelog.errors import LawError
 from turtlelog.explain import identify_run
 from turtlelog.laws import Goal, Pose, SequentialP, SequentialPParameters
 from turtlelog.scenario import override_scenario
+from turtlelog.show.shared_curves import list_levels
 
 BOTH = pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid"])
 TICK_NS = 16_000_000
@@ -126,6 +127,15 @@ def test_integral_of_the_rotation_does_not_reach_the_reorientation() -> None:
     first = int(np.flatnonzero(run.samples.phase == run.phase_names.index("reorient"))[0])
     assert not run.samples.states[first].any()
     assert run.samples.states[first + 2 :, 1].any()
+
+
+@BOTH
+def test_goal_heading_is_drawn_on_the_turn_on_which_it_is_reached(kind: str) -> None:
+    # From 128 deg over the half turn to 303 deg, which is -57.
+    run = tl.simulate_run(build_reorienting(kind=kind, goal__heading_rad=-1.0))
+    levels = {level.label: level.value for level in list_levels(run, "heading")}
+    assert levels["goal heading"] == pytest.approx(360.0 - math.degrees(1.0))
+    assert levels["goal bearing"] == pytest.approx(128.5, abs=0.1)
 
 
 @BOTH

@@ -6,6 +6,7 @@ import pytest
 
 import turtlelog as tl
 from tests.laws.sequential_runs import build_run
+from turtlelog.compare.run_summary import summarise_run
 from turtlelog.errors import LawError, ScenarioError
 from turtlelog.explain import attribute_run, identify_run
 from turtlelog.laws import GainSchedule, PIDGainSchedule
@@ -128,6 +129,14 @@ def test_schedule_round_trips_through_texts_and_recordings(kind: str, tmp_path: 
     assert run.parameters["law.schedule.kp_linear"] == [4.0, 2.0, 1.0]
     assert "law.schedule.kp_angular" not in run.parameters
     assert tl.scenario.restore_scenario(again) == scenario
+
+
+def test_summary_holds_no_schedule_where_there_is_none_or_another_key_for_it() -> None:
+    for scenario in (build_scheduled(), build_run(kind="sequential-p")):
+        summary = summarise_run(tl.simulate_run(scenario))
+        assert "law.schedule" not in summary.parameters
+        assert None not in summary.parameters.values()
+        assert summary.parameters["law.reorient"] is False
 
 
 def test_schedule_and_reorient_are_absent_by_default() -> None:
