@@ -161,8 +161,8 @@ def test_scheduled_loop_declares_no_gain_and_the_other_keeps_its_own() -> None:
         ({"over": "speed"}, "schedule.over: expected distance or heading_error, found 'speed'"),
         ({"at": [0.0, 0.5, 0.5]}, "schedule.at: expected rising numbers, found 0.5 after 0.5"),
         ({"at": [0.0, 2.0, 1.0]}, "schedule.at: expected rising numbers, found 1 after 2"),
-        ({"at": [0.0, math.nan, 1.0]}, "schedule.at: expected a finite number, found nan"),
-        ({"at": [0.0, 1.0, math.inf]}, "schedule.at: expected a finite number, found inf"),
+        ({"at": [0.0, math.nan, 1.0]}, "schedule.at: expected finite numbers >= 0, found nan"),
+        ({"at": [0.0, 1.0, math.inf]}, "schedule.at: expected finite numbers >= 0, found inf"),
         ({"at": [-1.0, 1.0, 2.0]}, "schedule.at: expected finite numbers >= 0, found -1.0"),
         ({"at": [1.0]}, "schedule.at: expected 2 to 1000 entries, found 1"),
         ({"at": []}, "schedule.at: expected 2 to 1000 entries, found 0"),
@@ -176,7 +176,7 @@ def test_scheduled_loop_declares_no_gain_and_the_other_keeps_its_own() -> None:
         ({"kp_linear": [1, -1, 2]}, "schedule.kp_linear: expected finite numbers > 0, found -1.0"),
         (
             {"kp_angular": [1, math.nan, 2]},
-            "schedule.kp_angular: expected a finite number, found nan",
+            "schedule.kp_angular: expected finite numbers > 0, found nan",
         ),
         ({"ki_linear": [1, 2, 3]}, "schedule.ki_linear: expected kp_linear, found an unknown key"),
         ({"kp": 1}, "schedule.kp: expected kp_angular or kp_linear, found an unknown key"),
@@ -208,7 +208,9 @@ def test_schedule_that_lacks_a_part_is_named(lacking: str) -> None:
 
 
 def test_schedule_without_a_gain_is_refused() -> None:
-    with pytest.raises(LawError, match=r"law\.schedule: expected kp_angular or kp_linear, found"):
+    with pytest.raises(
+        LawError, match=r"\Aover: expected kp_angular or kp_linear beside it, found"
+    ):
         GainSchedule(over="distance", at=(0.0, 1.0))
     assert PIDGainSchedule(over="distance", at=(0, 1), kd_linear=(0, 1)).gains == ("kd_linear",)
 
@@ -221,9 +223,7 @@ def test_longest_and_shortest_schedule(entries: int) -> None:
 
 def test_longer_schedule_is_refused() -> None:
     at = tuple(map(float, range(1, MOST_ENTRIES + 2)))
-    with pytest.raises(
-        LawError, match=r"law\.schedule\.at: expected 2 to 1000 entries, found 1001"
-    ):
+    with pytest.raises(LawError, match=r"\Aat: expected 2 to 1000 entries, found 1001"):
         GainSchedule(over="distance", at=at, kp_linear=at)
 
 

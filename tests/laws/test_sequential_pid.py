@@ -42,7 +42,10 @@ def compare_with_p(scenario: tl.Scenario) -> None:
             assert column.tobytes() == getattr(same.samples, field.name).tobytes(), field.name
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+SEQUENTIAL = [name for name in PRESETS if tl.load_scenario(name).law.kind == "sequential-p"]
+
+
+@pytest.mark.parametrize("preset", SEQUENTIAL)
 def test_without_integral_and_derivative_it_is_sequential_p(preset: str) -> None:
     compare_with_p(tl.load_scenario(preset))
 

@@ -300,10 +300,9 @@ def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: st
         inner = _find_table(hints[key])
         if isinstance(value, Mapping) and inner is not None:
             _require_sound(value, inner, f"{place}.", source)
-        for number in value if isinstance(value, list | tuple) else (value,):
-            infinite = isinstance(number, float) and math.isinf(number) and key not in unlimited
-            if isinstance(number, float) and (math.isnan(number) or infinite):
-                raise ScenarioError(f"{source}: {place}: expected a finite number, found {number}")
+        infinite = isinstance(value, float) and math.isinf(value) and key not in unlimited
+        if isinstance(value, float) and (math.isnan(value) or infinite):
+            raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
 
 
 def _find_table(hint: Any) -> type | None:
