@@ -9,7 +9,7 @@ import pytest
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain
-from turtlelog.explain.identification import LAW_KEYS, LOOP_KEYS
+from turtlelog.explain.identification import ABSENT_KEYS, LAW_KEYS, LOOP_KEYS
 from turtlelog.explain.law_identification import (
     PHASES,
     bound_position_tolerance,
@@ -323,7 +323,8 @@ def test_what_a_drive_leaves_is_noise_up_to_a_whiteness_of_a_half(
 
 def test_every_parameter_of_the_law_is_known_to_its_identification() -> None:
     # `exact` says that no other value reproduces the commands: with another parameter one might.
-    told = [key for key in (*LAW_KEYS, *LOOP_KEYS, *RULE_KEYS) if key.startswith("law.")]
+    keys = (*LAW_KEYS, *LOOP_KEYS, *RULE_KEYS, *ABSENT_KEYS)
+    told = [key for key in keys if key.startswith("law.")]
     assert sorted(told) == sorted(f"law.{field.name}" for field in fields(SequentialPParameters))
 
 

@@ -23,6 +23,10 @@ SQUARE = {
 }
 VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     "sequential-p": ({}, {"law": {"pause_ticks": 33, "projection": "bearing", "kp_linear": 10.0}}),
+    "sequential-pid": (
+        {"law": {"ki_linear": 0.5, "kd_angular": 0.1, "derivative_filter_s": 0.05}},
+        {"law": {"ki_angular": 1.0, "kd_linear": 0.2, "anti_windup": "back-calculation"}},
+    ),
     "pure-pursuit": ({"path": SQUARE}, {"path": {**SQUARE, "speed_m_s": 0.4}}),
     "kanayama": ({"path": SQUARE}, {"path": {**SQUARE, "speed_m_s": 0.4}}),
     "posture": ({"goal": {"heading_rad": 1.5}}, {}),

@@ -7,7 +7,7 @@ import pytest
 from turtlelog.errors import LawError
 from turtlelog.expressions import parse_expression
 from turtlelog.expressions.tokens import KEYWORDS
-from turtlelog.laws import LAWS, SequentialP, declare_law, find_law
+from turtlelog.laws import LAWS, SequentialP, SequentialPID, declare_law, find_law
 from turtlelog.loops import ControlLoop, Declaration
 
 LAW_TEXT = """
@@ -45,7 +45,8 @@ def match_whole(text: str) -> str:
 
 def test_built_in_law_is_found_by_its_kind() -> None:
     assert find_law("sequential-p") is SequentialP
-    kinds = ["sequential-p", "posture", "pure-pursuit", "kanayama", "open-loop"]
+    assert find_law("sequential-pid") is SequentialPID
+    kinds = ["sequential-p", "sequential-pid", "posture", "pure-pursuit", "kanayama", "open-loop"]
     assert list(LAWS) == kinds
 
 

@@ -147,7 +147,11 @@ def write_parameters(folder: Path, body: str) -> str:
             {"x": {"a": "b"}},
             "law.x[...]: expected float, found str",
         ),
-        ("x: Part | None = None", {"x": {"turns": 2}}, "law.x: object missing required field side"),
+        (
+            "x: Part | None = None",
+            {"x": {"turns": 2}},
+            "law.x.side: expected a number, found none",
+        ),
         ("x: 'Nowhere' = None", {}, "law: NameError: name 'Nowhere' is not defined"),
         ("x: complex = 1j", {}, "law.x: expected a number, .*, found 1j"),
         ("x: Any = (1, {2})", {}, "law.x: expected a number, .*, found \\{2\\}"),

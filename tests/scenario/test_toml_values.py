@@ -19,7 +19,8 @@ KEYS = "kp_angular, kp_linear, heading_tolerance_rad, position_tolerance_m,"
         (
             "law.q = 1",
             f"law.q: expected {KEYS} projection, wrap_error, pause_ticks, timeout_s,"
-            " settled_within_m, settled_for_s, standstill_samples or standstill_below,"
+            " settled_within_m, settled_for_s, standstill_samples, standstill_below,"
+            " reorient or schedule,"
             " found an unknown key",
         ),
     ],

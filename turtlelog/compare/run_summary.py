@@ -108,7 +108,7 @@ def complete_parameters(run: Run) -> Mapping[str, Parameter]:
         f"{table}.{found.name}": found.default
         for table, values in (("start", Start), ("law", LAWS[str(kind)].Parameters))
         for found in fields(values)
-        if found.metadata.keys() & ABSENT_BY_DEFAULT.keys()
+        if found.metadata.keys() & ABSENT_BY_DEFAULT.keys() and found.default is not None
     }
     absent = {key: value for key, value in defaults.items() if key not in run.parameters}
     return {**run.parameters, **absent}

@@ -103,7 +103,12 @@ LAW_KEYS: Final = (
     "law.wrap_error",
 )
 """What the commands of sequential-p tell. Its other parameters are `law.pause_ticks`, which a
-simulation tells, and `RULE_KEYS` of the rules that end a run."""
+simulation tells, `RULE_KEYS` of the rules that end a run, and `ABSENT_KEYS`."""
+
+ABSENT_KEYS: Final = ("law.reorient", "law.schedule")
+"""Parameters of sequential-p that an identified run is without: where its declaration shows one,
+nothing is identified of the law. A log that declares nothing shows them by a third phase, or by
+commands that no constant gain explains."""
 
 LOOP_KEYS: Final = (
     "loop.start_backlog",

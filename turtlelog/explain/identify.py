@@ -202,14 +202,18 @@ def _withhold_law(
 
 
 def _find_other_law(run: Run) -> str | None:
-    """Return why the law is not sequential-p, by its name or by its loops."""
+    """Return why the law is not sequential-p with constant gains, by its name or by its loops."""
     kind = run.parameters.get("law.kind", DEFAULT_LAW)
     told = f"parameters are identified from commands only for {DEFAULT_LAW}"
     if kind != DEFAULT_LAW:
         return f"its law is {kind}: {told}"
-    if not all(run.declaration.find_loop(name) for name in PHASES):
-        names = [loop.name for loop in run.declaration.loops]
+    names = [loop.name for loop in run.declaration.loops]
+    if not {*PHASES} <= {*names}:
         return f"its loops are {', '.join(names) or 'not recorded'}: {told}"
+    if len(names) > len(PHASES):
+        return f"its loops are {', '.join(names)}: {told} that rotates and translates"
+    if any(loop.gain is None for loop in run.declaration.loops):
+        return f"its gains are scheduled: {told} with constant gains"
     return None
 
 

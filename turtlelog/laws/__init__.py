@@ -12,17 +12,23 @@ from turtlelog.laws.loading import (
     print_to_stderr,
     require_law_name,
 )
+from turtlelog.laws.schedule import GainSchedule, PIDGainSchedule
 from turtlelog.laws.sequential_p import SequentialP, SequentialPParameters
+from turtlelog.laws.sequential_pid import SequentialPID, SequentialPIDParameters
 
 __all__ = [
     "ABSENT_BY_DEFAULT",
     "LAWS",
     "MAY_BE_INFINITE",
     "Decision",
+    "GainSchedule",
     "Goal",
     "Law",
+    "PIDGainSchedule",
     "Pose",
     "SequentialP",
+    "SequentialPID",
+    "SequentialPIDParameters",
     "SequentialPParameters",
     "declare_law",
     "describe_law_error",

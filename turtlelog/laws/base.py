@@ -101,6 +101,8 @@ class Law(Protocol):
     - `list_unused(cls, parameters) -> tuple[str, ...]`, a class method: tables and keys of a
       scenario that it does not use with these parameters, as in `("path", "goal.heading_rad")`;
       `run` prints a note where one of them is set. Otherwise there is no note.
+    - `take_limits(self, speed_m_s, turn_rate_rad_s)`: told where the loop clips its commands, once,
+      before `reset`; inf where it does not. An integral that must not wind up needs them.
 
     Attributes:
         Parameters: A frozen dataclass whose fields are the keys of a scenario's `[law]` table

@@ -22,6 +22,7 @@ from turtlelog.laws.open_loop import OpenLoop
 from turtlelog.laws.posture import Posture
 from turtlelog.laws.pure_pursuit import PurePursuit
 from turtlelog.laws.sequential_p import SequentialP
+from turtlelog.laws.sequential_pid import SequentialPID
 from turtlelog.loops import Declaration, Mechanism
 from turtlelog.paths import Path as TrackedPath
 
@@ -34,6 +35,7 @@ LAWS: Final[Mapping[str, type[Law]]] = NamedValues(
     "law",
     {
         "sequential-p": SequentialP,
+        "sequential-pid": SequentialPID,
         "posture": Posture,
         "pure-pursuit": PurePursuit,
         "kanayama": Kanayama,
@@ -80,6 +82,8 @@ def declare_law(
     except KeyboardInterrupt:
         raise
     except BaseException as err:
+        if isinstance(err, LawError) and law in LAWS.values():
+            raise  # It names the key that is wrong.
         raise LawError(f"{law.__name__}.declare: {describe_law_error(err, law)}") from err
     if not isinstance(declared, Declaration):
         found = type(declared).__name__
@@ -236,6 +240,9 @@ def _require_law(law: Any, kind: str) -> None:
         raise LawError(f"{kind}: expected another name of a parameter than {taken}")
     _require_call(law.reset, ("self", "start", "goal", "path"), f"{kind}: reset")
     _require_call(law.step, ("self", "time_ns", "pose"), f"{kind}: step")
+    if hasattr(law, "take_limits"):
+        names = ("self", "speed_m_s", "turn_rate_rad_s")
+        _require_call(law.take_limits, names, f"{kind}: take_limits")
 
 
 def _require_call(method: object, names: tuple[str, ...], place: str) -> None:

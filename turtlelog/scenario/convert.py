@@ -1,5 +1,6 @@
 """Nested tables to scenarios and back; the one place that judges keys and values."""
 
+import copy
 import dataclasses
 import math
 import re
@@ -122,8 +123,7 @@ def _build_parameters(table: LawTable, law: type[Law]) -> Any:
             _require_sound(table.values, kind, "law.", source)
             parameters = _convert(table.values, kind, "law.", source)
             if law not in LAWS.values():
-                written = _drop_none(_drop_absent(dataclasses.asdict(parameters), parameters))
-                written = _write_value(written, f"{source}: law")
+                written = _write_value(_nest_values(parameters), f"{source}: law")
                 _require_sound(written, kind, "law.", source)
                 _convert(written, kind, "law.", source)
     except (ScenarioError, KeyboardInterrupt):
@@ -154,30 +154,35 @@ def flatten_scenario(scenario: Scenario) -> dict[str, Parameter]:
 
 def nest_scenario(scenario: Scenario) -> dict[str, Any]:
     """Return the scenario as the nested tables of its file."""
-    tables = dataclasses.asdict(scenario)
+    tables: dict[str, Any] = _nest_values(dataclasses.replace(scenario, law=LawChoice()))
     parameters = scenario.law.parameters
-    own = tables["law"]["parameters"]
-    own = own["values"] if isinstance(parameters, LawTable) else _drop_absent(own, parameters)
-    tables["law"] = {"kind": scenario.law.kind, **own}
-    for name in ("start", "goal", "limits", "loop"):
-        tables[name] = _drop_absent(tables[name], getattr(scenario, name))
-    if scenario.path is None:
-        del tables["path"]
-    elif scenario.path.points is not None:
-        # As a file gives them back.
-        tables["path"]["points"] = [list(point) for point in scenario.path.points]
-    return {key: _drop_none(value) for key, value in tables.items()}
+    is_table = isinstance(parameters, LawTable)
+    own = copy.deepcopy(dict(parameters.values)) if is_table else _nest_values(parameters)
+    tables["law"] = {"kind": scenario.law.kind, **_drop_none(own)}
+    return tables
 
 
-def _drop_absent(table: dict[str, Any], values: Any) -> dict[str, Any]:
-    """Return a table without the keys that stay out of a file while they have their defaults."""
-    absent = {
-        field.name
-        for field in dataclasses.fields(values)
-        if field.metadata.keys() & ABSENT_BY_DEFAULT.keys()
-        and getattr(values, field.name) == field.default
+def _nest_values(value: Any) -> Any:
+    """Return a value as a file has it: dataclasses as tables, tuples as lists.
+
+    Without what is None, and without keys that stay out of a file while they have their defaults.
+    """
+    if isinstance(value, tuple | list):
+        return [_nest_values(entry) for entry in value]
+    if isinstance(value, Mapping):
+        return {key: _nest_values(entry) for key, entry in value.items()}
+    if not dataclasses.is_dataclass(value):
+        return copy.deepcopy(value)
+    values = {field: getattr(value, field.name) for field in dataclasses.fields(value)}
+    return {
+        field.name: _nest_values(found)
+        for field, found in values.items()
+        if not (found is None or _is_absent(field, found))
     }
-    return {key: value for key, value in table.items() if key not in absent}
+
+
+def _is_absent(field: dataclasses.Field[Any], value: Any) -> bool:
+    return bool(field.metadata.keys() & ABSENT_BY_DEFAULT.keys()) and value == field.default
 
 
 def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
@@ -292,18 +297,21 @@ def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: st
         place = f"{prefix}{name_key(key)}"
         if key not in hints:
             raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(hints))}")
-        below = _find_table(hints[key])
-        if isinstance(value, Mapping) and below is not None:
-            _require_sound(value, below, f"{place}.", source)
+        inner = _find_table(hints[key])
+        if isinstance(value, Mapping) and inner is not None:
+            _require_sound(value, inner, f"{place}.", source)
         infinite = isinstance(value, float) and math.isinf(value) and key not in unlimited
         if isinstance(value, float) and (math.isnan(value) or infinite):
             raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
 
 
-def _find_table(hint: Any) -> Any:
-    """Return the dataclass of a key that holds a table, also where the table may be absent."""
-    kinds = [hint, *get_args(hint)]
-    return next((kind for kind in kinds if dataclasses.is_dataclass(kind)), None)
+def _find_table(hint: Any) -> type | None:
+    """Return the dataclass that a type asks for, by itself or as an optional one."""
+    if dataclasses.is_dataclass(hint):
+        return hint if isinstance(hint, type) else None
+    kinds = [found for kind in get_args(hint) if (found := _find_table(kind)) is not None]
+    is_optional = type(None) in get_args(hint) and len(get_args(hint)) == len(kinds) + 1
+    return kinds[0] if is_optional and len(kinds) == 1 else None
 
 
 def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str) -> Any:
@@ -337,5 +345,5 @@ def _find_value(table: Any, kind: Any, keys: list[str]) -> tuple[Any, Any]:
     """Return what should stand at a place of nested tables, and what does."""
     for key in keys:
         table = table.get(key) if isinstance(table, Mapping) else None
-        kind = get_type_hints(kind, include_extras=True)[key]
+        kind = get_type_hints(_find_table(kind) or kind, include_extras=True)[key]
     return kind, table

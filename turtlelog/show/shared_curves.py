@@ -171,7 +171,7 @@ def list_levels(run: Run, signal: str) -> list[Level]:
         goal = run.goal_xy_m
         return [] if goal is None else [Level(label="goal", value=goal["xy".index(signal)])]
     levels = [
-        Level(label=REFERENCE_WORDS[loop.reference], value=value)
+        Level(label=REFERENCE_WORDS[loop.reference], value=_count_turns(run, loop, value))
         for loop in list_loops(run, signal)
         if not loop.moves and isinstance(value := read_reference(run, loop), float)
     ]
@@ -183,6 +183,16 @@ def list_levels(run: Run, signal: str) -> list[Level]:
     if signal == "heading":
         levels = [replace(level, value=float(np.degrees(level.value))) for level in levels]
     return list(dict.fromkeys(levels))
+
+
+def _count_turns(run: Run, loop: ControlLoop, reference: float) -> float:
+    """Return a goal's heading with the full turns of the robot that its loop has turned to it."""
+    stretch, signal = find_first_stretch(run, loop), read_signal(run, "heading")
+    if loop.reference != "goal_heading" or signal is None or not stretch:
+        return reference
+    row = int(np.searchsorted(signal.time_ns, stretch[-1].end_ns))
+    last = float(signal.values[min(row, len(signal.values) - 1)])
+    return reference + round((last - reference) / (2.0 * np.pi)) * 2.0 * np.pi
 
 
 def find_limits(runs: Sequence[Run], command: Command) -> list[float]:

@@ -159,6 +159,9 @@ class LawDriver:
 
     def _reset(self, pose: Pose) -> None:
         with print_to_stderr():
+            take_limits = getattr(self._law, "take_limits", None)
+            if take_limits is not None:
+                take_limits(*self._limits)
             self._law.reset(pose, self._goal, self._path)
 
     def _step_of_others(self, time_ns: int, pose: Pose) -> Decision:

@@ -1,0 +1,125 @@
+"""Gains as a table over the distance to the goal, or over the heading error."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Final, Literal
+
+from turtlelog.errors import ParameterError
+
+DISTANCE: Final = "distance"
+
+MOST_ENTRIES: Final = 1000
+"""Every recording and scenario text carries the table: 1,000 entries are one for each 16 mm of the
+longest way in turtlesim's world, and 10 KB of text for each gain."""
+
+_POSITIVE: Final = ("kp_angular", "kp_linear")
+"""Gains that are above 0, as the constant ones are; the others may be 0."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainSchedule:
+    """Gains of the sequential laws that change on the way. One that is left out is constant.
+
+    Between entries a gain is linear; before the first and beyond the last it is held.
+
+    Attributes:
+        over: What the gains hang on: the `distance` from the pose to the goal [m], or the magnitude
+            of the `heading_error` [rad].
+        at: Where the values stand, rising, from 0 [m or rad].
+        kp_angular: Gain of the heading loops at each of them, > 0 [1/s].
+        kp_linear: Gain of the position loop at each of them, > 0 [1/s].
+
+    Raises:
+        ParameterError: One line with the key, what was expected and what was found.
+    """
+
+    over: Literal["distance", "heading_error"]
+    at: tuple[float, ...]
+    kp_angular: tuple[float, ...] | None = None
+    kp_linear: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.over not in {DISTANCE, "heading_error"}:
+            _refuse("over", "distance or heading_error", self.over)
+        for name in ("at", *self.gains):
+            object.__setattr__(self, name, _read_numbers(name, getattr(self, name)))
+        self._require_places()
+        for name in self.gains:
+            if len(getattr(self, name)) != len(self.at):
+                entries = f"{len(self.at)} entries, one for each of at"
+                _refuse(name, entries, len(getattr(self, name)))
+        if not self.gains:
+            known = " or ".join(_list_gains(self))
+            raise ParameterError(f"over: expected {known} beside it, found no gain")
+
+    def _require_places(self) -> None:
+        if not 2 <= len(self.at) <= MOST_ENTRIES:
+            _refuse("at", f"2 to {MOST_ENTRIES} entries", len(self.at))
+        for low, high in zip(self.at[:-1], self.at[1:], strict=True):
+            if not low < high:
+                _refuse("at", "rising numbers", f"{high:g} after {low:g}")
+
+    @property
+    def gains(self) -> tuple[str, ...]:
+        """Names of the gains that are scheduled."""
+        return tuple(name for name in _list_gains(self) if getattr(self, name) is not None)
+
+    def compute_gains(self, place: float) -> Iterator[tuple[str, float]]:
+        """Yield the gains by name at a distance [m] or heading error [rad], whatever its sign."""
+        place, at = abs(place), self.at
+        after = bisect_right(at, place)
+        for name in self.gains:
+            yield name, _interpolate(at, getattr(self, name), place, after)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PIDGainSchedule(GainSchedule):
+    """Gains of `sequential-pid` that change on the way. One that is left out is constant.
+
+    Attributes:
+        ki_angular: Integral gain of the heading loops at each entry of `at`, >= 0 [1/s^2].
+        kd_angular: Derivative gain of the heading loops, >= 0 [1].
+        ki_linear: Integral gain of the position loop, >= 0 [1/s^2].
+        kd_linear: Derivative gain of the position loop, >= 0 [1].
+    """
+
+    ki_angular: tuple[float, ...] | None = None
+    kd_angular: tuple[float, ...] | None = None
+    ki_linear: tuple[float, ...] | None = None
+    kd_linear: tuple[float, ...] | None = None
+
+
+def _interpolate(at: Sequence[float], values: Sequence[float], place: float, after: int) -> float:
+    """Return the value at a place; `after` is the first entry beyond it."""
+    if after == 0 or after == len(at):
+        return values[min(after, len(at) - 1)]
+    before = after - 1
+    share = (place - at[before]) / (at[after] - at[before])
+    return values[before] + share * (values[after] - values[before])
+
+
+def _list_gains(schedule: GainSchedule) -> list[str]:
+    return [field.name for field in fields(schedule) if field.name not in {"over", "at"}]
+
+
+def _read_numbers(name: str, values: Any) -> tuple[float, ...]:
+    """Return numbers as floats; refuse those that are no magnitude, and gains of 0 where 0 is none.
+
+    Places and gains are at least 0, proportional gains above.
+    """
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        _refuse(name, "a list of numbers", values)
+    least = "> 0" if name in _POSITIVE else ">= 0"
+    for value in values:
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not (is_number and math.isfinite(value) and value >= 0):
+            _refuse(name, f"finite numbers {least}", value)
+        if value == 0 and name in _POSITIVE:
+            _refuse(name, f"finite numbers {least}", value)
+    return tuple(map(float, values))
+
+
+def _refuse(name: str, expected: str, found: object) -> None:
+    raise ParameterError(f"{name}: expected {expected}, found {found!s:.60}")
