@@ -87,7 +87,7 @@ def test_path_without_a_speed_has_no_error_along_it() -> None:
     run = track(LINE)
     metric = tl.measure_run(run, only=["along.rms_error"])["along.rms_error"]
     assert (metric.status, metric.value) == (Status.ABSENT, None)
-    assert metric.reason == "the reference path of along_track is not known"
+    assert metric.reason == "the path has no speed, which would say where the robot should be when"
 
 
 def test_corner_overshoot_counts_the_outer_side_alone(square: tl.Run) -> None:

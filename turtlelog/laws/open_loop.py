@@ -172,6 +172,12 @@ class OpenLoop:
         phases = (_WAIT, _EXCITE) if begins_s > 0.0 else (_EXCITE,)
         return Declaration(phases=dict.fromkeys(phases, ()), uses_goal=False)
 
+    @classmethod
+    def list_unused(cls, parameters: OpenLoopParameters) -> tuple[str, ...]:
+        """Return the path."""
+        del parameters
+        return ("path",)
+
     def __init__(self, parameters: OpenLoopParameters) -> None:
         """Take the parameters."""
         values = parameters.complete()

@@ -108,6 +108,12 @@ class Posture:
         del parameters, goal, path
         return DECLARATION
 
+    @classmethod
+    def list_unused(cls, parameters: PostureParameters) -> tuple[str, ...]:
+        """Return the path."""
+        del parameters
+        return ("path",)
+
     def __init__(self, parameters: PostureParameters) -> None:
         """Take the parameters."""
         self._parameters = parameters

@@ -126,8 +126,7 @@ class SequentialP:
     @classmethod
     def list_unused(cls, parameters: SequentialPParameters) -> tuple[str, ...]:
         """Return the path, and the goal's heading where it does not turn to it at the end."""
-        turns_to_it = getattr(parameters, "reorient", False)
-        return ("path",) if turns_to_it else ("path", "goal.heading_rad")
+        return ("path",) if parameters.reorient else ("path", "goal.heading_rad")
 
     def __init__(self, parameters: SequentialPParameters) -> None:
         """Take the parameters."""

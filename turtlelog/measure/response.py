@@ -124,8 +124,7 @@ def find_response(
     controlled = _read_controlled(run, loop, signal)
     wanted = read_reference(run, loop)
     if controlled is None or wanted is None:
-        reason = f"the reference {loop.reference} of {loop.signal} is not known"
-        return Missing(status=Status.ABSENT, reason=reason)
+        return Missing(status=Status.ABSENT, reason=_describe_unknown(run, loop))
     start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
     first = int(np.searchsorted(run.poses.time_ns, start_ns, side="left"))
     inside = slice(first, int(np.searchsorted(run.poses.time_ns, end_ns, side="right")))
@@ -176,6 +175,13 @@ def describe_no_phase(run: Run, loop: ControlLoop) -> str:
     """Return why a loop does not act in a run."""
     phases = run.declaration.list_phases(loop.name)
     return f"the run has no phase {' or '.join(phases) or loop.name}"
+
+
+def _describe_unknown(run: Run, loop: ControlLoop) -> str:
+    """Return why the reference of a loop, or what it controls, is not known."""
+    if loop.reference == "path" and run.path is not None and run.path.speed_m_s is None:
+        return "the path has no speed, which would say where the robot should be when"
+    return f"the reference {loop.reference} of {loop.signal} is not known"
 
 
 def _read_controlled(run: Run, loop: ControlLoop, signal: Signal | None) -> Values | None:

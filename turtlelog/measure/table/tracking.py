@@ -1,8 +1,10 @@
 """Metrics of loops whose reference moves: how late they are, how far they run past corners."""
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.context import RunContext
@@ -65,35 +67,47 @@ def find_shift(time_s: Values, reference: Values, signal: Values) -> float:
     coarse = time_s[every], reference[every], signal[every]
     most_s = float(time_s[-1] - time_s[0]) / 2.0
     shifts_s = np.linspace(-most_s, most_s, len(coarse[0]) | 1)
-    best = int(np.argmin([_compute_misfit(*coarse, float(shift_s)) for shift_s in shifts_s]))
+    rows = [_find_rows(coarse[0], shift_s, shift_s) for shift_s in shifts_s]
+    misfits = [
+        _compute_misfit(*coarse, of_one, shift_s)
+        for of_one, shift_s in zip(rows, shifts_s, strict=True)
+    ]
+    best = int(np.argmin(misfits))
     low_s, high_s = shifts_s[max(best - 1, 0)], shifts_s[min(best + 1, len(shifts_s) - 1)]
-    return _find_least(time_s, reference, signal, (float(low_s), float(high_s)))
+    # The same rows for every shift: what comes and goes with them would be a step of the misfit.
+    compared = _find_rows(time_s, low_s, high_s)
+    return _find_least(
+        lambda shift_s: _compute_misfit(time_s, reference, signal, compared, shift_s), low_s, high_s
+    )
 
 
-def _find_least(
-    time_s: Values, reference: Values, signal: Values, interval_s: tuple[float, float]
-) -> float:
-    """Return the shift of the least misfit in an interval, by golden section [s]."""
+def _find_least(compute: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a function with one minimum in an interval has it, by golden section."""
     golden = (5.0**0.5 - 1.0) / 2.0
-    low_s, high_s = interval_s
-    inner_s = [high_s - golden * (high_s - low_s), low_s + golden * (high_s - low_s)]
-    misfits = [_compute_misfit(time_s, reference, signal, shift_s) for shift_s in inner_s]
+    inner = [high - golden * (high - low), low + golden * (high - low)]
+    values = [compute(at) for at in inner]
     for _ in range(_FINE_STEPS):
-        if misfits[0] <= misfits[1]:
-            high_s = inner_s[1]
-            inner_s = [high_s - golden * (high_s - low_s), inner_s[0]]
-            misfits = [_compute_misfit(time_s, reference, signal, inner_s[0]), misfits[0]]
+        if values[0] <= values[1]:
+            high = inner[1]
+            inner = [high - golden * (high - low), inner[0]]
+            values = [compute(inner[0]), values[0]]
         else:
-            low_s = inner_s[0]
-            inner_s = [inner_s[1], low_s + golden * (high_s - low_s)]
-            misfits = [misfits[1], _compute_misfit(time_s, reference, signal, inner_s[1])]
-    return (low_s + high_s) / 2.0
+            low = inner[0]
+            inner = [inner[1], low + golden * (high - low)]
+            values = [values[1], compute(inner[1])]
+    return (low + high) / 2.0
 
 
-def _compute_misfit(time_s: Values, reference: Values, signal: Values, shift_s: float) -> float:
-    """Return the mean square of the signal minus the shifted reference, where both are known."""
-    first_s, last_s = time_s[0] + max(shift_s, 0.0), time_s[-1] + min(shift_s, 0.0)
-    rows = (time_s >= first_s) & (time_s <= last_s)
+def _find_rows(time_s: Values, low_s: float, high_s: float) -> NDArray[np.bool_]:
+    """Return the rows at which the reference is known whatever the shift between two [s]."""
+    first_s, last_s = time_s[0] + max(high_s, 0.0), time_s[-1] + min(low_s, 0.0)
+    return np.asarray((time_s >= first_s) & (time_s <= last_s))
+
+
+def _compute_misfit(
+    time_s: Values, reference: Values, signal: Values, rows: NDArray[np.bool_], shift_s: float
+) -> float:
+    """Return the mean square of the signal minus the shifted reference."""
     fitted = np.interp(time_s[rows] - shift_s, time_s, reference)
     return float(np.mean((signal[rows] - fitted) ** 2))
 
