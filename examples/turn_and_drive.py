@@ -1,6 +1,6 @@
 """A law of your own: turn and drive at once. Run it with
 
-turtlelog run textbook --set law.kind=examples/turn_and_drive.py:TurnAndDrive
+turtlelog run --law examples/turn_and_drive.py:TurnAndDrive
 """
 
 import math

@@ -248,6 +248,21 @@ def test_a_scenario_file_is_watched_with_the_law_that_it_names(law: Path, tmp_pa
 
 
 @signals
+def test_what_is_to_be_known_before_a_run_is_told_each_time(tmp_path: Path) -> None:
+    scenario = tmp_path / "mine.toml"
+    text = tl.format_scenario(tl.load_scenario("paper-kp10"))
+    scenario.write_text(text, encoding="utf-8")
+    with start(tmp_path, "mine.toml", "--kp", "40") as watch:
+        watch.wait_for("watching mine.toml:")
+        told = [line for line in watch.err.splitlines() if "40" in line]
+        assert told
+        scenario.write_text(text + "\n", encoding="utf-8")
+        watch.wait_for("No metric changed.")
+        assert watch.interrupt() == 130
+    assert [line for line in watch.err.splitlines() if "40" in line] == told * 2
+
+
+@signals
 def test_a_law_without_end_is_ended_by_its_budget_and_the_watch_goes_on(
     law: Path, tmp_path: Path
 ) -> None:

@@ -24,7 +24,7 @@ Command = Callable[..., str]
 
 def find_blocks(language: str) -> list[object]:
     return [
-        pytest.param(match[1], id=f"{page.stem}-{number}")
+        pytest.param(match[1], find_files(page), id=f"{page.stem}-{number}")
         for page in PAGES
         for number, match in enumerate(
             re.finditer(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
@@ -32,19 +32,26 @@ def find_blocks(language: str) -> list[object]:
     ]
 
 
+def find_files(page: Path) -> dict[str, str]:
+    """Return the files that the Python blocks of a page name first."""
+    text = page.read_text("utf-8")
+    return dict(re.findall(r"^```python\n# (\w+\.py)\n(.*?)^```$", text, re.M | re.S))
+
+
+def write_files(files: dict[str, str], folder: Path) -> None:
+    for name, text in files.items():
+        (folder / name).write_text(f"# {name}\n{text}", encoding="utf-8")
+
+
 def find_consoles() -> list[object]:
-    """Return the commands of each page, and the files that its Python blocks name first."""
+    """Return the commands of each page, and its files."""
     texts = {page: page.read_text("utf-8") for page in PAGES}
     blocks = {
         page: re.findall(r"^```console\n(.*?)^```$", text, re.M | re.S)
         for page, text in texts.items()
     }
-    files = {
-        page: dict(re.findall(r"^```python\n# (\w+\.py)\n(.*?)^```$", text, re.M | re.S))
-        for page, text in texts.items()
-    }
     return [
-        pytest.param("".join(found), files[page], page, id=page.stem)
+        pytest.param("".join(found), find_files(page), page, id=page.stem)
         for page, found in blocks.items()
         if found
     ]
@@ -64,8 +71,9 @@ def run_python(*words: str, folder: Path) -> str:
     return done.stdout if done.returncode == 0 else done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("code", find_blocks("python"))
-def test_python_blocks_run_as_they_stand(code: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("code", "files"), find_blocks("python"))
+def test_python_blocks_run_as_they_stand(code: str, files: dict[str, str], tmp_path: Path) -> None:
+    write_files(files, tmp_path)
     printed = run_python("-W", "error", "-c", code, folder=tmp_path)
     promised = re.findall(r"print\(.*\)  # (.*)$", code, re.M)
     lines = printed.splitlines()
@@ -104,8 +112,7 @@ def test_console_blocks_print_what_they_show(
         return run_python("-m", "turtlelog", *words, folder=tmp_path)
 
     run_command = run_apart if page == COMMANDS else run_here
-    for name, text in files.items():
-        (tmp_path / name).write_text(f"# {name}\n{text}", encoding="utf-8")
+    write_files(files, tmp_path)
     for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
         assert shown.strip() != "...", f"{command}: expected some of its output, found none"
         printed = run_command(*shlex.split(command))
@@ -115,6 +122,12 @@ def test_console_blocks_print_what_they_show(
         ).replace(re.escape("..."), ".*")
         assert re.fullmatch(pattern, printed), printed
         assert ("turtlelog: error: " in shown) == ("turtlelog: error: " in printed)
+
+
+def test_the_test_of_a_law_of_ones_own_passes(tmp_path: Path) -> None:
+    write_files(find_files(ROOT / "docs" / "own-law.md"), tmp_path)
+    options = ("-m", "pytest", "-p", "turtlelog.pytest_plugin", "test_my_law.py")
+    assert " 1 passed" in run_python(*options, folder=tmp_path)
 
 
 @pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)

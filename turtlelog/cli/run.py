@@ -134,10 +134,7 @@ def run(
     _require_sound(scenario, record, live, json=json)
     if live.watch:
         return _watch(scenario, options or LawOptions(), record, live)
-    chosen = load_changed_scenario(scenario, options)
-    chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
-    for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(options)):
-        print_note(note)
+    chosen = _resolve(load_changed_scenario(scenario, options), options, record)
     with _open_viewer(live) as (window, url):
         result = _run(chosen, record, live, url)
         code = _answer(result, record, is_recorded=live.realtime, json=json)
@@ -185,6 +182,14 @@ def _require_sound(
         raise UsageError("--watch: expected tables, as there are many runs, found --json")
 
 
+def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptions) -> "Scenario":
+    """Return a scenario with its law's parameters, and print what is to be known before it runs."""
+    chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
+    for note in tl.simulate.list_scenario_notes(chosen, given=list_given_keys(options)):
+        print_note(note)
+    return chosen
+
+
 def _watch(
     scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
 ) -> int:
@@ -200,19 +205,15 @@ def _watch(
     with _open_viewer(live) as (window, url):
 
         def simulate(chosen: "Scenario") -> "Run":
-            chosen = tl.scenario.resolve_scenario(chosen, trust_law=record.trust_law)
-            return _run(chosen, record, live, url)
+            return _run(_resolve(chosen, options, record), record, live, url)
 
         def answer(result: "Run", before: "Run | None") -> int:
             return _answer(result, record, before=before)
 
-        return watch_runs(
-            files,
-            load,
-            simulate,
-            answer,
-            is_over=lambda: window is not None and window.has_ended,
-        )
+        def is_over() -> bool:
+            return window is not None and window.has_ended
+
+        return watch_runs(files, load, simulate, answer, is_over=is_over)
 
 
 def _answer(
