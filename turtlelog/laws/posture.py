@@ -70,7 +70,7 @@ class PostureParameters:
         gamma: Gain of the distance [1/s].
         k: Gain of the angle between heading and goal [1/s].
         h: Weight of the angle between the way to the goal and the goal's heading.
-        position_tolerance_m: The goal's position is reached at no larger a distance [m].
+        position_tolerance_m: The position is reached when neither error coordinate is larger [m].
         heading_tolerance_rad: Its heading is reached with no larger an error [rad].
         timeout_s: The run ends this long after the first sample [s]; inf: never.
     """
@@ -146,7 +146,7 @@ class Posture:
         turn_rad = wrap_angle(self._arrival_rad - pose.heading_rad)
         lyapunov = 0.5 * (rho * rho + alpha * alpha + rules.h * phi * phi)
         speed_m_s, stop_reason = 0.0, None
-        if rho > rules.position_tolerance_m:
+        if max(abs(error_x_m), abs(error_y_m)) > rules.position_tolerance_m:
             self._phase = _DRIVE
             speed_m_s = rules.gamma * math.cos(alpha) * rho
             turn_rate_rad_s = self._compute_turn_rate(alpha, phi)
