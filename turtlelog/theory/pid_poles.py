@@ -1,9 +1,9 @@
 """The poles of a sampled PID loop on an integrator: the roots of z^d A(z) + B(z), found together.
 
 Aberth's method (O. Aberth, "Iteration methods for finding all zeros of a polynomial
-simultaneously", Mathematics of Computation 27 (1973) 339-344) needs the polynomial's value and slope
-only, and these come from A and B: 1000 poles take a third of a second, where the eigenvalues of a
-companion matrix take many.
+simultaneously", Mathematics of Computation 27 (1973) 339-344) needs the polynomial's value and its
+slope only, and these come from A and B: 1000 poles take a third of a second, where the eigenvalues
+of a companion matrix take many.
 """
 
 import math
