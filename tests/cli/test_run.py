@@ -5,6 +5,7 @@ import pytest
 import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.sequential import METRICS
+from tests.simulate.pid_law import KIND as PID_KIND
 
 
 def test_run_prints_metrics_and_writes_nothing_unasked(
@@ -190,3 +191,39 @@ def test_kp_that_is_no_whole_number_is_refused_for_such_a_gain(
     refused = call("run", write_counted(tmp_path), "--kp", kp, "-o", tmp_path / "a.mcap")
     assert (refused.code, refused.out) == (2, "")
     assert f"--kp: law.steps: expected a whole number, found {found}\n" in refused.err
+
+
+def test_run_notes_a_gain_above_theorys_limit_and_changes_nothing_else(
+    call: Call, tmp_path: Path
+) -> None:
+    answer = call("run", "textbook", "--set", "law.kp_angular=125.1", "--json")
+    assert answer.code == 0
+    assert answer.err == (
+        "rotate: law.kp_angular = 125.1 is above 125 1/s, where theory's loop with a period of"
+        " 16 ms and no dead time becomes unstable; clipping only bounds how far it swings\n"
+    )
+    assert answer.json["name"] == "textbook law.kp_angular=125.1"
+    assert call("run", "textbook", "--set", "law.kp_angular=125").err == ""
+
+
+def test_a_live_run_has_the_same_notes_once(call: Call) -> None:
+    words = ("--set", "law.kp_linear=150", "--set", "max_duration_s=0.1")
+    notes = [call("run", "textbook", *words, *live).err for live in ((), ("--realtime",))]
+    assert notes[0] == notes[1]
+    assert notes[0].count("translate: law.kp_linear = 150 is above 125 1/s") == 1
+
+
+def test_run_notes_a_goal_heading_that_its_law_does_not_use(call: Call) -> None:
+    answer = call("run", "textbook", "--set", "goal.heading_rad=1.0")
+    assert (answer.code, answer.err) == (0, "law sequential-p does not use goal.heading_rad\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "is_noted"),
+    [((), False), (("--goal", "2,10"), True), (("--set", "goal.y_m=10"), True)],
+)
+def test_a_goal_that_is_given_gets_a_note_even_where_it_is_the_default(
+    call: Call, words: tuple[str, ...], *, is_noted: bool
+) -> None:
+    answer = call("run", "textbook", "--set", f"law.kind={PID_KIND}", *words)
+    assert answer.err == (f"law {PID_KIND} does not use [goal]\n" if is_noted else "")

@@ -367,3 +367,14 @@ def test_a_window_that_is_closed_ends_the_watch(
         user.join()
     assert (answer.code, "error" in answer.err) == (0, False)
     assert answer.out.count(" samples. The run ended: done.") == 2
+
+
+@signals
+def test_each_run_of_a_watch_has_the_notes_on_its_scenario(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("[law]\nkp_angular = 150.0\n", encoding="utf-8")
+    with start(tmp_path, "mine.toml", "--set", "max_duration_s=0.5") as watch:
+        watch.wait_for("rotate: law.kp_angular = 150 is above 125 1/s", "final.position_error")
+        path.write_text("[law]\nkp_angular = 140.0\n", encoding="utf-8")
+        watch.wait_for("rotate: law.kp_angular = 140 is above 125 1/s")
+        assert watch.interrupt() == 130

@@ -1,5 +1,6 @@
 import math
 from dataclasses import FrozenInstanceError
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -278,3 +279,9 @@ def test_reset_forgets_the_held_velocity() -> None:
     assert law.step(0, Pose(4.0, 7.0, BEARING_RAD)).world_v_x_m_s == -2.0
     reset_and_translate(law, 0)
     assert law.step(0, Pose(GOAL.x_m, GOAL.y_m, BEARING_RAD)).world_v_x_m_s == 0.0
+
+
+def test_it_does_not_use_the_goal_heading_unless_it_turns_to_it_at_the_end() -> None:
+    assert SequentialP.list_unused(SequentialPParameters()) == ("path", "goal.heading_rad")
+    turning: Any = SimpleNamespace(reorient=True)
+    assert SequentialP.list_unused(turning) == ("path",)

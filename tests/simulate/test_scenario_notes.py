@@ -239,6 +239,25 @@ def test_a_goal_heading_that_the_sequential_law_ignores_gets_a_note() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("law", "unused"),
+    [
+        ("sequential-p", "[path]"),
+        ("posture", "[path]"),
+        ("open-loop", "[goal] and [path]"),
+        ("pure-pursuit", "[goal]"),
+        ("kanayama", "[goal]"),
+    ],
+)
+def test_of_path_and_goal_what_a_built_in_law_does_not_use_gets_a_note(
+    law: str, unused: str
+) -> None:
+    points = [[5.5, 5.5], [7.0, 5.5]]
+    values = {"law.kind": law, "path.kind": "waypoints", "path.points": points, "goal.x_m": 3.0}
+    scenario = tl.override_scenario(tl.load_scenario("textbook"), values)
+    assert list_scenario_notes(scenario) == (f"law {law} does not use {unused}",)
+
+
 def test_a_goal_gets_a_note_of_a_law_without_one_where_the_user_set_it() -> None:
     note = (f"law {KIND} does not use [goal]",)
     assert list_scenario_notes(build()) == ()

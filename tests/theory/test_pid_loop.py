@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 
+import turtlelog as tl
 from turtlelog.errors import TheoryError
 from turtlelog.theory import (
     PidGains,
@@ -226,3 +227,25 @@ def test_period_dead_time_and_count_are_judged_as_elsewhere() -> None:
         find_stable_gains(PI, period_s=TICK_S, dead_time_ticks=1001)
     with pytest.raises(TheoryError, match=r"^count: expected a whole number from 1"):
         compute_pid_step_response(PI, 0, period_s=TICK_S)
+
+
+@pytest.mark.parametrize("gains", ALL)
+def test_the_law_sequential_pid_responds_as_theory_says(gains: PidGains) -> None:
+    values = {
+        "law.kind": "sequential-pid",
+        "law.kp_angular": gains.kp,
+        "law.ki_angular": gains.ki,
+        "law.kd_angular": gains.kd,
+        "law.derivative_filter_s": gains.filter_s,
+        "law.heading_tolerance_rad": 1e-9,
+        "limits.turn_rate_rad_s": float("inf"),
+        "loop.transport_delay_ticks": 3,
+        "loop.pose_precision": "float64",
+        "max_duration_s": 2.0,
+    }
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), values))
+    error = run.samples.heading_error_rad
+    assert error is not None
+    # The first sample, whose command is 0, only computes the bearing.
+    response = compute_pid_step_response(gains, 100, period_s=TICK_S, dead_time_ticks=3)
+    assert error[1:101] / error[1] == pytest.approx(1.0 - response, abs=1e-7)

@@ -33,6 +33,7 @@ from turtlelog.theory.inputs import (
     require_not_negative,
     require_period,
 )
+from turtlelog.theory.pid_poles import expand_polynomial, find_poles
 from turtlelog.theory.pid_stability import LoopShape, find_stable_intervals, is_stable
 from turtlelog.theory.sampled_loop import (
     LARGEST_DEVIATION,
@@ -44,18 +45,11 @@ from turtlelog.theory.sampled_loop import (
 _SMALLEST_LOOP_GAIN: Final = 1e-9
 _LARGEST_LOOP_GAIN: Final = 1e9
 """Of Kp T, Ki T^2 and Kd T / (Tf + T), beside an integral or a derivative: their squares and
-fourth powers keep their digits. A loop without dead time is unstable from 4 on already."""
+fourth powers keep their digits. No stable loop comes near the upper end."""
 
 _LONGEST: Final = 500_000
 """In samples, of the response that overshoot and settling time are read from: about 0.2 s of
 computing, and 2.2 h at turtlesim's tick of 16 ms."""
-
-_MOST_ROUNDS: Final = 300
-_SMALLEST_STEP: Final = 1e-15
-"""Of a root's magnitude: it moves by its last digit only."""
-
-_ON_AXIS: Final = 1e-12
-"""Imaginary part of a root, as a share of its magnitude, that is rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +122,7 @@ def analyse_pid_loop(gains: PidGains, *, period_s: float, dead_time_ticks: int =
     Args:
         gains: Of the controller.
         period_s: Sampling period T [s].
-        dead_time_ticks: d [samples], 0 to 1000; several hundred take a second or two.
+        dead_time_ticks: d [samples], 0 to 1000; with 1000 it takes about half a second.
 
     Raises:
         TheoryError: Where a number is not finite or outside its range.
@@ -163,11 +157,7 @@ def compute_pid_polynomial(
     Raises:
         TheoryError: Where a number is not finite or outside its range.
     """
-    shape = _build_shape(gains, period_s, dead_time_ticks)
-    poles, zeros = _expand(shape)
-    found: NDArray[np.float64] = np.concatenate((poles, np.zeros(shape.delay)))
-    found[-3:] += zeros[-len(found) :]
-    return found
+    return expand_polynomial(_build_shape(gains, period_s, dead_time_ticks))
 
 
 def compute_pid_poles(
@@ -183,9 +173,7 @@ def compute_pid_poles(
     """
     if gains.is_proportional:
         return compute_sampled_poles(gains.kp, period_s=period_s, dead_time_ticks=dead_time_ticks)
-    shape = _build_shape(gains, period_s, dead_time_ticks)
-    found = _solve_quadratic(shape) if shape.degree == 2 else _find_roots(shape)
-    return found[np.lexsort((-found.imag, -np.abs(found).round(12)))]
+    return find_poles(_build_shape(gains, period_s, dead_time_ticks))
 
 
 def is_pid_stable(gains: PidGains, *, period_s: float, dead_time_ticks: int = 0) -> bool:
@@ -315,74 +303,6 @@ def _require_loop_gain(name: str, value: float, *, lowest: float) -> None:
     if not lowest <= value <= _LARGEST_LOOP_GAIN:
         expected = f"a loop gain from {lowest:g} to {_LARGEST_LOOP_GAIN:g}"
         raise TheoryError(f"{name}: expected {expected}, found {value!r}")
-
-
-def _expand(shape: LoopShape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return A and B of z^d A + B, highest power of z first."""
-    c0, c1, c2 = shape.numerator
-    poles = np.array([1.0, -1.0]) if shape.integrators == 1 else np.array([1.0, -2.0, 1.0])
-    if shape.a is not None:
-        poles = np.polymul(poles, [1.0, -shape.a])
-    return poles, np.array([c2, c1 - 2.0 * c2, c2 - c1 + c0])
-
-
-def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the poles of PI or PD without dead time: exact where two meet, in s = z - 1."""
-    c0, c1, _ = shape.numerator
-    half = 0.5 * (c1 + (0.0 if shape.a is None else 1.0 - shape.a))
-    root = np.sqrt(complex(half * half - c0))
-    far = -half - (root if root.real >= 0.0 else -root)
-    near = c0 / far if root.imag == 0.0 else far.conjugate()
-    return np.array([1.0 + far, 1.0 + near], dtype=np.complex128)
-
-
-def _find_roots(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the roots by Aberth's method: Newton's steps, the other roots divided out.
-
-    It begins on a circle, turned a little so that no two of them mirror each other, and needs some
-    10 to 40 rounds where all roots are single, more where some crowd.
-    """
-    angles = 2.0 * math.pi * (np.arange(shape.degree) + 0.37) / shape.degree
-    roots = 0.98 * np.exp(1j * angles)
-    distances = np.empty((shape.degree, shape.degree), dtype=np.complex128)
-    for _ in range(_MOST_ROUNDS):
-        np.subtract(roots[:, None], roots, out=distances)
-        distances[distances == 0.0] = np.inf
-        with np.errstate(all="ignore"):  # at a root itself the slope has no bound: no step
-            others = np.divide(1.0, distances, out=distances).sum(axis=1)
-            step = 1.0 / (_compute_log_slope(roots, shape) - others)
-        step[~np.isfinite(step)] = 0.0
-        roots = roots - step
-        if (np.abs(step) <= _SMALLEST_STEP * np.abs(roots)).all():
-            break
-    return _mirror(roots)
-
-
-def _mirror(roots: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the roots of a real polynomial as exact pairs, and those of the real axis on it."""
-    is_real = np.abs(roots.imag) < _ON_AXIS * np.abs(roots)
-    upper = roots[~is_real & (roots.imag > 0.0)]
-    if 2 * len(upper) + is_real.sum() != len(roots):  # two that meet, on one side of the axis
-        return roots
-    return np.concatenate((roots[is_real].real, upper, upper.conj()))
-
-
-def _compute_log_slope(z: NDArray[np.complex128], shape: LoopShape) -> NDArray[np.complex128]:
-    """Return P' / P of the characteristic polynomial, computed where z^d does not overflow.
-
-    In powers of z - 1, as slow poles crowd there.
-    """
-    s, d, (c0, c1, c2) = z - 1.0, shape.delay, shape.numerator
-    poles, slope = s**shape.integrators, shape.integrators / s
-    if shape.a is not None:
-        poles, slope = poles * (z - shape.a), slope + 1.0 / (z - shape.a)
-    zeros, zeros_slope = c0 + s * (c1 + s * c2), c1 + 2.0 * c2 * s
-    inside = np.abs(z) <= 1.0
-    power = np.where(inside, z, 1.0 / z) ** d
-    within = (power * poles * (slope + d / z) + zeros_slope) / (power * poles + zeros)
-    beyond = (poles * (slope + d / z) + power * zeros_slope) / (poles + power * zeros)
-    found: NDArray[np.complex128] = np.where(inside, within, beyond)
-    return found
 
 
 def _measure_step(
