@@ -36,6 +36,13 @@ def test_headings_all_around_are_reached(kind: str, heading_rad: float) -> None:
     assert run.samples.speed_m_s[run.samples.phase == run.phase_names.index("reorient")].any() == 0
 
 
+def test_goal_heading_beyond_the_half_turn_is_reached_without_wrapping_too() -> None:
+    # 6 rad is no heading of a pose: an error that is not wrapped would never be less than 2.8 rad.
+    run = tl.simulate_run(build_reorienting(goal__heading_rad=6.0, wrap_error=False))
+    assert run.stop_reason == "within_tolerance"
+    assert run.poses.heading_rad[-1] == pytest.approx(6.0 - math.tau, abs=0.0011)
+
+
 def test_loop_and_phase_are_declared_only_where_it_reorients() -> None:
     declared = tl.simulate.declare_scenario(build_reorienting())
     assert [*declared.phases] == ["rotate", "pause", "translate", "reorient"]

@@ -236,5 +236,7 @@ def test_nothing_is_identified_of_a_scheduled_law_and_its_scenario_still_explain
     told = [key for key, finding in found.findings.items() if finding.value is not None]
     assert not [key for key in told if key.startswith("law.")]
     assert found.is_recorded
+    if kind == "sequential-p":
+        assert found.notes[0].startswith("its gains are scheduled: ")
     attribution = attribute_run(run, metric="final.position_error", identified=found)
     assert attribution.as_built == attribution.as_logged is not None
