@@ -120,8 +120,8 @@ def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float 
     if loop.signal == "distance":
         return 0.0
     if loop.signal == "heading":
-        return _hold_reference(run, heading_rad)
-    held_xy_m = None if line is None else _hold_reference(run, xy_m)
+        return hold_reference(run, heading_rad)
+    held_xy_m = None if line is None else hold_reference(run, xy_m)
     if held_xy_m is None or line is None:
         return None
     return project_on_line(held_xy_m, line, along=loop.signal == "along_track")
@@ -129,13 +129,13 @@ def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float 
 
 def _read_path(run: Run, loop: ControlLoop) -> Values | None:
     """Return what the path asks for at every pose; an arc length only where time belongs to it."""
-    path, held_xy_m = run.path, _hold_reference(run, run.samples.reference_xy_m)
+    path, held_xy_m = run.path, hold_reference(run, run.samples.reference_xy_m)
     if path is None:
         return None
     if loop.signal == "cross_track":
         return np.zeros(len(run.poses))
     if loop.signal == "heading":
-        return _hold_reference(run, run.samples.reference_heading_rad)
+        return hold_reference(run, run.samples.reference_heading_rad)
     if path.speed_m_s is None or held_xy_m is None:
         return None
     return _trace(run, path, "reference", held_xy_m)[0]
@@ -153,7 +153,7 @@ def _find_first_arc(run: Run, path: Path) -> float:
     return path.find_nearest(x_m, y_m, 0.0, path.length_m).arc_m
 
 
-def _hold_reference(run: Run, column: Values | None) -> Values | None:
+def hold_reference(run: Run, column: Values | None) -> Values | None:
     """Return the part of the recorded reference pose that holds at each pose, None without one."""
     if column is None:
         return None
@@ -163,7 +163,7 @@ def _hold_reference(run: Run, column: Values | None) -> Values | None:
 
 def read_controlled_distance(run: Run) -> Values | None:
     """Return the distance of every pose to the recorded reference pose [m]."""
-    held_xy_m = _hold_reference(run, run.samples.reference_xy_m)
+    held_xy_m = hold_reference(run, run.samples.reference_xy_m)
     if held_xy_m is None:
         return None
     away_m = held_xy_m - run.poses.xy_m

@@ -54,6 +54,9 @@ GROUND: Final[Color] = (13, 13, 13)
 REFERENCE: Final[Color] = (150, 150, 150)
 """Goal bearing, goal position, limits, world border, what a law asks for where that moves."""
 
+TRACKED: Final[Color] = (95, 95, 95)
+"""A path that laws track: a broad line, dark enough for the driven way to be seen on it."""
+
 GOAL: Final[Color] = (255, 255, 255)
 
 START: Final[Color] = (190, 190, 190)

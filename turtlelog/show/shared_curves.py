@@ -214,7 +214,7 @@ def list_aims(run: Run, signal: str) -> list[Curve]:
     Recorded references are those of the samples; headings are near those of the robot, which are
     counted through full turns.
     """
-    found = [_read_recorded(run, signal)]
+    found = [_read_recorded(run, signal), _read_arcs(run) if signal == "along_track" else None]
     if any(loop.reference == "bearing_now" for loop in list_loops(run, signal)):
         found.append(_read_bearings(run))
     return [aim for aim in found if aim is not None and np.isfinite(aim.values).any()]
@@ -329,6 +329,16 @@ def _read_recorded(run: Run, signal: str) -> Curve | None:
     return Curve(
         start_ns=run.start_ns, time_ns=samples.time_ns, values=values, holds=True, label=REFERENCE
     )
+
+
+def _read_arcs(run: Run) -> Curve | None:
+    """Return the arc length of the path at which the robot should be at every pose, by time."""
+    loops = [loop for loop in list_loops(run, "along_track") if loop.reference == "path"]
+    values = read_reference(run, loops[0]) if loops else None
+    if not isinstance(values, np.ndarray):
+        return None
+    time_ns = run.poses.time_ns
+    return Curve(start_ns=run.start_ns, time_ns=time_ns, values=values, holds=True, label=REFERENCE)
 
 
 def _read_bearings(run: Run) -> Curve | None:

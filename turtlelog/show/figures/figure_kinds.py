@@ -3,8 +3,6 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
-from types import MappingProxyType
 from typing import Final
 
 from matplotlib.figure import Figure
@@ -17,25 +15,32 @@ from turtlelog.show.figures.figure_curves import (
     draw_plant_responses,
     draw_root_locus,
     draw_step_responses,
-    find_gains,
 )
+from turtlelog.show.figures.needs import GOAL, SAMPLES, find_lack_of_gain, find_lacks, has_states
 from turtlelog.show.figures.page import label_runs
 from turtlelog.show.figures.panels import (
     Draw,
+    draw_along_error,
     draw_columns,
     draw_command,
     draw_error_magnitude,
     draw_plane,
     draw_signal,
     draw_stack,
+    draw_states,
+    draw_track,
     draw_wanted,
 )
 from turtlelog.show.shared_curves import (
     Command,
     list_loops,
-    read_applied,
-    read_command,
     read_curve,
+)
+from turtlelog.show.state_groups import are_comparable, group_states
+from turtlelog.show.tracked_path import (
+    ON_PATH_M,
+    find_worst_place,
+    list_paths,
 )
 
 DrawFigure = Callable[[Figure, Sequence[Run]], None]
@@ -46,63 +51,13 @@ _MOST_NAMED: Final = 3
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 
-_SAMPLES: Final = "the controller's samples"
-_GOAL: Final = "a goal"
+_DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
 _LOOPS: Final[Mapping[str, str]] = {
     "heading": "a loop of the heading",
     "along_track": "a loop along the track",
     "distance": "a loop of the distance",
 }
 """What a panel is of, by the signal that is controlled."""
-
-
-def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
-    """Say whether there is something to draw: among several runs that is what was commanded."""
-    found = read_command(run, command) or (read_applied(run, command) if is_alone else None)
-    return "" if found else f"{command.replace('_', ' ')} commands"
-
-
-def _lack(words: str, *, is_held: bool) -> str:
-    return "" if is_held else words
-
-
-def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
-    """Say what is missing of what rests on samples, without which there is nothing."""
-    return _lack(words, is_held=is_held) if len(run.samples) else _SAMPLES
-
-
-def _lack_gain(runs: Sequence[Run]) -> str:
-    """Say what theory lacks: python-control, which computes it, or a gain."""
-    if find_spec("control") is None:
-        return "python-control"
-    if find_gains(runs):
-        return ""
-    loops = [loop for run in runs for loop in run.declaration.loops]
-    has_others = any(loop.gain and not loop.is_proportional for loop in loops)
-    return "a proportional loop" if has_others else "the law's gain"
-
-
-_LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
-    {
-        "gain": lambda run, _: _lack_gain([run]),
-        "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
-        "goal": lambda run, _: _lack(_GOAL, is_held=run.goal_xy_m is not None),
-        "heading_error": lambda run, _: _lack_samples(
-            run, "a heading to aim at", is_held=read_curve(run, "heading_error") is not None
-        ),
-        "track": lambda run, _: _lack_samples(run, _GOAL, is_held=run.goal_line is not None),
-        "world_velocity": lambda run, _: _lack_samples(
-            run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
-        ),
-        "speed": lambda run, a: _lack_command(run, "speed", is_alone=a),
-        "turn_rate": lambda run, a: _lack_command(run, "turn_rate", is_alone=a),
-        "wanted": lambda run, _: _lack(
-            "what the law wanted before clipping",
-            is_held=len(run.samples) > 0 and run.samples.wanted_speed_m_s is not None,
-        ),
-    }
-)
-"""What a panel may need: from a run, which may be alone, to what it lacks, empty where nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +87,8 @@ class Panel:
 
     def _is_of(self, run: Run) -> bool:
         is_unknown = self.is_usual and not run.declaration.loops
-        return is_unknown or bool(list_loops(run, self.loop))
+        follows = self.loop == "heading" and run.path is not None
+        return is_unknown or follows or bool(list_loops(run, self.loop))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,6 +102,8 @@ class FigureKind:
         needs: What at least one run must hold; each panel has needs of its own where there are any.
         draw: Draws it for some runs, where it has no panels.
         panels: Those that no run has anything for are left out.
+        list_more: More panels, that depend on what the laws of runs declare.
+        is_usual: Whether it is missed where no run has anything for it.
         arrange: Puts panels where they stand.
     """
 
@@ -155,22 +113,27 @@ class FigureKind:
     needs: str = "poses"
     draw: DrawFigure | None = None
     panels: tuple[Panel, ...] = ()
+    list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()
+    is_usual: bool = True
     arrange: Arrange = draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return what is missing to draw it, None where nothing is; theory needs no runs."""
         if not runs:
-            return (_lack_gain(()) or None) if self.needs == "gain" else "a recording"
-        if not self.panels:
+            return (find_lack_of_gain(()) or None) if self.needs == "gain" else "a recording"
+        if self.draw is not None:
             lacks = find_lacks(runs, self.needs)
             return lacks[0] if all(lacks) else None
         if self.choose_panels(runs):
             return None
-        return self.panels[0].find_lacks(runs)[0]
+        return (
+            self.panels[0].find_lacks(runs)[0] if self.is_usual else find_lacks(runs, self.needs)[0]
+        )
 
     def choose_panels(self, runs: Sequence[Run]) -> tuple[Panel, ...]:
         """Return the panels that a run has something for."""
-        return tuple(panel for panel in self.panels if not all(panel.find_lacks(runs)))
+        found = tuple(panel for panel in self.panels if not all(panel.find_lacks(runs)))
+        return (*found, *self.list_more(runs))
 
     def find_height(self, runs: Sequence[Run]) -> float:
         """Return its height over its width: fewer panels need less."""
@@ -186,11 +149,6 @@ class FigureKind:
 
     def __repr__(self) -> str:
         return f"<FigureKind: {self.title}>"
-
-
-def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
-    """Return what each run lacks of what a figure needs, empty where nothing."""
-    return tuple(_LACKS[need](run, len(runs) == 1) for run in runs)
 
 
 def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
@@ -210,10 +168,13 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
                 left_out.setdefault((words, lacking), []).append(part)
     lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
     if names is None and not has_table1(runs):
-        needed = _GOAL if any(len(run.samples) for run in runs) else _SAMPLES
+        needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
         lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
-    if "plane" in shown and find_close_up(runs) is None:
-        lines.append(f"left out plane (how each run ends): expected {_ARRIVAL}, found none")
+    if "plane" in shown and find_close_up(runs) is None and find_worst_place(runs) is None:
+        part, expected = ("how each run ends", _ARRIVAL)
+        if list_paths(runs):
+            part, expected = ("furthest off the path", _DEPARTURE)
+        lines.append(f"left out plane ({part}): expected {expected}, found none")
     return tuple(lines)
 
 
@@ -225,9 +186,13 @@ def has_table1(runs: Sequence[Run]) -> bool:
 def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
     """Return a figure, or its panels where they need different things, and what each run lacks."""
     kind = FIGURES[name]
-    if not kind.panels:
+    if kind.draw is not None:
         return [(name, find_lacks(runs, kind.needs))]
     chosen = kind.choose_panels(runs)
+    if not kind.is_usual and not chosen:
+        return []
+    if not kind.panels:
+        return [(name, find_lacks(runs, kind.needs))]
     parts = [panel for panel in kind.panels if panel.is_usual or panel in chosen]
     if not chosen or len({(panel.needs, panel.loop) for panel in parts}) == 1:
         return [(name, parts[0].find_lacks(runs))]
@@ -258,6 +223,23 @@ def _magnitude(signal: str, label: str, needs: str, loop: str = "") -> Panel:
 def _command(command: Command, label: str) -> Panel:
     draw = partial(draw_command, command=command, label=label)
     return Panel(name=label, needs=command, draw=draw)
+
+
+def _list_state_panels(runs: Sequence[Run]) -> tuple[Panel, ...]:
+    """Return a panel for each state, of one run for those that belong together."""
+    found = [run for run in runs if has_states(run)]
+    panels = []
+    for group in group_states(*(run.declaration for run in found)):
+        names: list[tuple[str, ...]] = [(name,) for name in group.names]
+        if len(runs) == 1:
+            curves = [read_curve(runs[0], name) for name in group.names]
+            columns = [curve.values for curve in curves if curve is not None]
+            names = [group.names] if are_comparable(columns) else names
+        for shown in names:
+            label = shown[0] if len(shown) == 1 else group.title.lower()
+            draw = partial(draw_states, names=shown, label=label)
+            panels.append(Panel(name=label, needs="states", draw=draw, is_usual=False))
+    return tuple(panels)
 
 
 FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
@@ -346,6 +328,25 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             ),
             height=0.95,
         ),
+        "path-error": FigureKind(
+            title="Errors along the path, behind its reference, and across it",
+            paper="",
+            panels=(
+                Panel(name="along", needs="along_error", draw=draw_along_error, is_usual=False),
+                _signal("cross_track", "cross-track [m]", "path", is_usual=False),
+            ),
+            height=0.32,
+            needs="path",
+            is_usual=False,
+        ),
+        "states": FigureKind(
+            title="States of the law",
+            paper="",
+            list_more=lambda runs: _list_state_panels(runs),
+            height=0.32,
+            needs="states",
+            is_usual=False,
+        ),
         "plane": FigureKind(
             title="Paths in the plane, and how each run ends",
             paper="17",
@@ -358,13 +359,14 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             paper="",
             panels=(
                 _signal("heading", "heading [deg]", "poses", "heading"),
-                _signal("along_track", "along-track [m]", "track", "along_track"),
+                Panel(name="along track", needs="track", draw=draw_track, loop="along_track"),
                 _signal("distance", "distance [m]", "goal", "distance", is_usual=False),
                 _magnitude("heading_error", "|heading error| [deg]", "heading_error", "heading"),
                 _signal("cross_track", "cross-track [m]", "track"),
                 _command("turn_rate", "turn rate"),
                 _command("speed", "speed"),
             ),
+            list_more=lambda runs: _list_state_panels(runs) if len(runs) == 1 else (),
             arrange=draw_columns,
             height=0.85,
         ),

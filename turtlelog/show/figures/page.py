@@ -72,7 +72,8 @@ AIM: Final[Mapping[str, Any]] = MappingProxyType(
 _MOST_LETTERS: Final = 28
 _NAMES: Final = frozenset(
     {
-        *("goal", "goal bearing", "goal heading", "zero", "ideal", "limit", "start", "tolerance"),
+        *("goal", "goal bearing", "goal heading", "zero", "ideal", "limit", "path", "start"),
+        "tolerance",
         *(AIMED, BEARING_NOW),
     }
 )

@@ -31,9 +31,15 @@ from turtlelog.show.figures.figure_curves import (
     draw_thinned,
 )
 from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
+from turtlelog.show.figures.tracking_panels import (
+    draw_tracked_paths,
+    draw_ways_to_reference,
+    draw_worst_place,
+)
 from turtlelog.show.shared_curves import (
     REFERENCE as AIMED,
     Command,
+    Curve,
     find_limits,
     find_parameters,
     list_aims,
@@ -41,6 +47,15 @@ from turtlelog.show.shared_curves import (
     read_applied,
     read_command,
     read_curve,
+)
+from turtlelog.show.tracked_path import (
+    WorstPlace,
+    find_worst_place,
+    has_own_way,
+    label_worst_place,
+    list_paths,
+    outline_path,
+    read_along_error,
 )
 
 Values = NDArray[np.float64]
@@ -64,12 +79,41 @@ Draw = Callable[[Axes, Sequence[Run]], None]
 def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
     """Draw one signal of every run, with what it aims at and the ideal response where known."""
     _draw_targets(axes, runs, signal)
+    _draw_aims(axes, runs, signal)
     for run, looks in _style_runs(runs):
         for ideal in compute_ideals(run, signal):
             draw_curve(axes, ideal, **{**looks, **IDEAL})
-        for aim in list_aims(run, signal):
-            draw_curve(axes, aim, **{**looks, **AIM, "label": aim.label})
         if (curve := read_curve(run, signal)) is not None:
+            draw_curve(axes, curve, **looks)
+    _finish(axes, runs, label)
+
+
+def draw_track(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draw how far runs came along the track; where all follow a reference, the error instead."""
+    if all(read_along_error(run) is not None for run in runs):
+        draw_along_error(axes, runs)
+    else:
+        draw_signal(axes, runs, signal="along_track", label="along-track [m]")
+
+
+def draw_along_error(axes: Axes, runs: Sequence[Run]) -> None:
+    """Draw how far every run is behind its reference along the track."""
+    draw_level(axes, [0.0], **REFERENCE, label=None)
+    for run, looks in _style_runs(runs):
+        if (curve := read_along_error(run)) is not None:
+            draw_curve(axes, curve, **looks)
+    _finish(axes, runs, "along-track error [m]")
+
+
+def draw_states(axes: Axes, runs: Sequence[Run], *, names: Sequence[str], label: str) -> None:
+    """Draw states of a law: one of every run, or several of one run."""
+    draw_level(axes, [0.0], color="0.8", linewidth=0.5)
+    styled = _style_runs(runs)
+    if len(names) > 1:
+        lines = choose_lines(len(names))
+        styled = [(runs[0], {**lines[i], "label": name}) for i, name in enumerate(names)]
+    for (run, looks), name in zip(styled, [*names] * len(styled), strict=False):
+        if name in run.declaration.states and (curve := read_curve(run, name)) is not None:
             draw_curve(axes, curve, **looks)
     _finish(axes, runs, label)
 
@@ -149,16 +193,32 @@ def draw_columns(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) ->
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the paths from start to goal, and beside them, where runs arrive, how each ends."""
     close_up = find_close_up(runs)
-    grid = figure.subplots(1, 1 if close_up is None else 2, squeeze=False)[0]
+    worst = find_worst_place(runs) if close_up is None else None
+    grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     _draw_paths(grid[0], runs)
     points = np.concatenate(
-        [*(run.poses.xy_m for run in runs), _list_goals(runs), *_list_aims(runs)]
+        [
+            *(run.poses.xy_m for run in runs),
+            _list_goals(runs),
+            *_list_aims(runs),
+            *map(outline_path, list_paths(runs)),
+        ]
     )
     _show_square(grid[0], points.min(axis=0), points.max(axis=0), 0.08)
     grid[0].set(title="whole paths")
     if close_up is not None:
         _draw_paths(grid[1], runs)
         _close_up(grid[1], runs, close_up, _measure_letters(figure))
+    if worst is not None:
+        _draw_paths(grid[1], runs)
+        _show_worst(grid[1], runs, worst, _measure_letters(figure))
+
+
+def _are_alike(one: Curve, other: Curve) -> bool:
+    """Whether two references are the same: of runs that track one path by time."""
+    return np.array_equal(one.time_s, other.time_s) and np.array_equal(
+        one.values, other.values, equal_nan=True
+    )
 
 
 def _style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
@@ -182,6 +242,16 @@ def _draw_targets(axes: Axes, runs: Sequence[Run], signal: str) -> None:
         named.setdefault(level.label, set()).add(level.value)
     for name, levels in named.items():
         draw_level(axes, sorted(levels), **REFERENCE, label=name)
+
+
+def _draw_aims(axes: Axes, runs: Sequence[Run], signal: str) -> None:
+    """Draw references that move; one that several runs share once, in the colour of none."""
+    aims = [(aim, looks) for run, looks in _style_runs(runs) for aim in list_aims(run, signal)]
+    while aims:
+        (aim, looks), *others = aims
+        aims = [(other, of) for other, of in others if not _are_alike(aim, other)]
+        shared = {"color": REFERENCE["color"]} if len(aims) < len(others) else {}
+        draw_curve(axes, aim, **{**looks, **AIM, **shared, "label": aim.label})
 
 
 def _draw_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
@@ -223,11 +293,13 @@ def _finish(axes: Axes, runs: Sequence[Run], label: str) -> None:
 
 
 def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
+    draw_tracked_paths(axes, runs)
+    draw_ways_to_reference(axes, runs)
     for run, name, looks in zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True):
         xy_m = run.poses.xy_m
         draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
         axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
-        for aims_m in _list_aims([run]):
+        for aims_m in _list_aims([run]) if has_own_way(run) else ():
             draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM}, label=AIMED)
     starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
     axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
@@ -258,6 +330,16 @@ def _close_up(axes: Axes, runs: Sequence[Run], close_up: CloseUp, lettering: Let
     for label in list_ring_labels(close_up, runs[0].poses.xy_m[0], misses, lettering):
         _write(axes, label, "0.45")
     axes.set(title=f"how each run ends{close_up.count_outside()}", ylabel="")
+    axes.locator_params(nbins=5)
+
+
+def _show_worst(axes: Axes, runs: Sequence[Run], worst: WorstPlace, lettering: Lettering) -> None:
+    """Show where runs are furthest from their path, and how far that is."""
+    center, looks = np.array(worst.center_xy_m), choose_lines(len(runs))[worst.run]
+    _show_square(axes, center - worst.half_m, center + worst.half_m)
+    draw_worst_place(axes, worst, looks)
+    _write(axes, label_worst_place(worst, lettering), looks["color"])
+    axes.set(title="furthest off the path", ylabel="")
     axes.locator_params(nbins=5)
 
 

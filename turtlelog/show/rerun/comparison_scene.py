@@ -42,7 +42,7 @@ from turtlelog.show.rerun.timelines import (
     build_compared_timelines,
     read_span,
 )
-from turtlelog.show.rerun.world import draw_close_up, draw_world
+from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
 from turtlelog.show.table_formats import format_markdown
 
 _RECORDED: Final = "recorded"
@@ -219,6 +219,8 @@ def _draw_overlay(
             overlay.colors,
             is_small=content.shares_title is not None,
         )
+    if content.worst is not None:
+        draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
     return streams
 
 

@@ -4,7 +4,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
+from turtlelog.loops import ControlLoop
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
 from turtlelog.show.close_up import CloseUp, find_close_up
@@ -13,6 +15,8 @@ from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.plots import LevelLines, Series
 from turtlelog.show.rerun.world import Bounds, find_plane_bounds
 from turtlelog.show.shared_curves import find_end_of_turn
+from turtlelog.show.state_groups import StateGroup, are_comparable, group_states
+from turtlelog.show.tracked_path import WorstPlace, find_worst_place
 
 _HEADROOM = 1.25
 """End of a command's range, as a multiple of its most extreme value."""
@@ -34,6 +38,9 @@ _CLOSE_UP = 2.0
 _SMALLEST_CLOSE_UP_DEG = 0.1
 """Half-height of the close-up at least [deg]: also errors of 0 need a range with a height."""
 
+_LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.5
+"""Shares of a plot that a legend of four lines takes in a window of 1600 x 900 pixels."""
+
 _MOST_IN_PLOT = 4
 """How many runs a legend inside a plot names; of more, the names have a view of their own."""
 
@@ -52,6 +59,7 @@ class Content:
         has_dead_time: Whether the first run's dead times are drawn.
         legend_names: Names of the runs where they need a view of their own, else none.
         with_phases: How many runs have samples.
+        has_several_phases: Whether a run goes from one phase to another.
         has_events: Whether a run has events.
         documents: Titles.
         plane: What the plane shows.
@@ -60,6 +68,10 @@ class Content:
         close_ups: Plots whose range does not hold all of their curves.
         ends: Last values of the first curves of plots, where they have come to their end.
         controlled: Plots of signals that a loop of a run controls.
+        worst: Where runs are furthest from their path, None where that is not shown.
+        states: The states of the laws, in groups.
+        overlaid: Groups whose states share a plot.
+        corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
     """
 
     prefixes: tuple[str, ...]
@@ -71,6 +83,7 @@ class Content:
     has_dead_time: bool = False
     legend_names: tuple[str, ...]
     with_phases: int
+    has_several_phases: bool = True
     has_events: bool
     documents: tuple[str, ...]
     plane: Bounds
@@ -79,17 +92,15 @@ class Content:
     close_ups: frozenset[str] = frozenset()
     ends: Mapping[str, float] = field(default_factory=dict)
     controlled: frozenset[str] = frozenset()
+    worst: WorstPlace | None = None
+    states: tuple[StateGroup, ...] = ()
+    overlaid: frozenset[StateGroup] = frozenset()
+    corners: Mapping[str, str] = field(default_factory=dict)
 
-    def list_states(self) -> list[str]:
-        """Return the plots of the laws' states, in order."""
-        roots = [join_path(prefix, entities.STATE) + "/" for prefix in self.prefixes]
-        found = [
-            path.removeprefix(root)
-            for root in roots
-            for path in self.series
-            if path.startswith(root)
-        ]
-        return [f"{entities.STATE}/{name}" for name in dict.fromkeys(found)]
+    def list_states(self, group: StateGroup) -> list[str]:
+        """Return the plots of those states of a group that are drawn."""
+        plots = [f"{entities.STATE}/{name}" for name in group.names]
+        return [plot for plot in plots if self.list_curves(plot)]
 
     def list_curves(self, plot: str) -> list[str]:
         """Return the entity paths of a plot's curves: of its own name, and below it."""
@@ -112,7 +123,8 @@ def describe_content(
     names: Sequence[str] = (),
 ) -> Content:
     """Return what a recording of these runs holds, `series` being what is drawn of each."""
-    close_ups = _find_close_up(runs)
+    close_ups, goal = _find_close_up(runs), find_close_up(runs)
+    states = group_states(*(run.declaration for run in runs))
     return Content(
         prefixes=tuple(prefixes),
         series=tuple(
@@ -123,10 +135,14 @@ def describe_content(
         references=frozenset(reference.plot for reference in references),
         legend_names=tuple(names) if len(names) > _MOST_IN_PLOT else (),
         with_phases=sum(len(run.samples) > 0 for run in runs),
+        has_several_phases=any(len(run.find_phase_spans()) > 1 for run in runs),
         has_events=any(run.events for run in runs),
         documents=tuple(documents),
         plane=find_plane_bounds(runs),
-        goal=find_close_up(runs),
+        goal=goal,
+        worst=find_worst_place(runs) if goal is None else None,
+        states=states,
+        overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={
             **_find_ranges(series, references),
             **_find_command_ranges(series, references),
@@ -134,14 +150,60 @@ def describe_content(
         },
         close_ups=frozenset(close_ups),
         controlled=frozenset(
-            entities.PLOTS[loop.signal] for run in runs for loop in run.declaration.loops
+            plot for run in runs for loop in run.declaration.loops for plot in _list_plots(loop)
         ),
     )
+
+
+def _list_plots(loop: ControlLoop) -> tuple[str, ...]:
+    """Return the plots of what a loop controls."""
+    controlled = entities.PLOTS[loop.signal]
+    if loop.signal == "along_track" and loop.moves:
+        return entities.ALONG_TRACK_ERROR, controlled
+    return (controlled,)
 
 
 def find_largest(content: Content) -> float:
     """Return the largest magnitude that any plot shows."""
     return max((abs(bound) for bounds in content.ranges.values() for bound in bounds), default=1.0)
+
+
+def find_corners(
+    series: Sequence[Series], ranges: Mapping[str, tuple[float, float]]
+) -> dict[str, str]:
+    """Return the corner of each plot where the fewest rows of its curves lie, by Rerun's name."""
+    first_ns = min((int(curves.time_ns[0]) for curves in series), default=0)
+    last_ns = max((int(curves.time_ns[-1]) for curves in series), default=1)
+    rows: dict[str, list[NDArray[np.float64]]] = {}
+    for curves in series:
+        if curves.plot in ranges:
+            low, high = ranges[curves.plot]
+            across = (curves.time_ns - first_ns) / max(last_ns - first_ns, 1)
+            for column in curves.values.T:
+                places = np.column_stack([across, (column - low) / (high - low)])
+                rows.setdefault(curves.plot, []).append(places[np.isfinite(column)])
+    return {plot: _find_emptiest(np.concatenate(places)) for plot, places in rows.items()}
+
+
+def _find_emptiest(places: NDArray[np.float64]) -> str:
+    """Return the corner with the fewest places, from (0, 0) at the lower left to (1, 1)."""
+    is_right, is_left = places[:, 0] > 1.0 - _LEGEND_WIDTH, places[:, 0] < _LEGEND_WIDTH
+    is_high = (places[:, 1] > 1.0 - _LEGEND_HEIGHT) & (places[:, 1] <= 1.0)
+    is_low = (places[:, 1] < _LEGEND_HEIGHT) & (places[:, 1] >= 0.0)
+    counts = {
+        "RightTop": int((is_right & is_high).sum()),
+        "RightBottom": int((is_right & is_low).sum()),
+        "LeftTop": int((is_left & is_high).sum()),
+        "LeftBottom": int((is_left & is_low).sum()),
+    }
+    return min(counts, key=lambda corner: counts[corner])
+
+
+def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool:
+    """Whether the states of a group share a plot: those of one run, if none would look like 0."""
+    plots = {f"{entities.STATE}/{name}" for name in group.names}
+    found = [curves.values[:, 0] for run in series for curves in run if curves.plot in plots]
+    return len(series) == 1 and len(group.names) > 1 and are_comparable(found)
 
 
 def find_ends(series: Sequence[Series], ranges: Mapping[str, object]) -> dict[str, float]:

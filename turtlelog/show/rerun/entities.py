@@ -18,6 +18,7 @@ SPEED_PATH: Final = "plane/path_by_speed"
 ERROR: Final = "plane/error"
 EVENT_PLACES: Final = "plane/events"
 VIOLATION: Final = "plane/violation"
+TRACKED_PATH: Final = "plane/tracked_path"
 REFERENCE_PATH: Final = "plane/reference_path"
 REFERENCE_POSE: Final = "plane/reference_pose"
 TURTLE: Final = "plane/turtle"
@@ -33,6 +34,8 @@ CLOSE_UP: Final = "plane/close_up"
 RINGS: Final = "plane/close_up/rings"
 RING_NAMES: Final = "plane/close_up/rings/names"
 MISSES: Final = "plane/close_up/misses"
+WORST: Final = "plane/close_up/worst"
+WORST_NAME: Final = "plane/close_up/worst/name"
 
 POSITION: Final = "position"
 POSITION_ERROR: Final = "position_error"
@@ -40,6 +43,7 @@ HEADING: Final = "heading_deg"
 HEADING_ERROR: Final = "heading_error_deg"
 HEADING_ERROR_LOG: Final = "heading_error_log10"
 ALONG_TRACK: Final = "along_track"
+ALONG_TRACK_ERROR: Final = "along_track_error"
 CROSS_TRACK: Final = "cross_track"
 DISTANCE: Final = "distance"
 DISTANCE_LOG: Final = "distance_log10"
@@ -88,6 +92,7 @@ TITLES: Final[Mapping[str, str]] = MappingProxyType(
         POSITION: "Position [m]",
         POSITION_ERROR: "Position error [m]",
         ALONG_TRACK: "Along-track [m]",
+        ALONG_TRACK_ERROR: "Along-track error [m]",
         CROSS_TRACK: "Cross-track [m]",
         DISTANCE: "Distance [m]",
         DISTANCE_LOG: "log₁₀ distance [m]",

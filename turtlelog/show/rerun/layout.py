@@ -10,11 +10,13 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from turtlelog.show import palette
-from turtlelog.show.close_up import CloseUp
+from turtlelog.show.close_up import CloseUp, format_length
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.entities import TIMELINE, join_path, name_document
 from turtlelog.show.rerun.world import Bounds
+from turtlelog.show.state_groups import StateGroup
+from turtlelog.show.tracked_path import WorstPlace
 
 Corners = Mapping[str, rrb.Corner2D]
 
@@ -23,6 +25,7 @@ _RUN_LEGENDS: Final[Corners] = MappingProxyType(
         entities.HEADING: rrb.Corner2D.RightBottom,
         entities.HEADING_ERROR: rrb.Corner2D.RightBottom,
         entities.TURN_RATE: rrb.Corner2D.RightTop,
+        entities.ALONG_TRACK_ERROR: rrb.Corner2D.RightTop,
         entities.ALONG_TRACK: rrb.Corner2D.RightBottom,
         entities.POSITION: rrb.Corner2D.LeftTop,
         entities.POSITION_ERROR: rrb.Corner2D.RightTop,
@@ -40,12 +43,17 @@ _TURNING: Final = (
     (entities.TURN_RATE,),
 )
 _RUN_MOVING: Final = (
-    (entities.ALONG_TRACK, entities.POSITION, entities.POSITION_ERROR),
+    (
+        entities.ALONG_TRACK_ERROR,
+        entities.ALONG_TRACK,
+        entities.POSITION,
+        entities.POSITION_ERROR,
+    ),
     (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
     (entities.SPEED, entities.WORLD_VELOCITY),
 )
 _COMPARED_MOVING: Final = (
-    (entities.ALONG_TRACK, entities.POSITION),
+    (entities.ALONG_TRACK_ERROR, entities.ALONG_TRACK, entities.POSITION),
     (entities.CROSS_TRACK, entities.DISTANCE, entities.DISTANCE_LOG),
     (entities.SPEED,),
 )
@@ -59,6 +67,8 @@ _COLUMN_SHARES: Final = (1.0, 1.8)
 _PHASE_HEAD_SHARE: Final = 0.09
 _PHASE_ROW_SHARE: Final = 0.055
 _LARGEST_PHASE_SHARE: Final = 0.4
+_ONE_PHASE_SHARE: Final = 0.18
+"""Largest share where every run has but one phase: the bars tell only when each ends."""
 _STATE_SHARE: Final = 0.22
 """Of the height of the plots: a little less than one of three rows."""
 _MOST_STATES_BESIDE: Final = 3
@@ -129,7 +139,12 @@ def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
 
 
 def _avoid_end(content: Content, plot: str, usual: rrb.Corner2D) -> rrb.Corner2D:
-    """Return a corner on the same side, on the right away from where the plot's curve ends."""
+    """Return a corner on the same side, on the right away from where the plot's curve ends.
+
+    Of a run without a goal the corner where its curves leave most room.
+    """
+    if plot in content.corners:
+        return rrb.Corner2D[content.corners[plot]]
     if plot not in content.ends or usual.name.startswith("Left"):
         return usual
     is_high = content.ends[plot] > sum(content.ranges[plot]) / 2.0
@@ -140,8 +155,9 @@ def _choose_legend(content: Content) -> Corners:
     """Return the one legend's place: a run keeps its colour in every view."""
     if content.legend_names:
         return {}
-    if len(content.list_curves(entities.ALONG_TRACK)) == len(content.prefixes):
-        return {entities.ALONG_TRACK: rrb.Corner2D.RightBottom}
+    for plot in (entities.ALONG_TRACK_ERROR, entities.ALONG_TRACK):
+        if len(content.list_curves(plot)) == len(content.prefixes):
+            return {plot: rrb.Corner2D.RightBottom}
     return {entities.HEADING: rrb.Corner2D.RightBottom}
 
 
@@ -168,6 +184,8 @@ def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
     left: list[rrb.View | rrb.Container] = [_build_plane(content)]
     if content.goal is not None:
         left.append(_view_goal(content, content.goal))
+    elif content.worst is not None:
+        left.append(_view_worst(content, content.worst))
     if content.shares_title is not None:
         left.append(_view_shares(content.shares_title))
     tabs = [_view_legend(content.legend_names)] if content.legend_names else []
@@ -204,26 +222,52 @@ def _list_cells(
 
 
 def _choose_tab(content: Content, cell: Sequence[str]) -> int:
-    """Return the first plot that a loop controls, among those that are there; else the first."""
+    """Return the first plot that a loop controls, among those that are there; else the first.
+
+    The error along the track is the first where every run has it: beside a way of many metres it
+    could not be seen.
+    """
     shown = [plot for plot in cell if content.list_curves(plot)]
+    if len(content.list_curves(shown[0])) < len(content.prefixes):
+        shown = ["", *shown[1:]]
     return next((tab for tab, plot in enumerate(shown) if plot in content.controlled), 0)
 
 
 def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
-    """Put the states of a law into a row of their own."""
-    states = [_view_plot(content, plot, None) for plot in content.list_states()]
-    if not states:
+    """Put the states of the laws into a row of their own: a cell for each group."""
+    cells = [cell for group in content.states if (cell := _view_states(content, group))]
+    if not cells:
         return plots
-    beside = len(states) <= _MOST_STATES_BESIDE
-    row = rrb.Horizontal(*states) if beside else rrb.Tabs(*states, active_tab=0)
+    beside = len(cells) <= _MOST_STATES_BESIDE
+    row = rrb.Horizontal(*cells) if beside else rrb.Tabs(*cells, active_tab=0)
     return rrb.Vertical(plots, row, row_shares=[1.0 - _STATE_SHARE, _STATE_SHARE])
+
+
+def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Container | None:
+    """Show states over each other where they share a plot, else each as a tab."""
+    plots = content.list_states(group)
+    if group not in content.overlaid:
+        views = [_view_plot(content, plot, None) for plot in plots]
+        return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
+    ranges = [content.ranges[plot] for plot in plots if plot in content.ranges]
+    axis = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
+    corner = content.corners.get(plots[0], "RightTop")
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=[*(path for plot in plots for path in content.list_curves(plot)), *content.lines],
+        name=group.title,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=None if axis is None else rrb.ScalarAxis(range=axis),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D[corner]),
+    )
 
 
 def _add_phases(content: Content, plots: rrb.Container) -> rrb.Container:
     if not content.with_phases:
         return plots
     share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (content.with_phases + content.has_dead_time)
-    share = min(share, _LARGEST_PHASE_SHARE)
+    largest = _LARGEST_PHASE_SHARE if content.has_several_phases else _ONE_PHASE_SHARE
+    share = min(share, largest)
     return rrb.Vertical(plots, _view_phases(content), row_shares=[1.0 - share, share])
 
 
@@ -252,14 +296,24 @@ def _view_speed(content: Content, highest_m_s: float) -> rrb.View:
 
 def _view_goal(content: Content, close_up: CloseUp) -> rrb.View:
     """Show how close they end; arrows and names would cover it."""
+    bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
+    return _view_close_up(content, f"At the goal, {close_up.describe()}", bounds)
+
+
+def _view_worst(content: Content, worst: WorstPlace) -> rrb.View:
+    """Show where they are furthest from the path that they track."""
+    bounds = Bounds(center_xy_m=worst.center_xy_m, half_size_m=worst.half_m)
+    return _view_close_up(content, f"Furthest off the path, ±{format_length(worst.half_m)}", bounds)
+
+
+def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
     arrows = (entities.ARROW, entities.COMMAND, entities.ERROR, entities.REFERENCE_POSE)
     hidden = [entities.NAMES, entities.SPEED_PATH]
     hidden += [join_path(prefix, arrow) for prefix in content.prefixes for arrow in arrows]
-    bounds = Bounds(center_xy_m=close_up.goal_xy_m, half_size_m=close_up.half_m)
     return rrb.Spatial2DView(
         origin="/",
         contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
-        name=f"At the goal, {close_up.describe()}",
+        name=name,
         background=palette.GROUND,
         visual_bounds=_turn_bounds(bounds),
     )

@@ -211,6 +211,8 @@ def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_Mark
     controlled, command = entities.PLOTS[loop.signal], f"{loop.command}/{entities.COMMANDED}"
     if loop.signal == "distance" and loop.moves:
         controlled = f"{entities.DISTANCE}/{entities.TO_REFERENCE}"
+    if loop.signal == "along_track" and loop.moves:
+        controlled = entities.ALONG_TRACK_ERROR
     alike = [other for other in declaration.loops if other.signal == loop.signal]
     whose = f"{loop.name} " if len(alike) > 1 else ""
     if loop.moves:
@@ -224,7 +226,7 @@ def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_Mark
     commanding = [other for other in declaration.loops if other.command == loop.command]
     whose = f"{loop.name} " if len(commanding) > 1 else ""
     yield mark("longest_saturation", command, f"{whose}saturated for", "Right")
-    if loop.command == "speed":
+    if loop.command == "speed" and not declaration.follows_path:
         yield mark("cross_track_max", entities.CROSS_TRACK, "furthest", "Diamond")
 
 

@@ -15,6 +15,7 @@ from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.timelines import RunStream, Values, choose_trace_rows
 from turtlelog.show.rerun.world import UPWARD
+from turtlelog.show.tracked_path import has_own_way, read_way_to_reference
 
 _SPEED_LEVELS: Final = 16
 _TRACE_RADIUS: Final = 1.0  # [points], as are the others
@@ -104,9 +105,12 @@ def draw_turtle(run_stream: RunStream, run: Run, color: Color, half_size_m: floa
 
 
 def draw_reference_path(run_stream: RunStream, run: Run) -> None:
-    """Draw the way of the reference pose, where the law records one: a strip where it is known."""
+    """Draw the way of the reference pose, where the law records one: a strip where it is known.
+
+    The path that a law tracks is drawn itself.
+    """
     xy_m = run.samples.reference_xy_m
-    if xy_m is None:
+    if xy_m is None or not has_own_way(run):
         return
     known = np.isfinite(xy_m[:, 0]).astype(np.int64)
     stretches = [s for s in _split_where_changed(known) if known[s[0]]]
@@ -120,7 +124,7 @@ def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> 
     xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
     if xy_m is None or heading_rad is None or not np.isfinite(heading_rad).any():
         return
-    _log_arrow_style(run_stream, entities.REFERENCE_POSE, palette.REFERENCE)
+    _log_arrow_style(run_stream, entities.REFERENCE_POSE, palette.GOAL, _ARROW_RADIUS)
     ways = half_size_m * _ARROW_SHARE * np.column_stack([np.cos(heading_rad), np.sin(heading_rad)])
     values = np.column_stack([xy_m, ways])
     run_stream.send(entities.REFERENCE_POSE, run.samples.time_ns, values, _build_known_arrows)
@@ -129,18 +133,28 @@ def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> 
 def draw_arrows(run_stream: RunStream, run: Run) -> None:
     """Draw at the cursor the error, from turtle to goal, and the command: its second's way.
 
+    Of a law without a goal the error is that to the reference pose, where it records one.
+
     The command is two arrows in the turtle's frame: the speed along the heading, and the turn rate
     as what it moves a point 1 m ahead by, to the left of it.
     """
-    if run.goal_xy_m is not None:
+    ways_m = _read_errors(run)
+    if ways_m is not None:
         _log_arrow_style(run_stream, entities.ERROR, palette.ERROR)
-        values = np.column_stack([run.poses.xy_m, np.array(run.goal_xy_m) - run.poses.xy_m])
+        values = np.column_stack([run.poses.xy_m, ways_m])
         run_stream.send(entities.ERROR, run.poses.time_ns, values, _build_error)
     table = run.samples if len(run.samples) else run.commands
     if len(table):
         _log_arrow_style(run_stream, entities.COMMAND, palette.SECOND)
         values = np.column_stack([table.speed_m_s, table.turn_rate_rad_s])
         run_stream.send(entities.COMMAND, table.time_ns, values, _build_command)
+
+
+def _read_errors(run: Run) -> Values | None:
+    """Return the way from every pose to where the robot should be [m], shape (n, 2)."""
+    if run.goal_xy_m is not None:
+        return np.asarray(np.array(run.goal_xy_m) - run.poses.xy_m)
+    return read_way_to_reference(run)
 
 
 def draw_event_places(run_stream: RunStream, run: Run) -> None:
@@ -191,9 +205,11 @@ def _log_strips(
     run_stream.log(entity, rr.LineStrips2D(strips, radii=radii, colors=palette.pack_colors(colors)))
 
 
-def _log_arrow_style(run_stream: RunStream, entity: str, color: Color) -> None:
+def _log_arrow_style(
+    run_stream: RunStream, entity: str, color: Color, radius: float = _THIN_RADIUS
+) -> None:
     style = rr.Arrows2D.from_fields(
-        colors=[color], radii=rr.Radius.ui_points(_THIN_RADIUS), draw_order=_ABOVE_TRACES
+        colors=[color], radii=rr.Radius.ui_points(radius), draw_order=_ABOVE_TRACES
     )
     run_stream.log(entity, style)
 

@@ -25,6 +25,8 @@ from turtlelog.show.shared_curves import (
     read_distance_to_reference,
     read_world_velocity,
 )
+from turtlelog.show.state_groups import StateGroup, group_states
+from turtlelog.show.tracked_path import read_along_error
 
 _POSE_SIGNALS: Final = (
     (entities.HEADING, "heading", "heading"),
@@ -104,6 +106,7 @@ def list_series(run: Run) -> tuple[Series, ...]:
         *_list_pairs(run),
         *poses,
         *_list_logarithms(poses),
+        *_list_along_errors(run),
         *_list_aims(run),
         *_list_states(run),
         *_list_commands(run, entities.SPEED, "speed"),
@@ -141,6 +144,7 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
         (entities.POSITION, _list_levels(runs, "x", "y")),
         (entities.POSITION_ERROR, _name("zero", zeros if goals else ())),
         (entities.ALONG_TRACK, _list_levels(runs, "along_track")),
+        (entities.ALONG_TRACK_ERROR, _name("zero", zeros if _follow_along(runs) else ())),
         (entities.CROSS_TRACK, _name("zero", zeros if _hold(runs, "cross_track") else ())),
         (entities.DISTANCE, _name("zero", zeros if goals or _follow_distance(runs) else ())),
         (entities.SPEED, _name("limit", _find_limits(runs, "speed"))),
@@ -234,6 +238,10 @@ def _follow_distance(runs: Sequence[Run]) -> bool:
     return any(read_distance_to_reference(run) is not None for run in runs)
 
 
+def _follow_along(runs: Sequence[Run]) -> bool:
+    return any(read_along_error(run) is not None for run in runs)
+
+
 def _name_curves(name: str, labels: tuple[str, ...]) -> tuple[str, ...]:
     return (name,) if len(labels) == 1 else tuple(f"{name} {label}" for label in labels)
 
@@ -282,6 +290,18 @@ def _list_pose_series(run: Run) -> Iterable[Series]:
             yield Series(entity=entity, labels=(label,), time_ns=curve.time_ns, values=values)
 
 
+def _list_along_errors(run: Run) -> Iterable[Series]:
+    """Yield how far the robot is behind a reference that moves along the track."""
+    curve = read_along_error(run)
+    if curve is not None:
+        yield Series(
+            entity=entities.ALONG_TRACK_ERROR,
+            labels=("reference - along-track",),
+            time_ns=curve.time_ns,
+            values=curve.values[:, np.newaxis],
+        )
+
+
 def _list_aims(run: Run) -> Iterable[Series]:
     """Yield what moves and a signal of a loop should be, or is recorded as reference."""
     for signal, plot in entities.PLOTS.items():
@@ -309,16 +329,24 @@ def _list_aims(run: Run) -> Iterable[Series]:
 
 
 def _list_states(run: Run) -> Iterable[Series]:
-    for name in run.declaration.states:
+    groups = group_states(run.declaration)
+    hues = [(name, hue) for group in groups for name, hue in _color_states(group)]
+    for name, hue in hues:
         curve = read_curve(run, name)
         if curve is not None:
             yield Series(
                 entity=f"{entities.STATE}/{name}",
                 labels=(name,),
+                colors=(hue,),
                 time_ns=curve.time_ns,
                 values=curve.values[:, np.newaxis],
                 holds=True,
             )
+
+
+def _color_states(group: StateGroup) -> Iterable[tuple[str, Color]]:
+    """Return the states of a group with colours that tell them apart."""
+    return zip(group.names, palette.choose_run_colors(len(group.names)), strict=True)
 
 
 def _list_logarithms(series: Iterable[Series]) -> Iterable[Series]:

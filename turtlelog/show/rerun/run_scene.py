@@ -16,7 +16,13 @@ from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities, plane
-from turtlelog.show.rerun.content import Content, describe_content, find_ends, find_largest
+from turtlelog.show.rerun.content import (
+    Content,
+    describe_content,
+    find_corners,
+    find_ends,
+    find_largest,
+)
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.marks import (
@@ -38,7 +44,7 @@ from turtlelog.show.rerun.plots import (
 )
 from turtlelog.show.rerun.rrd_file import draw_documents, open_recording, send_run_properties
 from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
-from turtlelog.show.rerun.world import draw_close_up, draw_world
+from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
 
 _VIOLATION_RADIUS = 6.0
 _VIOLATION_COLOR: Color = (214, 39, 40)
@@ -128,6 +134,7 @@ class Single:
         return replace(
             content,
             ends=find_ends(self.series, content.ranges),
+            corners=find_corners(self.series, content.ranges) if self.run.goal_xy_m is None else {},
             series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
             lines=(join_path(_EVENT_LINES),) if self.run.events else (),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
@@ -162,6 +169,8 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     plane.draw_arrows(run_stream, run)
     if content.goal is not None:
         draw_close_up(stream, content.goal, run, [""], [palette.MAIN])
+    if content.worst is not None:
+        draw_worst_place(stream, content.worst, palette.MAIN)
     draw_phases(run_stream, run)
     if run.events:
         _draw_events(run_stream, run, find_largest(content))

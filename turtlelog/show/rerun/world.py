@@ -23,6 +23,7 @@ from turtlelog.show.close_up import (
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
 
 _WORLD_MARGIN = 0.03
 _MARGIN = 0.12
@@ -45,6 +46,9 @@ _ABOVE: Final = 0.6
 
 _END_RADIUS: Final = 4.0  # [points]
 _RING_RADIUS: Final = 0.5
+_WORST_RADIUS: Final = 1.0
+_TRACKED_RADIUS: Final = 2.5
+_BELOW_TRACES: Final = 15.0  # lines have 20
 _RING: Final[Color] = (80, 80, 80)
 _RING_POINTS: Final = 97
 
@@ -73,7 +77,7 @@ def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
 
 
 def draw_world(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
-    """Draw the border, and each start and goal once."""
+    """Draw the border, and each path that is tracked, each start and each goal once."""
     stream.log(join_path(entities.PLANE), UPWARD, static=True)
     if is_in_world(runs):
         half = WORLD_SIZE_M / 2.0
@@ -84,6 +88,7 @@ def draw_world(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
             radii=rr.Radius.ui_points(0.75),
         )
         stream.log(join_path(entities.BORDER), border, static=True)
+    _draw_tracked_paths(stream, runs)
     starts, goals = _find_starts(runs), _find_goals(runs)
     _draw_marks(stream, entities.START, starts, palette.START)
     if goals:
@@ -143,6 +148,30 @@ def draw_close_up(
     stream.log(join_path(entities.RINGS), strips, static=True)
 
 
+def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color) -> None:
+    """Draw how far from the path the run is that is furthest off, in its colour."""
+    way = rr.LineStrips2D(
+        [[worst.path_xy_m, worst.xy_m]], radii=rr.Radius.ui_points(_WORST_RADIUS), colors=[color]
+    )
+    stream.log(join_path(entities.WORST), way, static=True)
+    up_m = _ABOVE * _LETTERING.line * worst.half_m
+    label = label_worst_place(worst, _LETTERING)
+    _write_words(stream, entities.WORST_NAME, up_m, [label], [color])
+
+
+def _draw_tracked_paths(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
+    """Draw the paths that laws track as broad lines below all that is driven."""
+    paths = list_paths(runs)
+    if paths:
+        strips = rr.LineStrips2D(
+            [outline_path(path) for path in paths],
+            radii=rr.Radius.ui_points(_TRACKED_RADIUS),
+            colors=[palette.TRACKED] * len(paths),
+            draw_order=_BELOW_TRACES,
+        )
+        stream.log(join_path(entities.TRACKED_PATH), strips, static=True)
+
+
 def _draw_marks(
     stream: rr.RecordingStream,
     entity: str,
@@ -196,11 +225,11 @@ def _draw_tolerances(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
 
 
 def _list_places(run: Run) -> NDArray[np.float64]:
-    """Return where the robot is, and where its law wants it to be."""
-    aims = run.samples.reference_xy_m
-    if aims is None:
-        return run.poses.xy_m
-    return np.concatenate([run.poses.xy_m, aims[np.isfinite(aims[:, 0])]])
+    """Return where the robot is, where its law wants it to be, and the path that it tracks."""
+    aims, places = run.samples.reference_xy_m, [run.poses.xy_m]
+    if aims is not None:
+        places.append(aims[np.isfinite(aims[:, 0])])
+    return np.concatenate([*places, *map(outline_path, list_paths([run]))])
 
 
 def _find_starts(runs: Sequence[Run]) -> list[tuple[float, float]]:

@@ -1,0 +1,80 @@
+"""What figures need of runs, and what runs lack of it, in words."""
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
+from types import MappingProxyType
+from typing import Final
+
+from turtlelog.run import Run
+from turtlelog.show.figures.figure_curves import find_gains
+from turtlelog.show.shared_curves import Command, read_applied, read_command, read_curve
+from turtlelog.show.tracked_path import read_along_error
+
+SAMPLES: Final = "the controller's samples"
+GOAL: Final = "a goal"
+
+
+def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
+    """Say whether there is something to draw: among several runs that is what was commanded."""
+    found = read_command(run, command) or (read_applied(run, command) if is_alone else None)
+    return "" if found else f"{command.replace('_', ' ')} commands"
+
+
+def _lack(words: str, *, is_held: bool) -> str:
+    return "" if is_held else words
+
+
+def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
+    """Say what is missing of what rests on samples, without which there is nothing."""
+    return _lack(words, is_held=is_held) if len(run.samples) else SAMPLES
+
+
+def has_states(run: Run) -> bool:
+    """Whether it holds states of its law."""
+    return len(run.samples) > 0 and run.samples.states is not None and bool(run.declaration.states)
+
+
+def find_lack_of_gain(runs: Sequence[Run]) -> str:
+    """Say what theory lacks: python-control, which computes it, or a gain."""
+    if find_spec("control") is None:
+        return "python-control"
+    if find_gains(runs):
+        return ""
+    loops = [loop for run in runs for loop in run.declaration.loops]
+    has_others = any(loop.gain and not loop.is_proportional for loop in loops)
+    return "a proportional loop" if has_others else "the law's gain"
+
+
+_LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
+    {
+        "gain": lambda run, _: find_lack_of_gain([run]),
+        "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
+        "goal": lambda run, _: _lack(GOAL, is_held=run.goal_xy_m is not None),
+        "heading_error": lambda run, _: _lack_samples(
+            run, "a heading to aim at", is_held=read_curve(run, "heading_error") is not None
+        ),
+        "track": lambda run, _: _lack_samples(
+            run, GOAL, is_held=run.goal_line is not None or run.path is not None
+        ),
+        "along_error": lambda run, _: _lack(
+            "a reference that moves along the track", is_held=read_along_error(run) is not None
+        ),
+        "path": lambda run, _: _lack("a path that its law tracks", is_held=run.path is not None),
+        "states": lambda run, _: _lack("states of its law", is_held=has_states(run)),
+        "world_velocity": lambda run, _: _lack_samples(
+            run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
+        ),
+        "speed": lambda run, a: _lack_command(run, "speed", is_alone=a),
+        "turn_rate": lambda run, a: _lack_command(run, "turn_rate", is_alone=a),
+        "wanted": lambda run, _: _lack(
+            "what the law wanted before clipping",
+            is_held=len(run.samples) > 0 and run.samples.wanted_speed_m_s is not None,
+        ),
+    }
+)
+"""What a panel may need: from a run, which may be alone, to what it lacks, empty where nothing."""
+
+
+def find_lacks(runs: Sequence[Run], need: str) -> tuple[str, ...]:
+    """Return what each run lacks of what a figure needs, empty where nothing."""
+    return tuple(_LACKS[need](run, len(runs) == 1) for run in runs)
