@@ -139,3 +139,10 @@ def test_with_100_ticks_a_step_fades_just_inside_the_limits_and_grows_just_outsi
         error = 1.0 - compute_pid_step_response(scale(gains, kp), 60_000, **loop)
         later, earlier = np.abs(error[-20_000:]).max(), np.abs(error[:20_000]).max()
         assert (later < 0.7 * earlier, later > 1.4 * earlier) == (fades, not fades)
+
+
+@pytest.mark.parametrize("filter_s", [5e-324, 1e-300, 1e-25])
+def test_a_filter_of_next_to_nothing_is_as_none(filter_s: float) -> None:
+    for kd, is_stable in [(0.1, True), (1.0, False)]:
+        gains = PidGains(kp=1.0, kd=kd, filter_s=filter_s)
+        assert is_pid_stable(gains, period_s=TICK_S) == is_stable

@@ -32,6 +32,9 @@ NEAREST: Final = 1e-10
 """Distance |1 + L| of the open loop from -1 below which rounding could decide: with 1000 ticks of
 dead time its phase is known to some 1e-12. A loop that is nearer counts as unstable."""
 
+_NO_POWER: Final = 1e-20
+"""A highest coefficient that is less beside the others changes no sign for x up to 2."""
+
 _SMALLEST_X: Final = 1e-60
 """Of x = 1 - cos(w T): below every crossover, which is above (Kp T)^2 / 8, at least 1e-19."""
 
@@ -120,6 +123,8 @@ def _find_crossovers(shape: LoopShape) -> list[float]:
     """Return where |L| = 1, as x = 1 - cos(w T) strictly between 0 and 2, rising."""
     coefficients = _list_coefficients(shape)
     slope = [power * value for power, value in enumerate(coefficients)][1:]
+    while len(slope) > 1 and abs(slope[-1]) < _NO_POWER * max(map(abs, slope[:-1])):
+        slope.pop()
     turns = [root.real for root in np.roots(slope[::-1]) if abs(root.imag) <= 1e-6 * abs(root)]
     edges = [_SMALLEST_X, *sorted(x for x in turns if _SMALLEST_X < x < 2.0), 2.0]
     return [
