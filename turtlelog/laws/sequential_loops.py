@@ -49,6 +49,8 @@ def declare_loops(
     Raises:
         LawError: Where the law is to reorient, and the goal has no heading.
     """
+    if schedule is None and not reorient:
+        return base  # What it says has been judged once.
     loops = [_hide_gains(loop, schedule) for loop in base.loops]
     phases = dict(base.phases)
     if reorient:

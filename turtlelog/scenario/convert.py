@@ -37,6 +37,8 @@ from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
 _LONGEST_KIND = 300
 """A path and a class are shown whole, so that they can be looked at before they are trusted."""
 
+_PLAIN = frozenset({float, int, str, bool})
+
 _MISSING = re.compile(r"Object missing required field `(\w+)`")
 _PLACE = re.compile(r" - at `\$\.(.*)`$")
 
@@ -167,22 +169,23 @@ def _nest_values(value: Any) -> Any:
 
     Without what is None, and without keys that stay out of a file while they have their defaults.
     """
+    if type(value) in _PLAIN:
+        return value
     if isinstance(value, tuple | list):
         return [_nest_values(entry) for entry in value]
     if isinstance(value, Mapping):
         return {key: _nest_values(entry) for key, entry in value.items()}
     if not dataclasses.is_dataclass(value):
         return copy.deepcopy(value)
-    values = {field: getattr(value, field.name) for field in dataclasses.fields(value)}
     return {
         field.name: _nest_values(found)
-        for field, found in values.items()
-        if not (found is None or _is_absent(field, found))
+        for field in dataclasses.fields(value)
+        if (found := getattr(value, field.name)) is not None and not _is_absent(field, found)
     }
 
 
 def _is_absent(field: dataclasses.Field[Any], value: Any) -> bool:
-    return bool(field.metadata.keys() & ABSENT_BY_DEFAULT.keys()) and value == field.default
+    return value == field.default and not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata)
 
 
 def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
