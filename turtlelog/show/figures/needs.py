@@ -56,8 +56,9 @@ _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
         "track": lambda run, _: _lack_samples(
             run, GOAL, is_held=run.goal_line is not None or run.path is not None
         ),
-        "along_error": lambda run, _: _lack(
-            "a reference that moves along the track", is_held=read_along_error(run) is not None
+        "along_error": lambda run, _: (
+            _lack("a path that its law tracks", is_held=run.path is not None)
+            or _lack("a path with a speed", is_held=read_along_error(run) is not None)
         ),
         "path": lambda run, _: _lack("a path that its law tracks", is_held=run.path is not None),
         "states": lambda run, _: _lack("states of its law", is_held=has_states(run)),
