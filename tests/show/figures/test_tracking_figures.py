@@ -156,12 +156,25 @@ def test_of_several_runs_each_state_has_a_panel() -> None:
     assert not find_lines(figure.axes[4], "pid")
 
 
+def replace_states(run: tl.Run, factors: list[float]) -> tl.Run:
+    assert run.samples.states is not None
+    states = run.samples.states * factors
+    return replace(run, samples=replace(run.samples, states=states))
+
+
 def test_states_of_other_scales_have_a_panel_each() -> None:
-    assert PID.samples.states is not None
-    states = PID.samples.states * [1.0, 1e-3, 1.0, 1.0]
-    run = replace(PID, samples=replace(PID.samples, states=states))
+    run = replace_states(PID, [1.0, 1e-3, 1.0, 1.0])
     expected = ["integral_angular", "derivative_angular", "states of the speed"]
     assert list_labels(run, "states") == expected
+
+
+def test_states_that_are_always_0_have_no_panel() -> None:
+    turning = replace_states(PID, [1.0, 1.0, 0.0, 0.0])
+    assert list_labels(turning, "states") == ["states of the turn rate"]
+    idle = replace_states(PID, [0.0] * 4)
+    expected = "states of its law that are not always 0"
+    assert tl.show.FIGURES["states"].find_lack([idle]) == expected
+    assert len(list_labels(idle, "panel")) == 6
 
 
 @pytest.mark.parametrize(("count", "left"), [(12, 0), (13, 1)])

@@ -193,6 +193,11 @@ def test_states_of_other_scales_and_of_several_runs_are_tabs(tmp_path: Path) -> 
     assert "/state/derivative_angular" in views["derivative_angular"]
     assert "/state/integral_angular" not in views["derivative_angular"]
     assert "States of the speed" in views
+    idle = replace(pid.samples, states=pid.samples.states * [1.0, 1.0, 0.0, 0.0])
+    write_run_rrd(replace(pid, samples=idle), tmp_path / "idle.rrd")
+    assert "/state/integral_linear" in list_entities(tmp_path / "idle.rrd")
+    shown = [view for view in read_layout(tmp_path / "idle.rrd") if "States" in view]
+    assert shown == ["States of the turn rate"]
     write_comparison_rrd([pid, simulate_law("strange")], tmp_path / "two.rrd")
     views = read_layout(tmp_path / "two.rrd")
     assert views["integral_angular"] == ["/runs/pid/state/integral_angular"]

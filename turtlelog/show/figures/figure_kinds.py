@@ -238,7 +238,7 @@ def _command(command: Command, label: str) -> Panel:
 def _list_state_panels(
     runs: Sequence[Run], *, of_commands: bool = False, most: int = _MOST_STATES
 ) -> tuple[Panel, ...]:
-    """Return a panel for each state, of one run for those that belong together.
+    """Return a panel for each state that is not always 0, of one run for those that belong together.
 
     Args:
         runs: What is drawn.
@@ -248,18 +248,25 @@ def _list_state_panels(
     found = [run for run in runs if has_states(run)]
     panels = []
     for group in group_states(*(run.declaration for run in found)):
-        if of_commands and group.command is None:
+        acting = tuple(name for name in group.names if not _is_idle(name, found))
+        if not acting or (of_commands and group.command is None):
             continue
-        names: list[tuple[str, ...]] = [(name,) for name in group.names]
+        names: list[tuple[str, ...]] = [(name,) for name in acting]
         if len(runs) == 1:
-            curves = [read_curve(runs[0], name) for name in group.names]
+            curves = [read_curve(runs[0], name) for name in acting]
             columns = [curve.values for curve in curves if curve is not None]
-            names = [group.names] if are_comparable(columns) else names
+            names = [acting] if are_comparable(columns) else names
         for shown in names:
             label = shown[0] if len(shown) == 1 else group.title.lower()
             draw = partial(draw_states, names=shown, label=label)
             panels.append(Panel(name=label, needs="states", draw=draw, is_usual=False))
     return tuple(panels[:most])
+
+
+def _is_idle(name: str, runs: Sequence[Run]) -> bool:
+    """Whether a state is 0 throughout in every run that has it."""
+    curves = [read_curve(run, name) for run in runs if name in run.declaration.states]
+    return not any(curve.values.any() for curve in curves if curve is not None)
 
 
 FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(

@@ -30,8 +30,8 @@ def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
 
 
 def has_states(run: Run) -> bool:
-    """Whether it holds states of its law."""
-    return len(run.samples) > 0 and run.samples.states is not None and bool(run.declaration.states)
+    """Whether it holds states of its law that are not always 0."""
+    return run.samples.states is not None and bool(run.samples.states.any())
 
 
 def find_lack_of_gain(runs: Sequence[Run]) -> str:
@@ -61,7 +61,9 @@ _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
             or _lack("a path with a speed", is_held=read_along_error(run) is not None)
         ),
         "path": lambda run, _: _lack("a path that its law tracks", is_held=run.path is not None),
-        "states": lambda run, _: _lack("states of its law", is_held=has_states(run)),
+        "states": lambda run, _: _lack(
+            "states of its law that are not always 0", is_held=has_states(run)
+        ),
         "world_velocity": lambda run, _: _lack_samples(
             run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
         ),
