@@ -238,7 +238,7 @@ def _command(command: Command, label: str) -> Panel:
 def _list_state_panels(
     runs: Sequence[Run], *, of_commands: bool = False, most: int = _MOST_STATES
 ) -> tuple[Panel, ...]:
-    """Return a panel for each state that is not always 0, of one run for those that belong together.
+    """Return panels for states that are not always 0: of one run for those that belong together.
 
     Args:
         runs: What is drawn.

@@ -12,6 +12,7 @@ from turtlelog.show.tracked_path import read_along_error
 
 SAMPLES: Final = "the controller's samples"
 GOAL: Final = "a goal"
+_STATES: Final = "states of its law that are not always 0"
 
 
 def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
@@ -61,9 +62,7 @@ _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
             or _lack("a path with a speed", is_held=read_along_error(run) is not None)
         ),
         "path": lambda run, _: _lack("a path that its law tracks", is_held=run.path is not None),
-        "states": lambda run, _: _lack(
-            "states of its law that are not always 0", is_held=has_states(run)
-        ),
+        "states": lambda run, _: _lack(_STATES, is_held=has_states(run)),
         "world_velocity": lambda run, _: _lack_samples(
             run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
         ),

@@ -246,7 +246,7 @@ def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
 def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Container | None:
     """Show states over each other where they share a plot, else each as a tab."""
     plots = content.list_states(group)
-    if group not in content.overlaid:
+    if group not in content.overlaid or not plots:
         has_tabs = group.command is not None and len(plots) > 1
         names = [plot.partition("/")[2] if has_tabs else "" for plot in plots]
         pairs = zip(plots, names, strict=True)
