@@ -46,10 +46,11 @@ PAPER_METRICS = tl.measure_run(PAPER)
 
 def test_metrics_of_several_laws_stand_loop_by_loop() -> None:
     table = tl.compare.tabulate_metrics([PAPER, ONE], only=["*.rms_error", "run.duration"])
-    names = [f"{loop}.rms_error" for loop in ("rotate", "translate", "a", "b")]
+    names = [f"{loop}.rms_error" for loop in ("rotate", "translate", "b", "a")]
     assert [row[0] for row in table.rows] == [*names, "run.duration"]
     assert [row[3] for row in table.rows[:2]] == [None, None]
     assert [row[2] for row in table.rows[2:4]] == [None, None]
+    assert table.breaks == (1, 3, 4)
 
 
 def test_columns_are_chosen_among_those_of_the_runs() -> None:

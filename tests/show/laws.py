@@ -116,6 +116,39 @@ def add_terms(run: tl.Run) -> tl.Run:
 LAWS: Final = {name: f"{Path(__file__)}:{name}" for name in ("OpenLoop", "EightPhases", "Follower")}
 
 
+SQUARE: Final = ((3.0, 3.0), (6.0, 3.0), (6.0, 6.0), (3.0, 6.0))
+TRACKERS: Final = ("kanayama", "pure-pursuit")
+
+
+@cache
+def simulate_tracker(kind: str, **changes: Any) -> tl.Run:
+    """Return a run of a law that tracks a square at 0.5 m/s, named after the law."""
+    return tl.simulate_run(build_tracker(kind, **changes))
+
+
+def build_tracker(kind: str, **changes: Any) -> tl.Scenario:
+    path = {"path.kind": "polygon", "path.points": [list(point) for point in SQUARE]}
+    start = {"start.x_m": 3.0, "start.y_m": 3.0}
+    values = {"law.kind": kind, "name": kind, **path, "path.speed_m_s": 0.5, **start, **changes}
+    return tl.override_scenario(tl.load_scenario("textbook"), values)
+
+
+@cache
+def simulate_untimed() -> tl.Run:
+    """Return a run along a square to which no time belongs."""
+    scenario = build_tracker("pure-pursuit", name="untimed")
+    assert scenario.path is not None
+    return tl.simulate_run(replace(scenario, path=replace(scenario.path, speed_m_s=None)))
+
+
+@cache
+def simulate_pid() -> tl.Run:
+    """Return a run whose loops have an integral and a derivative each."""
+    gains = {"law.ki_angular": 0.5, "law.kd_angular": 0.1, "law.ki_linear": 0.2}
+    values = {"law.kind": "sequential-pid", **gains, "law.kd_linear": 0.05, "name": "pid"}
+    return tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), values))
+
+
 @cache
 def simulate_law(kind: str, **changes: Any) -> tl.Run:
     """Return a run of one of these laws, of the example or of the strange one, named after it."""

@@ -149,13 +149,16 @@ def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | N
 def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, tell_more: bool) -> None:
     if not summaries:
         return
-    chosen = tl.compare.order_ids(name for found in summaries for name in found.metrics)
+    declarations = [found.declaration for found in summaries]
+    ids = (name for found in summaries for name in found.metrics)
+    chosen = tl.compare.order_ids(ids, declarations)
     summaries = tl.compare.order_by_gain(summaries)
     if len(summaries) > _MOST_COLUMNS:
         table = tl.tabulate_runs(summaries, only=chosen)
     else:
         names = tl.compare.name_runs(summaries)
-        table = tl.compare.tabulate_measured(names, [summary.metrics for summary in summaries])
+        measured = [summary.metrics for summary in summaries]
+        table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
     if tell_more:
         count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
         more = f"{len(chosen)} of {count} metrics: --all shows every one, --only chooses."

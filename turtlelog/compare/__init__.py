@@ -10,6 +10,7 @@ from turtlelog.compare.difference import (
     iter_comparisons,
     tabulate_differences,
 )
+from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.paper_tables import tabulate_table1, tabulate_whole_runs
 from turtlelog.compare.run_names import name_runs, order_by_gain
 from turtlelog.compare.run_summary import (
@@ -17,7 +18,6 @@ from turtlelog.compare.run_summary import (
     choose_columns,
     list_needed_metrics,
     list_usual_metrics,
-    order_ids,
     select_runs,
     sort_runs,
     summarise_files,

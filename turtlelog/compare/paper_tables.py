@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
+from turtlelog.compare.like_loops import group_loops
 from turtlelog.compare.run_names import name_runs, order_by_gain
 from turtlelog.compare.run_table import Cell, Column, Table
 from turtlelog.loops import ControlLoop
@@ -120,7 +121,9 @@ def _list_loop_columns(runs: Sequence[Run]) -> dict[str, Column]:
     Settling times of all that answer a step, overshoots of those of them that turn the robot, and
     rms errors of all that follow a reference.
     """
-    loops = {loop.name: loop for run in runs for loop in run.declaration.loops}
+    declared = {loop.name: loop for run in runs for loop in run.declaration.loops}
+    groups = group_loops(declared, [run.declaration for run in runs])
+    loops = {name: declared[name] for group in groups for name in group}
     kinds = list_metrics(*(run.declaration for run in runs))
     still = [loop for loop in loops.values() if not loop.moves]
     turning = [loop for loop in still if loop.command == "turn_rate"]

@@ -1,7 +1,7 @@
 """Runs in short, for tables of many: what they were, and how well they did, read file by file."""
 
 import multiprocessing
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
@@ -10,12 +10,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from turtlelog.compare.like_loops import order_ids
 from turtlelog.errors import CompareError, TurtlelogError, suggest_names
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import evaluate_expression, parse_expression
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.log import TopicChoice
-from turtlelog.loops import RESERVED, Declaration
+from turtlelog.loops import Declaration
 from turtlelog.measure import (
     MeasureSettings,
     Metric,
@@ -235,15 +236,8 @@ def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
         usual = (f"{loop}.{name}" for loop in loops for name in _USUAL_OF_LOOP)
         chosen |= dict.fromkeys(name for name in usual if name in essential)
     is_free = bool(declarations) and not any(one.uses_goal for one in declarations)
-    return order_ids([*chosen, *(_USUAL_WITHOUT_GOAL if is_free else _USUAL_OF_RUN)])
-
-
-def order_ids(ids: Iterable[str]) -> tuple[str, ...]:
-    """Return ids of several laws, each once: loop by loop, then those of the end and the run."""
-    distinct = list(dict.fromkeys(ids))
-    loops = list(dict.fromkeys(name.rpartition(".")[0] for name in distinct))
-    ranks = {loop: (loop in RESERVED, rank) for rank, loop in enumerate(loops)}
-    return tuple(sorted(distinct, key=lambda name: ranks[name.rpartition(".")[0]]))
+    of_run = _USUAL_WITHOUT_GOAL if is_free else _USUAL_OF_RUN
+    return order_ids([*chosen, *of_run], declarations)
 
 
 def list_needed_metrics(

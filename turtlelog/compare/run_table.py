@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from types import MappingProxyType
 from typing import Final, Literal
 
+from turtlelog.compare.like_loops import group_ids
 from turtlelog.compare.run_names import has_one_gain, name_runs
 from turtlelog.compare.run_summary import (
     RunSummary,
     choose_columns,
     list_usual_metrics,
-    order_ids,
     sort_runs,
 )
 from turtlelog.display import describe_count, format_html, format_number
@@ -104,6 +105,8 @@ def tabulate_runs(
     gains = _list_gain_columns(summaries)
     usual = list_usual_metrics(*(found.declaration for found in summaries))
     chosen = choose_columns(summaries, only or usual)
+    if not only:
+        summaries = [_leave_out_goal(summary) for summary in summaries]
     differing = [] if only else _find_differing(summaries)
     shown = [*differing[:_MOST_DIFFERING], *chosen]
     units = {name: _list_units(summaries, name) for name in shown}
@@ -190,7 +193,16 @@ def list_units(metrics: Sequence[Metric]) -> list[str]:
 
 
 _MOST_DIFFERING: Final = 2
+_AT_GOAL: Final = ("final.heading_error", "final.position_error")
 _COMMAND_WORDS: Final = MappingProxyType({"turn_rate": "turn", "speed": "drive"})
+
+
+def _leave_out_goal(summary: RunSummary) -> RunSummary:
+    """Return a run without errors at a goal where its law uses none: no other run has that aim."""
+    if summary.declaration.uses_goal:
+        return summary
+    kept = {name: found for name, found in summary.metrics.items() if name not in _AT_GOAL}
+    return replace(summary, metrics=kept)
 
 
 def _list_gain_columns(summaries: Sequence[RunSummary]) -> list[Column]:
@@ -283,23 +295,30 @@ def tabulate_metrics(
         MeasureError: Where `only` names no metric.
     """
     measured = [measure_run(run, settings, only=only) for run in runs]
-    return tabulate_measured(name_runs(runs), measured)
+    declarations = [run.declaration for run in runs]
+    return tabulate_measured(name_runs(runs), measured, declarations=declarations)
 
 
 def tabulate_measured(
-    names: Sequence[str], measured: Sequence[Mapping[str, Metric]], *, notes: Sequence[str] = ()
+    names: Sequence[str],
+    measured: Sequence[Mapping[str, Metric]],
+    *,
+    notes: Sequence[str] = (),
+    declarations: Sequence[Declaration] = (),
 ) -> Table:
     """Return runs that have been measured as `tabulate_metrics` does; at least one.
 
-    Runs of several laws stand side by side; a cell is empty where a law has no such loop.
+    Runs of several laws stand side by side; a cell is empty where a law has no such loop. Loops of
+    different laws that are alike share a group of rows, metric by metric.
 
     Args:
         names: One for each run.
         measured: As `measure_run` returns them.
         notes: Sentences to stand below, before the reasons for what is missing.
+        declarations: Of their laws, which say which loops are alike.
     """
-    ids = order_ids(name for metrics in measured for name in metrics)
-    groups = [name.partition(".")[0] for name in ids]
+    groups = group_ids((name for metrics in measured for name in metrics), declarations)
+    ids = [name for group in groups for name in group]
     return Table(
         title="Metrics",
         columns=(
@@ -309,7 +328,7 @@ def tabulate_measured(
         ),
         rows=tuple(_build_row(name, [metrics.get(name) for metrics in measured]) for name in ids),
         notes=(*notes, *_list_reasons(measured)),
-        breaks=tuple(row for row in range(1, len(ids)) if groups[row] != groups[row - 1]),
+        breaks=tuple(accumulate(map(len, groups[:-1]))),
     )
 
 

@@ -51,7 +51,13 @@ def describe_runs(
     summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
     tables = {
         "Side by side": (tabulate_runs(summaries),),
-        "Metrics": (tabulate_measured(name_runs(runs), choose_essentials(runs, metrics)),),
+        "Metrics": (
+            tabulate_measured(
+                name_runs(runs),
+                choose_essentials(runs, metrics),
+                declarations=[run.declaration for run in runs],
+            ),
+        ),
         "Table 1": (tabulate_whole_runs(runs), tabulate_table1(runs)),
     }
     return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}

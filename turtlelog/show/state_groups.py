@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.loops import COMMAND_WORDS, ControlLoop, Declaration
+from turtlelog.show.palette import FEW
 
 _MOST_APART: Final = 3
 """More views beside each other would each be narrower than a legend."""
@@ -15,6 +16,9 @@ _MOST_APART: Final = 3
 _LARGEST_RATIO: Final = 20.0
 """Curves whose largest magnitudes differ by more share no plot: the smaller would take less than a
 twentieth of its height, and read as zero."""
+
+_MOST_TOGETHER: Final = len(FEW)
+"""More curves in one plot would share hues."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,10 +28,12 @@ class StateGroup:
     Attributes:
         title: What they are, as `State lyapunov`, `States of the turn rate`.
         names: As the law declares them.
+        command: To which command they belong, None of states that belong to none.
     """
 
     title: str
     names: tuple[str, ...]
+    command: str | None = None
 
 
 def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
@@ -45,7 +51,9 @@ def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
             of_one = of_command[commands.pop()] if len(commands) == 1 else others
             of_one[name] = None
     found = [
-        StateGroup(title=f"States of the {COMMAND_WORDS[command]}", names=tuple(names))
+        StateGroup(
+            title=f"States of the {COMMAND_WORDS[command]}", names=tuple(names), command=command
+        )
         for command, names in of_command.items()
         if names
     ]
@@ -55,7 +63,9 @@ def group_states(*declarations: Declaration) -> tuple[StateGroup, ...]:
 
 
 def are_comparable(columns: Sequence[NDArray[np.float64]]) -> bool:
-    """Whether curves can share a plot: none would look like zero beside another."""
+    """Whether curves can share a plot: few, and none would look like zero beside another."""
+    if len(columns) > _MOST_TOGETHER:
+        return False
     known = [np.abs(values[np.isfinite(values)]).max(initial=0.0) for values in columns]
     largest = [float(value) for value in known if value > 0.0]
     return not largest or max(largest) <= _LARGEST_RATIO * min(largest)

@@ -150,7 +150,7 @@ def find_levels(axes: Axes, label: str) -> list[float]:
     return sorted(float(np.asarray(line.get_ydata())[0]) for line in same)
 
 
-@pytest.mark.parametrize("name", tl.show.FIGURES)
+@pytest.mark.parametrize("name", LABELS)
 def test_every_axis_says_what_it_shows_and_in_which_unit(name: str) -> None:
     axes = draw(name).axes
     assert [panel.get_ylabel() for panel in axes] == LABELS[name]

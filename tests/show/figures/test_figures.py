@@ -16,6 +16,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import turtlelog as tl
+from tests.show.laws import simulate_pid, simulate_tracker
 from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.errors import ShowError
 from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
@@ -184,7 +185,9 @@ def test_a_legend_names_everything_once_and_covers_no_curve(name: str, runs: int
 
 @pytest.mark.parametrize("name", tl.show.FIGURES)
 def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
-    figure = tl.show.draw_figure(name, RUNS, page=tl.show.Page(text_width_mm=120.0))
+    runs = {"path-error": [simulate_tracker("kanayama")], "states": [simulate_pid()]}
+    narrow = tl.show.Page(text_width_mm=120.0)
+    figure = tl.show.draw_figure(name, runs.get(name, RUNS), page=narrow)
     figure.draw_without_rendering()
     page = figure.bbox
     left, low, right, high = np.multiply(figure.get_tightbbox().extents, figure.dpi)

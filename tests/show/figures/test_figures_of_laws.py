@@ -10,7 +10,15 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 import turtlelog as tl
-from tests.show.laws import KINDS, add_terms, forget_loops, simulate_law
+from tests.show.laws import (
+    KINDS,
+    TRACKERS,
+    add_terms,
+    forget_loops,
+    simulate_law,
+    simulate_pid,
+    simulate_tracker,
+)
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
 from turtlelog.show.figures.figure_curves import compute_ideals, find_gains
@@ -42,10 +50,10 @@ OF_HEADING = {"heading", "heading-error", "error-log"}
 @pytest.mark.parametrize(
     ("kind", "drawn"),
     [
-        ("strange", OF_ALL | THEORY | OF_HEADING | {"position-error"}),
+        ("strange", OF_ALL | THEORY | OF_HEADING | {"position-error", "states"}),
         ("example", OF_ALL | THEORY | OF_HEADING | {"position-error"}),
         ("Follower", OF_ALL | THEORY | OF_HEADING | {"position-error"}),
-        ("EightPhases", OF_ALL | {"error-log", "position-error"}),
+        ("EightPhases", OF_ALL | {"error-log", "position-error", "states"}),
         ("OpenLoop", OF_ALL | {"heading"}),
     ],
 )
@@ -65,7 +73,7 @@ def test_figures_and_tables_of_every_law_are_written(kind: str, tmp_path: Path) 
 
 
 def test_runs_of_laws_of_all_kinds_are_drawn_over_each_other() -> None:
-    runs = [KP4, *map(simulate_law, KINDS)]
+    runs = [KP4, *map(simulate_law, KINDS), *map(simulate_tracker, TRACKERS), simulate_pid()]
     for name in tl.show.FIGURES:
         tl.show.draw_figure(name, runs).savefig(io.BytesIO(), format="svg")
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.show.laws import KINDS, simulate_law
+from tests.show.laws import KINDS, simulate_law, simulate_tracker
 from tests.show.rerun.rrds import simulate_preset
 from turtlelog.scenario import PAPER_RUNS
 from turtlelog.show import (
@@ -66,6 +66,13 @@ def follower_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def strange_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("strange") / "strange.rrd"
     write_run_rrd(simulate_law("strange"), path, documents=DOCUMENTS)
+    return path
+
+
+@pytest.fixture(scope="session")
+def tracker_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tracker") / "tracker.rrd"
+    write_run_rrd(simulate_tracker("kanayama"), path, documents=DOCUMENTS)
     return path
 
 

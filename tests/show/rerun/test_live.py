@@ -9,7 +9,13 @@ import pytest
 
 import turtlelog as tl
 from tests.log.live import start_recording
-from tests.show.laws import build_scenario, simulate_law
+from tests.show.laws import (
+    TRACKERS,
+    build_scenario,
+    build_tracker,
+    simulate_law,
+    simulate_tracker,
+)
 from tests.show.rerun.headless import start_headless
 from tests.show.rerun.rrds import list_entities, read_rows, read_times, simulate_preset
 from turtlelog.errors import LogError, ShowError
@@ -48,13 +54,16 @@ def test_a_run_drawn_while_it_grows_has_the_rows_of_its_file(tmp_path: Path) -> 
     assert list_entities(grown) == list_entities(once)
 
 
-@pytest.mark.parametrize("kind", ["strange", "Follower", "EightPhases", "OpenLoop"])
+@pytest.mark.parametrize("kind", ["strange", "Follower", "EightPhases", "OpenLoop", *TRACKERS])
 def test_a_run_of_any_law_drawn_while_it_grows_is_its_file(kind: str, tmp_path: Path) -> None:
+    is_tracker = kind in TRACKERS
+    scenario = build_tracker(kind) if is_tracker else build_scenario(kind)
     grown, once = tmp_path / "grown.rrd", tmp_path / "once.rrd"
-    grow(build_scenario(kind), grown)
-    tl.write_run_rrd(simulate_law(kind), once)
+    grow(scenario, grown)
+    tl.write_run_rrd(simulate_tracker(kind) if is_tracker else simulate_law(kind), once)
     assert list_entities(grown) == list_entities(once)
     moving = {"/heading_deg/reference", "/position/reference", "/state/memory", "/heading_deg"}
+    moving |= {"/along_track_error", "/along_track/reference", "/cross_track"}
     for entity in moving & list_entities(once):
         drawn, whole = (
             np.array(read_rows(rrd, entity, "Scalars:scalars")) for rrd in (grown, once)
@@ -64,6 +73,9 @@ def test_a_run_of_any_law_drawn_while_it_grows_is_its_file(kind: str, tmp_path: 
         component = "Arrows2D:origins"
         rows = [read_rows(rrd, "/plane/reference_pose", component) for rrd in (grown, once)]
         assert rows[0] == rows[1]
+    if "/plane/error" in list_entities(once):
+        ways = [read_rows(rrd, "/plane/error", "Arrows2D:vectors") for rrd in (grown, once)]
+        assert ways[0] == ways[1]
 
 
 ROWS = {

@@ -285,11 +285,17 @@ def test_up_to_eight_later_phases_have_a_timeline(phases: int, timelines: int) -
     assert list(starts_ns) == [f"p{number}_time" for number in range(1, 1 + timelines)]
 
 
-@pytest.mark.parametrize(("count", "tabs"), [(0, 0), (3, 0), (4, 1)])
-def test_up_to_three_states_stand_beside_each_other(count: int, tabs: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("count", "largest", "tabs"), [(0, 1.0, 0), (3, 21.0, 0), (4, 19.0, 0), (4, 21.0, 1)]
+)
+def test_up_to_three_states_stand_beside_each_other_and_more_over_each_other_or_as_tabs(
+    count: int, largest: float, tabs: int, tmp_path: Path
+) -> None:
     run = simulate_law("OpenLoop")
     declaration = replace(run.declaration, states=tuple("abcd"[:count]))
-    states = np.zeros((len(run.samples), count)) if count else None
+    states = np.ones((len(run.samples), count)) if count else None
+    if states is not None:
+        states[:, 0] = largest
     samples = replace(run.samples, states=states)
     found = []
     for name, drawn in (

@@ -1,5 +1,6 @@
 """The figures by name: what each shows, what it needs, and how it is drawn."""
 
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -48,6 +49,9 @@ Arrange = Callable[[Figure, Sequence[Run], Sequence[Draw]], None]
 
 _MOST_NAMED: Final = 3
 """So many runs are named that a figure does not show; of more it is said how many."""
+
+_MOST_STATES: Final = 12
+"""Panels of states in a figure: of more it would be higher than any page."""
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
 
@@ -170,6 +174,12 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
     if names is None and not has_table1(runs):
         needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
         lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
+    states = _list_state_panels(runs, most=sys.maxsize)
+    if "states" in shown and len(states) > _MOST_STATES:
+        lines.append(
+            f"left out states (from {states[_MOST_STATES].name} on):"
+            f" expected at most {_MOST_STATES} panels, found {len(states)}"
+        )
     if "plane" in shown and find_close_up(runs) is None and find_worst_place(runs) is None:
         part, expected = ("how each run ends", _ARRIVAL)
         if list_paths(runs):
@@ -225,21 +235,38 @@ def _command(command: Command, label: str) -> Panel:
     return Panel(name=label, needs=command, draw=draw)
 
 
-def _list_state_panels(runs: Sequence[Run]) -> tuple[Panel, ...]:
-    """Return a panel for each state, of one run for those that belong together."""
+def _list_state_panels(
+    runs: Sequence[Run], *, of_commands: bool = False, most: int = _MOST_STATES
+) -> tuple[Panel, ...]:
+    """Return panels for states that are not always 0: of one run for those that belong together.
+
+    Args:
+        runs: What is drawn.
+        of_commands: Only those that belong to a command.
+        most: How many there may be.
+    """
     found = [run for run in runs if has_states(run)]
     panels = []
     for group in group_states(*(run.declaration for run in found)):
-        names: list[tuple[str, ...]] = [(name,) for name in group.names]
+        acting = tuple(name for name in group.names if not _is_idle(name, found))
+        if not acting or (of_commands and group.command is None):
+            continue
+        names: list[tuple[str, ...]] = [(name,) for name in acting]
         if len(runs) == 1:
-            curves = [read_curve(runs[0], name) for name in group.names]
+            curves = [read_curve(runs[0], name) for name in acting]
             columns = [curve.values for curve in curves if curve is not None]
-            names = [group.names] if are_comparable(columns) else names
+            names = [acting] if are_comparable(columns) else names
         for shown in names:
             label = shown[0] if len(shown) == 1 else group.title.lower()
             draw = partial(draw_states, names=shown, label=label)
             panels.append(Panel(name=label, needs="states", draw=draw, is_usual=False))
-    return tuple(panels)
+    return tuple(panels[:most])
+
+
+def _is_idle(name: str, runs: Sequence[Run]) -> bool:
+    """Whether a state is 0 throughout in every run that has it."""
+    curves = [read_curve(run, name) for run in runs if name in run.declaration.states]
+    return not any(curve.values.any() for curve in curves if curve is not None)
 
 
 FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
@@ -366,7 +393,9 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
                 _command("turn_rate", "turn rate"),
                 _command("speed", "speed"),
             ),
-            list_more=lambda runs: _list_state_panels(runs) if len(runs) == 1 else (),
+            list_more=lambda runs: (
+                _list_state_panels(runs, of_commands=True) if len(runs) == 1 else ()
+            ),
             arrange=draw_columns,
             height=0.85,
         ),

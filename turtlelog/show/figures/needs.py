@@ -12,6 +12,7 @@ from turtlelog.show.tracked_path import read_along_error
 
 SAMPLES: Final = "the controller's samples"
 GOAL: Final = "a goal"
+_STATES: Final = "states of its law that are not always 0"
 
 
 def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
@@ -30,8 +31,8 @@ def _lack_samples(run: Run, words: str, *, is_held: bool) -> str:
 
 
 def has_states(run: Run) -> bool:
-    """Whether it holds states of its law."""
-    return len(run.samples) > 0 and run.samples.states is not None and bool(run.declaration.states)
+    """Whether it holds states of its law that are not always 0."""
+    return run.samples.states is not None and bool(run.samples.states.any())
 
 
 def find_lack_of_gain(runs: Sequence[Run]) -> str:
@@ -56,11 +57,12 @@ _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
         "track": lambda run, _: _lack_samples(
             run, GOAL, is_held=run.goal_line is not None or run.path is not None
         ),
-        "along_error": lambda run, _: _lack(
-            "a reference that moves along the track", is_held=read_along_error(run) is not None
+        "along_error": lambda run, _: (
+            _lack("a path that its law tracks", is_held=run.path is not None)
+            or _lack("a path with a speed", is_held=read_along_error(run) is not None)
         ),
         "path": lambda run, _: _lack("a path that its law tracks", is_held=run.path is not None),
-        "states": lambda run, _: _lack("states of its law", is_held=has_states(run)),
+        "states": lambda run, _: _lack(_STATES, is_held=has_states(run)),
         "world_velocity": lambda run, _: _lack_samples(
             run, "gain times error", is_held=read_curve(run, "world_velocity_x") is not None
         ),

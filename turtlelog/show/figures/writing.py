@@ -156,7 +156,8 @@ def add_tables(write: Callable[[str, bytes], Path], runs: Sequence[Run]) -> list
     runs = order_by_gain(runs)
     if len(runs) <= _MOST_COLUMNS:
         essentials = choose_essentials(runs, [measure_run(run) for run in runs])
-        metrics = tabulate_measured(name_runs(runs), essentials)
+        declarations = [run.declaration for run in runs]
+        metrics = tabulate_measured(name_runs(runs), essentials, declarations=declarations)
     else:
         metrics = tabulate_runs([summarise_run(run) for run in runs])
     table1 = tabulate_table1(runs)

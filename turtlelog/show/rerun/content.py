@@ -71,6 +71,7 @@ class Content:
         worst: Where runs are furthest from their path, None where that is not shown.
         states: The states of the laws, in groups.
         overlaid: Groups whose states share a plot.
+        idle: Plots of states that are 0 throughout in every run; they need no view.
         corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
     """
 
@@ -95,12 +96,13 @@ class Content:
     worst: WorstPlace | None = None
     states: tuple[StateGroup, ...] = ()
     overlaid: frozenset[StateGroup] = frozenset()
+    idle: frozenset[str] = frozenset()
     corners: Mapping[str, str] = field(default_factory=dict)
 
     def list_states(self, group: StateGroup) -> list[str]:
-        """Return the plots of those states of a group that are drawn."""
+        """Return the plots of those states of a group that are shown."""
         plots = [f"{entities.STATE}/{name}" for name in group.names]
-        return [plot for plot in plots if self.list_curves(plot)]
+        return [plot for plot in plots if self.list_curves(plot) and plot not in self.idle]
 
     def list_curves(self, plot: str) -> list[str]:
         """Return the entity paths of a plot's curves: of its own name, and below it."""
@@ -142,6 +144,7 @@ def describe_content(
         goal=goal,
         worst=find_worst_place(runs) if goal is None else None,
         states=states,
+        idle=_find_idle(series),
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={
             **_find_ranges(series, references),
@@ -197,6 +200,14 @@ def _find_emptiest(places: NDArray[np.float64]) -> str:
         "LeftBottom": int((is_left & is_low).sum()),
     }
     return min(counts, key=lambda corner: counts[corner])
+
+
+def _find_idle(series: Sequence[Sequence[Series]]) -> frozenset[str]:
+    states = [
+        curves for run in series for curves in run if curves.plot.startswith(f"{entities.STATE}/")
+    ]
+    acting = {curves.plot for curves in states if curves.values.any()}
+    return frozenset(curves.plot for curves in states) - acting
 
 
 def _are_overlaid(group: StateGroup, series: Sequence[Sequence[Series]]) -> bool:

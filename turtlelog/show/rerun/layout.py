@@ -246,15 +246,18 @@ def _add_states(content: Content, plots: rrb.Container) -> rrb.Container:
 def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Container | None:
     """Show states over each other where they share a plot, else each as a tab."""
     plots = content.list_states(group)
-    if group not in content.overlaid:
-        views = [_view_plot(content, plot, None) for plot in plots]
+    if group not in content.overlaid or not plots:
+        has_tabs = group.command is not None and len(plots) > 1
+        names = [plot.partition("/")[2] if has_tabs else "" for plot in plots]
+        pairs = zip(plots, names, strict=True)
+        views = [_view_plot(content, plot, None, name) for plot, name in pairs]
         return rrb.Tabs(*views, active_tab=0) if len(views) > 1 else next(iter(views), None)
     ranges = [content.ranges[plot] for plot in plots if plot in content.ranges]
     axis = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
     corner = content.corners.get(plots[0], "RightTop")
     return rrb.TimeSeriesView(
         origin="/",
-        contents=[*(path for plot in plots for path in content.list_curves(plot)), *content.lines],
+        contents=[path for plot in plots for path in content.list_curves(plot)],
         name=group.title,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=None if axis is None else rrb.ScalarAxis(range=axis),
@@ -319,7 +322,9 @@ def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
     )
 
 
-def _view_plot(content: Content, plot: str, legend: rrb.Corner2D | None) -> rrb.View:
+def _view_plot(
+    content: Content, plot: str, legend: rrb.Corner2D | None, name: str = ""
+) -> rrb.View:
     """Show curves over time, with a legend where there is a corner and anything to tell apart."""
     contents = content.list_curves(plot)
     has_several = len(contents) > 1 or plot in {*content.references, *_PAIRS}
@@ -327,7 +332,7 @@ def _view_plot(content: Content, plot: str, legend: rrb.Corner2D | None) -> rrb.
         contents.insert(0, join_path(entities.REFERENCE, plot))
     if legend is None or plot not in _CROWDED:
         contents += content.lines
-    title, limits = _name_plot(plot), content.ranges.get(plot)
+    title, limits = name or _name_plot(plot), content.ranges.get(plot)
     return rrb.TimeSeriesView(
         origin="/",
         contents=contents,

@@ -243,7 +243,7 @@ def _open_up(content: Content, references: Sequence[LevelLines]) -> Content:
         plot: (content.ranges[plot][0], max(content.ranges[plot][1], limit))
         for plot, limit in limits.items()
     }
-    return replace(content, ranges=ranges, goal=None, worst=None, has_events=True)
+    return replace(content, ranges=ranges, goal=None, worst=None, idle=frozenset(), has_events=True)
 
 
 def _flush(stream: rr.RecordingStream) -> None:
