@@ -105,7 +105,7 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
             "--set: speed: expected limits.speed_m_s or path.speed_m_s, found no such key",
         ),
         (["--set", "x_m=2"], "--set: x_m: expected start.x_m or goal.x_m, found no such key"),
-        (["--set", "sed=2"], "--set: sed: expected seed, found an unknown key"),
+        (["--set", "sed=2"], "--set: sed: expected seed or path.closed, found no such key"),
         (["--set", "seed"], "--set: expected key=value, found 'seed'"),
         (["--set", "law.kind=a.py:B"], "law.kind: expected a Python file at a.py, found none"),
         (
