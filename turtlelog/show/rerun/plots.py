@@ -204,9 +204,10 @@ def _list_commands(run: Run, plot: str, command: Command) -> Iterator[Series]:
         if curve is None:
             continue
         is_main = kind == entities.COMMANDED
+        is_magnitude = kind == entities.APPLIED and command == "speed"
         yield Series(
             entity=f"{plot}/{kind}",
-            labels=(kind,),
+            labels=(f"|{kind}|" if is_magnitude else kind,),
             colors=(color,),
             time_ns=curve.time_ns,
             values=curve.values[:, np.newaxis],
