@@ -136,6 +136,14 @@ def test_without_a_speed_of_the_path_there_is_no_error_along_it(tmp_path: Path) 
     assert "/along_track" in entities
     assert not {"/along_track_error", "/along_track/reference"} & entities
     write_comparison_rrd([KANAYAMA, simulate_untimed()], tmp_path / "two.rrd")
+    assert read_strips(tmp_path / "two.rrd", "/plane/tracked_path") == [OUTLINE]
+    assert read_layout(tmp_path / "two.rrd")["Along-track error [m]"]
+
+
+def test_of_several_paths_each_is_drawn_and_none_has_a_close_up(tmp_path: Path) -> None:
+    moved = {**KANAYAMA.parameters, "path.points": [[3.0, 3.0], [6.0, 3.0], [6.0, 7.0]]}
+    other = replace(KANAYAMA, parameters=moved, name="other")
+    write_comparison_rrd([KANAYAMA, other], tmp_path / "two.rrd")
     assert len(read_strips(tmp_path / "two.rrd", "/plane/tracked_path")) == 2
     assert not [view for view in read_layout(tmp_path / "two.rrd") if "Furthest" in view]
 
