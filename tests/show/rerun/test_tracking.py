@@ -228,6 +228,15 @@ def test_a_legend_stands_in_the_corner_with_the_fewest_rows() -> None:
     assert find(beyond) in {"LeftTop", "RightTop"}
 
 
+def test_a_curve_that_is_always_0_has_a_range_with_ticks_that_read_well() -> None:
+    run = simulate_law("OpenLoop")
+    still = replace(run.samples, speed_m_s=np.zeros(len(run.samples)), wanted_speed_m_s=None)
+    poses = replace(run.poses, speed_m_s=None)
+    parameters = {**run.parameters, "limits.speed_m_s": np.inf}
+    single = build_single(replace(run, samples=still, poses=poses, parameters=parameters))
+    assert single.describe({}).ranges["speed"] == (-0.1, 0.1)
+
+
 def test_only_runs_without_a_goal_have_their_legends_moved() -> None:
     assert build_single(KANAYAMA).describe({}).corners
     assert not build_single(simulate_pid()).describe({}).corners
