@@ -148,7 +148,7 @@ def test_a_folder_gets_each_figure_once_and_table_1_after_the_final_errors(
     written = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert written == sorted(
         [
-            *(f"{name}.pdf" for name in tl.show.FIGURES if name not in {"path-error", "states"}),
+            *(f"{name}.pdf" for name, kind in tl.show.FIGURES.items() if kind.is_usual),
             "metrics.tex",
             "table1.tex",
             "whole-runs.tex",

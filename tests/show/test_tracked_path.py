@@ -53,9 +53,7 @@ def test_a_path_is_listed_once_and_only_where_a_law_tracks_it() -> None:
     )
     assert ignores.parameters["path.kind"] == "line"
     assert list_paths([ignores]) == ()
-    assert list_paths([KANAYAMA, ignores, PURSUIT]) == (
-        Path(kind="polygon", points=SQUARE, speed_m_s=0.5),
-    )
+    assert list_paths([KANAYAMA, ignores, PURSUIT]) == (Path(kind="polygon", points=SQUARE),)
 
 
 def test_the_error_along_the_path_is_its_reference_minus_the_nearest_arc_length() -> None:
@@ -128,6 +126,13 @@ def test_of_a_long_stretch_beside_the_path_the_worst_part_is_shown() -> None:
     assert worst.half_m == pytest.approx(10.0 * worst.offset_m)
 
 
+def test_a_path_is_one_whatever_the_speed_along_it() -> None:
+    assert simulate_untimed().path != KANAYAMA.path
+    assert len(list_paths([KANAYAMA, simulate_untimed()])) == 1
+    assert find_worst_place([simulate_untimed(), KANAYAMA]) is not None
+
+
 def test_runs_along_several_paths_have_no_common_worst_place() -> None:
-    assert find_worst_place([KANAYAMA, simulate_untimed()]) is None
+    moved = {**KANAYAMA.parameters, "path.points": [[3.0, 3.0], [6.0, 3.0], [6.0, 7.0]]}
+    assert find_worst_place([KANAYAMA, replace(KANAYAMA, parameters=moved)]) is None
     assert find_worst_place([simulate_law("example")]) is None

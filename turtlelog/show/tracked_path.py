@@ -1,7 +1,7 @@
 """What is drawn of runs whose laws track a path: the path, the error along it, the worst place."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -41,8 +41,9 @@ _LEAST_HALVES: Final = 1.5
 
 
 def list_paths(runs: Sequence[Run]) -> tuple[Path, ...]:
-    """Return the paths that the laws of runs track, each once."""
-    return tuple(dict.fromkeys(run.path for run in runs if run.path is not None))
+    """Return the paths that the laws of runs track, each once, whatever their speeds."""
+    paths = [run.path for run in runs]
+    return tuple(dict.fromkeys(replace(path, speed_m_s=None) for path in paths if path is not None))
 
 
 def outline_path(path: Path) -> Values:

@@ -78,6 +78,20 @@ def test_a_run_of_any_law_drawn_while_it_grows_is_its_file(kind: str, tmp_path: 
         assert ways[0] == ways[1]
 
 
+def test_path_reference_and_errors_are_there_while_a_tracker_runs(tmp_path: Path) -> None:
+    stream = GrowingStream("turtlelog")
+    stream.save(tmp_path / "live.rrd")
+    scenario = build_tracker("kanayama")
+    collector = RunCollector(scenario)
+    collector.take(list(iterate_ticks(scenario))[:300])
+    live_scene.LiveScene(stream).update(collector.build_run())
+    stream.disconnect()
+    shown = list_entities(tmp_path / "live.rrd")
+    assert {"/plane/tracked_path", "/plane/reference_pose", "/plane/error"} <= shown
+    assert {"/along_track_error", "/along_track/reference", "/cross_track"} <= shown
+    assert "/plane/close_up/worst" not in shown
+
+
 ROWS = {
     "/heading_deg": "Scalars:scalars",
     "/position": "Scalars:scalars",

@@ -136,6 +136,14 @@ def test_without_a_speed_of_the_path_there_is_no_error_along_it(tmp_path: Path) 
     assert "/along_track" in entities
     assert not {"/along_track_error", "/along_track/reference"} & entities
     write_comparison_rrd([KANAYAMA, simulate_untimed()], tmp_path / "two.rrd")
+    assert read_strips(tmp_path / "two.rrd", "/plane/tracked_path") == [OUTLINE]
+    assert read_layout(tmp_path / "two.rrd")["Along-track error [m]"]
+
+
+def test_of_several_paths_each_is_drawn_and_none_has_a_close_up(tmp_path: Path) -> None:
+    moved = {**KANAYAMA.parameters, "path.points": [[3.0, 3.0], [6.0, 3.0], [6.0, 7.0]]}
+    other = replace(KANAYAMA, parameters=moved, name="other")
+    write_comparison_rrd([KANAYAMA, other], tmp_path / "two.rrd")
     assert len(read_strips(tmp_path / "two.rrd", "/plane/tracked_path")) == 2
     assert not [view for view in read_layout(tmp_path / "two.rrd") if "Furthest" in view]
 
@@ -218,6 +226,15 @@ def test_a_legend_stands_in_the_corner_with_the_fewest_rows() -> None:
     assert find(np.full((100, 1), 0.2)) in {"LeftTop", "RightTop"}
     beyond = np.hstack([np.full((100, 1), 0.2), np.full((100, 1), 7.0)])
     assert find(beyond) in {"LeftTop", "RightTop"}
+
+
+def test_a_curve_that_is_always_0_has_a_range_with_ticks_that_read_well() -> None:
+    run = simulate_law("OpenLoop")
+    still = replace(run.samples, speed_m_s=np.zeros(len(run.samples)), wanted_speed_m_s=None)
+    poses = replace(run.poses, speed_m_s=None)
+    parameters = {**run.parameters, "limits.speed_m_s": np.inf}
+    single = build_single(replace(run, samples=still, poses=poses, parameters=parameters))
+    assert single.describe({}).ranges["speed"] == (-0.1, 0.1)
 
 
 def test_only_runs_without_a_goal_have_their_legends_moved() -> None:

@@ -28,6 +28,9 @@ that value."""
 _LEAST_ROOM = 1e-9
 """In the unit of the plot, at least where all values are one: a range needs a height."""
 
+_ROOM_AROUND_0 = 0.1
+"""In the unit of the plot, where all values are 0: ticks of a lower range are hard to read."""
+
 _LEAST_SIDE = 0.15
 """What a command's range shows at least on either side of 0, as a share of its largest limit,
 times `_HEADROOM`."""
@@ -243,7 +246,9 @@ def _find_ranges(
 
 
 def _add_room(low: float, high: float) -> tuple[float, float]:
-    room = _ROOM * (high - low) or max(_ROOM * abs(high), _LEAST_ROOM)
+    room = _ROOM * (high - low)
+    if not room:
+        room = max(_ROOM * abs(high), _LEAST_ROOM) if high else _ROOM_AROUND_0
     return low - room, high + room
 
 
