@@ -270,11 +270,11 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
 
 def _strip(run: "Run", path: Path) -> "Run":
     """Return a run of which only what was observed is known: rows, goal, end, and its loops."""
+    known = tl.paths.PATH_KEYS  # a path was observed as the goal was: errors count from it
     return replace(
         run,
         name=path.stem,
-        # A path was observed as the goal was: errors count from it.
-        parameters={key: value for key, value in run.parameters.items() if key[:5] == "path."},
+        parameters={key: value for key, value in run.parameters.items() if key in known},
         scenario_is_complete=False,
         absent=("parameters",),
         notes={"scenario": "left out when the run was recorded"},

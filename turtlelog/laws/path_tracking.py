@@ -8,7 +8,8 @@ from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
 from turtlelog.laws.base import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration, Mechanism
-from turtlelog.paths import Path, PathFollower, PathPoint
+from turtlelog.path_pieces import PathPoint
+from turtlelog.paths import Path, PathFollower
 
 _TRACK = "track"
 _NO_GOAL = math.nan
