@@ -16,6 +16,7 @@ from turtlelog.cli.options import (
     Json,
     LawOptions,
     Output,
+    find_scenario_file,
     list_given_keys,
     load_changed_scenario,
 )
@@ -31,7 +32,7 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
 from turtlelog.cli.targets import require_new_target
-from turtlelog.cli.watch import describe_change, find_scenario_file, list_watched, watch_runs
+from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
