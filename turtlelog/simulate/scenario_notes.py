@@ -1,6 +1,6 @@
-"""What one should know of a scenario before it is run.
+"""Notes on a scenario before it is run.
 
-Gains that theory calls unstable, and parts of the scenario that its law does not use.
+They name gains that theory calls unstable, and parts of the scenario that its law does not use.
 """
 
 from collections.abc import Collection, Mapping
