@@ -73,8 +73,8 @@ class LawOptions(ScenarioOptions):
 
     law: Annotated[str | None, Parameter(metavar="KIND", completer=complete_law)] = None
 
-    def find_law(self) -> str | None:
-        """Return the law that --law or --set names.
+    def find_law_kind(self) -> str | None:
+        """Return the kind of law that --law or --set names.
 
         Raises:
             UsageError: Where they name two.
@@ -138,7 +138,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
         options: The changes.
     """
     options = options or LawOptions()
-    named = options.find_law()
+    named = options.find_law_kind()
     name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
     path, declared = Path(name_or_path), None
     if not _is_recording(path):

@@ -194,7 +194,7 @@ def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptio
 def _watch(
     scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
 ) -> int:
-    file, kind = find_scenario_file(scenario), options.find_law()
+    file, kind = find_scenario_file(scenario), options.find_law_kind()
     if file is None and kind is None:
         kind = load_changed_scenario(scenario, options).law.kind
     files = list_watched(file, kind)
