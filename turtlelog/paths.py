@@ -70,7 +70,7 @@ class Path:
         center_x_m: Of a circle or a figure eight, world frame [m].
         center_y_m: Of a circle or a figure eight, world frame [m].
         size_m: Radius of the circle, or of both circles of a figure eight [m].
-        closed: Whether the last point is joined to the first; None: a polygon is, waypoints are not.
+        closed: Whether it returns to its first point; None: a polygon does, waypoints do not.
         speed_m_s: Speed at which the reference moves along the path from its beginning [m/s]; None:
             no time belongs to the path, and the reference is its point nearest to the robot.
 
