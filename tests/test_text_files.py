@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tomli_w
 
 import turtlelog as tl
 from turtlelog.check import load_spec
@@ -15,7 +16,7 @@ from turtlelog.check.reference import load_reference
 from turtlelog.errors import TurtlelogError
 from turtlelog.measure.path import read_reference_path
 from turtlelog.scenario import override_scenario, parse_assignments, read_scenario
-from turtlelog.text_files import MOST_BYTES, parse_toml, read_text_file
+from turtlelog.text_files import MOST_BYTES, format_toml, parse_toml, read_text_file
 
 READERS: list[Callable[[Path], Any]] = [
     read_scenario,
@@ -160,3 +161,41 @@ def test_a_deep_value_of_set_is_refused_in_one_line(value: str) -> None:
     line = r"\A--set: law\.kp_linear: expected a number > 0, found [^\n]{60,70}\.\.\. [^\n]*\Z"
     with pytest.raises(TurtlelogError, match=line):
         override_scenario(tl.load_scenario("paper"), changes, source="--set")
+
+
+@pytest.mark.parametrize(("letters", "is_one_line"), [(80, True), (81, False)])
+def test_list_of_numbers_stands_in_one_line_up_to_80_letters(
+    letters: int, *, is_one_line: bool
+) -> None:
+    # Nineteen numbers of a digit take 19 * 1 + 18 * 2 = 55 letters, and two more the rest.
+    values = [*[1] * 19, 10 ** (letters - 57 - 1)]
+    text = format_toml({"at": values})
+    assert parse_toml(text) == {"at": values}
+    assert (text == f"at = {values}\n") == is_one_line
+    assert text.startswith("at = [1, 1, " if is_one_line else "at = [\n    1, 1, ")
+
+
+def test_long_list_of_numbers_is_wrapped_between_them() -> None:
+    values = [-1.2345678901234567e-100 * number for number in range(1, 31)]
+    text = format_toml({"law": {"speed_m_s": values}})
+    assert parse_toml(text) == {"law": {"speed_m_s": values}}
+    first, *lines, last = text.splitlines()[1:]
+    assert (first, last) == ("speed_m_s = [", "]")
+    assert all(line.startswith("    -") and 50 < len(line) <= 84 for line in lines)
+
+
+@pytest.mark.parametrize("count", [4, 40])
+def test_long_list_of_points_has_a_line_for_each(count: int) -> None:
+    points = [[1.5 + number, -2e-05] for number in range(count)]
+    text = format_toml({"points": points})
+    assert parse_toml(text) == {"points": points}
+    is_long = text.startswith("points = [\n    [1.5, -2e-05],\n    [2.5, -2e-05],\n")
+    assert is_long == (count == 40)
+    assert len(text.splitlines()) == (42 if count == 40 else 1)
+
+
+def test_lists_of_text_and_text_like_lists_stay_as_they_are() -> None:
+    tables = {"name": "[\n    1.0,\n]", "kinds": ["[", "1.0,", "]"], "none": [], "mixed": [1, "a"]}
+    text = format_toml(tables)
+    assert parse_toml(text) == tables
+    assert text == tomli_w.dumps(tables)

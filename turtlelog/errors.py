@@ -64,8 +64,8 @@ class FrameError(TurtlelogError):
     """Arrays that are no vectors."""
 
 
-class PathError(TurtlelogError):
-    """Points and sizes that make no path."""
+class PathError(TurtlelogError, ValueError):
+    """Points and sizes that make no path; the line begins with the key."""
 
 
 class RunError(TurtlelogError):

@@ -13,12 +13,13 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import PathError
+from turtlelog.path_pieces import PathPiece, PathPoint, join_points
 
 PathKind = Literal["line", "polygon", "waypoints", "circle", "figure-eight"]
 
 MOST_POINTS: Final = 3000
-"""Points of a path. In the scenario's text each takes up to 71 bytes: 208 KiB of the 256 KiB that a
-recording's scenario may have."""
+"""Points of a path. In the scenario's text each takes up to 56 bytes: 164 KiB of the 256 KiB that a
+recording's scenario may have. The rest is for lists of the law."""
 
 REACH_M: Final = 0.5
 """How far along the path from the last nearest point the next is looked for, either way [m].
@@ -29,22 +30,6 @@ as the world comes back to itself: at a crossing the robot stays on its branch."
 CORNER_RAD: Final = math.radians(1.0)
 """From this change of direction on a bend between two pieces is a corner: less is the bend of a
 circle that is given by 360 points or more."""
-
-
-class PathPoint(NamedTuple):
-    """A point of a path.
-
-    Attributes:
-        x_m: World frame [m].
-        y_m: World frame [m].
-        heading_rad: Direction of the path there, counter-clockwise from +x, in [-pi, pi).
-        curvature_1_m: Positive where the path bends to the left [1/m].
-    """
-
-    x_m: float
-    y_m: float
-    heading_rad: float
-    curvature_1_m: float
 
 
 class Place(NamedTuple):
@@ -73,102 +58,6 @@ class Corner(NamedTuple):
     leg_m: float
 
 
-class _Piece(NamedTuple):
-    """A straight piece, or an arc where the curvature is not 0."""
-
-    number: int
-    start_m: float
-    length_m: float
-    x_m: float
-    y_m: float
-    heading_rad: float
-    curvature_1_m: float
-
-    def locate(self, way_m: float) -> PathPoint:
-        """Return the point that far from the start of the piece, also beyond its ends."""
-        heading, bend = self.heading_rad, self.curvature_1_m
-        if bend == 0.0:
-            x_m = self.x_m + way_m * math.cos(heading)
-            y_m = self.y_m + way_m * math.sin(heading)
-            return PathPoint(x_m, y_m, wrap_angle(heading), 0.0)
-        end = heading + bend * way_m
-        x_m = self.x_m + (math.sin(end) - math.sin(heading)) / bend
-        y_m = self.y_m - (math.cos(end) - math.cos(heading)) / bend
-        return PathPoint(x_m, y_m, wrap_angle(end), bend)
-
-    def go_straight(self, way_m: float) -> "_Piece":
-        """Return the tangent from the point at a way on, without an end."""
-        start = self.locate(way_m)
-        return _Piece(
-            self.number,
-            self.start_m + way_m,
-            math.inf,
-            start.x_m,
-            start.y_m,
-            start.heading_rad,
-            0.0,
-        )
-
-    def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> float:
-        """Return the way to the point between two ways that is nearest to a position [m]."""
-        bend = self.curvature_1_m
-        if bend == 0.0:
-            cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-            way_m = (x_m - self.x_m) * cos + (y_m - self.y_m) * sin
-            return min(max(way_m, low_m), high_m)
-        middle_m = (low_m + high_m) / 2.0
-        turned = self._turn_to(x_m, y_m)
-        # The same direction is met once a turn: that nearest to the middle of the stretch.
-        turn_m = 2.0 * math.pi / abs(bend)
-        way_m = turned / bend
-        way_m += turn_m * round((middle_m - way_m) / turn_m)
-        return min(max(way_m, low_m), high_m)
-
-    def find_exit(self, x_m: float, y_m: float, radius_m: float, low_m: float) -> float | None:
-        """Return the first way from `low_m` on at which the piece leaves a circle [m].
-
-        None where it does not within its length.
-        """
-        bend = self.curvature_1_m
-        if bend == 0.0:
-            cos, sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-            ahead_m, left_m = x_m - self.x_m, y_m - self.y_m
-            way_m = ahead_m * cos + left_m * sin
-            square = radius_m**2 - (left_m * cos - ahead_m * sin) ** 2
-            if square < 0.0:
-                return None
-            way_m += math.sqrt(square)
-            return way_m if low_m <= way_m <= self.length_m else None
-        return self._find_exit_of_arc(x_m, y_m, radius_m, low_m)
-
-    def _find_exit_of_arc(
-        self, x_m: float, y_m: float, radius_m: float, low_m: float
-    ) -> float | None:
-        bend = self.curvature_1_m
-        own_m = 1.0 / abs(bend)
-        center_x_m, center_y_m = self._find_center()
-        away_m = math.hypot(x_m - center_x_m, y_m - center_y_m)
-        if away_m == 0.0:
-            return None
-        cosine = (own_m**2 + away_m**2 - radius_m**2) / (2.0 * own_m * away_m)
-        if not -1.0 <= cosine <= 1.0:
-            return None
-        way_m = (self._turn_to(x_m, y_m) + math.copysign(math.acos(cosine), bend)) / bend
-        turn_m = 2.0 * math.pi * own_m
-        way_m += turn_m * math.ceil((low_m - way_m) / turn_m)
-        return way_m if way_m <= self.length_m else None
-
-    def _find_center(self) -> tuple[float, float]:
-        x_m = self.x_m - math.sin(self.heading_rad) / self.curvature_1_m
-        return x_m, self.y_m + math.cos(self.heading_rad) / self.curvature_1_m
-
-    def _turn_to(self, x_m: float, y_m: float) -> float:
-        """Return by how much an arc has turned where it is nearest to a position [rad]."""
-        center_x_m, center_y_m = self._find_center()
-        away = math.atan2(y_m - center_y_m, x_m - center_x_m)
-        return away + math.copysign(math.pi / 2.0, self.curvature_1_m) - self.heading_rad
-
-
 @dataclass(frozen=True, kw_only=True)
 class Path:
     """A path to track: the table `[path]` of a scenario.
@@ -181,7 +70,7 @@ class Path:
         center_x_m: Of a circle or a figure eight, world frame [m].
         center_y_m: Of a circle or a figure eight, world frame [m].
         size_m: Radius of the circle, or of both circles of a figure eight [m].
-        closed: Whether a polygon or waypoints lead back to the first point; None for as usual.
+        closed: Whether it returns to its first point; None: a polygon does, waypoints do not.
         speed_m_s: Speed at which the reference moves along the path from its beginning [m/s]; None:
             no time belongs to the path, and the reference is its point nearest to the robot.
 
@@ -337,8 +226,11 @@ class Path:
         return self.locate(from_m + lookahead_m)
 
     @cached_property
-    def _pieces(self) -> tuple[_Piece, ...]:
-        return tuple(_build_round(self) if self.kind in _ROUND else _build_straight(self))
+    def _pieces(self) -> tuple[PathPiece, ...]:
+        if self.points is None:
+            return tuple(_build_round(self))
+        points = (*self.points, self.points[0]) if self.is_closed else self.points
+        return tuple(join_points(points))
 
     @cached_property
     def _starts_m(self) -> list[float]:
@@ -347,7 +239,7 @@ class Path:
     def _find_piece(self, arc_m: float) -> int:
         return max(bisect_right(self._starts_m, arc_m) - 1, 0)
 
-    def _list_pieces(self, low_m: float, high_m: float) -> Iterator[_Piece]:
+    def _list_pieces(self, low_m: float, high_m: float) -> Iterator[PathPiece]:
         """Yield the pieces that a stretch touches; of a closed path those of every lap."""
         length_m = self.length_m
         if not self.is_closed or 0.0 < low_m <= high_m < length_m:
@@ -362,7 +254,7 @@ class Path:
                 if start_m <= high_m and start_m + piece.length_m >= low_m:
                     yield piece._replace(start_m=start_m)
 
-    def _iterate_on(self, from_m: float) -> Iterator[_Piece]:
+    def _iterate_on(self, from_m: float) -> Iterator[PathPiece]:
         """Yield the pieces from an arc length on: once around, or to the end and straight on."""
         first = self._find_piece(from_m)
         yield from self._pieces[first:]
@@ -372,7 +264,7 @@ class Path:
         else:
             yield self._pieces[-1].go_straight(self._pieces[-1].length_m)
 
-    def _find_side(self, x_m: float, y_m: float, arc_m: float, piece: _Piece) -> float:
+    def _find_side(self, x_m: float, y_m: float, arc_m: float, piece: PathPiece) -> float:
         """Return a number that is positive where a position is on the left of the path.
 
         `arc_m` is that of the nearest point, `piece` the first that holds it.
@@ -386,13 +278,17 @@ class Path:
             cos, sin = cos + math.cos(heading), sin + math.sin(heading)
         return cos * (y_m - point.y_m) - sin * (x_m - point.x_m)
 
-    def _find_heading_beyond(self, piece: _Piece, *, is_end: bool) -> float:
+    def _find_heading_beyond(self, piece: PathPiece, *, is_end: bool) -> float:
         """Return the direction of the path just beyond an end of a piece [rad]."""
         number = piece.number + (1 if is_end else -1)
         if not self.is_closed and not 0 <= number < len(self._pieces):
             return piece.locate(piece.length_m if is_end else 0.0).heading_rad
         other = self._pieces[number % len(self._pieces)]
         return other.locate(0.0 if is_end else other.length_m).heading_rad
+
+
+PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
+"""Scenario keys of a path, which are absent where there is none."""
 
 
 class PathFollower:
@@ -422,11 +318,8 @@ def restore_path(parameters: Mapping[str, Any]) -> Path | None:
     Raises:
         PathError: Where they make no path.
     """
-    values = {
-        one.name: parameters[f"path.{one.name}"]
-        for one in fields(Path)
-        if f"path.{one.name}" in parameters
-    }
+    found = [key for key in PATH_KEYS if key in parameters]
+    values = {key.removeprefix("path."): parameters[key] for key in found}
     if not values:
         return None
     points = values.get("points")
@@ -440,6 +333,7 @@ def restore_path(parameters: Mapping[str, Any]) -> Path | None:
 
 @lru_cache(maxsize=16)
 def _build_path(values: tuple[tuple[str, Any], ...]) -> Path:
+    # Kept, as a run asks for its path again and again: its pieces are found once.
     return Path(**dict(values))
 
 
@@ -453,28 +347,16 @@ def _require_finite(place: str, value: Any) -> float:
     return float(value)
 
 
-def _find_turn(before: _Piece, after: _Piece) -> float:
+def _find_turn(before: PathPiece, after: PathPiece) -> float:
     end = before.heading_rad + before.curvature_1_m * before.length_m
     return wrap_angle(after.heading_rad - end)
 
 
-def _build_straight(path: Path) -> Iterator[_Piece]:
-    points = path.points or ()
-    start_m = 0.0
-    ends = (*points[1:], points[0]) if path.is_closed else points[1:]
-    for number, ((x_m, y_m), end) in enumerate(zip(points, ends, strict=False)):
-        end_x_m, end_y_m = end
-        length_m = math.hypot(end_x_m - x_m, end_y_m - y_m)
-        heading = math.atan2(end_y_m - y_m, end_x_m - x_m)
-        yield _Piece(number, start_m, length_m, x_m, y_m, heading, 0.0)
-        start_m += length_m
-
-
-def _build_round(path: Path) -> Iterator[_Piece]:
+def _build_round(path: Path) -> Iterator[PathPiece]:
     x_m, y_m, size_m = path.center_x_m or 0.0, path.center_y_m or 0.0, path.size_m or 0.0
     turn_m = 2.0 * math.pi * size_m
     if path.kind == "circle":
-        yield _Piece(0, 0.0, turn_m, x_m + size_m, y_m, math.pi / 2.0, 1.0 / size_m)
+        yield PathPiece(0, 0.0, turn_m, x_m + size_m, y_m, math.pi / 2.0, 1.0 / size_m)
         return
-    yield _Piece(0, 0.0, turn_m, x_m, y_m, 0.0, 1.0 / size_m)
-    yield _Piece(1, turn_m, turn_m, x_m, y_m, 0.0, -1.0 / size_m)
+    yield PathPiece(0, 0.0, turn_m, x_m, y_m, 0.0, 1.0 / size_m)
+    yield PathPiece(1, turn_m, turn_m, x_m, y_m, 0.0, -1.0 / size_m)

@@ -1,13 +1,17 @@
-"""The user's own small files, as text and as TOML, read within bounds."""
+"""The user's own small files as text and as TOML: read within bounds, and written."""
 
 import errno
 import os
 import re
 import stat
+import textwrap
 import time
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
+
+import tomli_w
 
 from turtlelog.errors import describe_error
 
@@ -25,6 +29,13 @@ _KEY: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _LONG_KEY: Final = re.compile(
     rf"(?:^|[\[{{,])[ \t]*+(?:{_KEY}\.[ \t]*+){{{_DEEPEST + 1}}}", re.MULTILINE
 )
+
+_LINE_LENGTH: Final = 80
+"""Letters of a list that stands in one line: with its key about as wide as a terminal."""
+
+_NUMBERS: Final = re.compile(r"\[\n(?P<entries>(?: *[-+.\w]+,\n)+)(?P<indent> *)\]")
+_POINTS: Final = re.compile(r"\[\n(?P<entries>(?: *\[[-+.\w, ]+\],\n)+)(?P<indent> *)\]")
+"""Lists as tomli-w writes them, an entry a line. Text does not match: it has quotes."""
 
 
 def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
@@ -73,6 +84,26 @@ def parse_toml(text: str) -> dict[str, Any]:
     if level:
         raise ValueError(deep)
     return tables
+
+
+def format_toml(tables: Mapping[str, Any]) -> str:
+    """Return nested tables as TOML text, with lists of numbers and of points in few lines."""
+    text = tomli_w.dumps(tables)
+    for pattern in (_NUMBERS, _POINTS):
+        text = pattern.sub(_join_entries, text)
+    return text
+
+
+def _join_entries(found: re.Match[str]) -> str:
+    """Return a list in one line, or where it is long in lines of many numbers or of one point."""
+    line = " ".join(found["entries"].split()).removesuffix(",")
+    if len(line) <= _LINE_LENGTH:
+        return f"[{line}]"
+    if found.re is _POINTS:
+        return found[0]
+    lines = textwrap.wrap(f"{line},", _LINE_LENGTH, break_long_words=False, break_on_hyphens=False)
+    indent = found["indent"]
+    return "\n".join(["[", *(f"{indent}    {one}" for one in lines), f"{indent}]"])
 
 
 def _list_inner(value: Any) -> list[Any]:

@@ -287,6 +287,15 @@ def test_an_interrupt_ends_a_law_without_end(law: Path, tmp_path: Path) -> None:
     assert watch.err.splitlines() == ["watch ended"]
 
 
+@signals
+def test_scenario_file_is_watched_whatever_its_ending(tmp_path: Path) -> None:
+    scenario = tmp_path / "mine.txt"
+    scenario.write_text("max_duration_s = 1.0", encoding="utf-8")
+    with start(tmp_path, "mine.txt") as watch:
+        watch.wait_for("watching mine.txt")
+        assert watch.interrupt() == 130
+
+
 @pytest.mark.parametrize(
     ("words", "error"),
     [

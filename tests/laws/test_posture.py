@@ -303,7 +303,7 @@ def test_largest_gains_give_finite_commands() -> None:
 
 
 def test_law_without_a_goal_says_so() -> None:
-    with pytest.raises(LawError, match=r"\Aposture: expected a goal, found none\Z"):
+    with pytest.raises(LawError, match=r"\Aexpected a goal, found none\Z"):
         Posture(PostureParameters()).reset(Pose(1.0, 1.0, 0.0), None, None)
 
 

@@ -83,6 +83,18 @@ def test_lag_of_a_slow_robot_is_what_its_speed_limit_costs() -> None:
     assert read(run, "along.lag") > 4.0
 
 
+@pytest.mark.parametrize(("moved_m", "status"), [(0.9e-6, Status.NO_STEP), (1.1e-6, Status.OK)])
+def test_reference_that_moves_less_than_poses_are_rounded_by_has_no_lag(
+    moved_m: float, status: Status
+) -> None:
+    run = track({**LINE, "speed_m_s": moved_m / 2.0}, max_duration_s=2.0)
+    run = replace(run, stop_reason="path_end")
+    assert run.duration_s == pytest.approx(2.0, rel=0.02)
+    metric = tl.measure_run(run, only=["along.lag"])["along.lag"]
+    assert metric.status == status
+    assert (metric.reason == "the reference does not move") == (status is Status.NO_STEP)
+
+
 def test_path_without_a_speed_has_no_error_along_it() -> None:
     run = track(LINE)
     metric = tl.measure_run(run, only=["along.rms_error"])["along.rms_error"]

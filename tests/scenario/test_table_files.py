@@ -9,6 +9,7 @@ import pytest
 import turtlelog as tl
 from turtlelog.errors import ScenarioError
 from turtlelog.laws.open_loop import MOST_ROWS
+from turtlelog.paths import MOST_POINTS
 from turtlelog.scenario import PAPER_RUNS, load_scenario, parse_scenario, replay_commands
 
 LAW = '[law]\nkind = "open-loop"\nfile = "commands.csv"\n'
@@ -255,10 +256,14 @@ def test_waypoints_that_cannot_be_are_refused_by_line(rows: str, line: str, tmp_
 
 
 def test_longest_path_fits_into_a_recording(tmp_path: Path) -> None:
-    steps = np.arange(3000) / 3000.0
-    points = [(1.0 + 9.0 * step, 2.0 + np.pi * step) for step in steps.tolist()]
+    # The longest numbers within the world: 23 letters as 1.2345678901234567e-100.
+    long = (1.2345678901234567e-100 * (1.0 + np.arange(MOST_POINTS) * 1e-16)).tolist()
+    points = tuple((1.0 if number % 2 else x_m, x_m) for number, x_m in enumerate(long))
     scenario = parse_scenario('max_duration_s = 1.0\n[law]\nkind = "kanayama"')
-    scenario = replace(scenario, path=tl.paths.Path(kind="waypoints", points=tuple(points)))
+    short = tl.format_scenario(scenario)
+    scenario = replace(scenario, path=tl.paths.Path(kind="waypoints", points=points))
+    added = len(tl.format_scenario(scenario)) - len(short)
+    assert added < 56 * MOST_POINTS < 2**18
     run = tl.simulate_run(scenario)
     tl.write_recording(run, tmp_path / "long.mcap")
     assert tl.read_run(tmp_path / "long.mcap").path == run.path

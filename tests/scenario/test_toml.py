@@ -167,3 +167,8 @@ def test_a_stop_rule_stands_in_a_file_where_it_is_not_the_usual_one() -> None:
     changed = build_scenario({"law": {"timeout_s": 45.0}})
     assert "timeout_s = 45.0\n" in format_scenario(changed)
     assert parse_scenario(format_scenario(changed)).law.parameters.timeout_s == 45.0
+
+
+def test_a_short_list_of_points_stands_in_one_line() -> None:
+    text = format_scenario(get_preset("track-square"))
+    assert "\npoints = [[3.0, 3.0], [8.0, 3.0], [8.0, 8.0], [3.0, 8.0]]\n" in text

@@ -1,10 +1,10 @@
 """A law whose one loop is P, PI, PD or PID, as its parameters say, and that ignores much."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from turtlelog.laws import ABSENT_BY_DEFAULT, Decision, Goal, Pose
+from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
 
 KIND: Final = f"{Path(__file__)}:PidLaw"
@@ -19,7 +19,6 @@ class PidParameters:
     tells: str = "pid"  # which keys the loop names: "pid", "pd", "gain"
     signal: str = "heading"
     unused: Any = ()
-    schedule: dict[str, Any] = field(default_factory=dict, metadata=ABSENT_BY_DEFAULT)
 
 
 class PidLaw:

@@ -128,13 +128,17 @@ def test_no_pause_and_no_queue_makes_the_dead_time_less_than_the_note_says(
         loop__command_queue=command_queue,
         law__pause_ticks=pause_ticks,
     )
-    timing = scenario_notes._find_timing(scenario.loop)
-    assert timing is not None
+    unstable = tl.override_scenario(scenario, {"law.kp_linear": 1e4})
+    (note,) = list_scenario_notes(unstable)
+    said = re.search(r"a dead time of (\d+) ticks?( \(the least it can be\))?", note)
+    assert said is not None or "no dead time" in note
+    least_ticks = 0 if said is None else int(said[1])
+    most_ticks = command_queue - 1 if said is not None and said[2] else least_ticks
     run = tl.simulate_run(scenario)
     for loop in ("rotate", "translate"):
         found = tl.measure.find_dead_time(run, loop)
         assert isinstance(found, tl.measure.DeadTime)
-        assert timing.least <= found.ticks <= timing.most
+        assert least_ticks <= found.ticks <= most_ticks
 
 
 @pytest.mark.parametrize(("share", "grows"), [(0.97, False), (1.03, True)])
@@ -207,7 +211,6 @@ def test_a_derivative_is_judged_at_every_dead_time_that_there_may_be() -> None:
         {"law__ki": -1.0},
         {"law__ki": True},
         {"law__signal": "cross_track"},  # no integrator
-        {"law__schedule": {"at_m": [1.0, 2.0], "kp": [1.0, 2.0]}},
         {"law__kd": 1e60},
     ],
 )
@@ -216,12 +219,20 @@ def test_nothing_is_said_of_a_loop_whose_theory_is_unknown(changes: dict[str, An
     assert list_scenario_notes(build(law__kp=150.0, **changes)) == ()
 
 
+def test_a_scheduled_gain_gets_no_note_and_the_constant_one_beside_it_does() -> None:
+    table = {"law__schedule__over": "distance", "law__schedule__at": [0.0, 1.0]}
+    gains = {"law__kp_angular": 150.0, "law__kp_linear": 150.0}
+    scheduled = change("textbook", law__schedule__kp_linear=[150.0, 150.0], **table, **gains)
+    (note,) = list_scenario_notes(scheduled)
+    assert note.startswith("rotate: law.kp_angular = 150 is above 125 1/s")
+
+
 def test_pd_that_names_no_integral_is_known() -> None:
     (note,) = list_scenario_notes(build(law__kp=150.0, law__tells="pd", law__ki=1e5))
     assert "law.ki" not in note
 
 
-@pytest.mark.parametrize("key", ["plant.kind", "loop.jitter_s", "limits.jerk_m_s3", "law.schedule"])
+@pytest.mark.parametrize("key", ["plant.kind", "loop.jitter_s", "limits.jerk_m_s3"])
 def test_nothing_is_said_where_a_key_is_not_understood(
     key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

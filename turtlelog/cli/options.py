@@ -73,8 +73,8 @@ class LawOptions(ScenarioOptions):
 
     law: Annotated[str | None, Parameter(metavar="KIND", completer=complete_law)] = None
 
-    def find_law(self) -> str | None:
-        """Return the law that --law or --set names.
+    def find_law_kind(self) -> str | None:
+        """Return the kind of law that --law or --set names.
 
         Raises:
             UsageError: Where they name two.
@@ -114,6 +114,18 @@ _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
 """How files that may hold a scenario end, beside scenario files."""
 
 
+def find_scenario_file(name: str | None) -> Path | None:
+    """Return the scenario file that a word names, None where it names something else."""
+    if name is None or name in tl.PRESETS or _is_recording(Path(name)):
+        return None
+    path = Path(name)
+    return path if path.suffix.lower() == ".toml" or path.is_file() else None
+
+
+def _is_recording(path: Path) -> bool:
+    return path.suffix.lower() in _RECORDINGS or path.is_dir()
+
+
 def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":
     """Return a preset, or the scenario of a file or recording, with the options applied.
 
@@ -126,10 +138,10 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
         options: The changes.
     """
     options = options or LawOptions()
-    named = options.find_law()
+    named = options.find_law_kind()
     name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
     path, declared = Path(name_or_path), None
-    if path.suffix.lower() not in _RECORDINGS and not path.is_dir():
+    if not _is_recording(path):
         base = tl.load_scenario(name_or_path)
     else:
         run = _read_run(path, TopicOptions())

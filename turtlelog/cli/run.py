@@ -16,6 +16,7 @@ from turtlelog.cli.options import (
     Json,
     LawOptions,
     Output,
+    find_scenario_file,
     list_given_keys,
     load_changed_scenario,
 )
@@ -31,7 +32,7 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
 from turtlelog.cli.targets import require_new_target
-from turtlelog.cli.watch import describe_change, find_scenario_file, list_watched, watch_runs
+from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ def _resolve(chosen: "Scenario", options: LawOptions | None, record: RecordOptio
 def _watch(
     scenario: str | None, options: LawOptions, record: RecordOptions, live: LiveOptions
 ) -> int:
-    file, kind = find_scenario_file(scenario), options.find_law()
+    file, kind = find_scenario_file(scenario), options.find_law_kind()
     if file is None and kind is None:
         kind = load_changed_scenario(scenario, options).law.kind
     files = list_watched(file, kind)
@@ -270,11 +271,11 @@ def _write(run: "Run", record: RecordOptions, *, is_recorded: bool) -> None:
 
 def _strip(run: "Run", path: Path) -> "Run":
     """Return a run of which only what was observed is known: rows, goal, end, and its loops."""
+    known = tl.paths.PATH_KEYS  # a path was observed as the goal was: errors count from it
     return replace(
         run,
         name=path.stem,
-        # A path was observed as the goal was: errors count from it.
-        parameters={key: value for key, value in run.parameters.items() if key[:5] == "path."},
+        parameters={key: value for key, value in run.parameters.items() if key in known},
         scenario_is_complete=False,
         absent=("parameters",),
         notes={"scenario": "left out when the run was recorded"},

@@ -28,13 +28,6 @@ some kilobytes as often costs nothing that could be measured."""
 _Texts = Mapping[Path, tuple[int, bytes] | None]
 
 
-def find_scenario_file(scenario: str | None) -> Path | None:
-    """Return the scenario file that a word names, None where it names a preset or a recording."""
-    is_file = scenario is not None and scenario not in tl.PRESETS
-    path = Path(scenario) if is_file and scenario is not None else None
-    return path if path is not None and path.suffix.lower() == ".toml" else None
-
-
 def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ...]:
     """Return the files that decide what a run does: the scenario's, and that of the law.
 
@@ -47,7 +40,7 @@ def list_watched(scenario_file: Path | None, kind: str | None) -> tuple[Path, ..
     if not files:
         raise UsageError(
             "--watch: expected a law of the form path.py:Class, or a scenario file,"
-            f" found no file to watch: {f'the law {kind}' if kind else 'a preset'}"
+            f" found no file to watch: the law {kind}"
         )
     for file in files:
         if not file.is_file():

@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Final, Protocol
 
 import msgspec
 
+from turtlelog.loops import Mechanism
 from turtlelog.paths import Path
 
 ABSENT_BY_DEFAULT: Final[Mapping[str, bool]] = MappingProxyType({"absent_by_default": True})
@@ -15,6 +16,20 @@ adding it to a law changes no file that was written before."""
 
 MAY_BE_INFINITE: Final[Mapping[str, bool]] = MappingProxyType({"may_be_infinite": True})
 """Metadata of a parameter whose inf means that there is no such limit."""
+
+_NO_TOLERANCE: Final = 1e-6
+"""A pose in 32 bits comes no nearer: one step is 9.5e-7 m near 10 m, and 2.4e-7 rad near pi."""
+
+TOLERANCE: Final = Mechanism(
+    name="tolerance",
+    kind="property",
+    neutral={
+        "law.heading_tolerance_rad": _NO_TOLERANCE,
+        "law.position_tolerance_m": _NO_TOLERANCE,
+    },
+    meaning=f"tolerances of {_NO_TOLERANCE:g}",
+)
+"""Of a law that ends within these two parameters of its goal."""
 
 # msgspec structs instead of dataclasses: the loop makes several per sample, and a frozen
 # dataclass costs ten times as much to build.
@@ -101,8 +116,9 @@ class Law(Protocol):
     - `list_unused(cls, parameters) -> tuple[str, ...]`, a class method: tables and keys of a
       scenario that it does not use with these parameters, as in `("path", "goal.heading_rad")`;
       `run` prints a note where one of them is set. Otherwise there is no note.
-    - `take_limits(self, speed_m_s, turn_rate_rad_s)`: told where the loop clips its commands, once,
-      before `reset`; inf where it does not. An integral that must not wind up needs them.
+    - `take_limits(self, speed_m_s, turn_rate_rad_s)`: receives the limits at which the loop clips
+      its commands, once, before `reset`; inf: no limit. An integral that must not wind up needs
+      them.
 
     Attributes:
         Parameters: A frozen dataclass whose fields are the keys of a scenario's `[law]` table

@@ -23,7 +23,7 @@ END_OF_SIGNAL: Final = "end_of_signal"
 """Stop reason of every run of this law."""
 
 MOST_ROWS: Final = 2500
-"""Of a sequence. Its three lists stand in the scenario's text, at most 87 bytes a row: 212 KiB of
+"""Of a sequence. Its three lists stand in the scenario's text, at most 82 bytes a row: 200 KiB of
 the 256 KiB that a recording's scenario may have. At a row each tick of 16 ms it lasts 40 s."""
 
 LARGEST: Final = 1e6

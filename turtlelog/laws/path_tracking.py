@@ -8,21 +8,22 @@ from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
 from turtlelog.laws.base import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration, Mechanism
-from turtlelog.paths import Path, PathFollower, PathPoint
+from turtlelog.path_pieces import PathPoint
+from turtlelog.paths import Path, PathFollower
 
 _TRACK = "track"
 _NO_GOAL = math.nan
 
 
 class Target(NamedTuple):
-    """What a law is asked for at one pose.
+    """The reference at one pose, and where the robot is on the path.
 
     Attributes:
         point: Where the robot should be: by time, or the point of the path nearest to it.
         speed_m_s: How fast that point moves along the path [m/s].
         behind_m: How far the robot is behind it along the path [m]; 0 where no time belongs to it.
         nearest_m: Arc length of the point that is nearest to the robot [m].
-        is_over: Whether the path has come to its end.
+        is_over: Whether the reference is at the end of the path.
     """
 
     point: PathPoint
@@ -36,8 +37,8 @@ class PathTracker(ABC):
     """A law with the phase `track` and the loops `along` and `cross`.
 
     Where the path has a speed, the reference leaves its beginning with the first sample and moves
-    at that speed; the run ends with it. Otherwise the reference is the point of the path nearest to
-    the robot, and the run ends where that comes to the end.
+    at that speed; the run ends when it reaches the end. Otherwise the reference is the point of the
+    path nearest to the robot, and the run ends within a tolerance of the end.
     """
 
     kind: ClassVar[str]

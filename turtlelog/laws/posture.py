@@ -1,4 +1,4 @@
-"""Drive to a pose, position and heading at once, by a feedback that lets a Lyapunov function fall.
+"""Drive to a pose, position and heading at once, so that a Lyapunov function decreases.
 
 M. Aicardi, G. Casalino, A. Bicchi, A. Balestrino, "Closed loop steering of unicycle-like vehicles
 via Lyapunov techniques", IEEE Robotics & Automation Magazine 2(1), 1995.
@@ -12,14 +12,12 @@ from msgspec import Meta
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
-from turtlelog.laws.base import MAY_BE_INFINITE, Decision, Goal, Pose
-from turtlelog.loops import ControlLoop, Declaration, Mechanism
+from turtlelog.laws.base import MAY_BE_INFINITE, TOLERANCE, Decision, Goal, Pose
+from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.paths import Path
 
 _DRIVE: Final = "drive"
 _TURN: Final = "turn"
-_NO_TOLERANCE: Final = 1e-6
-"""About one step of a 32-bit coordinate near 10 m, 9.5e-7 m: a published pose comes no nearer."""
 
 _SERIES_BELOW: Final = 1e-4
 """Below this angle [rad] sin(a) / a is 1 - a^2 / 6: the next term, a^4 / 120, is under 1e-18."""
@@ -71,7 +69,7 @@ class PostureParameters:
         k: Gain of the angle between heading and goal [1/s].
         h: Weight of the angle between the way to the goal and the goal's heading.
         position_tolerance_m: The position is reached when neither error coordinate is larger [m].
-        heading_tolerance_rad: Its heading is reached with no larger an error [rad].
+        heading_tolerance_rad: The heading is reached when its error is not larger [rad].
         timeout_s: The run ends this long after the first sample [s]; inf: never.
     """
 
@@ -87,17 +85,7 @@ class Posture:
     """Drive to position and heading at once, by the Lyapunov law of Aicardi and others."""
 
     Parameters: ClassVar = PostureParameters
-    mechanisms: ClassVar = (
-        Mechanism(
-            name="tolerance",
-            kind="property",
-            neutral={
-                "law.heading_tolerance_rad": _NO_TOLERANCE,
-                "law.position_tolerance_m": _NO_TOLERANCE,
-            },
-            meaning=f"tolerances of {_NO_TOLERANCE:g}",
-        ),
-    )
+    mechanisms: ClassVar = (TOLERANCE,)
     counts_samples: ClassVar = ()
 
     @classmethod
@@ -123,10 +111,10 @@ class Posture:
         self._first_ns: int | None = None
 
     def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
-        """Settle the heading to arrive with: the goal's, or else that of the line from start."""
+        """Choose the heading to arrive with: the goal's, or else the bearing from the start."""
         del path
         if goal is None:
-            raise LawError("posture: expected a goal, found none")
+            raise LawError("expected a goal, found none")
         self._goal = goal
         self._phase = _DRIVE
         self._first_ns = None

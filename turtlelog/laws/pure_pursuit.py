@@ -22,8 +22,8 @@ class PurePursuitParameters:
     Attributes:
         lookahead_m: Distance from the robot to the point of the path that it steers for [m], > 0.
         speed_m_s: Speed along a path that has none [m/s], > 0.
-        kp_along: Where the path has a speed: gain from the way that the robot is behind to the
-            speed that is added to the path's [1/s], >= 0.
+        kp_along: Where the path has a speed: gain of the error along the path, whose product is
+            added to that speed [1/s], >= 0.
         end_tolerance_m: A path without a speed ends this far before its end [m], > 0.
     """
 

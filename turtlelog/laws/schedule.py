@@ -4,7 +4,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NoReturn
 
 from turtlelog.errors import ParameterError
 
@@ -25,11 +25,11 @@ class GainSchedule:
     Between entries a gain is linear; before the first and beyond the last it is held.
 
     Attributes:
-        over: What the gains hang on: the `distance` from the pose to the goal [m], or the magnitude
-            of the `heading_error` [rad].
-        at: Where the values stand, rising, from 0 [m or rad].
-        kp_angular: Gain of the heading loops at each of them, > 0 [1/s].
-        kp_linear: Gain of the position loop at each of them, > 0 [1/s].
+        over: What the gains depend on: the `distance` from the pose to the goal [m], or the
+            magnitude of the `heading_error` [rad].
+        at: Distances or heading errors of the entries, rising, >= 0 [m or rad].
+        kp_angular: Gain of the heading loops at each entry, > 0 [1/s].
+        kp_linear: Gain of the position loop at each entry, > 0 [1/s].
 
     Raises:
         ParameterError: One line with the key, what was expected and what was found.
@@ -105,10 +105,7 @@ def _list_gains(schedule: GainSchedule) -> list[str]:
 
 
 def _read_numbers(name: str, values: Any) -> tuple[float, ...]:
-    """Return numbers as floats; refuse those that are no magnitude, and gains of 0 where 0 is none.
-
-    Places and gains are at least 0, proportional gains above.
-    """
+    """Return numbers as floats; refuse negative ones, and proportional gains of 0."""
     if isinstance(values, str) or not isinstance(values, Sequence):
         _refuse(name, "a list of numbers", values)
     least = "> 0" if name in _POSITIVE else ">= 0"
@@ -121,5 +118,5 @@ def _read_numbers(name: str, values: Any) -> tuple[float, ...]:
     return tuple(map(float, values))
 
 
-def _refuse(name: str, expected: str, found: object) -> None:
+def _refuse(name: str, expected: str, found: object) -> NoReturn:
     raise ParameterError(f"{name}: expected {expected}, found {found!s:.60}")

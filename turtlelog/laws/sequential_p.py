@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LawError
-from turtlelog.laws.base import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, Decision, Goal, Pose
+from turtlelog.laws.base import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, TOLERANCE, Decision, Goal, Pose
 from turtlelog.laws.schedule import DISTANCE, GainSchedule
 from turtlelog.laws.sequential_loops import (
     DECLARATION,
@@ -22,9 +22,6 @@ from turtlelog.loops import Declaration, Mechanism
 from turtlelog.paths import Path
 
 __all__ = ["DECLARATION", "SequentialP", "SequentialPParameters"]
-
-_NO_TOLERANCE: Final = 1e-6
-"""The heading of a 32-bit pose comes no nearer to the bearing than about 1e-7 rad."""
 
 _MECHANISMS: Final = (
     Mechanism(
@@ -45,17 +42,8 @@ _MECHANISMS: Final = (
         neutral={"law.wrap_error": True},
         meaning="the error wrapped",
     ),
-    Mechanism(
-        name="tolerance",
-        kind="property",
-        neutral={
-            "law.heading_tolerance_rad": _NO_TOLERANCE,
-            "law.position_tolerance_m": _NO_TOLERANCE,
-        },
-        meaning=f"tolerances of {_NO_TOLERANCE:g}",
-    ),
+    TOLERANCE,
 )
-
 
 _RULE: Final = {**ABSENT_BY_DEFAULT, **MAY_BE_INFINITE}
 """Of a time in the rules that end a run; inf: that rule never does."""
@@ -153,7 +141,7 @@ class SequentialP:
         """Compute the goal bearing, once."""
         del path
         if goal is None:
-            raise LawError("sequential-p: expected a goal, found none")
+            raise LawError("expected a goal, found none")
         self._goal = goal
         # Wrapped as the headings of poses are: beyond, an error that is not wrapped has no zero.
         self._goal_heading_rad = wrap_angle(goal.heading_rad or 0.0)
@@ -187,7 +175,7 @@ class SequentialP:
         return type(self).step(self, time_ns, pose)
 
     def _find_heading_error(self, pose: Pose) -> float:
-        """Return what the heading lacks of the goal bearing, or reorienting of the goal's own."""
+        """Return the error of the heading loop that acts, or acted last [rad]."""
         is_last = self._phase is REORIENT
         error_rad = (self._goal_heading_rad if is_last else self._bearing_rad) - pose.heading_rad
         return wrap_angle(error_rad) if self._parameters.wrap_error else error_rad

@@ -94,7 +94,7 @@ class SequentialPID(SequentialP):
         self._states = (0.0, 0.0, 0.0, 0.0)
 
     def take_limits(self, speed_m_s: float, turn_rate_rad_s: float) -> None:
-        """Take where the loop clips the commands."""
+        """Take the limits at which the loop clips the commands."""
         self._driving.limit, self._turning.limit = speed_m_s, turn_rate_rad_s
 
     def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:

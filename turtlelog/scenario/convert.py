@@ -321,12 +321,10 @@ def _convert(table: Mapping[str, Any], kind: type[Any], prefix: str, source: str
     """Let msgspec judge; it says where, and the type there says what was expected."""
     try:
         return msgspec.convert(table, kind)
-    except PathError as err:
-        raise ScenarioError(f"{source}: path.{err}") from err
     except msgspec.ValidationError as err:
         place = _PLACE.search(str(err))
         path = f"{prefix}{place[1]}" if place else prefix.rstrip(".")
-        if isinstance(err.__cause__, ParameterError):
+        if isinstance(err.__cause__, ParameterError | PathError):  # it begins with its key
             raise ScenarioError(f"{source}: {path}.{err.__cause__}") from err
         if err.__cause__ is not None:  # a dataclass that judges its values itself
             raise ScenarioError(f"{source}: {path}: {describe_error(err.__cause__)}") from err

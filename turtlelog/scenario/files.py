@@ -6,13 +6,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-import tomli_w
-
 from turtlelog.errors import ScenarioError
 from turtlelog.scenario.convert import build_scenario, nest_scenario
 from turtlelog.scenario.model import Scenario
 from turtlelog.scenario.table_files import embed_files
-from turtlelog.text_files import parse_toml, read_text_file
+from turtlelog.text_files import format_toml, parse_toml, read_text_file
 
 
 def _describe_paper_run(
@@ -131,7 +129,7 @@ def _build(text: str, source: str, path: Path | None) -> Scenario:
 
 def format_scenario(scenario: Scenario) -> str:
     """Return the TOML text of a scenario; `parse_scenario` gives the same scenario back."""
-    return tomli_w.dumps(nest_scenario(scenario))
+    return format_toml(nest_scenario(scenario))
 
 
 def get_preset(name: str) -> Scenario:

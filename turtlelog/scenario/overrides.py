@@ -1,12 +1,12 @@
 """Changing a scenario by dotted keys: `law.kp_linear=4`."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, Final, get_type_hints
 
 from turtlelog.errors import ScenarioError
 from turtlelog.laws import find_law
-from turtlelog.paths import Path
+from turtlelog.paths import PATH_KEYS
 from turtlelog.run import Run
 from turtlelog.scenario.convert import (
     build_scenario,
@@ -17,9 +17,6 @@ from turtlelog.scenario.convert import (
 )
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario
 from turtlelog.text_files import parse_toml
-
-PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
-"""Keys of the table of the path, which is absent where no path is tracked."""
 
 _LARGEST_WHOLE: Final = 2**53
 """Beyond, doubles leave whole numbers out: nobody typed such a gain as an int."""

@@ -31,8 +31,9 @@ class TableFile:
         rises: Whether the first column rises, as times do.
         key: The key of the table that holds all rows, each a list in the order of `columns`, which
             are all needed, or need no line of names; None where each column is a key.
-        where: What the table must say for its `file` to be this; of another law it is its own key.
-        sets: What the file stands for; the table may say the same.
+        where: Values of the table with which its `file` is read; with others `file` is a key of
+            the law's own.
+        sets: Values that the table takes with the file; it may state the same.
     """
 
     columns: tuple[str, ...]

@@ -1,6 +1,6 @@
-"""What one should know of a scenario before it is run.
+"""Notes on a scenario before it is run.
 
-Gains that theory calls unstable, and parts of the scenario that its law does not use.
+They name gains that theory calls unstable, and parts of the scenario that its law does not use.
 """
 
 from collections.abc import Collection, Mapping
@@ -37,7 +37,7 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     A gain gets a note where theory's linear loop, with the sampling period and the least dead time
     that the scenario's settings make certain, is unstable. The run itself may still end, or go on
     in an oscillation that clipping bounds. Nothing is said of what is not known: a loop without
-    theory, gains that a schedule changes, a dead time between two samples.
+    theory or whose law declares no gain, a dead time between two samples.
 
     Args:
         scenario: As it is to be run; its law's code is loaded if need be.
@@ -75,8 +75,7 @@ def _describe_unstable(
     settings: LoopSettings, declaration: Declaration, parameters: Mapping[str, Parameter]
 ) -> list[str]:
     others = {key for key in parameters if not key.startswith(_BESIDE_THE_LOOP)}
-    is_scheduled = any(f"{key}.".startswith("law.schedule.") for key in parameters)
-    timing = None if others - _UNDERSTOOD or is_scheduled else _find_timing(settings)
+    timing = None if others - _UNDERSTOOD else _find_timing(settings)
     if timing is None:
         return []
     found = []

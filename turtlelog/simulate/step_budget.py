@@ -18,13 +18,13 @@ STEP_BUDGET: Final = "step_budget"
 """Stop reason of a run whose law computed for longer than it may."""
 
 _PATIENCE_S: Final = 1.0
-"""So long beyond its budget a step may go on: one that returns is told with the time it took."""
+"""Wait beyond the budget [s]: for a step that returns within it, the error states its time."""
 
 _AGAIN_S: Final = 0.05
-"""Between two attempts to end a step that does not return; a law may catch what ends it."""
+"""Between two attempts to end a step that does not return [s]: a law may catch what ends it."""
 
 _LONGEST_S: Final = 3600.0
-"""One wait; queues take no more than some years."""
+"""One wait of a longer budget [s]: a queue refuses waits beyond some years."""
 
 Step = Callable[[int, Pose], Decision]
 _Answer = tuple[Decision | None, BaseException | None, float]
@@ -41,9 +41,9 @@ class _Ended(SystemExit):
 class StepBudget:
     """A law's `step` that computes in a thread of its own, for a limited time.
 
-    So what ends a step can hit nothing but the law, and a step that goes on nevertheless does not
-    hold the run up: one that catches everything, or waits in C code, lasts as long as the program.
-    Only C code that never lets go of the interpreter's lock holds up everything.
+    The exception that ends a step is raised in that thread alone, so it hits nothing but the law. A
+    step that goes on nevertheless, as it catches everything or waits in C code, does not delay the
+    run. Only C code that never releases the interpreter's lock does.
     """
 
     def __init__(self, step: Step, budget_s: float) -> None:

@@ -166,7 +166,7 @@ def compute_pid_poles(
     """Return the poles of a closed PID loop in the z plane, largest magnitude first.
 
     Where two poles meet, as every root of a polynomial they are known to half the digits, about
-    1e-8. Whether the loop is stable hangs on nothing of the kind: ask `is_pid_stable`.
+    1e-8. The verdict of `is_pid_stable` does not depend on them.
 
     Raises:
         TheoryError: Where a number is not finite or outside its range.

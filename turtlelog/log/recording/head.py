@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import msgspec
-import tomli_w
 
 from turtlelog.declaration_json import format_declaration, parse_declaration
 from turtlelog.errors import LogError, ScenarioError
@@ -14,7 +13,7 @@ from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.loops import Declaration
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, nest_parameters
-from turtlelog.text_files import parse_toml
+from turtlelog.text_files import format_toml, parse_toml
 from turtlelog.version import __version__
 
 HEAD: Final = "turtlelog"
@@ -183,7 +182,7 @@ def format_scenario_file(run: Run) -> dict[str, bytes]:
     except ScenarioError as err:
         raise LogError(f"parameters: {err}") from err
     name = SCENARIO_FILE if run.scenario_is_complete else PARAMETER_FILE
-    return {name: tomli_w.dumps(tables).encode()}
+    return {name: format_toml(tables).encode()}
 
 
 def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any], bool]:
