@@ -162,7 +162,41 @@ def test_follower_stays_on_its_branch_where_the_path_meets_itself() -> None:
 @pytest.mark.parametrize(("factor", "arc_m"), [(0.9, 0.9 * REACH_M), (1.1, REACH_M)])
 def test_follower_looks_no_further_than_its_reach(factor: float, arc_m: float) -> None:
     point = LINE.locate(factor * REACH_M)
-    assert PathFollower(LINE).advance(point.x_m, point.y_m).arc_m == pytest.approx(arc_m)
+    assert PathFollower(LINE, 0.0).advance(point.x_m, point.y_m).arc_m == pytest.approx(arc_m)
+
+
+@pytest.mark.parametrize(("factor", "has_come"), [(0.9, True), (1.1, False)])
+def test_robot_comes_to_an_open_path_at_its_beginning(factor: float, *, has_come: bool) -> None:
+    follower = PathFollower(LINE)
+    place = follower.advance(1.0, 1.0 - factor * REACH_M)
+    assert (follower.arc_m is not None) is has_come
+    assert (place.arc_m, abs(place.offset_m)) == pytest.approx((0.0, factor * REACH_M))
+
+
+def test_robot_that_comes_by_time_comes_to_the_stretch_that_the_reference_has_passed() -> None:
+    follower, point = PathFollower(LINE), LINE.locate(3.0)
+    assert follower.advance(point.x_m, point.y_m, 2.0).arc_m == 2.0
+    assert follower.arc_m is None
+    assert follower.advance(point.x_m, point.y_m, 3.5).arc_m == pytest.approx(3.0)
+    assert follower.arc_m == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("size_m", [0.001, 0.05])
+def test_follower_of_a_small_circle_stays_on_its_side(size_m: float) -> None:
+    small = Path(kind="circle", center_x_m=5.0, center_y_m=5.0, size_m=size_m)
+    follower = PathFollower(small, 0.0)
+    for share in np.linspace(0.0, 3.0, 100):
+        point = small.locate(float(share) * small.length_m)
+        place = follower.advance(point.x_m, point.y_m)
+        assert place.arc_m == pytest.approx(share * small.length_m, abs=1e-9)
+
+
+def test_direction_tells_branches_apart() -> None:
+    cross = Path(
+        kind="waypoints", points=((1.0, 3.0), (5.0, 3.0), (5.0, 5.0), (3.0, 5.0), (3.0, 1.0))
+    )
+    assert cross.find_point((3.0, 3.0, 0.0)) == pytest.approx(2.0)
+    assert cross.find_point((3.0, 3.0, -math.pi / 2.0)) == pytest.approx(10.0)
 
 
 def test_bounds_hold_every_point() -> None:
@@ -210,7 +244,20 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"kind": "circle", "center_x_m": 1.0, "center_y_m": 1.0, "size_m": 1.0, "closed": True},
         "points: expected none, for kind is circle",
     ),
-    "speed": ({"speed_m_s": 0.0}, "speed_m_s: expected a speed > 0, found 0.0"),
+    "way back": (
+        {"points": ((1.0, 1.0), (2.0, 1.0), (1.5, 1.0))},
+        r"points\[1\]: expected a path that does not turn back on itself, found a turn of 180 deg",
+    ),
+    "closed way back": ({"closed": True}, r"points\[1\]: expected a path that does not turn back"),
+    "no length": (
+        {"points": ((1.0, 1.0), (1.0, 1.0009))},
+        "points: expected a path of 0.001 m or more, found 0.0009 m",
+    ),
+    "speed": ({"speed_m_s": 0.0}, "speed_m_s: expected a speed > 0 and up to 1e.06, found 0.0"),
+    "fast": (
+        {"speed_m_s": 1.1e6},
+        "speed_m_s: expected a speed > 0 and up to 1e.06, found 1100000",
+    ),
     "endless speed": ({"speed_m_s": math.inf}, "speed_m_s: expected a finite number, found inf"),
 }
 
@@ -225,7 +272,7 @@ def test_what_makes_no_path_is_refused(name: str) -> None:
         Path(**(values | changes))
 
 
-@pytest.mark.parametrize("size_m", [0.0, -1.0, math.nan])
+@pytest.mark.parametrize("size_m", [0.0, 0.0009, 1e-320, -1.0, math.nan])
 def test_circle_without_a_radius_is_refused(size_m: float) -> None:
     with pytest.raises(PathError, match="size_m: expected"):
         Path(kind="circle", center_x_m=5.0, center_y_m=5.0, size_m=size_m)

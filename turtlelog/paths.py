@@ -9,6 +9,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import Any, Final, Literal, NamedTuple, get_args
 
 from turtlelog.angles import wrap_angle
@@ -30,6 +31,18 @@ as the world comes back to itself: at a crossing the robot stays on its branch."
 CORNER_RAD: Final = math.radians(1.0)
 """From this change of direction on a bend between two pieces is a corner: less is the bend of a
 circle that is given by 360 points or more."""
+
+
+TURN_BACK_RAD: Final = math.radians(179.9)
+"""From this change of direction on a path leads back over itself: the nearest point could be on
+either leg, and no side is the outer one."""
+
+LEAST_M: Final = 0.001
+"""Least radius, and least length of a path [m]: far less than the 0.5 m that a turtle is wide, and
+as much as a run's tolerance."""
+
+FASTEST_M_S: Final = 1e6
+"""Largest speed of a reference [m/s]: far from where a computer's numbers end."""
 
 
 class Place(NamedTuple):
@@ -93,16 +106,21 @@ class Path:
         if self.kind in _ROUND:
             self._require_keys("center_x_m", "center_y_m", "size_m")
             self._refuse_keys("points", "closed")
-            if not _require_finite("size_m", self.size_m) > 0.0:
-                raise PathError(f"size_m: expected a radius > 0, found {self.size_m!r}")
+            if not _require_finite("size_m", self.size_m) >= LEAST_M:
+                raise PathError(f"size_m: expected a radius >= {LEAST_M}, found {self.size_m!r}")
             _require_finite("center_x_m", self.center_x_m)
             _require_finite("center_y_m", self.center_y_m)
         else:
             self._require_keys("points")
             self._refuse_keys("center_x_m", "center_y_m", "size_m")
             self._require_points(self.points or ())
-        if self.speed_m_s is not None and not _require_finite("speed_m_s", self.speed_m_s) > 0.0:
-            raise PathError(f"speed_m_s: expected a speed > 0, found {self.speed_m_s!r}")
+        if self.speed_m_s is not None:
+            self._require_speed(self.speed_m_s)
+
+    def _require_speed(self, speed_m_s: float) -> None:
+        if not 0.0 < _require_finite("speed_m_s", speed_m_s) <= FASTEST_M_S:
+            expected = f"a speed > 0 and up to {FASTEST_M_S:g}"
+            raise PathError(f"speed_m_s: expected {expected}, found {speed_m_s!r}")
 
     def _require_keys(self, *names: str) -> None:
         for name in names:
@@ -112,7 +130,8 @@ class Path:
     def _refuse_keys(self, *names: str) -> None:
         for name in names:
             if getattr(self, name) is not None:
-                found = f"{getattr(self, name)!r:.40}"
+                value = getattr(self, name)
+                found = f"{len(value)} points" if name == "points" else repr(value)
                 raise PathError(f"{name}: expected none, for kind is {self.kind}, found {found}")
 
     def _require_points(self, points: tuple[tuple[float, float], ...]) -> None:
@@ -134,6 +153,19 @@ class Path:
         if self.is_closed and points[0] == points[-1]:
             expected = "another point than the first, for the path is closed"
             raise PathError(f"points[{len(points) - 1}]: expected {expected}, found {points[-1]}")
+        self._require_ways()
+
+    def _require_ways(self) -> None:
+        """Refuse what has no length, and a way that leads back over itself."""
+        if self.length_m < LEAST_M:
+            found = f"{self.length_m:.3g} m"
+            raise PathError(f"points: expected a path of {LEAST_M} m or more, found {found}")
+        pieces = [*self._pieces, *(self._pieces[:1] if self.is_closed else ())]
+        for before, piece in pairwise(pieces):
+            if abs(_find_turn(before, piece)) > TURN_BACK_RAD:
+                expected = "a path that does not turn back on itself"
+                found = "a turn of 180 deg"
+                raise PathError(f"points[{piece.number}]: expected {expected}, found {found}")
 
     @property
     def is_closed(self) -> bool:
@@ -153,7 +185,7 @@ class Path:
         """Where its direction jumps, in order; the end of a closed path is none."""
         found = [
             (piece.start_m, turn)
-            for before, piece in zip(self._pieces, self._pieces[1:], strict=False)
+            for before, piece in pairwise(self._pieces)
             if abs(turn := _find_turn(before, piece)) >= CORNER_RAD
         ]
         ends_m = [*(arc_m for arc_m, _ in found[1:]), self.length_m]
@@ -208,6 +240,22 @@ class Path:
             if away_m < best_m:
                 best_m, best = away_m, (start_m + way_m, piece)
         return Place(best[0], math.copysign(best_m, self._find_side(x_m, y_m, *best)))
+
+    def find_point(self, point: tuple[float, float, float]) -> float:
+        """Return the arc length of a point of the path, x [m], y [m] and direction [rad] [m].
+
+        Where the path meets itself the direction tells the branches apart.
+        """
+        x_m, y_m, heading_rad = point
+        best_m, best = math.inf, 0.0
+        for piece in self._pieces:
+            way_m = piece.find_nearest(x_m, y_m, 0.0, piece.length_m)
+            found = piece.locate(way_m)
+            away_m = math.hypot(x_m - found.x_m, y_m - found.y_m)
+            away_m += abs(wrap_angle(heading_rad - found.heading_rad))  # 1 m for 1 rad
+            if away_m < best_m:
+                best_m, best = away_m, piece.start_m + way_m
+        return best
 
     def find_ahead(self, x_m: float, y_m: float, lookahead_m: float, from_m: float) -> PathPoint:
         """Return the first point from an arc length on that is a lookahead away from a position.
@@ -294,21 +342,36 @@ PATH_KEYS: Final = tuple(f"path.{one.name}" for one in fields(Path))
 class PathFollower:
     """Keeps track of the point of a path that is nearest to a robot, pose by pose.
 
-    The nearest point is looked for within `REACH_M` of the one before, so that a path that crosses
-    itself is followed in its order.
+    The robot first has to come to the path: to its beginning, where it is open and no time belongs
+    to it; to the stretch that the reference has passed, by time; to a closed path anywhere. From
+    then on the nearest point is looked for within `REACH_M` of the one before, so that a path that
+    crosses itself is followed in its order.
+
+    Attributes:
+        arc_m: Arc length of the nearest point [m], None until the robot has come to the path.
     """
 
-    __slots__ = ("_path", "arc_m")
+    __slots__ = ("_path", "_reach_m", "arc_m")
 
-    def __init__(self, path: Path, arc_m: float = 0.0) -> None:
-        """Begin at an arc length [m]."""
+    def __init__(self, path: Path, arc_m: float | None = None) -> None:
+        """Begin off the path, or at an arc length [m]."""
         self._path = path
+        # A quarter of a short closed path: the way round the other side is further.
+        self._reach_m = min(REACH_M, path.length_m / 4.0) if path.is_closed else REACH_M
         self.arc_m = arc_m
 
-    def advance(self, x_m: float, y_m: float) -> Place:
-        """Return where the robot is now."""
-        place = self._path.find_nearest(x_m, y_m, self.arc_m - REACH_M, self.arc_m + REACH_M)
-        self.arc_m = place.arc_m
+    def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> Place:
+        """Return where the robot is now; `due_m` is how far the reference is, by time [m]."""
+        if self.arc_m is not None:
+            low_m, high_m = self.arc_m - self._reach_m, self.arc_m + self._reach_m
+            place = self._path.find_nearest(x_m, y_m, low_m, high_m)
+            self.arc_m = place.arc_m
+            return place
+        joins_anywhere = due_m is None and self._path.is_closed
+        last_m = self._path.length_m if joins_anywhere else due_m or 0.0
+        place = self._path.find_nearest(x_m, y_m, 0.0, last_m)
+        if joins_anywhere or abs(place.offset_m) <= REACH_M:
+            self.arc_m = place.arc_m
         return place
 
 

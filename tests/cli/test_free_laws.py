@@ -47,13 +47,23 @@ def test_comparison_with_a_run_that_has_a_goal_shows_its_errors(call: Call) -> N
     assert "0.0085202" in out
 
 
-def test_explanation_of_a_run_without_a_goal_has_no_table_of_dashes(call: Call) -> None:
+def test_explanation_of_a_run_without_a_goal_is_of_its_way(call: Call) -> None:
     out = call("explain", STEP).out
     assert "Its law is open-loop: parameters are identified from commands only for" in out
+    assert "run.path_length is 0 m, in the log and re-simulated." in out
+
+
+def test_explanation_of_a_metric_without_a_value_has_no_table_of_dashes(call: Call) -> None:
+    out = call("explain", STEP, "--metric", "final.position_error").out
     assert out.endswith(
         "What caused final.position_error\n\n"
         "final.position_error has no value: the goal is not known.\n"
     )
+
+
+def test_explanation_of_a_tracker_is_of_its_cross_track_error(call: Call) -> None:
+    call("run", "track-square", "-o", "square.mcap")
+    assert "cross.rms_error is 0.05059 m, in the log" in call("explain", "square.mcap").out
 
 
 def test_explanation_tells_the_dead_time_of_commands_that_change(call: Call) -> None:

@@ -102,6 +102,54 @@ def test_path_without_a_speed_has_no_error_along_it() -> None:
     assert metric.reason == "the path has no speed, which would say where the robot should be when"
 
 
+@pytest.mark.parametrize("period_s", [1.0, 2.0, 5.0])
+def test_lag_of_a_reference_that_repeats_is_no_period_off(period_s: float) -> None:
+    time_s = np.arange(0.0, 40.0, 0.016)
+    rate = 2.0 * np.pi / period_s
+    late_s = np.arctan(rate / 3.0) / rate  # of a first-order loop with Kp = 3 1/s
+    reference = 0.1 * np.sin(rate * time_s)
+    signal = 0.1 * np.sin(rate * (time_s - late_s)) * (1.0 - np.exp(-3.0 * time_s))
+    assert find_shift(time_s, reference, signal) == pytest.approx(late_s, abs=0.01)
+
+
+@pytest.mark.parametrize("begin_rad", [0.5, 3.0, -2.0])
+def test_circle_is_entered_where_the_robot_stands(begin_rad: float) -> None:
+    x_m, y_m = 5.5 + 2.0 * math.cos(begin_rad), 5.5 + 2.0 * math.sin(begin_rad)
+    start = {"x_m": x_m, "y_m": y_m, "heading_rad": begin_rad + math.pi / 2.0}
+    circle = {"kind": "circle", "center_x_m": 5.5, "center_y_m": 5.5, "size_m": 2.0}
+    tables = {"law": {"kind": "pure-pursuit"}, "path": circle, "start": start}
+    run = tl.simulate_run(build_scenario(tables))
+    assert run.stop_reason == "path_end"
+    assert run.duration_s == pytest.approx(4.0 * math.pi / 0.5, rel=0.01)
+    assert read(run, "cross.largest_error") < 0.005
+
+
+@pytest.mark.parametrize("law", ["kanayama", "pure-pursuit"])
+def test_open_path_is_entered_at_its_beginning_and_driven_to_its_end(law: str) -> None:
+    path = {"kind": "waypoints", "points": [[4.0, 8.0], [7.0, 8.0], [7.0, 9.0]]}
+    start = {"x_m": 2.0, "y_m": 8.0}
+    run = tl.simulate_run(build_scenario({"law": {"kind": law}, "path": path, "start": start}))
+    offset = tl.measure.read_signal(run, "cross_track")
+    assert run.stop_reason == "path_end"
+    assert offset is not None
+    assert abs(offset.values[0]) == pytest.approx(2.0)  # from the beginning of the path
+    assert np.hypot(*(run.poses.xy_m[-1] - (7.0, 9.0))) < 0.05
+    points = np.array(path["points"])
+    away_m = tl.measure.path.compute_path_distances(run.poses.xy_m, points)
+    joined = int(np.argmax(away_m <= 0.5))
+    assert np.abs(offset.values[joined:]) == pytest.approx(away_m[joined:], abs=1e-9)
+
+
+def test_corner_overshoot_leaves_the_cut_of_the_next_corner_out() -> None:
+    points = [[1.0, 4.0], [3.0, 7.0], [5.0, 4.0], [7.0, 7.0], [9.0, 4.0]]
+    start = {"x_m": 1.0, "y_m": 4.0, "heading_rad": 0.9828}
+    law = {"kind": "pure-pursuit", "lookahead_m": 1.0}
+    path = {"kind": "waypoints", "points": points, "speed_m_s": 0.4}
+    run = tl.simulate_run(build_scenario({"law": law, "path": path, "start": start}))
+    assert 0.1 < read(run, "cross.corner_overshoot") < 0.2
+    assert read(run, "cross.largest_error") > 0.4
+
+
 def test_corner_overshoot_counts_the_outer_side_alone(square: tl.Run) -> None:
     offset = tl.measure.read_signal(square, "cross_track")
     arc = tl.measure.read_signal(square, "along_track")

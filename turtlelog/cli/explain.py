@@ -46,9 +46,7 @@ def explain(
     file: File,
     /,
     *,
-    metric: Annotated[str, Parameter(metavar="ID", completer=complete_metrics)] = (
-        "final.position_error"
-    ),
+    metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None,
     mechanisms: Annotated[
         str | None, Parameter(metavar="NAMES", completer=complete_mechanisms)
     ] = None,
@@ -79,7 +77,8 @@ def explain(
 
     Args:
         file: A recording (.mcap), a ROS 2 bag, or one of the paper's logs (.json, .csv).
-        metric: What to explain, by its id (turtlelog list metrics).
+        metric: What to explain, by its id (turtlelog list metrics); by default the final position
+            error, and without a goal the error of the last loop.
         mechanisms: Effects and properties that share it, separated by commas (turtlelog list
             mechanisms); by default every effect that is in the run. Of more than six, those six
             that change it most.
@@ -93,6 +92,7 @@ def explain(
 
     names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
     (run,) = read_runs([file], topics)
+    metric = metric or tl.explain.choose_metric(run.declaration)
     tl.explain.require_mechanisms(run, metric, names)
     require_trust(run, trust_law=options.trust_law)
     found = tl.identify_run(run, trust_law=options.trust_law)

@@ -77,13 +77,16 @@ class LawOptions(ScenarioOptions):
         """Return the kind of law that --law or --set names.
 
         Raises:
-            UsageError: Where they name two.
+            UsageError: Where they name two, or one beside --commands, which are a law themselves.
         """
         changes = tl.scenario.parse_assignments(self.assignments or (), source="--set")
         kind = changes.get("law.kind")
         if self.law is not None and kind not in (None, self.law):
             raise UsageError(f"--law: expected one law, found {self.law} and --set law.kind={kind}")
-        return self.law or (kind if isinstance(kind, str) else None)
+        named = self.law or (kind if isinstance(kind, str) else None)
+        if self.commands is not None and named is not None:
+            raise UsageError(f"--commands: expected no law beside them, found {named}")
+        return named
 
 
 @Parameter(name="*")

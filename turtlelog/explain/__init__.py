@@ -1,9 +1,9 @@
 """From a log to the reason, by numbers."""
 
 from turtlelog.explain.attribute import (
-    DEFAULT_METRIC,
     attribute_run,
     attribute_scenario,
+    choose_metric,
     require_mechanisms,
 )
 from turtlelog.explain.attribution import Attribution, Grain, Share, StartRange, Together, ValueSet
@@ -16,7 +16,6 @@ from turtlelog.explain.report import write_sentences
 from turtlelog.explain.resimulation import Resimulation
 
 __all__ = [
-    "DEFAULT_METRIC",
     "Attribution",
     "Certainty",
     "Finding",
@@ -29,6 +28,7 @@ __all__ = [
     "ValueSet",
     "attribute_run",
     "attribute_scenario",
+    "choose_metric",
     "describe_loop_name",
     "find_mechanisms",
     "identify_run",

@@ -37,7 +37,18 @@ from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
 
-DEFAULT_METRIC: Final = "final.position_error"
+
+def choose_metric(declaration: Declaration) -> str:
+    """Return the metric to explain where none is named: what matters most to runs of a law.
+
+    The final position error; without a goal the rms error of the loop that is declared last, of a
+    law that tracks a path the cross-track error; without a loop the way.
+    """
+    if declaration.uses_goal:
+        return "final.position_error"
+    loops = [loop.name for loop in declaration.loops]
+    return f"{loops[-1]}.rms_error" if loops else "run.path_length"
+
 
 _MOST: Final = 6
 """Mechanisms that take part: 64 simulations, a second or two of the paper's runs; each more doubles
@@ -54,7 +65,7 @@ _SAME: Final = 1e-6
 def attribute_run(
     run: Run,
     *,
-    metric: str = DEFAULT_METRIC,
+    metric: str | None = None,
     mechanisms: Sequence[str] | None = None,
     identified: Identification | None = None,
     trust_law: bool = False,
@@ -67,7 +78,7 @@ def attribute_run(
 
     Args:
         run: Whose value it is.
-        metric: Its id.
+        metric: Its id; None for that which `choose_metric` finds.
         mechanisms: Those that take part; otherwise every effect that is in the scenario.
         identified: What `identify_run` found, where that is known already.
         trust_law: Run the law that the recording names, where it is not built in: its code.
@@ -76,6 +87,7 @@ def attribute_run(
         ExplainError: Where no scenario stands for the run, or as in `attribute_scenario`.
         ScenarioError: Where the recorded law is neither built in nor trusted, or not there.
     """
+    metric = metric or choose_metric(run.declaration)
     require_mechanisms(run, metric, mechanisms)
     require_trust(run, trust_law=trust_law)
     identified = identified or identify_run(run, trust_law=trust_law)
@@ -100,7 +112,7 @@ def attribute_run(
 def attribute_scenario(
     scenario: Scenario,
     *,
-    metric: str = DEFAULT_METRIC,
+    metric: str | None = None,
     mechanisms: Sequence[str] | None = None,
 ) -> Attribution:
     """Attribute a value of a scenario to mechanisms.
@@ -115,8 +127,10 @@ def attribute_scenario(
         SimulationError: Where the law fails without one of them.
     """
     scenario = resolve_scenario(scenario)
+    declaration = declare_scenario(scenario)
+    metric = metric or choose_metric(declaration)
     game = Game(scenario, metric)
-    declaration, table = declare_scenario(scenario), game.mechanisms
+    table = game.mechanisms
     _require_metric(declaration, metric)
     _require_distinct(mechanisms)
     for name in mechanisms or ():

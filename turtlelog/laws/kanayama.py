@@ -28,11 +28,11 @@ class KanayamaParameters:
         end_tolerance_m: A path without a speed ends this far before its end [m], > 0.
     """
 
-    kx: Annotated[float, Meta(gt=0)] = 10.0
-    ky: Annotated[float, Meta(gt=0)] = 64.0
-    ktheta: Annotated[float, Meta(gt=0)] = 16.0
-    speed_m_s: Annotated[float, Meta(gt=0)] = 0.5
-    end_tolerance_m: Annotated[float, Meta(gt=0)] = 0.01
+    kx: Annotated[float, Meta(gt=0, le=1e6)] = 10.0
+    ky: Annotated[float, Meta(gt=0, le=1e6)] = 64.0
+    ktheta: Annotated[float, Meta(gt=0, le=1e6)] = 16.0
+    speed_m_s: Annotated[float, Meta(gt=0, le=1e6)] = 0.5
+    end_tolerance_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.01
 
 
 class Kanayama(PathTracker):

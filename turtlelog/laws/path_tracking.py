@@ -50,13 +50,12 @@ class PathTracker(ABC):
     def declare(cls, parameters: Any, goal: Goal | None, path: Path | None) -> Declaration:
         """Return the loops along and across the path, which act at the same time."""
         del parameters, goal
-        cls._require(path)
         along = ControlLoop(
             name="along",
             signal="along_track",
             command="speed",
             reference="path",
-            gain=f"law.{cls.along_gain}",
+            gain=cls._name_gain(cls._require(path)),
             is_proportional=False,
         )
         cross = ControlLoop(
@@ -79,6 +78,7 @@ class PathTracker(ABC):
         self._path = self._require(path)
         self._follower = PathFollower(self._path)
         self._first_ns: int | None = None
+        self._begin_m: float | None = None
 
     def step(self, time_ns: int, pose: Pose) -> Decision:
         """Answer one pose."""
@@ -103,16 +103,29 @@ class PathTracker(ABC):
 
     def _find_target(self, time_ns: int, pose: Pose) -> Target:
         path, length_m = self._path, self._path.length_m
-        nearest_m = self._follower.advance(pose.x_m, pose.y_m).arc_m
         if path.speed_m_s is None:
-            speed_m_s, tolerance_m = self._parameters.speed_m_s, self._parameters.end_tolerance_m
-            is_over = nearest_m >= length_m - tolerance_m
-            return Target(path.locate(nearest_m), speed_m_s, 0.0, nearest_m, is_over)
+            return self._find_nearest(pose)
         if self._first_ns is None:
             self._first_ns = time_ns
         due_m = min(path.speed_m_s * ((time_ns - self._first_ns) / 1e9), length_m)
+        nearest_m = self._follower.advance(pose.x_m, pose.y_m, due_m).arc_m
         behind_m = due_m - nearest_m
         return Target(path.locate(due_m), path.speed_m_s, behind_m, nearest_m, due_m >= length_m)
+
+    def _find_nearest(self, pose: Pose) -> Target:
+        """Return the target on a path without a speed; a closed one is over after a whole lap."""
+        path, follower = self._path, self._follower
+        nearest_m = follower.advance(pose.x_m, pose.y_m).arc_m
+        if self._begin_m is None and follower.arc_m is not None:
+            self._begin_m = nearest_m if path.is_closed else 0.0
+        end_m = (self._begin_m or 0.0) + path.length_m - self._parameters.end_tolerance_m
+        is_over = self._begin_m is not None and nearest_m >= end_m
+        return Target(path.locate(nearest_m), self._parameters.speed_m_s, 0.0, nearest_m, is_over)
+
+    @classmethod
+    def _name_gain(cls, path: Path) -> str | None:
+        """Return the scenario key of the gain along a path, None where there is no such error."""
+        return None if path.speed_m_s is None else f"law.{cls.along_gain}"
 
     @classmethod
     def _require(cls, path: Path | None) -> Path:

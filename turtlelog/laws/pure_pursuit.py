@@ -27,10 +27,10 @@ class PurePursuitParameters:
         end_tolerance_m: A path without a speed ends this far before its end [m], > 0.
     """
 
-    lookahead_m: Annotated[float, Meta(gt=0)] = 0.3
-    speed_m_s: Annotated[float, Meta(gt=0)] = 0.5
-    kp_along: Annotated[float, Meta(ge=0)] = 1.0
-    end_tolerance_m: Annotated[float, Meta(gt=0)] = 0.01
+    lookahead_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.3
+    speed_m_s: Annotated[float, Meta(gt=0, le=1e6)] = 0.5
+    kp_along: Annotated[float, Meta(ge=0, le=1e6)] = 1.0
+    end_tolerance_m: Annotated[float, Meta(gt=0, le=1e6)] = 0.01
 
 
 class PurePursuit(PathTracker):

@@ -79,20 +79,28 @@ def _measure_parts(points: Values, starts: Values, ways: Values) -> Values:
     return np.asarray(np.hypot(rest[..., 0], rest[..., 1]))
 
 
-def trace_path(path: TrackedPath, xy_m: Values, arc_m: float) -> tuple[Values, Values]:
+def trace_path(
+    path: TrackedPath, xy_m: Values, arc_m: float | None, due_m: Values | None = None
+) -> tuple[Values, Values]:
     """Return where positions are with respect to a path, one after the other.
 
     Args:
         path: What is tracked.
         xy_m: World frame [m], shape (n, 2).
-        arc_m: Near which arc length the first is [m].
+        arc_m: Near which arc length the first is; None where the robot still has to come to the
+            path [m].
+        due_m: How far the reference is at each, where time belongs to the path [m], shape (n,).
 
     Returns:
         Arc length of the nearest point [m], and distance from there, positive to the left [m]; each
         of shape (n,).
     """
     follower = PathFollower(path, arc_m)
-    places = [follower.advance(x_m, y_m) for x_m, y_m in xy_m.tolist()]
+    dues_m = [None] * len(xy_m) if due_m is None else due_m.tolist()
+    places = [
+        follower.advance(x_m, y_m, due)
+        for (x_m, y_m), due in zip(xy_m.tolist(), dues_m, strict=True)
+    ]
     arcs_m, offsets_m = zip(*places, strict=True) if places else ((), ())
     return np.array(arcs_m, dtype=np.float64), np.array(offsets_m, dtype=np.float64)
 

@@ -129,28 +129,56 @@ def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float 
 
 def _read_path(run: Run, loop: ControlLoop) -> Values | None:
     """Return what the path asks for at every pose; an arc length only where time belongs to it."""
-    path, held_xy_m = run.path, hold_reference(run, run.samples.reference_xy_m)
+    path = run.path
     if path is None:
         return None
     if loop.signal == "cross_track":
         return np.zeros(len(run.poses))
     if loop.signal == "heading":
         return hold_reference(run, run.samples.reference_heading_rad)
-    if path.speed_m_s is None or held_xy_m is None:
+    return None if path.speed_m_s is None else _trace_reference(run, path)
+
+
+def _trace_reference(run: Run, path: Path) -> Values | None:
+    """Return the arc length of the recorded reference at every pose [m]."""
+    held_xy_m = hold_reference(run, run.samples.reference_xy_m)
+    if held_xy_m is None:
         return None
-    return _trace(run, path, "reference", held_xy_m)[0]
+    first_m = _find_first_arc(run, path)
+    return _recall(run, "reference", lambda: trace_path(path, held_xy_m, first_m or 0.0))[0]
 
 
-def _find_first_arc(run: Run, path: Path) -> float:
-    """Return near which arc length of a path a run begins [m].
+def _trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
+    """Return the arc length of the point nearest to every pose, and the distance from there [m]."""
+    due_m = None if path.speed_m_s is None else _trace_reference(run, path)
+    first_m = _find_first_arc(run, path)
+    return _recall(run, "poses", lambda: trace_path(path, run.poses.xy_m, first_m, due_m))
 
-    At its beginning; where the first sample is lost, at the first reference that is recorded.
+
+def _find_first_arc(run: Run, path: Path) -> float | None:
+    """Return the arc length of the first reference where the first sample is lost [m].
+
+    None where it is not: then the robot still has to come to the path.
     """
-    xy_m, sequence = run.samples.reference_xy_m, run.samples.sequence
-    if xy_m is None or not len(xy_m) or sequence[0] == 0:
-        return 0.0
-    x_m, y_m = map(float, xy_m[0])
-    return path.find_nearest(x_m, y_m, 0.0, path.length_m).arc_m
+    samples = run.samples
+    if samples.reference_xy_m is None or not len(samples) or samples.sequence[0] == 0:
+        return None
+    assert samples.reference_heading_rad is not None
+    x_m, y_m = map(float, samples.reference_xy_m[0])
+    return path.find_point((x_m, y_m, float(samples.reference_heading_rad[0])))
+
+
+_TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
+"""Where poses and references of a run are on its path, found row by row, while the run is kept."""
+
+
+def _recall(
+    run: Run, what: str, trace: Callable[[], tuple[Values, Values]]
+) -> tuple[Values, Values]:
+    known = _TRACES.setdefault(run, {})
+    if what not in known:
+        known[what] = trace()
+    return known[what]
 
 
 def hold_reference(run: Run, column: Values | None) -> Values | None:
@@ -271,21 +299,9 @@ def _read_track(run: Run, *, along: bool) -> Values | None:
     """Return a coordinate along, or left of, the path or the line from first pose read to goal."""
     path = run.path
     if path is not None:
-        return _trace(run, path, "poses", run.poses.xy_m)[0 if along else 1]
+        return _trace_poses(run, path)[0 if along else 1]
     line = run.goal_line
     return None if line is None else project_on_line(run.poses.xy_m, line, along=along)
-
-
-_TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
-"""Where poses and references of a run are on its path, found row by row, while the run is kept."""
-
-
-def _trace(run: Run, path: Path, what: str, xy_m: Values) -> tuple[Values, Values]:
-    """Return arc lengths and offsets [m] of positions with respect to the path of a run."""
-    known = _TRACES.setdefault(run, {})
-    if what not in known:
-        known[what] = trace_path(path, xy_m, _find_first_arc(run, path))
-    return known[what]
 
 
 def _read_heading(run: Run) -> Values:

@@ -185,7 +185,8 @@ class LawDriver:
         errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
         if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
             raise SimulationError(
-                f"expected a finite command, found speed {speed} m/s, turn rate {turn_rate} rad/s"
+                f"expected a finite command (below {_LARGEST:g}),"
+                f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
             )
         if not isfinite(errors + decision.world_v_x_m_s + decision.world_v_y_m_s):
             self._require_finite(decision, errors)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.context import RunContext
@@ -61,23 +60,18 @@ def _compute_lag(context: RunContext, response: Response) -> Result:
 def find_shift(time_s: Values, reference: Values, signal: Values) -> float:
     """Return by how much the reference is shifted to fit the signal best in the mean square [s].
 
-    At most half of the duration either way, so that at least half of the rows are compared.
+    At most half of the duration either way. Before its beginning the reference stands where it
+    begins, behind its end where it ends, so that every shift is judged on all rows: a reference
+    that repeats itself fits worse, not better, when it is a period off.
     """
     every = slice(None, None, -(-len(time_s) // _COARSE_ROWS))
     coarse = time_s[every], reference[every], signal[every]
     most_s = float(time_s[-1] - time_s[0]) / 2.0
     shifts_s = np.linspace(-most_s, most_s, len(coarse[0]) | 1)
-    rows = [_find_rows(coarse[0], shift_s, shift_s) for shift_s in shifts_s]
-    misfits = [
-        _compute_misfit(*coarse, of_one, shift_s)
-        for of_one, shift_s in zip(rows, shifts_s, strict=True)
-    ]
-    best = int(np.argmin(misfits))
+    best = int(np.argmin([_compute_misfit(*coarse, shift_s) for shift_s in shifts_s]))
     low_s, high_s = shifts_s[max(best - 1, 0)], shifts_s[min(best + 1, len(shifts_s) - 1)]
-    # The same rows for every shift: what comes and goes with them would be a step of the misfit.
-    compared = _find_rows(time_s, low_s, high_s)
     return _find_least(
-        lambda shift_s: _compute_misfit(time_s, reference, signal, compared, shift_s), low_s, high_s
+        lambda shift_s: _compute_misfit(time_s, reference, signal, shift_s), low_s, high_s
     )
 
 
@@ -98,24 +92,16 @@ def _find_least(compute: Callable[[float], float], low: float, high: float) -> f
     return (low + high) / 2.0
 
 
-def _find_rows(time_s: Values, low_s: float, high_s: float) -> NDArray[np.bool_]:
-    """Return the rows at which the reference is known whatever the shift between two [s]."""
-    first_s, last_s = time_s[0] + max(high_s, 0.0), time_s[-1] + min(low_s, 0.0)
-    return np.asarray((time_s >= first_s) & (time_s <= last_s))
-
-
-def _compute_misfit(
-    time_s: Values, reference: Values, signal: Values, rows: NDArray[np.bool_], shift_s: float
-) -> float:
+def _compute_misfit(time_s: Values, reference: Values, signal: Values, shift_s: float) -> float:
     """Return the mean square of the signal minus the shifted reference."""
-    fitted = np.interp(time_s[rows] - shift_s, time_s, reference)
-    return float(np.mean((signal[rows] - fitted) ** 2))
+    fitted = np.interp(time_s - shift_s, time_s, reference)
+    return float(np.mean((signal - fitted) ** 2))
 
 
 @loop_metric(
     "corner_overshoot",
     "m",
-    "Furthest past a corner of the path, on its outer side; negative where it stays inside.",
+    "Furthest past a corner, up to half way to the next, on its outer side; negative: inside.",
     floor=0.0,
     grows=True,
     applies=_has_corners,
@@ -129,7 +115,9 @@ def _compute_corner_overshoot(context: RunContext, response: Response) -> Result
     arcs_m, offsets_m = along.values[response.rows], -response.error
     found: list[tuple[float, float]] = []
     for corner in path.corners:
-        rows = np.flatnonzero((arcs_m >= corner.arc_m) & (arcs_m < corner.arc_m + corner.leg_m))
+        rows = np.flatnonzero(
+            (arcs_m >= corner.arc_m) & (arcs_m < corner.arc_m + corner.leg_m / 2.0)
+        )
         if len(rows):
             outside_m = offsets_m[rows] * -np.sign(corner.turn_rad)
             row = int(outside_m.argmax())
