@@ -370,9 +370,10 @@ class PathFollower:
         joins_anywhere = due_m is None and self._path.is_closed
         last_m = self._path.length_m if joins_anywhere else due_m or 0.0
         place = self._path.find_nearest(x_m, y_m, 0.0, last_m)
-        if joins_anywhere or abs(place.offset_m) <= REACH_M:
-            self.arc_m = place.arc_m
-        return place
+        if not (joins_anywhere or abs(place.offset_m) <= REACH_M):
+            return place
+        self.arc_m = place.arc_m
+        return self.advance(x_m, y_m)  # It may stand ahead of the reference.
 
 
 def restore_path(parameters: Mapping[str, Any]) -> Path | None:

@@ -61,11 +61,6 @@ def test_explanation_of_a_metric_without_a_value_has_no_table_of_dashes(call: Ca
     )
 
 
-def test_explanation_of_a_tracker_is_of_its_cross_track_error(call: Call) -> None:
-    call("run", "track-square", "-o", "square.mcap")
-    assert "cross.rms_error is 0.05059 m, in the log" in call("explain", "square.mcap").out
-
-
 def test_explanation_tells_the_dead_time_of_commands_that_change(call: Call) -> None:
     call("run", "textbook", "--commands", "kp4.mcap", "-o", "again.mcap")
     out = call("explain", "again.mcap").out

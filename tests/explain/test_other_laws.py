@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import turtlelog as tl
 from tests.explain.loop_family import count_true, make_loop_logs
 from tests.strange_law import KIND, simulate_strange
 from turtlelog.errors import ExplainError, ScenarioError
@@ -351,3 +352,19 @@ def test_what_is_said_of_the_loops_of_other_laws_is_true(*, is_usual: bool) -> N
     assert {key for key in said if key[1].endswith(" false")} == set()
     assert sum(count for (_, how), count in said.items() if how == "fitted true") > 40
     assert sum(count for (_, how), count in said.items() if how == "exact true") > 15
+
+
+@pytest.mark.parametrize(
+    ("preset", "metric"),
+    [
+        ("paper-kp10", "final.position_error"),
+        ("posture", "final.position_error"),
+        ("track-square", "cross.rms_error"),
+        ("plant-step", "run.path_length"),
+    ],
+)
+def test_what_matters_most_to_a_law_is_explained_where_no_metric_is_named(
+    preset: str, metric: str
+) -> None:
+    declaration = tl.simulate.declare_scenario(tl.load_scenario(preset))
+    assert tl.explain.choose_metric(declaration) == metric

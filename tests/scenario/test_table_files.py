@@ -257,8 +257,8 @@ def test_waypoints_that_cannot_be_are_refused_by_line(rows: str, line: str, tmp_
 
 def test_longest_path_fits_into_a_recording(tmp_path: Path) -> None:
     # The longest numbers within the world: 23 letters as 1.2345678901234567e-100.
-    long = (1.2345678901234567e-100 * (1.0 + np.arange(MOST_POINTS) * 1e-16)).tolist()
-    points = tuple((1.0 if number % 2 else x_m, x_m) for number, x_m in enumerate(long))
+    long = (1.2345678901234567e-100 * (1.0 + np.arange(MOST_POINTS) * 1e-12)).tolist()
+    points = ((1.0, 1.0), *((x_m, x_m) for x_m in long[:0:-1]))
     scenario = parse_scenario('max_duration_s = 1.0\n[law]\nkind = "kanayama"')
     short = tl.format_scenario(scenario)
     scenario = replace(scenario, path=tl.paths.Path(kind="waypoints", points=points))

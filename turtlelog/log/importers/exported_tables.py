@@ -194,7 +194,8 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
     samples, declaration = _build_samples(tables.get("samples"), declaration)
     goal = json.loads(facts.get("goal_m_m_rad", "null"))
     absent = [name for name in ("commands", "samples", "events") if name not in tables]
-    absent += [] if is_declared else ["declaration"]
+    # Of poses alone no loop is known: which acts when stands in the samples.
+    absent += [] if is_declared and "samples" in tables else ["declaration"]
     if "scenario" not in facts:
         absent += ["goal_xy_m", "goal_heading_rad", "parameters", "stop_reason"]
     events = tables.get("events", {})
