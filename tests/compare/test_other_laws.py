@@ -6,6 +6,7 @@ import pytest
 
 import turtlelog as tl
 from tests.strange_law import simulate_strange
+from turtlelog.compare.difference import explain_lack
 from turtlelog.errors import CompareError
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.run import Run
@@ -180,3 +181,24 @@ def test_a_law_without_loops_has_no_columns_of_any() -> None:
     ]
     titles = read_titles(tl.compare.tabulate_whole_runs([run]))
     assert titles == ["run", "heading", "position", "length"]
+
+
+def test_track_of_a_path_is_not_compared_with_that_of_another_or_of_a_line() -> None:
+    base = tl.override_scenario(tl.load_scenario("track-square"), {"max_duration_s": 3.0})
+    square, slower, other, line = (
+        tl.simulate_run(tl.override_scenario(base, changes))
+        for changes in (
+            {},
+            {"path.speed_m_s": 0.4},
+            {"path.points": [[3.0, 3.0], [8.0, 3.0], [8.0, 7.0]]},
+            {"law.kind": "sequential-p"},
+        )
+    )
+    for run, are_compared in ((slower, True), (other, False), (line, False)):
+        found = tl.compare_runs(square, run)
+        names = {signal.signal for signal in found.signals}
+        assert ({"along_track", "cross_track"} <= names) is are_compared
+        assert {"x", "y", "heading"} <= names
+        note = "Along-track and cross-track are not compared: the laws do not track one path."
+        assert (note in found.notes) is not are_compared
+    assert explain_lack("along_track", square, line) == "the laws do not track one path"

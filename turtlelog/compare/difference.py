@@ -36,6 +36,9 @@ from turtlelog.measure import (
 )
 from turtlelog.run import Run
 
+_OF_TRACK: Final = frozenset({"along_track", "cross_track"})
+"""Signals that belong to the path that a law tracks, or else to the line from start to goal."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricDifference:
@@ -165,6 +168,8 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
         states = ", ".join(found for found in known if found not in SIGNALS) or "none"
         hint = f"; the nearest are {', '.join(near)}" if near else ""
         return f"neither a signal nor a state of these laws (they have {states}){hint}"
+    if name in _OF_TRACK and not _share_track(reference, run):
+        return "the laws do not track one path"
     sides = zip((reference, run), _read_signals(name, reference, run), strict=True)
     lacking = [who for who, held in sides if held is None]
     reason = f"{' and '.join(who.name for who in lacking)} does not hold it"
@@ -241,7 +246,10 @@ def _compare_signals(
     found: dict[str, SignalDifference] = {}
     grids: dict[str, Grid] = {}
     phases = _join_phases(reference, run)
+    share_track = _share_track(reference, run)
     for name, tolerance in tolerances.items():
+        if name in _OF_TRACK and not share_track:
+            continue
         theirs, ours = _read_signals(name, reference, run)
         if theirs is None or ours is None:
             continue
@@ -252,6 +260,19 @@ def _compare_signals(
         rows = read_rows(placed[1], grids[source])
         found[name] = _measure_rows(placed[0], rows, tolerance, clock, phases)
     return found
+
+
+def _share_track(reference: Run, run: Run) -> bool:
+    """Return whether along-track and cross-track mean the same in both runs.
+
+    That is where both laws track one path, by whatever time, or none: then each run has its line
+    from start to goal.
+    """
+    paths = [
+        None if who.path is None else dataclasses.replace(who.path, speed_m_s=None)
+        for who in (reference, run)
+    ]
+    return paths[0] == paths[1]
 
 
 def _measure_rows(
@@ -313,6 +334,8 @@ def _read_signals(name: str, reference: Run, run: Run) -> tuple[Signal | None, S
 
 
 def _list_notes(reference: Run, run: Run, clock: CommonClock) -> Iterator[str]:
+    if not _share_track(reference, run):
+        yield "Along-track and cross-track are not compared: the laws do not track one path."
     if clock.tells_time:
         return
     counts = [len(found.samples) for found in (reference, run)]
