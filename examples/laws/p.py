@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.paths import Path
 
 ALIGN = ControlLoop(
     name="align", signal="heading", command="turn_rate", reference="bearing_now", gain="law.kp"
@@ -30,13 +31,13 @@ class P:
     counts_samples = ()  # none of its parameters counts samples
 
     @classmethod
-    def declare(cls, parameters: Gains, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Gains, goal: Goal | None, path: Path | None) -> Declaration:
         return Declaration(loops=(ALIGN, APPROACH), phases={"drive": ("align", "approach")})
 
     def __init__(self, parameters: Gains) -> None:
         self.gains = parameters
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         self.goal = goal or Goal(start.x_m, start.y_m)
 
     def step(self, time_ns: int, pose: Pose) -> Decision:

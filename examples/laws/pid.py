@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.paths import Path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +28,7 @@ class Pid:
     counts_samples = ()  # none of its parameters counts samples
 
     @classmethod
-    def declare(cls, parameters: Settings, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Settings, goal: Goal | None, path: Path | None) -> Declaration:
         align = ControlLoop(
             name="align",
             signal="heading",
@@ -55,7 +56,7 @@ class Pid:
     def __init__(self, parameters: Settings) -> None:
         self.settings = parameters
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         self.goal = goal or Goal(start.x_m, start.y_m)
         self.integral = self.derivative = 0.0
         self.last: tuple[int, float] | None = None

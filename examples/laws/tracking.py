@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.paths import Path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +27,7 @@ class Tracking:
     counts_samples = ()  # none of its parameters counts samples
 
     @classmethod
-    def declare(cls, parameters: Settings, goal: Goal | None, path: None) -> Declaration:
+    def declare(cls, parameters: Settings, goal: Goal | None, path: Path | None) -> Declaration:
         heading = ControlLoop(
             name="heading",
             signal="heading",
@@ -46,7 +47,7 @@ class Tracking:
     def __init__(self, parameters: Settings) -> None:
         self.settings = parameters
 
-    def reset(self, start: Pose, goal: Goal | None, path: None) -> None:
+    def reset(self, start: Pose, goal: Goal | None, path: Path | None) -> None:
         self.centre = goal or Goal(start.x_m, start.y_m)
         self.start_ns: int | None = None
 

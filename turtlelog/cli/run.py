@@ -124,7 +124,8 @@ def run(
     no harm. Of a law that fails, what came before is written (exit code 2).
 
     A note on stderr says where a gain is beyond theory's limit of stability, with the dead time
-    that the settings make certain, and what of the scenario the law does not use.
+    that the settings make certain, and where the law uses no goal, heading of the goal or path that
+    was set.
 
     Args:
         scenario: A preset (turtlelog list presets), a scenario file (.toml), or a recording, whose
