@@ -8,6 +8,7 @@ import pytest
 
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
+from turtlelog.explain.driven_plant import drive_plant
 from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain
 from turtlelog.explain.identification import ABSENT_KEYS, LAW_KEYS, LOOP_KEYS
 from turtlelog.explain.law_identification import (
@@ -18,7 +19,6 @@ from turtlelog.explain.law_identification import (
 )
 from turtlelog.explain.loop_findings import describe_loop
 from turtlelog.explain.loop_guesses import read_hints
-from turtlelog.explain.open_loop import drive_plant
 from turtlelog.explain.resimulation import count_lost_commands
 from turtlelog.explain.search import Fits
 from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule

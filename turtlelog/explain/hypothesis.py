@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.errors import SimulationError
+from turtlelog.explain.driven_plant import WHITE
 from turtlelog.explain.identification import (
     DEAD_TIME,
     LAW_KEYS,
@@ -24,7 +25,6 @@ from turtlelog.explain.identification import (
 )
 from turtlelog.explain.loop_findings import describe_goal, describe_loop, describe_start
 from turtlelog.explain.loop_guesses import read_hints
-from turtlelog.explain.open_loop import WHITE
 from turtlelog.explain.resimulation import (
     CLOSE,
     CLOSE_COMMAND,

@@ -8,6 +8,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.explain.driven_plant import (
+    Drive,
+    StartBounds,
+    bound_start,
+    drive_plant,
+    join_starts,
+    keep_in_world,
+)
 from turtlelog.explain.loop_guesses import (
     DEPTHS,
     PAUSE_KEY,
@@ -18,14 +26,6 @@ from turtlelog.explain.loop_guesses import (
     list_neighbours,
     list_queues,
     set_pause,
-)
-from turtlelog.explain.open_loop import (
-    Drive,
-    StartBounds,
-    bound_start,
-    drive_plant,
-    join_starts,
-    keep_in_world,
 )
 from turtlelog.explain.resimulation import Row, count_equal, find_end_s, list_rows
 from turtlelog.explain.trace import Trace
