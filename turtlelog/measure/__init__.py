@@ -17,6 +17,7 @@ from turtlelog.measure.metrics import (
     suggest_metrics,
 )
 from turtlelog.measure.path import read_reference_path
+from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
 from turtlelog.measure.signals import (
@@ -26,7 +27,6 @@ from turtlelog.measure.signals import (
     could_be_signal,
     list_signal_units,
     list_signals,
-    read_reference,
     read_signal,
 )
 from turtlelog.measure.step_response import find_overshoot, find_settling_time

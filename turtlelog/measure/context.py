@@ -13,8 +13,9 @@ from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing
 from turtlelog.measure.path import compute_path_distances, compute_path_length
+from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
-from turtlelog.measure.signals import Signal, read_heading_reference, read_signal
+from turtlelog.measure.signals import Signal, read_signal
 from turtlelog.run import Run, take_rows
 
 Values = NDArray[np.float64]

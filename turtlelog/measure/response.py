@@ -12,7 +12,8 @@ from turtlelog.angles import wrap_angle
 from turtlelog.loops import PAUSE, ControlLoop
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.signals import Signal, read_controlled_distance, read_reference
+from turtlelog.measure.references import read_controlled_distance, read_reference
+from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import fold_at_zero
 from turtlelog.run import PhaseSpan, Run
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from turtlelog.angles import subtract_headings
 from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
-from turtlelog.measure.signals import project_on_line
+from turtlelog.measure.references import project_on_line
 from turtlelog.run import Run
 from turtlelog.theory import compute_step_response
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure import read_signal
-from turtlelog.measure.signals import hold_reference, read_reference
+from turtlelog.measure.references import hold_reference, read_reference
 from turtlelog.paths import Path
 from turtlelog.run import Run
 from turtlelog.show.close_up import Label, Lettering, format_length

@@ -8,9 +8,9 @@ import numpy as np
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import Response, Values
-from turtlelog.measure.signals import read_reference
 
 _STANDS_STILL: Final = Missing(status=Status.NO_STEP, reason="the reference does not move")
 _NO_PATH: Final = Missing(status=Status.ABSENT, reason="the path is not known")

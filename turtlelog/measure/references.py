@@ -1,0 +1,198 @@
+"""What the loops of a law should follow, and where a run is on the path or line that it follows.
+
+The reference of a loop, at every pose:
+
+| reference | of the signal heading | of the other signals |
+|---|---|---|
+| `goal_bearing` | direction of the line from start to goal | |
+| `bearing_now` | bearing of the goal from the present position | |
+| `goal_heading` | heading that the goal asks for | |
+| `goal_distance` | | along-track: length of that line |
+| `zero` | 0 | 0 |
+| `path` | heading of the recorded pose | along-track: its arc length by time; cross-track: 0 |
+| `recorded` | heading of the recorded pose | its projection on that line; distance: 0 |
+"""
+
+from collections.abc import Callable
+from typing import Final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.loops import ControlLoop
+from turtlelog.measure.path import trace_path
+from turtlelog.paths import Path
+from turtlelog.run import GoalLine, Run
+
+Values = NDArray[np.float64]
+
+
+def read_reference(run: Run, loop: ControlLoop) -> float | Values | None:
+    """Return the reference of a loop [rad or m]: a number where it is constant.
+
+    Otherwise one value per pose, shape (n,), that of a sample held until the next. None where the
+    run does not hold it.
+    """
+    line, reference = run.goal_line, loop.reference
+    if reference in {"path", "recorded"}:
+        return _read_path(run, loop) if reference == "path" else _read_recorded(run, loop, line)
+    match reference:
+        case "goal_bearing":
+            return None if line is None else line.bearing_rad
+        case "goal_distance":
+            return None if line is None else line.length_m
+        case "goal_heading":
+            return run.goal_heading_rad
+        case "bearing_now":
+            return _read_bearings(run)
+    return 0.0
+
+
+def read_heading_reference(run: Run) -> float | Values | None:
+    """Return what the heading should be: the reference of the loop that acts, or acted last [rad].
+
+    Before any acts, that of the first to act; where none ever does, of the first that is declared.
+    A number where it is constant, else one value per pose. None without a loop of the heading.
+    """
+    declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
+    loops = [(loop, read_reference(run, loop)) for loop in declared]
+    known = [(loop, found) for loop, found in loops if found is not None]
+    if not known:
+        return None
+    if len(known) == 1:
+        return known[0][1]
+    acting = find_acting(run, tuple(loop for loop, _ in known))
+    rows = len(run.poses)
+    columns = np.array([np.broadcast_to(found, (rows,)) for _, found in known])
+    return np.asarray(columns[acting, np.arange(rows)])
+
+
+def find_acting(run: Run, loops: tuple[ControlLoop, ...]) -> NDArray[np.int64]:
+    """Return the index of the loop that acts at every pose, or acted last, shape (n,)."""
+    names = run.phase_names
+    of_phase = np.full(len(names), -1)
+    for number, phase in enumerate(names):
+        acts = run.declaration.phases.get(phase, ())
+        found = [index for index, loop in enumerate(loops) if loop.name in acts]
+        of_phase[number] = found[0] if found else -1
+    of_sample = of_phase[run.samples.phase]
+    acting = np.flatnonzero(of_sample >= 0)
+    if not len(acting):
+        return np.zeros(len(run.poses), dtype=np.int64)
+    latest = _find_latest(run, acting)
+    return np.asarray(of_sample[acting[latest]])
+
+
+def hold_samples(run: Run, values: Values) -> Values:
+    """Return what the last sample that read each pose, or one before, recorded, shape (n,)."""
+    return np.asarray(values[_find_latest(run, np.arange(len(run.samples)))])
+
+
+def _find_latest(run: Run, samples: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return which of some samples was the last to read each pose or one before, shape (n,)."""
+    read = np.maximum.accumulate(run.samples.pose_sequence[samples])
+    latest = np.searchsorted(read, np.arange(len(run.poses)), side="right") - 1
+    return np.asarray(np.maximum(latest, 0))
+
+
+def _read_bearings(run: Run) -> Values | None:
+    if run.goal_xy_m is None:
+        return None
+    ahead_m, left_m = (
+        goal - column for goal, column in zip(run.goal_xy_m, run.poses.xy_m.T, strict=True)
+    )
+    return np.asarray(np.arctan2(left_m, ahead_m))
+
+
+def _read_recorded(run: Run, loop: ControlLoop, line: GoalLine | None) -> float | Values | None:
+    xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
+    if xy_m is None or heading_rad is None:
+        return None
+    if loop.signal == "distance":
+        return 0.0
+    if loop.signal == "heading":
+        return hold_reference(run, heading_rad)
+    held_xy_m = None if line is None else hold_reference(run, xy_m)
+    if held_xy_m is None or line is None:
+        return None
+    return project_on_line(held_xy_m, line, along=loop.signal == "along_track")
+
+
+def _read_path(run: Run, loop: ControlLoop) -> Values | None:
+    """Return what the path asks for at every pose; an arc length only where time belongs to it."""
+    path = run.path
+    if path is None:
+        return None
+    if loop.signal == "cross_track":
+        return np.zeros(len(run.poses))
+    if loop.signal == "heading":
+        return hold_reference(run, run.samples.reference_heading_rad)
+    return None if path.speed_m_s is None else _trace_reference(run, path)
+
+
+def _trace_reference(run: Run, path: Path) -> Values | None:
+    """Return the arc length of the recorded reference at every pose [m]."""
+    held_xy_m = hold_reference(run, run.samples.reference_xy_m)
+    if held_xy_m is None:
+        return None
+    first_m = _find_first_arc(run, path)
+    return _recall(run, "reference", lambda: trace_path(path, held_xy_m, first_m or 0.0))[0]
+
+
+def trace_poses(run: Run, path: Path) -> tuple[Values, Values]:
+    """Return the arc length of the point nearest to every pose, and the distance from there [m]."""
+    due_m = None if path.speed_m_s is None else _trace_reference(run, path)
+    first_m = _find_first_arc(run, path)
+    return _recall(run, "poses", lambda: trace_path(path, run.poses.xy_m, first_m, due_m))
+
+
+def _find_first_arc(run: Run, path: Path) -> float | None:
+    """Return the arc length of the first reference where the first sample is lost [m].
+
+    None where it is not: then the robot still has to come to the path.
+    """
+    samples = run.samples
+    if samples.reference_xy_m is None or not len(samples) or samples.sequence[0] == 0:
+        return None
+    assert samples.reference_heading_rad is not None
+    x_m, y_m = map(float, samples.reference_xy_m[0])
+    return path.find_point((x_m, y_m, float(samples.reference_heading_rad[0])))
+
+
+_TRACES: Final[WeakKeyDictionary[Run, dict[str, tuple[Values, Values]]]] = WeakKeyDictionary()
+"""Where poses and references of a run are on its path, found row by row, while the run is kept."""
+
+
+def _recall(
+    run: Run, what: str, trace: Callable[[], tuple[Values, Values]]
+) -> tuple[Values, Values]:
+    known = _TRACES.setdefault(run, {})
+    if what not in known:
+        known[what] = trace()
+    return known[what]
+
+
+def hold_reference(run: Run, column: Values | None) -> Values | None:
+    """Return the part of the recorded reference pose that holds at each pose, None without one."""
+    if column is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(column if column.ndim == 1 else column[:, 0]))
+    return np.asarray(column[rows[_find_latest(run, rows)]]) if len(rows) else None
+
+
+def read_controlled_distance(run: Run) -> Values | None:
+    """Return the distance of every pose to the recorded reference pose [m]."""
+    held_xy_m = hold_reference(run, run.samples.reference_xy_m)
+    if held_xy_m is None:
+        return None
+    away_m = held_xy_m - run.poses.xy_m
+    return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
+
+
+def project_on_line(xy_m: Values, line: GoalLine, *, along: bool) -> Values:
+    """Return the coordinate of points along, or to the left of, the line from start to goal [m]."""
+    # As frames.rotate_to_turtle, for the one of the two that is asked for.
+    x_m, y_m = (column - start for column, start in zip(xy_m.T, line.start_xy_m, strict=True))
+    cos, sin = np.cos(line.bearing_rad), np.sin(line.bearing_rad)
+    return np.asarray(x_m * cos + y_m * sin if along else y_m * cos - x_m * sin)
