@@ -106,6 +106,9 @@ coordinate = st.floats(0.0, WORLD_SIZE_M)
 heading = st.floats(-6.2, 6.2)
 limit = st.floats(0.0, exclude_min=True)
 count = st.integers(1, 1_000_000)
+probability = st.floats(0.0, 1.0)
+delay = st.floats(0.0, 1.0)
+gain = st.floats(-2.0, 2.0)
 
 
 def choose_table(**keys: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
@@ -114,7 +117,7 @@ def choose_table(**keys: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, 
 
 scenario_tables = choose_table(
     name=st.text(st.characters(exclude_categories=["Cs"])),
-    max_duration_s=st.floats(0.0, 1e6, exclude_min=True),
+    max_duration_s=st.floats(16.0, 1e6),
     seed=st.integers(0, 2**63 - 1),
     start=choose_table(x_m=coordinate, y_m=coordinate, heading_rad=heading),
     goal=choose_table(x_m=coordinate, y_m=coordinate, heading_rad=heading),
@@ -140,7 +143,25 @@ scenario_tables = choose_table(
         queue_policy=st.sampled_from(["one-per-tick", "newest"]),
         transport_delay_ticks=st.integers(0, 1000),
         pose_precision=st.sampled_from(["float32", "float64"]),
+        transport_delay_s=delay,
+        jitter_s=delay,
+        loss_probability=probability,
+        repeat_probability=probability,
     ),
+    plant=choose_table(
+        kind=st.just("lagged"),
+        period_s=st.floats(0.001, 1.0),
+        speed_gain=st.floats(-2.0, 2.0),
+        turn_lag_s=delay,
+    ).filter(lambda table: not table or "kind" in table),
+    disturbance=choose_table(speed_m_s=gain, from_s=delay, to_s=st.floats(1.5), noise_speed=delay),
+    sensing=choose_table(
+        noise_position_m=st.floats(0.0, 1.0),
+        bias_heading_rad=gain,
+        dropout_probability=probability,
+        delay_s=delay,
+    ),
+    shaping=choose_table(low_pass_s=delay),
 )
 
 

@@ -45,7 +45,7 @@ def test_unknown_key_is_named_with_the_nearest(text: str, line: str) -> None:
             "max_duration_s = [1]",
             "max_duration_s: expected a number > 0 and up to 1e+06, found [1]",
         ),
-        ("goal.x_m = 'far'", "goal.x_m: expected a number from 0 to 11.08888912, found 'far'"),
+        ("goal.x_m = 'far'", "goal.x_m: expected a number, found 'far'"),
         (
             "goal.heading_rad = 'n'",
             "goal.heading_rad: expected a number from -6.283185307 to 6.283185307, found 'n'",

@@ -14,7 +14,7 @@ def make_command(number: int) -> Sample:
         error_x_m=0.0,
         error_y_m=0.0,
     )
-    return Sample(0, number, number, decision, 0, 0.0, 0.0, 0.0)
+    return Sample(0, number, number, decision, 0, 0.0, 0.0, 0.0, 0)
 
 
 def make_queue(*, depth: int = 7, newest_only: bool = False, delay_ticks: int = 0) -> CommandQueue:

@@ -38,7 +38,7 @@ class Plant:
         low_m: The least coordinate of start and goal [m].
         high_m: The largest [m].
         watchdog_ns: The plant stops when more than this has passed since it last took a command
-            [ns], whatever its period.
+            [ns], whatever its period; inf: it never does.
         steps_per_tick: Steps that take as long as one tick of the plant as it is; 1 but for a finer
             clock.
     """
@@ -47,7 +47,7 @@ class Plant:
     period_ns: int
     low_m: float
     high_m: float
-    watchdog_ns: int
+    watchdog_ns: float
     steps_per_tick: int = 1
 
     @property

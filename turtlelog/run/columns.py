@@ -12,6 +12,7 @@ from turtlelog.errors import RunError
 PAIRS: Final = MappingProxyType(
     {
         "xy_m": ("x_m", "y_m"),
+        "sensed_xy_m": ("sensed_x_m", "sensed_y_m"),
         "error_xy_m": ("error_x_m", "error_y_m"),
         "world_velocity_m_s": ("world_velocity_x_m_s", "world_velocity_y_m_s"),
         "reference_xy_m": ("reference_x_m", "reference_y_m"),
@@ -19,7 +20,15 @@ PAIRS: Final = MappingProxyType(
 )
 """What the two columns of a pair are called."""
 _WHOLE = frozenset({"time_ns", "sequence", "pose_sequence", "phase"})
-_MAY_BE_NAN = frozenset({"world_velocity_m_s", "reference_xy_m", "reference_heading_rad"})
+_MAY_BE_NAN = frozenset(
+    {
+        "world_velocity_m_s",
+        "reference_xy_m",
+        "reference_heading_rad",
+        "sensed_xy_m",
+        "sensed_heading_rad",
+    }
+)
 """Columns whose rows are NaN where a sample does not have them."""
 
 _LARGEST_HEADING_RAD = np.pi + 1e-6
@@ -41,6 +50,9 @@ class PoseColumns:
             shape (n,).
         speed_m_s: Magnitude of the applied velocity [m/s], shape (n,); None where not recorded.
         turn_rate_rad_s: Applied turn rate [rad/s], shape (n,); None where not recorded.
+        sensed_xy_m: Position as it was sensed, which is what the controller reads [m], shape
+            (n, 2); NaN where a pose dropped out, None where the pose itself is read.
+        sensed_heading_rad: Heading likewise [rad], shape (n,).
     """
 
     time_ns: NDArray[np.int64]
@@ -48,6 +60,8 @@ class PoseColumns:
     heading_rad: NDArray[np.float64]
     speed_m_s: NDArray[np.float64] | None = None
     turn_rate_rad_s: NDArray[np.float64] | None = None
+    sensed_xy_m: NDArray[np.float64] | None = None
+    sensed_heading_rad: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, "pose")
@@ -123,6 +137,9 @@ class SampleColumns:
         wanted_turn_rate_rad_s: Before clipping [rad/s], shape (n,); None where not recorded.
         speed_m_s: Forward speed as commanded [m/s], shape (n,).
         turn_rate_rad_s: As commanded [rad/s], shape (n,).
+        shaped_speed_m_s: Forward speed after shaping, before the limits [m/s], shape (n,); None
+            where there is no shaping.
+        shaped_turn_rate_rad_s: Likewise [rad/s], shape (n,).
         world_velocity_m_s: Gain times error before projection, world frame [m/s], shape (n, 2);
             NaN where a sample has none, None where no sample has.
         states: Numbers of the law's own, in the order of the declaration, shape (n, k); None where
@@ -145,6 +162,8 @@ class SampleColumns:
     world_velocity_m_s: NDArray[np.float64] | None = None
     wanted_speed_m_s: NDArray[np.float64] | None = None
     wanted_turn_rate_rad_s: NDArray[np.float64] | None = None
+    shaped_speed_m_s: NDArray[np.float64] | None = None
+    shaped_turn_rate_rad_s: NDArray[np.float64] | None = None
     reference_xy_m: NDArray[np.float64] | None = None
     reference_heading_rad: NDArray[np.float64] | None = None
     states: NDArray[np.float64] | None = None

@@ -11,6 +11,7 @@ from turtlelog.scenario.convert import (
     resolve_scenario,
     restore_scenario,
 )
+from turtlelog.scenario.effects import Disturbance, PlantChoice, Sensing, Shaping
 from turtlelog.scenario.files import (
     PAPER_RUNS,
     PRESETS,
@@ -43,11 +44,15 @@ __all__ = [
     "DEFAULT_LAW",
     "PAPER_RUNS",
     "PRESETS",
+    "Disturbance",
     "LawChoice",
     "LawTable",
     "Limits",
     "LoopSettings",
+    "PlantChoice",
     "Scenario",
+    "Sensing",
+    "Shaping",
     "Start",
     "Target",
     "build_scenario",

@@ -28,9 +28,8 @@ from turtlelog.laws import (
     print_to_stderr,
     require_law_name,
 )
-from turtlelog.paths import Path
-from turtlelog.plants import TURTLESIM
 from turtlelog.run import Parameter, Run
+from turtlelog.scenario.consistency import require_consistent
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
 from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
 
@@ -76,7 +75,7 @@ def build_scenario(
     else:
         _require_law_name(kind, source)
     scenario: Scenario = _convert(rest, Scenario, "", source)
-    _require_inside(scenario.path, source)
+    require_consistent(scenario, source)
     return dataclasses.replace(scenario, law=law)
 
 
@@ -273,19 +272,6 @@ def _require_law_name(kind: str, source: str) -> None:
         require_law_name(kind)
     except LawError as err:
         raise ScenarioError(f"{source}: law.kind: {err}") from err
-
-
-def _require_inside(path: Path | None, source: str) -> None:
-    """Refuse a path that leaves the plant's world."""
-    if path is None:
-        return
-    low_m, high_m = TURTLESIM.low_m, TURTLESIM.high_m
-    for name, least_m, most_m in (("x", *path.bounds_m[:2]), ("y", *path.bounds_m[2:])):
-        if least_m < low_m or most_m > high_m:
-            raise ScenarioError(
-                f"{source}: path: expected {name} from {low_m:.10g} to {high_m:.10g} m,"
-                f" found {least_m:.10g} to {most_m:.10g} m"
-            )
 
 
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:

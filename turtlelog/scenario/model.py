@@ -10,9 +10,18 @@ from msgspec import Meta
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, SequentialPParameters
 from turtlelog.paths import Path
-from turtlelog.plants.turtlesim import SPAWN_XY_M, TURTLESIM
+from turtlelog.plants.turtlesim import SPAWN_XY_M
+from turtlelog.scenario.effects import (
+    Disturbance,
+    Period,
+    PlantChoice,
+    Probability,
+    Sensing,
+    Shaping,
+    Time,
+    absent,
+)
 
-Coordinate = Annotated[float, Meta(ge=TURTLESIM.low_m, le=TURTLESIM.high_m)]
 Positive = Annotated[float, Meta(gt=0.0)]
 DEFAULT_LAW: Final = "sequential-p"
 
@@ -34,8 +43,8 @@ class Start:
             turtle stands that moved before.
     """
 
-    x_m: Coordinate = SPAWN_XY_M
-    y_m: Coordinate = SPAWN_XY_M
+    x_m: float = SPAWN_XY_M
+    y_m: float = SPAWN_XY_M
     heading_rad: Heading = 0.0
     precision: Literal["float32", "float64"] = field(default="float32", metadata=ABSENT_BY_DEFAULT)
 
@@ -50,8 +59,8 @@ class Target:
         heading_rad: Final heading [rad], None where any will do.
     """
 
-    x_m: Coordinate = 2.0
-    y_m: Coordinate = 10.0
+    x_m: float = 2.0
+    y_m: float = 10.0
     heading_rad: Heading | None = None
 
 
@@ -90,10 +99,18 @@ class Limits:
     Attributes:
         speed_m_s: Largest magnitude of the forward speed [m/s].
         turn_rate_rad_s: Largest magnitude of the turn rate [rad/s].
+        acceleration_m_s2: Largest magnitude of the change of the speed per second [m/s^2].
+        turn_acceleration_rad_s2: Of the turn rate [rad/s^2].
+        jerk_m_s3: Largest magnitude of the change of that acceleration per second [m/s^3].
+        turn_jerk_rad_s3: Of the turn acceleration [rad/s^3].
     """
 
     speed_m_s: Positive = field(default=1.0, metadata=MAY_BE_INFINITE)
     turn_rate_rad_s: Positive = field(default=1.0, metadata=MAY_BE_INFINITE)
+    acceleration_m_s2: Positive = absent(math.inf, may_be_infinite=True)
+    turn_acceleration_rad_s2: Positive = absent(math.inf, may_be_infinite=True)
+    jerk_m_s3: Positive = absent(math.inf, may_be_infinite=True)
+    turn_jerk_rad_s3: Positive = absent(math.inf, may_be_infinite=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,6 +126,16 @@ class LoopSettings:
             newest and drops the rest.
         transport_delay_ticks: Ticks between publication and arrival of a command.
         pose_precision: Precision of published poses.
+        trigger: `pose`: the controller answers poses as they come; `timer`: it answers the newest
+            pose every `period_s`.
+        period_s: Period of the timer [s]; only where it triggers.
+        transport_delay_s: Adds to the ticks between publication and arrival [s].
+        jitter_s: Added to the transport of each command: from 0 to this, uniform [s]. No command
+            overtakes another.
+        loss_probability: That a published command does not arrive.
+        repeat_probability: That a command arrives twice.
+        late_probability: That a command is late.
+        late_s: By how much [s].
     """
 
     period_ticks: Count = 1
@@ -118,6 +145,14 @@ class LoopSettings:
     queue_policy: Literal["one-per-tick", "newest"] = "newest"
     transport_delay_ticks: Ticks = 0
     pose_precision: Literal["float32", "float64"] = "float32"
+    trigger: Literal["pose", "timer"] = absent("pose")
+    period_s: Period | None = None
+    transport_delay_s: Time = absent(0.0)
+    jitter_s: Time = absent(0.0)
+    loss_probability: Probability = absent(0.0)
+    repeat_probability: Probability = absent(0.0)
+    late_probability: Probability = absent(0.0)
+    late_s: Time = absent(0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,6 +169,10 @@ class Scenario:
         limits: Where commands are clipped.
         loop: Queues, delays and precision.
         path: What a law that tracks a path follows; None where there is none.
+        plant: What is driven.
+        disturbance: What pushes it.
+        sensing: How its pose is read.
+        shaping: What becomes of the commands that the law wants.
     """
 
     name: str = "textbook"
@@ -145,6 +184,10 @@ class Scenario:
     limits: Limits = field(default_factory=Limits)
     loop: LoopSettings = field(default_factory=LoopSettings)
     path: Path | None = None
+    plant: PlantChoice = absent(PlantChoice())
+    disturbance: Disturbance = absent(Disturbance())
+    sensing: Sensing = absent(Sensing())
+    shaping: Shaping = absent(Shaping())
 
     def __repr__(self) -> str:
         goal = f"goal ({self.goal.x_m:g}, {self.goal.y_m:g}) m"

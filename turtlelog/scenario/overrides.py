@@ -27,8 +27,8 @@ def override_scenario(
 ) -> Scenario:
     """Return the scenario with values set by dotted key, checked like a file. Loads no code.
 
-    A new `law.kind` drops the old law's parameters, a new `path.kind` the old path's
-    shape. Who sets `law.kind` names the law: it may run.
+    A new `law.kind` drops the old law's parameters, a new `plant.kind` the old plant's, a new
+    `path.kind` the old path's shape. Who sets `law.kind` names the law: it may run.
 
     Raises:
         ScenarioError: Where a key or value is wrong.
@@ -84,6 +84,8 @@ def _override(
     tables, was = nest_scenario(scenario), scenario.law.parameters
     if "law.kind" in values and values["law.kind"] != scenario.law.kind:
         tables["law"] = {}
+    if values.get("plant.kind", scenario.plant.kind) != scenario.plant.kind:
+        tables["plant"] = {}
     was_path = scenario.path
     if was_path is not None and values.get("path.kind", was_path.kind) != was_path.kind:
         # What belongs to any path stays; corners are no circle's.

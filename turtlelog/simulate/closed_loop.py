@@ -35,6 +35,7 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
         published: Samples whose command went out in this tick, in order.
         events: What else happened.
         stop_reason: Why this tick is the last one, None while it is not.
+        sensed: The pose as it is sensed, None where it is the pose itself or drops out.
     """
 
     time_ns: int
@@ -45,6 +46,7 @@ class Tick(msgspec.Struct, frozen=True, gc=False):
     published: Samples
     events: tuple[Event, ...]
     stop_reason: str | None
+    sensed: Pose | None = None
 
 
 def iterate_ticks(

@@ -74,7 +74,8 @@ class RunCollector:
             for sample in tick.computed:
                 add_sample(sample)
             for sample in tick.published:
-                commands += _COMMAND_ROW.pack(time_ns, sample.speed_m_s, sample.turn_rate_rad_s)
+                values = sample.speed_m_s, sample.turn_rate_rad_s
+                commands += _COMMAND_ROW.pack(sample.published_ns, *values)
             self._events += tick.events
             self._stop_reason = tick.stop_reason
 

@@ -1,7 +1,7 @@
 """A law at work: it reads poses one by one, and its decisions become samples."""
 
 import sys
-from math import copysign, hypot, isfinite, isinf
+from math import copysign, hypot, isfinite, isinf, nan
 from typing import Final
 
 import msgspec
@@ -39,6 +39,9 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
         speed_m_s: Command after clipping [m/s].
         turn_rate_rad_s: Command after clipping [rad/s].
         distance_m: From the pose to the goal [m].
+        published_ns: Time at which its command goes out: later where the law blocks [ns].
+        shaped_speed_m_s: Command after shaping, before the limits [m/s]; NaN without shaping.
+        shaped_turn_rate_rad_s: Likewise [rad/s].
     """
 
     time_ns: int
@@ -49,6 +52,9 @@ class Sample(msgspec.Struct, frozen=True, gc=False):
     speed_m_s: float
     turn_rate_rad_s: float
     distance_m: float
+    published_ns: int
+    shaped_speed_m_s: float = nan
+    shaped_turn_rate_rad_s: float = nan
 
     @property
     def row(self) -> tuple[float, ...]:
@@ -95,6 +101,7 @@ class LawDriver:
         "_phases",
         "_sequence",
         "_step",
+        "_tick_ns",
         "_with_reference",
         "declaration",
     )
@@ -121,6 +128,7 @@ class LawDriver:
             if loop.moves
             for phase in declaration.list_phases(loop.name)
         )
+        self._tick_ns = scenario.plant.facts.period_ns
         self._sequence = 0
         self._ended: int | None = None
 
@@ -155,7 +163,18 @@ class LawDriver:
         if not -turn_limit <= turn_rate <= turn_limit:
             turn_rate = copysign(turn_limit, turn_rate)
         distance = hypot(decision.error_x_m, decision.error_y_m)  # type: ignore[arg-type]
-        return Sample(time_ns, sequence, pose_sequence, decision, phase, speed, turn_rate, distance)
+        published_ns = time_ns + decision.blocks_ticks * self._tick_ns
+        return Sample(
+            time_ns,
+            sequence,
+            pose_sequence,
+            decision,
+            phase,
+            speed,
+            turn_rate,
+            distance,
+            published_ns,
+        )
 
     def _reset(self, pose: Pose) -> None:
         with print_to_stderr():

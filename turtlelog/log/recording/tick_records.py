@@ -151,12 +151,12 @@ class TickRecords:
             time_ns = tick.time_ns
             self._add_pose(time_ns, tick)
             for sample in tick.computed:
-                self._add_sample(time_ns, sample)
+                self._add_sample(sample.time_ns, sample)
             for sample in tick.published:
                 values = sample.speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.turn_rate_rad_s
-                self._add(self._command, time_ns, sample.sequence, *values)
+                self._add(self._command, sample.published_ns, sample.sequence, *values)
             for sample in tick.computed:
-                self._follow_phase(time_ns, sample)
+                self._follow_phase(sample.time_ns, sample)
             if tick.stop_reason is not None and self._phase is not None:
                 self._end_phase(time_ns, tick.stop_reason)
             for event in tick.events:

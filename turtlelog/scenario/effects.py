@@ -1,0 +1,177 @@
+"""The tables of a scenario that are absent by default: another plant, and effects around the loop.
+
+Times in seconds (`_s`) are rounded to nanoseconds. Without any of these tables the plant is
+turtlesim, and what the law wants is what it gets, up to the limits.
+"""
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Final, Literal
+
+from msgspec import Meta
+
+from turtlelog.errors import ParameterError
+from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
+from turtlelog.plants import TURTLESIM, Plant
+
+LARGEST_M: Final = 1e6
+"""Farthest from the origin [m]: a double tells 0.1 nm apart there."""
+
+MOST_S: Final = 1e6
+"""Longest time [s]."""
+
+Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+Period = Annotated[float, Meta(ge=0.001, le=1.0)]
+Time = Annotated[float, Meta(ge=0.0, le=MOST_S)]
+
+_LAGGED: Final = "lagged"
+
+
+def absent(default: Any, *, may_be_infinite: bool = False) -> Any:
+    """Return a field that stays out of a file while it has its default."""
+    infinite = MAY_BE_INFINITE if may_be_infinite else {}
+    return field(default=default, metadata={**ABSENT_BY_DEFAULT, **infinite})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantChoice:
+    """What is driven: the table `[plant]`.
+
+    Attributes:
+        kind: `turtlesim`: the turtle, with its walls and its period of 0.016 s, and no other key;
+            `lagged`: a robot without walls. Per axis its rate is the command that it holds, times
+            a gain, later by a dead time and behind a lag of first order.
+        period_s: Time between two poses [s]; 0.05 where it is not given.
+        speed_gain: Speed that a command of 1 m/s leads to [1]; 1 where it is not given.
+        speed_dead_time_s: From the arrival of a command until the speed begins to follow [s].
+        speed_lag_s: Time constant with which it follows [s].
+        turn_gain: Turn rate that a command of 1 rad/s leads to [1]; 1 where it is not given.
+        turn_dead_time_s: As of the speed [s].
+        turn_lag_s: As of the speed [s].
+
+    Raises:
+        ParameterError: Where turtlesim is given a key of the other kind.
+    """
+
+    kind: Literal["turtlesim", "lagged"] = "turtlesim"
+    period_s: Period | None = None
+    speed_gain: float | None = None
+    speed_dead_time_s: Time | None = None
+    speed_lag_s: Time | None = None
+    turn_gain: float | None = None
+    turn_dead_time_s: Time | None = None
+    turn_lag_s: Time | None = None
+
+    def __post_init__(self) -> None:
+        own = {name: getattr(self, name) for name in _ROBOT_DEFAULTS}
+        given = {name: value for name, value in own.items() if value is not None}
+        if self.kind == _LAGGED:
+            for name, value in (_ROBOT_DEFAULTS | given).items():
+                object.__setattr__(self, name, value)
+        elif given:
+            name, value = next(iter(given.items()))
+            raise ParameterError(f"{name}: expected none, for kind is {self.kind}, found {value!r}")
+
+    @property
+    def facts(self) -> Plant:
+        """What the loop around the plant needs to know of it."""
+        if self.kind != _LAGGED:
+            return TURTLESIM
+        period_ns = round((self.period_s or 0.0) * 1e9)
+        return Plant(
+            name=_LAGGED,
+            period_ns=period_ns,
+            low_m=-LARGEST_M,
+            high_m=LARGEST_M,
+            watchdog_ns=float("inf"),
+        )
+
+
+_ROBOT_DEFAULTS: Final = {
+    "period_s": 0.05,
+    "speed_gain": 1.0,
+    "speed_dead_time_s": 0.0,
+    "speed_lag_s": 0.0,
+    "turn_gain": 1.0,
+    "turn_dead_time_s": 0.0,
+    "turn_lag_s": 0.0,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disturbance:
+    """What is added to the rates of the plant, after its lag: the table `[disturbance]`.
+
+    Attributes:
+        speed_m_s: Push along the heading [m/s].
+        turn_rate_rad_s: Push of the turn rate, counter-clockwise [rad/s].
+        from_s: The pushes and the noise begin [s].
+        to_s: They end [s]; inf: with the run.
+        noise_speed: White noise of the speed [m/s times the root of a second]: after a time t the
+            way has a standard deviation of the noise times the root of t.
+        noise_turn_rate: White noise of the turn rate [rad/s times the root of a second].
+    """
+
+    speed_m_s: float = absent(0.0)
+    turn_rate_rad_s: float = absent(0.0)
+    from_s: Time = absent(0.0)
+    to_s: NotNegative = absent(float("inf"), may_be_infinite=True)
+    noise_speed: NotNegative = absent(0.0)
+    noise_turn_rate: NotNegative = absent(0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensing:
+    """What lies between the plant's pose and the pose that is read: the table `[sensing]`.
+
+    A pose is biased, made noisy, perhaps made an outlier, then rounded to the quantum, and arrives
+    after its delay unless it drops out. x and y are treated alike, each with a noise of its own.
+
+    Attributes:
+        noise_position_m: Standard deviation of the noise of x and of y [m].
+        noise_heading_rad: Standard deviation of the noise of the heading [rad].
+        bias_position_m: Added to x and to y [m].
+        bias_heading_rad: Added to the heading [rad].
+        quantum_position_m: Step to which x and y are rounded [m]; 0: none.
+        quantum_heading_rad: Step to which the heading is rounded [rad]; 0: none.
+        dropout_probability: That a pose does not arrive.
+        outlier_probability: That a pose is an outlier.
+        outlier_m: How far away an outlier lies, in any direction [m].
+        outlier_rad: By how much its heading is off, to either side [rad].
+        delay_s: From a pose to its arrival at the controller [s].
+        jitter_s: Added to the delay: from 0 to this, uniform [s]. No pose overtakes another.
+    """
+
+    noise_position_m: NotNegative = absent(0.0)
+    noise_heading_rad: NotNegative = absent(0.0)
+    bias_position_m: float = absent(0.0)
+    bias_heading_rad: float = absent(0.0)
+    quantum_position_m: NotNegative = absent(0.0)
+    quantum_heading_rad: NotNegative = absent(0.0)
+    dropout_probability: Probability = absent(0.0)
+    outlier_probability: Probability = absent(0.0)
+    outlier_m: NotNegative = absent(0.0)
+    outlier_rad: NotNegative = absent(0.0)
+    delay_s: Time = absent(0.0)
+    jitter_s: Time = absent(0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shaping:
+    """What becomes of the wanted commands before the limits: the table `[shaping]`.
+
+    In this order: a low-pass filter, the dead zone, rounding to the quantum.
+
+    Attributes:
+        low_pass_s: Time constant of a filter of first order on both commands [s]; 0: none.
+        dead_zone_speed_m_s: Speeds of a smaller magnitude become 0, others stay [m/s].
+        dead_zone_turn_rate_rad_s: Turn rates likewise [rad/s].
+        quantum_speed_m_s: Step to which the speed is rounded [m/s]; 0: none.
+        quantum_turn_rate_rad_s: Step to which the turn rate is rounded [rad/s]; 0: none.
+    """
+
+    low_pass_s: Time = absent(0.0)
+    dead_zone_speed_m_s: NotNegative = absent(0.0)
+    dead_zone_turn_rate_rad_s: NotNegative = absent(0.0)
+    quantum_speed_m_s: NotNegative = absent(0.0)
+    quantum_turn_rate_rad_s: NotNegative = absent(0.0)
