@@ -14,7 +14,10 @@ KEYS = "kp_angular, kp_linear, heading_tolerance_rad, position_tolerance_m,"
     [
         ("gaol = 1", "gaol: expected goal, found an unknown key"),
         ("goal.z_m = 1", "goal.z_m: expected y_m or x_m, found an unknown key"),
-        ("[loop]\nperiod = 1", "loop.period: expected period_ticks, found an unknown key"),
+        (
+            "[loop]\nperiod = 1",
+            "loop.period: expected period_s or period_ticks, found an unknown key",
+        ),
         ("law.kp_lin = 1", "law.kp_lin: expected kp_linear, found an unknown key"),
         (
             "law.q = 1",

@@ -30,7 +30,7 @@ def _judge_places(scenario: Scenario) -> Complaints:
         for name in ("x_m", "y_m"):
             value = getattr(getattr(scenario, table), name)
             if not low_m <= value <= high_m:
-                yield f"{table}.{name}", expected, repr(value)
+                yield f"{table}.{name}", expected, f"{value:.10g}"
 
 
 def _judge_path(scenario: Scenario) -> Complaints:
