@@ -92,7 +92,7 @@ def test_a_printed_scenario_runs_as_a_file(call: Call, tmp_path: Path) -> None:
         (["--goal", "3,4,5"], "--goal: expected X,Y in metres, found '3,4,5'"),
         (
             ["--goal", "30,3"],
-            "--goal: goal.x_m: expected a number from 0 to 11.08888912, found 30.0",
+            "--goal: goal.x_m: expected a number from 0 to 11.08888912, found 30",
         ),
         (["--goal", "nan,3"], "--goal: goal.x_m: expected a finite number, found nan"),
         (["--set", "law.kp_linar=4"], "--set: law.kp_linar: expected kp_linear or kp_angular,"),
