@@ -8,7 +8,7 @@ import pytest
 from turtlelog.laws import Decision, Goal, Pose, SequentialPParameters
 from turtlelog.paths import Path
 from turtlelog.scenario import Limits, LoopSettings, Scenario
-from turtlelog.simulate import Controller, Sample
+from turtlelog.simulate import Controller, LawDriver, Sample
 
 
 class Script:
@@ -48,7 +48,7 @@ class Sparse(Script):
 
 def make_controller(law: Script, limits: Limits | None = None, **loop: Any) -> Controller:
     scenario = replace(Scenario(), loop=LoopSettings(**loop), limits=limits or Limits())
-    return Controller(scenario, law)
+    return Controller(scenario, LawDriver(scenario, law))
 
 
 def run_ticks(controller: Controller, ticks: range) -> list[tuple[list[int], list[int]]]:

@@ -36,7 +36,8 @@ class Event:
 
     Attributes:
         time_ns: When [ns].
-        kind: `wall_hit`, `commands_dropped`, `poses_dropped` or `stop`.
+        kind: `wall_hit`, `commands_dropped`, `poses_dropped`, `commands_lost`, `poses_lost` or
+            `stop`.
         text: One sentence for people.
     """
 

@@ -21,6 +21,8 @@ MOST_S: Final = 1e6
 
 Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
+Size = Annotated[float, Meta(ge=0.0, le=LARGEST_M)]
+Offset = Annotated[float, Meta(ge=-LARGEST_M, le=LARGEST_M)]
 Period = Annotated[float, Meta(ge=0.001, le=1.0)]
 Time = Annotated[float, Meta(ge=0.0, le=MOST_S)]
 
@@ -55,10 +57,10 @@ class PlantChoice:
 
     kind: Literal["turtlesim", "lagged"] = "turtlesim"
     period_s: Period | None = None
-    speed_gain: float | None = None
+    speed_gain: Offset | None = None
     speed_dead_time_s: Time | None = None
     speed_lag_s: Time | None = None
-    turn_gain: float | None = None
+    turn_gain: Offset | None = None
     turn_dead_time_s: Time | None = None
     turn_lag_s: Time | None = None
 
@@ -112,12 +114,17 @@ class Disturbance:
         noise_turn_rate: White noise of the turn rate [rad/s times the root of a second].
     """
 
-    speed_m_s: float = absent(0.0)
-    turn_rate_rad_s: float = absent(0.0)
+    speed_m_s: Offset = absent(0.0)
+    turn_rate_rad_s: Offset = absent(0.0)
     from_s: Time = absent(0.0)
     to_s: NotNegative = absent(float("inf"), may_be_infinite=True)
-    noise_speed: NotNegative = absent(0.0)
-    noise_turn_rate: NotNegative = absent(0.0)
+    noise_speed: Size = absent(0.0)
+    noise_turn_rate: Size = absent(0.0)
+
+    @property
+    def acts(self) -> bool:
+        """Whether anything is added."""
+        return any((self.speed_m_s, self.turn_rate_rad_s, self.noise_speed, self.noise_turn_rate))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,18 +149,33 @@ class Sensing:
         jitter_s: Added to the delay: from 0 to this, uniform [s]. No pose overtakes another.
     """
 
-    noise_position_m: NotNegative = absent(0.0)
-    noise_heading_rad: NotNegative = absent(0.0)
-    bias_position_m: float = absent(0.0)
-    bias_heading_rad: float = absent(0.0)
-    quantum_position_m: NotNegative = absent(0.0)
-    quantum_heading_rad: NotNegative = absent(0.0)
+    noise_position_m: Size = absent(0.0)
+    noise_heading_rad: Size = absent(0.0)
+    bias_position_m: Offset = absent(0.0)
+    bias_heading_rad: Offset = absent(0.0)
+    quantum_position_m: Size = absent(0.0)
+    quantum_heading_rad: Size = absent(0.0)
     dropout_probability: Probability = absent(0.0)
     outlier_probability: Probability = absent(0.0)
-    outlier_m: NotNegative = absent(0.0)
-    outlier_rad: NotNegative = absent(0.0)
+    outlier_m: Size = absent(0.0)
+    outlier_rad: Size = absent(0.0)
     delay_s: Time = absent(0.0)
     jitter_s: Time = absent(0.0)
+
+    @property
+    def changes_poses(self) -> bool:
+        """Whether what is read differs from the plant's poses: only then it is recorded."""
+        noise = self.noise_position_m or self.noise_heading_rad
+        bias = self.bias_position_m or self.bias_heading_rad
+        quantum = self.quantum_position_m or self.quantum_heading_rad
+        return bool(
+            noise or bias or quantum or self.dropout_probability or self.outlier_probability
+        )
+
+    @property
+    def delays_poses(self) -> bool:
+        """Whether poses arrive later than they are published."""
+        return bool(self.delay_s or self.jitter_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,7 +193,14 @@ class Shaping:
     """
 
     low_pass_s: Time = absent(0.0)
-    dead_zone_speed_m_s: NotNegative = absent(0.0)
-    dead_zone_turn_rate_rad_s: NotNegative = absent(0.0)
-    quantum_speed_m_s: NotNegative = absent(0.0)
-    quantum_turn_rate_rad_s: NotNegative = absent(0.0)
+    dead_zone_speed_m_s: Size = absent(0.0)
+    dead_zone_turn_rate_rad_s: Size = absent(0.0)
+    quantum_speed_m_s: Size = absent(0.0)
+    quantum_turn_rate_rad_s: Size = absent(0.0)
+
+    @property
+    def acts(self) -> bool:
+        """Whether commands may change."""
+        dead_zone = self.dead_zone_speed_m_s or self.dead_zone_turn_rate_rad_s
+        quantum = self.quantum_speed_m_s or self.quantum_turn_rate_rad_s
+        return bool(self.low_pass_s or dead_zone or quantum)

@@ -1,6 +1,6 @@
 """From the ticks of a loop to the columns of a run."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from struct import Struct
 from typing import Final
 
@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SimulationError
+from turtlelog.laws import Pose
 from turtlelog.loops import Declaration
-from turtlelog.plants import TURTLESIM, Plant
+from turtlelog.plants import Plant
 from turtlelog.run import CommandColumns, Event, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.closed_loop import Tick, iterate_ticks
@@ -18,10 +19,13 @@ from turtlelog.simulate.law_driver import Sample, declare_scenario
 # Rows are packed as they come: 8 bytes a value, whole numbers first.
 _POSE_ROW: Final = Struct("<q5d")
 _COMMAND_ROW: Final = Struct("<q2d")
+_SENSED_ROW: Final = Struct("<3d")
+_NAN: Final = float("nan")
+_NO_POSE: Final = Pose(_NAN, _NAN, _NAN)
 
 
-def simulate_run(scenario: Scenario, plant: Plant = TURTLESIM) -> Run:
-    """Simulate a scenario and return its run; with another plant on that plant's clock.
+def simulate_run(scenario: Scenario, plant: Plant | None = None) -> Run:
+    """Simulate a scenario and return its run; with a `plant` on that plant's clock.
 
     Raises:
         ScenarioError: Where the law cannot be loaded or may not run.
@@ -54,7 +58,9 @@ class RunCollector:
         self._scenario = resolve_scenario(scenario)
         self._declaration = declare_scenario(self._scenario)
         self._poses, self._commands = bytearray(), bytearray()
-        self._samples = SampleRows(self._declaration)
+        self._sensed = bytearray() if self._scenario.sensing.changes_poses else None
+        has_shaping = self._scenario.shaping.acts
+        self._samples = SampleRows(self._declaration, has_shaping=has_shaping)
         self._events: list[Event] = []
         self._stop_reason: str | None = None
 
@@ -65,6 +71,9 @@ class RunCollector:
 
     def take(self, ticks: Iterable[Tick]) -> None:
         """Add the next ticks."""
+        self._add(ticks if self._sensed is None else _pack_sensed(ticks, self._sensed))
+
+    def _add(self, ticks: Iterable[Tick]) -> None:
         poses, commands, add_sample = self._poses, self._commands, self._samples.add
         for tick in ticks:
             pose, time_ns = tick.pose, tick.time_ns
@@ -96,7 +105,7 @@ class RunCollector:
         return Run(
             name=scenario.name,
             source="simulation",
-            poses=_build_poses(self._poses),
+            poses=_build_poses(self._poses, self._sensed),
             commands=_build_commands(self._commands),
             samples=self._samples.build_columns(),
             goal_xy_m=(scenario.goal.x_m, scenario.goal.y_m) if has_goal else None,
@@ -109,14 +118,27 @@ class RunCollector:
         )
 
 
-def _build_poses(packed: bytearray) -> PoseColumns:
+def _pack_sensed(ticks: Iterable[Tick], packed: bytearray) -> Iterator[Tick]:
+    """Yield ticks whose sensed poses are packed; NaN stands for what dropped out."""
+    for tick in ticks:
+        sensed = tick.sensed or _NO_POSE
+        packed += _SENSED_ROW.pack(sensed.x_m, sensed.y_m, sensed.heading_rad)
+        yield tick
+
+
+def _build_poses(packed: bytearray, packed_sensed: bytearray | None) -> PoseColumns:
     (time_ns,), (x, y, heading, speed, turn_rate) = _split_rows(packed, _POSE_ROW.size, integers=1)
+    sensed = None
+    if packed_sensed is not None:
+        _, sensed = _split_rows(packed_sensed, _SENSED_ROW.size, integers=0)
     return PoseColumns(
         time_ns=time_ns,
         xy_m=np.column_stack([x, y]),
         heading_rad=heading,
         speed_m_s=speed,
         turn_rate_rad_s=turn_rate,
+        sensed_xy_m=None if sensed is None else np.column_stack([*sensed[:2]]),
+        sensed_heading_rad=None if sensed is None else sensed[2],
     )
 
 
@@ -132,19 +154,18 @@ def _build_commands(packed: bytearray) -> CommandColumns:
 
 _SAMPLE_ROW: Final = Struct("<4q11d")
 _WHOLE: Final = 4
-_NAN: Final = float("nan")
 
 
 class SampleRows:
     """Packs the samples of a law, 8 bytes a value, whole numbers first."""
 
-    __slots__ = ("_declaration", "_extra", "_pack", "_packed")
+    __slots__ = ("_declaration", "_extra", "_has_shaping", "_pack", "_packed")
 
-    def __init__(self, declaration: Declaration) -> None:
-        """Make room for the states and the reference that a law declares."""
-        self._declaration = declaration
+    def __init__(self, declaration: Declaration, *, has_shaping: bool = False) -> None:
+        """Make room for the states and the reference that a law declares, and for shaping."""
+        self._declaration, self._has_shaping = declaration, has_shaping
         self._pack = _SAMPLE_ROW.pack
-        extra = len(declaration.states) + 3 * declaration.has_reference
+        extra = len(declaration.states) + 3 * declaration.has_reference + 2 * has_shaping
         self._extra = Struct(f"<{extra}d") if extra else None
         self._packed = bytearray()
 
@@ -177,7 +198,10 @@ class SampleRows:
             decision.world_v_y_m_s,
         )
         if self._extra is not None:
-            self._packed += self._extra.pack(*_list_extra_values(sample, self._declaration))
+            values = _list_extra_values(sample, self._declaration)
+            if self._has_shaping:
+                values = *values, sample.shaped_speed_m_s, sample.shaped_turn_rate_rad_s
+            self._packed += self._extra.pack(*values)
 
     def build_columns(self) -> SampleColumns:
         """Return the columns of all samples so far."""
@@ -188,7 +212,8 @@ class SampleRows:
         world, extra = values[9:11], values[11:]
         wanted_speed, wanted_turn_rate, speed, turn_rate = commands
         states = extra[: len(declaration.states)]
-        reference = extra[len(declaration.states) :]
+        shaped = extra[len(extra) - 2 * self._has_shaping :]
+        reference = extra[len(declaration.states) : len(extra) - len(shaped)]
         return SampleColumns(
             time_ns=time_ns,
             sequence=sequence,
@@ -202,6 +227,8 @@ class SampleRows:
             wanted_turn_rate_rad_s=wanted_turn_rate,
             speed_m_s=speed,
             turn_rate_rad_s=turn_rate,
+            shaped_speed_m_s=shaped[0] if len(shaped) else None,
+            shaped_turn_rate_rad_s=shaped[1] if len(shaped) else None,
             world_velocity_m_s=None if np.isnan(world).all() else np.column_stack([*world]),
             states=np.column_stack(list(states)) if declaration.states else None,
             reference_xy_m=np.column_stack(list(reference[:2])) if len(reference) else None,

@@ -1,11 +1,19 @@
 """The controller's side of the loop: its pose queue, its law, its blocking."""
 
 from collections import deque
+from typing import Final
 
 from turtlelog.errors import SimulationError
-from turtlelog.laws import Law, Pose
+from turtlelog.laws import Pose
+from turtlelog.plants import Plant
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.law_driver import LawDriver, Sample, Samples
+from turtlelog.simulate.random_streams import RandomStream
+
+_NS: Final = 1e9
+
+_NEVER_NS: Final = 2**63
+"""Later than any time of a run."""
 
 
 class Controller:
@@ -17,31 +25,25 @@ class Controller:
     """
 
     __slots__ = (
+        "_block",
         "_blocked",
         "_driver",
         "_period_ticks",
         "_poses",
-        "_steps_per_tick",
         "_waits_for",
         "dropped",
         "failure",
     )
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        law: Law,
-        *,
-        steps_per_tick: int = 1,
-        step_budget_s: float | None = None,
-    ) -> None:
+    def __init__(self, scenario: Scenario, driver: LawDriver, *, block: int = 1) -> None:
         """Wait for `loop.start_backlog` poses before the first answer.
 
-        A law blocks for ticks of the plant as it is; a finer clock makes several steps of each.
+        A law blocks for ticks of the plant as it is, which last `block` steps each: a finer clock
+        makes several steps of each tick.
         """
-        self._driver = LawDriver(scenario, law, step_budget_s=step_budget_s)
+        self._driver = driver
         self._period_ticks = scenario.loop.period_ticks
-        self._steps_per_tick = steps_per_tick
+        self._block = block
         self._waits_for = scenario.loop.start_backlog
         self._poses: deque[tuple[int, Pose]] = deque(maxlen=scenario.loop.pose_queue)
         self._blocked: tuple[int, Sample] | None = None
@@ -73,8 +75,11 @@ class Controller:
         computed, answered = self._answer_waiting(tick, time_ns)
         return computed, published + answered
 
-    def _answer_waiting(self, tick: int, time_ns: int) -> tuple[Samples, Samples]:
-        """Answer the poses that wait, until the law blocks, ends or fails."""
+    def _answer_waiting(self, now: int, time_ns: int) -> tuple[Samples, Samples]:
+        """Answer the poses that wait, until the law blocks, ends or fails.
+
+        `now` is the time in the unit in which it blocks.
+        """
         computed: Samples = ()
         published: Samples = ()
         while self._poses:
@@ -86,10 +91,127 @@ class Controller:
                 break
             computed += (sample,)
             if sample.decision.blocks_ticks > 0:
-                blocks_steps = sample.decision.blocks_ticks * self._steps_per_tick
-                self._blocked = tick + blocks_steps, sample
+                self._blocked = now + sample.decision.blocks_ticks * self._block, sample
                 break
             published += (sample,)
             if sample.decision.stop_reason is not None:
                 break
         return computed, published
+
+
+class TimedController(Controller):
+    """A controller to which poses come at any nanosecond; no pose overtakes another."""
+
+    __slots__ = (
+        "_arrivals",
+        "_arrived_ns",
+        "_delay_ns",
+        "_end_ns",
+        "_jitter",
+        "_jitter_ns",
+        "_period_ns",
+    )
+
+    def __init__(self, scenario: Scenario, driver: LawDriver, plant: Plant) -> None:
+        """Wait for `loop.start_backlog` poses before the first answer."""
+        super().__init__(scenario, driver, block=scenario.plant.facts.period_ns)
+        sensing = scenario.sensing
+        self._period_ns = plant.period_ns
+        self._delay_ns, self._jitter_ns = round(sensing.delay_s * _NS), sensing.jitter_s * _NS
+        self._jitter = RandomStream(scenario.seed, "sensing_jitter", kind="uniform")
+        self._arrivals: deque[tuple[int, int, Pose]] = deque()
+        self._arrived_ns = 0
+        self._end_ns = round(scenario.max_duration_s * _NS) + 1
+
+    def receive(self, tick: int, pose: Pose) -> None:
+        """Send the pose of a tick on its way."""
+        arrival_ns = tick * self._period_ns + self._delay_ns
+        if self._jitter_ns:
+            arrival_ns += round(self._jitter_ns * self._jitter.draw(tick)[0])
+        self._arrived_ns = arrival_ns = max(arrival_ns, self._arrived_ns)
+        self._arrivals.append((arrival_ns, tick, pose))
+
+    def answer(self, tick: int, time_ns: int) -> tuple[Samples, Samples]:
+        """Return the samples computed in a tick, and those whose command goes out in it."""
+        del tick
+        computed: Samples = ()
+        published: Samples = ()
+        before_ns = min(time_ns + self._period_ns, self._end_ns)
+        while (now_ns := self._find_next_ns()) < before_ns:
+            self._deliver(now_ns)
+            if self._blocked is not None:
+                free_ns, sample = self._blocked
+                if now_ns < free_ns:
+                    continue
+                self._blocked = None
+                published += (sample,)
+            if not (published and published[-1].decision.stop_reason) and not self._waits_for:
+                answered, sent = self._answer_due(now_ns)
+                computed += answered
+                published += sent
+            if self.failure is not None or (published and published[-1].decision.stop_reason):
+                break
+        return computed, published
+
+    def _find_next_ns(self) -> int:
+        """Return the time at which something happens next [ns]."""
+        arrival_ns = self._arrivals[0][0] if self._arrivals else _NEVER_NS
+        return arrival_ns if self._blocked is None else min(arrival_ns, self._blocked[0])
+
+    def _deliver(self, now_ns: int) -> None:
+        """Queue the poses that have come."""
+        while self._arrivals and self._arrivals[0][0] <= now_ns:
+            _, number, pose = self._arrivals.popleft()
+            super().receive(number, pose)
+
+    def _answer_due(self, now_ns: int) -> tuple[Samples, Samples]:
+        return self._answer_waiting(now_ns, now_ns)
+
+
+class TimerController(TimedController):
+    """A controller that a timer asks for answers: each reads the newest pose that has come.
+
+    The timer begins with the pose that is waited for. While the law blocks, one firing waits.
+    """
+
+    __slots__ = ("_fires_ns", "_is_due", "_newest", "_timer_ns")
+
+    def __init__(
+        self, scenario: Scenario, driver: LawDriver, plant: Plant, *, timer_ns: int
+    ) -> None:
+        """Fire every so often [ns]."""
+        super().__init__(scenario, driver, plant)
+        self._timer_ns, self._fires_ns, self._is_due = timer_ns, _NEVER_NS, False
+        self._newest: tuple[int, Pose] | None = None
+
+    def _find_next_ns(self) -> int:
+        return min(super()._find_next_ns(), self._fires_ns)
+
+    def _deliver(self, now_ns: int) -> None:
+        """Take the newest pose that has come, and note whether the timer fires."""
+        while self._arrivals and self._arrivals[0][0] <= now_ns:
+            _, number, pose = self._arrivals.popleft()
+            self._newest = number, pose
+            if self._waits_for:
+                self._waits_for -= 1
+                self._fires_ns = _NEVER_NS if self._waits_for else now_ns
+        if self._fires_ns == now_ns:
+            self._is_due = True
+            self._fires_ns += self._timer_ns
+
+    def _answer_due(self, now_ns: int) -> tuple[Samples, Samples]:
+        if not self._is_due or self._newest is None:
+            return (), ()
+        self._is_due = False
+        self._poses.append(self._newest)
+        return self._answer_waiting(now_ns, now_ns)
+
+
+def build_controller(scenario: Scenario, driver: LawDriver, plant: Plant) -> Controller:
+    """Return the controller of a scenario: by ticks, or by nanoseconds where need be."""
+    if scenario.loop.period_s is not None:
+        timer_ns = round(scenario.loop.period_s * _NS)
+        return TimerController(scenario, driver, plant, timer_ns=timer_ns)
+    if scenario.sensing.delays_poses:
+        return TimedController(scenario, driver, plant)
+    return Controller(scenario, driver, block=plant.steps_per_tick)
