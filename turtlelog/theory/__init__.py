@@ -21,6 +21,15 @@ from turtlelog.theory.continuous_loop import (
     find_plant_final_value,
     judge_bibo,
 )
+from turtlelog.theory.declared_loops import (
+    LoopTiming,
+    find_plant_period,
+    find_timing,
+    hides_stability,
+    list_left_out,
+    read_gains,
+    read_process,
+)
 from turtlelog.theory.pid_gains import PidGains
 from turtlelog.theory.pid_loop import (
     PidLoop,
@@ -51,6 +60,7 @@ __all__ = [
     "BiboVerdict",
     "FinalValue",
     "FinalValueStatus",
+    "LoopTiming",
     "Margins",
     "PidGains",
     "PidLoop",
@@ -78,7 +88,13 @@ __all__ = [
     "expand_transfer_function",
     "find_final_value",
     "find_plant_final_value",
+    "find_plant_period",
     "find_stable_gains",
+    "find_timing",
+    "hides_stability",
     "is_pid_stable",
     "judge_bibo",
+    "list_left_out",
+    "read_gains",
+    "read_process",
 ]
