@@ -10,7 +10,13 @@ import turtlelog as tl
 from tests.simulate.pid_law import KIND
 from turtlelog.errors import LawError
 from turtlelog.simulate import list_scenario_notes, scenario_notes
-from turtlelog.theory import PidGains, compute_stability_gain, find_stable_gains, is_pid_stable
+from turtlelog.theory import (
+    PidGains,
+    Process,
+    compute_stability_gain,
+    find_stable_gains,
+    is_pid_stable,
+)
 
 CLIPPING = "; clipping only bounds how far it swings"
 TICK_S = 0.016
@@ -71,6 +77,11 @@ def test_a_gain_above_the_limit_gets_a_note() -> None:
             compute_stability_gain(TICK_S, 2),
             "a period of 16 ms and a dead time of 2 ticks (the least it can be)",
         ),
+        (  # a quarter of a sample steadies it
+            {"period_ticks": 4, "transport_delay_ticks": 1},
+            62.5,
+            "a period of 64 ms and a dead time of 1 tick",
+        ),
         ({"start_backlog": 5, "queue_policy": "newest"}, 125.0, "a period of 16 ms and no dead"),
         (
             {"start_backlog": 5, "queue_policy": "one-per-tick", "period_ticks": 2},
@@ -98,13 +109,101 @@ def test_a_note_begins_at_theorys_limit_for_the_period_and_dead_time_of_the_sett
     "settings",
     [
         {"period_ticks": 64},  # turtlesim stops before the next command
-        {"period_ticks": 4, "transport_delay_ticks": 1},  # a quarter of a sample
         {"transport_delay_ticks": 1001},  # theory ends at 1000
     ],
 )
 def test_nothing_is_said_of_a_timing_that_theory_does_not_have(settings: dict[str, Any]) -> None:
     loop = {f"loop__{key}": value for key, value in settings.items()}
     assert list_scenario_notes(change("textbook", law__kp_linear=1e6, **loop)) == ()
+
+
+LAGGED = {
+    "plant__kind": "lagged",
+    "plant__turn_gain": 0.8,
+    "plant__turn_lag_s": 0.2,
+    "plant__turn_dead_time_s": 0.08,
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "process", "period_s", "words"),
+    [
+        (
+            LAGGED,
+            Process(gain=0.8, lag_s=0.2, dead_time_s=0.08),
+            0.05,
+            "a period of 50 ms, a lag of 0.2 s and a dead time of 0.08 s",
+        ),
+        (
+            {
+                **LAGGED,
+                "loop__trigger": "timer",
+                "loop__period_s": 0.1,
+                "loop__transport_delay_s": 0.03,
+                "loop__transport_delay_ticks": 1,
+                "sensing__delay_s": 0.05,
+                "shaping__low_pass_s": 0.1,
+            },
+            Process(gain=0.8, lag_s=0.2, dead_time_s=0.21, low_pass_s=0.1),
+            0.1,
+            "a period of 100 ms, a lag of 0.2 s, a low-pass of 0.1 s and a dead time of 0.21 s",
+        ),
+        (
+            {"loop__transport_delay_s": 0.039, "sensing__delay_s": 0.007, "loop__period_ticks": 2},
+            Process(dead_time_s=0.032),  # turtlesim's commands act on ticks
+            0.032,
+            "a period of 32 ms and a dead time of 2 ticks",
+        ),
+        (
+            {"loop__trigger": "timer", "loop__period_s": 0.048, "sensing__bias_heading_rad": 0.1},
+            Process(),
+            0.048,
+            "a period of 48 ms and no dead time",
+        ),
+    ],
+)
+def test_lag_timers_and_seconds_of_delay_get_their_own_limit(
+    changes: dict[str, Any], process: Process, period_s: float, words: str
+) -> None:
+    ((_, limit),) = find_stable_gains(PidGains(kp=1.0), period_s=period_s, process=process)
+    for share, is_noted in [(1.0 + 0.5e-9, False), (1.0 + 2e-9, True)]:
+        notes = list_scenario_notes(change("textbook", law__kp_angular=share * limit, **changes))
+        assert len(notes) == is_noted
+        if is_noted:
+            assert f"theory's loop with {words} becomes unstable" in notes[0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"loop__jitter_s": 0.01},
+        {"loop__loss_probability": 0.1},
+        {"loop__late_probability": 0.1, "loop__late_s": 0.1},
+        {"sensing__noise_heading_rad": 0.01},
+        {"sensing__jitter_s": 0.01},
+        {"sensing__dropout_probability": 0.1},
+        {"shaping__dead_zone_turn_rate_rad_s": 0.1},
+        {"shaping__quantum_turn_rate_rad_s": 0.1},
+        {"disturbance__noise_turn_rate": 0.1},
+        {"limits__turn_acceleration_rad_s2": 1.0},
+        {"loop__trigger": "timer", "loop__period_s": 0.05},  # no multiple of 16 ms
+        {"loop__trigger": "timer", "loop__period_s": 0.032, "sensing__delay_s": 0.005},
+        {**LAGGED, "loop__queue_policy": "one-per-tick", "loop__transport_delay_s": 0.01},
+        {**LAGGED, "plant__turn_gain": -1.0},
+    ],
+)
+def test_nothing_is_said_of_what_is_random_or_not_linear(changes: dict[str, Any]) -> None:
+    assert list_scenario_notes(change("textbook", law__kp_angular=1e4, **changes)) == ()
+    assert len(list_scenario_notes(change("textbook", law__kp_angular=1e4))) == 1
+
+
+def test_with_lag_a_queue_that_may_grow_is_judged_at_every_dead_time() -> None:
+    loop = {"loop__queue_policy": "one-per-tick", "loop__start_backlog": 3}
+    (note,) = list_scenario_notes(change("textbook", law__kp_angular=30.0, **LAGGED, **loop))
+    assert note == (
+        "rotate: with law.kp_angular = 30 theory's loop with a period of 50 ms, a lag of 0.2 s and"
+        f" a dead time of 0.18 s (the least it can be) is unstable{CLIPPING}"
+    )
 
 
 def test_a_quarter_of_a_sample_of_dead_time_steadies_a_loop_that_is_unstable_without() -> None:
@@ -232,7 +331,7 @@ def test_pd_that_names_no_integral_is_known() -> None:
     assert "law.ki" not in note
 
 
-@pytest.mark.parametrize("key", ["plant.kind", "loop.jitter_s", "limits.jerk_m_s3"])
+@pytest.mark.parametrize("key", ["plant.kind", "plant.mass_kg", "limits.jerk_m_s3"])
 def test_nothing_is_said_where_a_key_is_not_understood(
     key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

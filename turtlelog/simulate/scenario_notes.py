@@ -4,40 +4,42 @@ They name gains that theory calls unstable, and parts of the scenario that its l
 """
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 from turtlelog.errors import TheoryError
 from turtlelog.laws import find_law, list_unused_keys
 from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.plants.turtlesim import TICK_S, TURTLESIM, WATCHDOG_NS
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Parameter
-from turtlelog.scenario import LoopSettings, Scenario, flatten_scenario, resolve_scenario
+from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
 from turtlelog.simulate.law_driver import declare_scenario
-from turtlelog.theory import PidGains, find_stable_gains, is_pid_stable
+from turtlelog.theory import (
+    LoopTiming,
+    PidGains,
+    Process,
+    find_stable_gains,
+    find_timing,
+    hides_stability,
+    is_pid_stable,
+    read_gains,
+    read_process,
+)
 
 _ROUNDING: Final = 1e-9
 """As a share of a limit: a gain no farther beyond it is at the limit, of which nothing is said."""
 
-_LONGEST_HOLD_TICKS: Final = WATCHDOG_NS // TURTLESIM.period_ns + 1
-"""A command is held for so many ticks; in the next the plant stops by itself."""
-
 _DEFAULTS: Final = flatten_scenario(Scenario())
-
-_UNDERSTOOD: Final = frozenset({*_DEFAULTS, "goal.heading_rad", "start.precision"})
-"""Keys whose part in the loop is known here. Of a loop with any other nothing is claimed."""
-
-_BESIDE_THE_LOOP: Final = ("law.", "path.")
-"""Tables that add nothing to a loop but its gains and its reference."""
 
 
 def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> tuple[str, ...]:
     """Return notes on a scenario that is to be run, one line each; () where there is none.
 
-    A gain gets a note where theory's linear loop, with the sampling period and the least dead time
-    that the scenario's settings make certain, is unstable. The run itself may still end, or go on
-    in an oscillation that clipping bounds. Nothing is said of what is not known: a loop without
-    theory or whose law declares no gain, a dead time between two samples.
+    A gain gets a note where theory's linear loop, with the plant's lag, the sampling period and the
+    least dead time that the scenario's settings make certain, is unstable. The run itself may still
+    end, or go on in an oscillation that clipping bounds. Nothing is said of what is not known: a
+    loop without theory or whose law declares no gain, a timing that is random or changes from
+    sample to sample, other shaping than a low-pass.
 
     Args:
         scenario: As it is to be run; its law's code is loaded if need be.
@@ -51,99 +53,56 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     declaration = declare_scenario(scenario)
     parameters = flatten_scenario(scenario)
     unused = _describe_unused(scenario, declaration, parameters, given)
-    return (*_describe_unstable(scenario.loop, declaration, parameters), *unused)
+    return (*_describe_unstable(declaration, parameters), *unused)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Timing:
-    """When theory's loop acts.
-
-    Attributes:
-        period_s: Sampling period [s].
-        least: Dead time that is certain [samples].
-        most: Dead time that it never exceeds for long [samples].
-        words: Both, for the note.
-    """
-
-    period_s: float
-    least: int
-    most: int
-    words: str
-
-
-def _describe_unstable(
-    settings: LoopSettings, declaration: Declaration, parameters: Mapping[str, Parameter]
-) -> list[str]:
-    others = {key for key in parameters if not key.startswith(_BESIDE_THE_LOOP)}
-    timing = None if others - _UNDERSTOOD else _find_timing(settings)
-    if timing is None:
+def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parameter]) -> list[str]:
+    timing = find_timing(parameters)
+    if isinstance(timing, str) or hides_stability(parameters):
         return []
     found = []
     for loop in declaration.loops:
-        gains = _read_gains(loop, parameters)
-        said = None if gains is None else _judge(loop, gains, timing)
+        gains = read_gains(loop, parameters)
+        process = read_process(loop, parameters, timing.least_s)
+        if isinstance(gains, str) or isinstance(process, str):
+            continue
+        said = _judge(loop, gains, process, timing)
         if said is not None:
             found.append(f"{loop.name}: {said}; clipping only bounds how far it swings")
     return found
 
 
-def _find_timing(settings: LoopSettings) -> _Timing | None:
-    """Return a loop's timing; None where a dead time is no whole number of samples.
-
-    A part of a sample may steady a loop: without it P is stable up to Kp T = 2, with a quarter of a
-    sample up to 4.
-    """
-    every, delay = settings.period_ticks, settings.transport_delay_ticks
-    if delay % every or every > _LONGEST_HOLD_TICKS:
-        return None
-    least = most = delay // every
-    if every == 1 and settings.queue_policy == "one-per-tick":
-        # One command leaves and one comes in each tick, so what waits first waits for good. No
-        # pause makes it less: it drains commands while as many poses pile up, or a full queue.
-        queues = (settings.start_backlog, settings.pose_queue, settings.command_queue)
-        least, most = delay + min(queues) - 1, delay + settings.command_queue - 1
-    words = f"a period of {1e3 * TICK_S * every:g} ms and {_name_dead_time(least, most, every)}"
-    return _Timing(period_s=TICK_S * every, least=least, most=most, words=words)
-
-
-def _name_dead_time(least: int, most: int, every: int) -> str:
-    if not most:
-        return "no dead time"
-    count = f"{least * every} tick{'' if least * every == 1 else 's'}"
-    return f"a dead time of {count}{'' if least == most else ' (the least it can be)'}"
+def _describe_timing(process: Process, timing: LoopTiming, *, in_ticks: bool) -> str:
+    """Return period, dead time and lag in words."""
+    words = [f"a period of {1e3 * timing.period_s:g} ms"]
+    if process.lag_s > 0.0:
+        words.append(f"a lag of {process.lag_s:g} s")
+    if process.low_pass_s > 0.0:
+        words.append(f"a low-pass of {process.low_pass_s:g} s")
+    least = "" if timing.least_s == timing.most_s else " (the least it can be)"
+    if not process.dead_time_s and not timing.most_s:
+        words.append("no dead time")
+    elif in_ticks:
+        ticks = round(process.dead_time_s / timing.step_s)
+        words.append(f"a dead time of {ticks} tick{'' if ticks == 1 else 's'}{least}")
+    else:
+        words.append(f"a dead time of {process.dead_time_s:.6g} s{least}")
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def _read_gains(loop: ControlLoop, parameters: Mapping[str, Parameter]) -> PidGains | None:
-    """Return the gains of a loop that theory knows; None of another, and where one is not known."""
-    kp = loop.read_gain(parameters)
-    more = (loop.integral_gain, loop.derivative_gain, loop.derivative_filter)
-    is_told = loop.is_proportional or loop.integral_gain or loop.derivative_gain
-    if kp is None or not loop.is_integrator or not is_told:
-        return None
-    values = [0.0 if key is None else parameters.get(key) for key in more]
-    numbers = [
-        float(value)
-        for value in values
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    ]
-    if len(numbers) != len(values):
-        return None
-    try:
-        return PidGains(kp=kp, ki=numbers[0], kd=numbers[1], filter_s=numbers[2])
-    except TheoryError:
-        return None
-
-
-def _judge(loop: ControlLoop, gains: PidGains, timing: _Timing) -> str | None:
+def _judge(loop: ControlLoop, gains: PidGains, process: Process, timing: LoopTiming) -> str | None:
     """Return why a loop is unstable at every dead time that it may have, None where it is not."""
     others = ((loop.integral_gain, gains.ki), (loop.derivative_gain, gains.kd))
     values = [f"{key} = {_write(value)}" for key, value in others if value > 0.0]
     named = f"{loop.gain} = {_write(gains.kp)}"
-    words = f"theory's loop with {', '.join([*values, timing.words])}"
+    is_turtle = timing.step_s == TICK_S
+    timed = _describe_timing(process, timing, in_ticks=is_turtle)
+    words = f"theory's loop with {', '.join([*values, timed])}"
+    is_plain = gains.kd == 0.0 and process.lag_s == process.low_pass_s == 0.0
     try:
-        if gains.kd > 0.0 and timing.least < timing.most:
-            return _judge_each(gains, timing, f"with {named} {words}")
-        ranges = find_stable_gains(gains, period_s=timing.period_s, dead_time_ticks=timing.least)
+        if not is_plain and timing.least_s < timing.most_s:
+            return _judge_each(gains, process, timing, f"with {named} {words}")
+        ranges = find_stable_gains(gains, period_s=timing.period_s, process=process)
     except TheoryError:  # numbers beyond those that theory takes
         return None
     if not ranges:
@@ -158,10 +117,11 @@ def _judge(loop: ControlLoop, gains: PidGains, timing: _Timing) -> str | None:
     return None
 
 
-def _judge_each(gains: PidGains, timing: _Timing, words: str) -> str | None:
-    """Return that a loop with a derivative is unstable, whose limit may rise with the dead time."""
-    for ticks in range(timing.least, timing.most + 1):
-        if is_pid_stable(gains, period_s=timing.period_s, dead_time_ticks=ticks):
+def _judge_each(gains: PidGains, process: Process, timing: LoopTiming, words: str) -> str | None:
+    """Return that a loop is unstable, whose limit may rise with the dead time, at each of them."""
+    for ticks in range(round((timing.most_s - timing.least_s) / timing.step_s) + 1):
+        late = replace(process, dead_time_s=process.dead_time_s + ticks * timing.step_s)
+        if is_pid_stable(gains, period_s=timing.period_s, process=late):
             return None
     return f"{words} is unstable"
 

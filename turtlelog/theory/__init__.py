@@ -21,17 +21,29 @@ from turtlelog.theory.continuous_loop import (
     find_plant_final_value,
     judge_bibo,
 )
+from turtlelog.theory.declared_loops import (
+    LoopTiming,
+    find_plant_period,
+    find_timing,
+    hides_stability,
+    list_left_out,
+    read_gains,
+    read_process,
+)
+from turtlelog.theory.pid_gains import PidGains
 from turtlelog.theory.pid_loop import (
-    PidGains,
     PidLoop,
     analyse_pid_loop,
+    compute_open_loop,
     compute_pid_poles,
     compute_pid_polynomial,
-    compute_pid_step_response,
-    compute_steady_error,
+    expand_transfer_function,
     find_stable_gains,
     is_pid_stable,
 )
+from turtlelog.theory.pid_margins import Margins
+from turtlelog.theory.pid_response import compute_pid_step_response, compute_steady_error
+from turtlelog.theory.process import INTEGRATOR, Process
 from turtlelog.theory.sampled_loop import (
     SampledLoop,
     analyse_sampled_loop,
@@ -42,18 +54,23 @@ from turtlelog.theory.sampled_loop import (
 )
 
 __all__ = [
+    "INTEGRATOR",
     "PLANT",
     "PLANT_INPUTS",
     "BiboVerdict",
     "FinalValue",
     "FinalValueStatus",
+    "LoopTiming",
+    "Margins",
     "PidGains",
     "PidLoop",
+    "Process",
     "SampledLoop",
     "analyse_pid_loop",
     "analyse_sampled_loop",
     "compute_closed_loop_response",
     "compute_exact_settling_time",
+    "compute_open_loop",
     "compute_overshoot_gain",
     "compute_pid_poles",
     "compute_pid_polynomial",
@@ -68,9 +85,16 @@ __all__ = [
     "compute_steady_error",
     "compute_step_response",
     "compute_time_constant",
+    "expand_transfer_function",
     "find_final_value",
     "find_plant_final_value",
+    "find_plant_period",
     "find_stable_gains",
+    "find_timing",
+    "hides_stability",
     "is_pid_stable",
     "judge_bibo",
+    "list_left_out",
+    "read_gains",
+    "read_process",
 ]

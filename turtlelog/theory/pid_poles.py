@@ -1,4 +1,4 @@
-"""The poles of a sampled PID loop on an integrator: the roots of z^d A(z) + B(z), found together.
+"""The poles of a sampled PID loop: the roots of z^d A(z) + B(z), found together.
 
 Aberth's method (O. Aberth, "Iteration methods for finding all zeros of a polynomial
 simultaneously", Mathematics of Computation 27 (1973) 339-344) needs the polynomial's value and its
@@ -7,7 +7,7 @@ of a companion matrix take many.
 """
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,24 +32,41 @@ def find_poles(shape: LoopShape) -> NDArray[np.complex128]:
 
 def expand_polynomial(shape: LoopShape) -> NDArray[np.float64]:
     """Return the characteristic polynomial of a loop, highest power of z first."""
+    below, above = expand_open_loop(shape)
+    return np.asarray(np.polyadd(below, above), dtype=np.float64)
+
+
+def expand_open_loop(shape: LoopShape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return denominator and numerator of the open loop, highest power of z first."""
     c0, c1, c2 = shape.numerator
-    poles = np.array([1.0, -1.0]) if shape.integrators == 1 else np.array([1.0, -2.0, 1.0])
+    below: Any = np.array([1.0, -1.0] if shape.integrators == 1 else [1.0, -2.0, 1.0])
     if shape.a is not None:
-        poles = np.polymul(poles, [1.0, -shape.a])
-    zeros = np.array([c2, c1 - 2.0 * c2, c2 - c1 + c0])
-    found: NDArray[np.float64] = np.concatenate((poles, np.zeros(shape.delay)))
-    found[-3:] += zeros[-len(found) :]
-    return found
+        below = np.convolve(below, np.array([1.0, -shape.a]))
+    weights = [shape.ahead, 1.0 - shape.ahead - shape.behind, shape.behind][: 2 + shape.lift]
+    above: Any = np.polymul(np.array([c2, c1 - 2.0 * c2, c2 - c1 + c0]), np.array(weights))
+    for gap in shape.gaps:
+        below, above = np.convolve(below, np.array([1.0, gap - 1.0])), above * gap
+    return np.concatenate((below, np.zeros(shape.delay + shape.lift))), above
 
 
 def _solve_quadratic(shape: LoopShape) -> NDArray[np.complex128]:
-    """Return the poles of PI or PD without dead time: exact where two meet, in s = z - 1."""
-    c0, c1, _ = shape.numerator
-    half = 0.5 * (c1 + (0.0 if shape.a is None else 1.0 - shape.a))
+    """Return the poles of a loop that has two: exact where they meet, in s = z - 1."""
+    c0, c1, *_ = _expand_zeros(shape)
+    gaps = shape.gaps if shape.a is None else (1.0 - shape.a, *shape.gaps)
+    half = 0.5 * (c1 + sum(gaps) + shape.delay + shape.lift)
     root = np.sqrt(complex(half * half - c0))
     far = -half - (root if root.real >= 0.0 else -root)
     near = c0 / far if root.imag == 0.0 else far.conjugate()
     return np.array([1.0 + far, 1.0 + near], dtype=np.complex128)
+
+
+def _expand_zeros(shape: LoopShape) -> list[float]:
+    """Return B and what the process multiplies it by, in rising powers of z - 1."""
+    weights = [1.0, shape.ahead]
+    if shape.lift:
+        weights = [1.0, 1.0 + shape.ahead - shape.behind, shape.ahead]
+    found: list[float] = np.convolve(shape.numerator, weights).tolist()
+    return [value * math.prod(shape.gaps) for value in found]
 
 
 def _iterate(shape: LoopShape) -> NDArray[np.complex128]:
@@ -88,11 +105,17 @@ def _compute_log_slope(z: NDArray[np.complex128], shape: LoopShape) -> NDArray[n
 
     In powers of z - 1, as slow poles crowd there.
     """
-    s, d, (c0, c1, c2) = z - 1.0, shape.delay, shape.numerator
+    s, d = z - 1.0, shape.delay + shape.lift
     poles, slope = s**shape.integrators, shape.integrators / s
     if shape.a is not None:
         poles, slope = poles * (z - shape.a), slope + 1.0 / (z - shape.a)
+    for gap in shape.gaps:
+        poles, slope = poles * (s + gap), slope + 1.0 / (s + gap)
+    c0, c1, c2, *c3 = _expand_zeros(shape)
     zeros, zeros_slope = c0 + s * (c1 + s * c2), c1 + 2.0 * c2 * s
+    for order, value in enumerate(c3, start=3):
+        zeros += value * s**order
+        zeros_slope += order * value * s ** (order - 1)
     inside = np.abs(z) <= 1.0
     power = np.where(inside, z, 1.0 / z) ** d
     within = (power * poles * (slope + d / z) + zeros_slope) / (power * poles + zeros)

@@ -1,4 +1,4 @@
-"""Whether a sampled PID loop on an integrator is stable: poles counted, not computed.
+"""Whether a sampled PID loop is stable: poles counted, not computed.
 
 Its characteristic polynomial is z^d A(z) + B(z). Only z^d knows the dead time; A and B are of third
 and second degree at most (`pid_loop` derives them):
@@ -7,11 +7,15 @@ and second degree at most (`pid_loop` derives them):
     PD   A = (z - 1) (z - a)    B = Kp T (z - a) + b (z - 1)
     PID  A = (z - 1)^2 (z - a)  B = Kp T (z - 1) (z - a) + Ki T^2 (z - a) + b (z - 1)^2
 
+A `process` that is more than an integrator multiplies A by z - e for each pole e of lag and
+low-pass, and B by their 1 - e and by W = w1 z + w0 + w2 / z, whose w1 + w0 + w2 is 1.
+
 The argument principle counts the roots inside the unit circle: the phase of the polynomial grows by
 pi for each along the upper half. Where |A| > |B| that is the phase of z^d A and of 1 + L, elsewhere
 of B and of 1 + 1 / L, with the open loop L = B / (z^d A). The second part stays within +-pi/2, and
 the first has a closed form, so no grid of frequencies is needed and 1000 ticks of dead time are as
-good as none. |A| = |B| does not know d: in x = 1 - cos(w T) it is a cubic equation.
+good as none. |A| = |B| does not know d: in x = 1 - cos(w T) it is a polynomial equation, of third
+degree on an integrator and of fifth at most.
 
 Eigenvalues of a companion matrix are worse at just this. Where many poles crowd the unit circle, or
 two meet, they are wrong by more than the distance to it.
@@ -21,9 +25,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.polynomial.polynomial import polyadd, polymul
 from numpy.typing import NDArray
 
 _Array = NDArray[np.float64]
@@ -44,11 +49,14 @@ class LoopShape:
     """A PID loop without units.
 
     Attributes:
-        p: Kp T.
-        i: Ki T^2; 0: there is no integral.
-        b: Kd T / (Tf + T).
+        p: K Kp T, with the gain K of the process.
+        i: K Ki T^2; 0: there is no integral.
+        b: K Kd T / (Tf + T).
         a: Tf / (Tf + T), from 0 up to 1; None: there is no derivative.
-        delay: Dead time d [samples].
+        delay: Dead time d [samples]; with a low-pass one less, so it may be -1.
+        gaps: 1 - e of each pole e of lag and low-pass.
+        ahead: w1.
+        behind: w2.
     """
 
     p: float
@@ -56,6 +64,9 @@ class LoopShape:
     b: float
     a: float | None
     delay: int
+    gaps: tuple[float, ...] = ()
+    ahead: float = 0.0
+    behind: float = 0.0
 
     @property
     def integrators(self) -> int:
@@ -63,9 +74,15 @@ class LoopShape:
         return 2 if self.i > 0.0 else 1
 
     @property
+    def lift(self) -> int:
+        """Power of z that makes a polynomial of z^d A(z) + B(z): 0 or 1."""
+        return int(self.behind > 0.0 or self.delay < 0)
+
+    @property
     def degree(self) -> int:
         """Number of poles of the closed loop."""
-        return self.delay + self.integrators + (self.a is not None)
+        own = self.integrators + (self.a is not None) + len(self.gaps)
+        return self.delay + own + self.lift
 
     @property
     def numerator(self) -> tuple[float, float, float]:
@@ -85,8 +102,8 @@ def is_stable(shape: LoopShape) -> bool:
 
 def count_unstable(shape: LoopShape) -> int | None:
     """Return the number of poles outside the unit circle; None where one is as good as on it."""
-    crossings = _find_crossovers(shape)
-    halves = [0.5 * _compute_phase(shape, x) for x in crossings]
+    crossings = find_crossovers(shape)
+    halves = [0.5 * compute_phase(shape, x) for x in crossings]
     # |1 + L| = 2 cos(half the phase) where |L| = 1.
     if any(2.0 * math.cos(half) < NEAREST for half in halves) or _is_at_minus_one(shape):
         return None
@@ -98,7 +115,7 @@ def count_unstable(shape: LoopShape) -> int | None:
             phase += _turn_poles(shape, high) - _turn_poles(shape, low) + change
         else:
             phase += _turn_zeros(shape, high) - _turn_zeros(shape, low) - change
-    return shape.degree - round(phase / math.pi)
+    return shape.degree - shape.lift - round(phase / math.pi)
 
 
 def find_stable_intervals(
@@ -119,7 +136,7 @@ def find_stable_intervals(
     return tuple(found)
 
 
-def _find_crossovers(shape: LoopShape) -> list[float]:
+def find_crossovers(shape: LoopShape) -> list[float]:
     """Return where |L| = 1, as x = 1 - cos(w T) strictly between 0 and 2, rising."""
     coefficients = _list_coefficients(shape)
     slope = [power * value for power, value in enumerate(coefficients)][1:]
@@ -156,10 +173,21 @@ def _list_coefficients(shape: LoopShape) -> list[float]:
         0.0,
     ]
     gap = 1.0 if shape.a is None else 1.0 - shape.a
-    found[shape.integrators] += 2.0**shape.integrators * gap * gap
-    found[shape.integrators + 1] += 2.0**shape.integrators * 2.0 * (shape.a or 0.0)
-    largest = max(map(abs, found))
-    return [value / largest for value in found]
+    zeros: Any = polymul(found, _list_weight_coefficients(shape))
+    own = [gap * gap, 2.0 * (shape.a or 0.0)]
+    poles: Any = np.array([*[0.0] * shape.integrators, *own]) * 2.0**shape.integrators
+    for gap in shape.gaps:
+        poles = polymul(poles, [gap * gap, 2.0 * (1.0 - gap)])
+        zeros = zeros * (gap * gap)
+    values: list[float] = polyadd(zeros, poles).tolist()
+    largest = max(map(abs, values))
+    return [value / largest for value in values]
+
+
+def _list_weight_coefficients(shape: LoopShape) -> list[float]:
+    """Return |W|^2 on the unit circle in rising powers of x."""
+    both, apart = shape.ahead + shape.behind, shape.ahead - shape.behind
+    return [1.0, 2.0 * (apart * apart - both), 4.0 * shape.ahead * shape.behind]
 
 
 def _compare(shape: LoopShape, x: float) -> float:
@@ -169,34 +197,43 @@ def _compare(shape: LoopShape, x: float) -> float:
     poles = (2.0 * x) ** shape.integrators * (gap * gap + 2.0 * (shape.a or 0.0) * x)
     # The real and imaginary part of B / z, whose squares lose no digits near z = 1.
     real, imaginary = c0 - x * (2.0 * c2 - c1 + c0), (c1 - c0) * math.sqrt(x * (2.0 - x))
-    return poles - real * real - imaginary * imaginary
+    weight, apart = 1.0 - (shape.ahead + shape.behind) * x, shape.ahead - shape.behind
+    lift = weight * weight + apart * apart * x * (2.0 - x)
+    for gap in shape.gaps:
+        poles *= gap * gap + 2.0 * (1.0 - gap) * x
+        lift *= gap * gap
+    return poles - real * real * lift - imaginary * imaginary * lift
 
 
 def _turn_zeros(shape: LoopShape, x: float) -> float:
     """Return the phase of B at x, continuous along the half circle.
 
-    The imaginary part of B / z keeps one sign, as it is (c1 - c0) sin(w T).
+    The imaginary part of B / z keeps one sign, as it is (c1 - c0) sin(w T); so does that of W.
     """
     c0, c1, c2 = shape.numerator
-    turn = math.atan2((c1 - c0) * math.sqrt(x * (2.0 - x)), c0 - x * (2.0 * c2 - c1 + c0))
-    return _find_angle(x) + turn
+    sine = math.sqrt(x * (2.0 - x))
+    turn = math.atan2((c1 - c0) * sine, c0 - x * (2.0 * c2 - c1 + c0))
+    weight = 1.0 - (shape.ahead + shape.behind) * x
+    return find_angle(x) + turn + math.atan2((shape.ahead - shape.behind) * sine, weight)
 
 
 def _turn_poles(shape: LoopShape, x: float) -> float:
     """Return the phase of z^d A at x, continuous along the half circle."""
-    angle = _find_angle(x)
+    angle = find_angle(x)
     turn = shape.delay * angle + shape.integrators * 0.5 * (angle + math.pi)
-    if shape.a is None:
-        return turn
-    return turn + math.atan2(math.sqrt(x * (2.0 - x)), 1.0 - shape.a - x)
+    gaps = shape.gaps if shape.a is None else (1.0 - shape.a, *shape.gaps)
+    for gap in gaps:
+        turn += math.atan2(math.sqrt(x * (2.0 - x)), gap - x)
+    return turn
 
 
-def _compute_phase(shape: LoopShape, x: float) -> float:
+def compute_phase(shape: LoopShape, x: float) -> float:
     """Return the phase of L at x, in [-pi, pi]."""
     return math.remainder(_turn_zeros(shape, x) - _turn_poles(shape, x), 2.0 * math.pi)
 
 
-def _find_angle(x: float) -> float:
+def find_angle(x: float) -> float:
+    """Return w T of x = 1 - cos(w T)."""
     return 2.0 * math.asin(math.sqrt(0.5 * x))
 
 
@@ -205,13 +242,21 @@ def _is_at_minus_one(shape: LoopShape) -> bool:
     c0, c1, c2 = shape.numerator
     denominator = (-1.0) ** shape.delay * (-2.0) ** shape.integrators
     denominator *= 1.0 if shape.a is None else -1.0 - shape.a
-    return abs(1.0 + (c0 - 2.0 * c1 + 4.0 * c2) / denominator) < NEAREST
+    value = (c0 - 2.0 * c1 + 4.0 * c2) / denominator * _weigh_end(shape)
+    return abs(1.0 + value) < NEAREST
+
+
+def _weigh_end(shape: LoopShape) -> float:
+    """Return what lag, low-pass and part of a sample multiply the open loop by at z = -1."""
+    factors = [gap / (gap - 2.0) for gap in shape.gaps]
+    return math.prod(factors, start=1.0 - 2.0 * (shape.ahead + shape.behind))
 
 
 def _list_boundaries(held: LoopShape) -> list[float]:
     """Return every Kp T at which some pole lies on the unit circle, and 0 is no pole there.
 
-    There Kp T = -(z^d (z - 1) + Ki T^2 / (z - 1) + b (z - 1) / (z - a)), which must be real.
+    There Kp T = -(z^d (z - 1) V + Ki T^2 / (z - 1) + b (z - 1) / (z - a)), which must be real; V is
+    the product of (z - e) / (1 - e) over the poles e, divided by W.
     """
     d, a = held.delay, held.a or 0.0
 
@@ -219,24 +264,41 @@ def _list_boundaries(held: LoopShape) -> list[float]:
         """Return the real part of that, and the imaginary part over -sin(angle)."""
         sine, cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
         x = 2.0 * sine * sine
+        size, turn = _invert_process(held, angle, x)
+        turn += (d + 0.5) * angle
         filtered = (1.0 - a) ** 2 + 2.0 * a * x
-        real = 2.0 * np.sin((d + 0.5) * angle) * sine + 0.5 * held.i
+        real = 2.0 * np.sin(turn) * sine * size + 0.5 * held.i
         real -= held.b * (1.0 + a) * x / filtered
-        rest = np.cos((d + 0.5) * angle) / cosine - held.i / (4.0 * sine * sine)
+        rest = np.cos(turn) * size / cosine - held.i / (4.0 * sine * sine)
         return real, rest + held.b * (1.0 - a) / filtered
 
-    angles = _find_roots(lambda angle: split(angle)[1], _list_angles(d))
-    end = 2.0 * (-1.0) ** d + 0.5 * held.i - 2.0 * held.b / (1.0 + a)  # at z = -1
-    return [*split(angles)[0].tolist(), end]
+    angles = find_sign_changes(lambda angle: split(angle)[1], list_angles(held))
+    found: list[float] = split(angles)[0].tolist()
+    end = _weigh_end(held)
+    if end != 0.0:  # at z = -1
+        found.append(2.0 * (-1.0) ** d / end + 0.5 * held.i - 2.0 * held.b / (1.0 + a))
+    return found
 
 
-def _list_angles(delay: int) -> _Array:
-    """Return angles between 0 and pi, 64 in each half wave of the dead time, dense towards 0."""
-    even = np.linspace(0.0, math.pi - 1e-7, 64 * (delay + 2))[1:]
+def _invert_process(shape: LoopShape, angle: _Array, x: _Array) -> tuple[_Array, _Array]:
+    """Return magnitude and phase of the product of (z - e) / (1 - e), divided by W."""
+    sine = np.sin(angle)
+    real, imaginary = 1.0 - (shape.ahead + shape.behind) * x, (shape.ahead - shape.behind) * sine
+    size, turn = 1.0 / np.hypot(real, imaginary), -np.arctan2(imaginary, real)
+    for gap in shape.gaps:
+        size *= np.hypot(gap - x, sine) / gap
+        turn += np.arctan2(sine, gap - x)
+    return size, turn
+
+
+def list_angles(shape: LoopShape) -> _Array:
+    """Return angles w T between 0 and pi, 64 in each half wave of the phase, dense towards 0."""
+    waves = shape.delay + 2 + 2 * len(shape.gaps)
+    even = np.linspace(0.0, math.pi - 1e-7, 64 * waves)[1:]
     return np.union1d(np.geomspace(1e-12, 0.1, 3000), even)
 
 
-def _find_roots(compute: Callable[[_Array], _Array], angles: _Array) -> _Array:
+def find_sign_changes(compute: Callable[[_Array], _Array], angles: _Array) -> _Array:
     """Return where a function of the angle changes its sign."""
     is_above = compute(angles) > 0.0
     at = np.flatnonzero(is_above[1:] != is_above[:-1])

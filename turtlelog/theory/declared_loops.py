@@ -1,0 +1,192 @@
+"""The loops that a law declares, as loops of theory: gains, process and timing from parameters.
+
+A run and a scenario hold the same dotted keys, so both are read here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from turtlelog.errors import TheoryError
+from turtlelog.loops import LIMIT_KEYS, ControlLoop
+from turtlelog.plants.turtlesim import TURTLESIM, WATCHDOG_NS
+from turtlelog.run import Parameter
+from turtlelog.scenario import Scenario, flatten_scenario
+from turtlelog.theory.pid_gains import PidGains
+from turtlelog.theory.process import Process
+
+Parameters = Mapping[str, Parameter]
+
+_LONGEST_HOLD_TICKS: Final = WATCHDOG_NS // TURTLESIM.period_ns + 1
+"""A command is held for so many ticks; in the next the turtle stops by itself."""
+
+_WHOLE: Final = 1e-6
+"""Of a period: times in whole nanoseconds that are meant as its multiple are nearer than that."""
+
+_AXES: Final = {"turn_rate": "turn", "speed": "speed"}
+
+_OF_SPEED: Final = ("speed_m_s", "noise_speed", "acceleration_m_s2", "jerk_m_s3")
+"""How keys end that concern the speed alone."""
+
+_DEFAULTS: Final = flatten_scenario(Scenario())
+
+_MODELLED: Final = frozenset(
+    {
+        *(key for key in _DEFAULTS if not key.startswith("limits.")),
+        *("goal.heading_rad", "start.precision", "loop.trigger", "loop.period_s"),
+        *("loop.transport_delay_s", "sensing.delay_s", "shaping.low_pass_s"),
+        *("plant.kind", "plant.period_s"),
+        *(f"plant.{axis}_{name}" for axis in _AXES.values() for name in ("gain", "lag_s")),
+        *(f"plant.{axis}_dead_time_s" for axis in _AXES.values()),
+    }
+)
+"""Keys whose part in the loop theory knows, or that have none."""
+
+_ADDED: Final = frozenset(
+    {
+        *("disturbance.speed_m_s", "disturbance.turn_rate_rad_s"),
+        *("disturbance.from_s", "disturbance.to_s"),
+        *("sensing.bias_position_m", "sensing.bias_heading_rad"),
+        *("limits.speed_m_s", "limits.turn_rate_rad_s"),
+    }
+)
+"""Keys that theory leaves out, and that make no unstable loop stable: pushes and offsets move where
+it rests, limits bound how far it swings."""
+
+_KINDS: Final = ("turtlesim", "lagged")
+
+_BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
+"""What adds nothing to a loop but its gains and its reference."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopTiming:
+    """When a loop samples and acts.
+
+    Attributes:
+        period_s: Sampling period T [s].
+        least_s: Dead time from a pose to the plant, without the plant's own, that is certain [s].
+        most_s: Dead time that it never exceeds for long [s].
+        step_s: Between the two only multiples of this are possible [s]: the plant's period.
+    """
+
+    period_s: float
+    least_s: float
+    most_s: float
+    step_s: float
+
+
+def read_gains(loop: ControlLoop, parameters: Parameters) -> PidGains | str:
+    """Return the gains of a loop that theory knows, or why there are none."""
+    kp = loop.read_gain(parameters)
+    if not loop.is_integrator:
+        return f"theory knows no loop of {loop.signal} with {loop.command}"
+    if not (loop.is_proportional or loop.integral_gain or loop.derivative_gain):
+        return "the law declares that its command is more than gain times error, and not what"
+    if kp is None:
+        known = "the law declares no proportional gain"
+        return known if loop.gain is None else f"{loop.gain} is not known"
+    found = []
+    for key in (loop.integral_gain, loop.derivative_gain, loop.derivative_filter):
+        value = 0.0 if key is None else parameters.get(key)
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            return f"{key} is not known"
+        found.append(float(value))
+    try:
+        return PidGains(kp=kp, ki=found[0], kd=found[1], filter_s=found[2])
+    except TheoryError as err:
+        return str(err)
+
+
+def read_process(loop: ControlLoop, parameters: Parameters, dead_time_s: float) -> Process | str:
+    """Return what a loop's command passes, or why it is not known.
+
+    Args:
+        loop: Of a law.
+        parameters: Of a run or a scenario.
+        dead_time_s: Beside that of the plant [s].
+    """
+    axis = _AXES[loop.command]
+    own_s = _read(parameters, f"plant.{axis}_dead_time_s")
+    try:
+        return Process(
+            gain=_read(parameters, f"plant.{axis}_gain", 1.0),
+            lag_s=_read(parameters, f"plant.{axis}_lag_s"),
+            dead_time_s=dead_time_s + own_s,
+            low_pass_s=_read(parameters, "shaping.low_pass_s"),
+        )
+    except TheoryError as err:
+        return f"plant: {err}"
+
+
+def find_timing(parameters: Parameters) -> LoopTiming | str:
+    """Return when the loops of a scenario act, or why theory does not have that timing."""
+    kind, step_s = parameters.get("plant.kind", "turtlesim"), find_plant_period(parameters)
+    if kind not in _KINDS:
+        return f"theory knows no plant of the kind {kind}"
+    is_turtlesim = kind == "turtlesim"
+    every = int(_read(parameters, "loop.period_ticks", 1.0))
+    period_s, delay_s = every * step_s, _read(parameters, "sensing.delay_s")
+    if parameters.get("loop.trigger") == "timer":
+        period_s = _read(parameters, "loop.period_s")
+        if not _is_multiple(period_s, step_s) or not _is_multiple(delay_s, step_s):
+            return (
+                "the age of the pose that is read changes from sample to sample, where the timer's"
+                " period or sensing.delay_s is no multiple of the plant's period"
+            )
+    if is_turtlesim and period_s > (_LONGEST_HOLD_TICKS + _WHOLE) * step_s:
+        return "turtlesim stops by itself between two samples, 1 s after a command"
+    delay_s += _read(parameters, "loop.transport_delay_s")
+    delay_s += _read(parameters, "loop.transport_delay_ticks") * step_s
+    if is_turtlesim:  # its commands act on ticks
+        delay_s = step_s * int(delay_s / step_s + _WHOLE)
+    queued = parameters.get("loop.queue_policy") == "one-per-tick"
+    if queued and not _is_multiple(delay_s, step_s):
+        return "a command that waits for the plant's next period waits for a part of it"
+    least_s = most_s = delay_s
+    if queued and every == 1 and parameters.get("loop.trigger") != "timer":
+        # One command leaves and one comes in each tick, so what waits first waits for good. No
+        # pause makes it less: it drains commands while as many poses pile up, or a full queue.
+        keys = ("start_backlog", "pose_queue", "command_queue")
+        queues = [_read(parameters, f"loop.{key}", 1.0) for key in keys]
+        least_s += (min(queues) - 1.0) * step_s
+        most_s += (queues[2] - 1.0) * step_s
+    return LoopTiming(period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s)
+
+
+def find_plant_period(parameters: Parameters) -> float:
+    """Return the time from pose to pose [s]."""
+    return _read(parameters, "plant.period_s", TURTLESIM.period_ns / 1e9)
+
+
+def list_left_out(loop: ControlLoop, parameters: Parameters) -> tuple[str, ...]:
+    """Return what of a run or a scenario theory's linear loop leaves out, as `key = value`."""
+    found = []
+    for key, value in parameters.items():
+        if key in _MODELLED or key.startswith(_BESIDE) or value == float("inf"):
+            continue
+        if key == loop.limit_key or (key not in LIMIT_KEYS.values() and _is_of(loop.command, key)):
+            found.append(f"{key} = {value:g}" if isinstance(value, float) else f"{key} = {value}")
+    return tuple(found)
+
+
+def _is_of(command: str, key: str) -> bool:
+    """Return whether a key belongs to a command, or to both."""
+    if "turn_" in key:
+        return command == "turn_rate"
+    return command == "speed" or not key.endswith(_OF_SPEED)
+
+
+def hides_stability(parameters: Parameters) -> bool:
+    """Return whether something that theory leaves out may steady a loop that it calls unstable."""
+    known = _MODELLED | _ADDED
+    return any(key not in known and not key.startswith(_BESIDE) for key in parameters)
+
+
+def _read(parameters: Parameters, key: str, default: float = 0.0) -> float:
+    value = parameters.get(key, default)
+    return float(value) if isinstance(value, int | float) else default
+
+
+def _is_multiple(time_s: float, step_s: float) -> bool:
+    return abs(time_s / step_s - round(time_s / step_s)) <= _WHOLE

@@ -1,0 +1,191 @@
+"""What a command passes on its way to the signal: K exp(-L s) / ((tau s + 1) s), and a low-pass.
+
+It is sampled every T with the command held between samples (zero-order hold). Dead time may be any
+part of a sample: L = d T + m with 0 <= m < T. Between two samples the plant then receives one
+command for m and the next for T - m, so its answer is exact, without a Pade approximation
+(K. J. Astrom and B. Wittenmark, Computer-Controlled Systems, 3rd edition, section 2.6 and the
+modified z transform of chapter 2). With a = T / tau, c = m / tau and e = exp(-a):
+
+    y / u = K T / (z - 1)  (1 - e) / (z - e)  z^-d (w1 z + w0 + w2 / z)
+
+    w1 = G(c - a) / (a (1 - e)),  w2 = e G(c) / (a (1 - e)),  w0 = 1 - w1 - w2,
+    G(v) = exp(v) - 1 - v
+
+Without lag e = 0, and (w1 z + w0 + w2 / z) / z is (T - m) / T + m / (T z).
+
+The low-pass stands before the plant, in the controller: v += (1 - exp(-T / Tl)) (u - v), once for
+each sample.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from turtlelog.errors import TheoryError
+from turtlelog.theory.inputs import (
+    MAX_DEAD_TIME_TICKS,
+    require_dead_time,
+    require_not_negative,
+    require_period,
+    require_positive,
+)
+
+_WHOLE: Final = 1e-9
+"""Of a sample: a dead time so near to a whole number of samples is one. 0.096 / 0.016 is no 6 in
+binary, and what it lacks is a millionth of this."""
+
+_LONGEST_LAG: Final = 1e9
+"""In samples, of a lag and of a low-pass: gaps 1 - e of 1e-9 and their squares keep their digits
+beside a gain of the same size."""
+
+_SHORTEST_LAG: Final = 1e-3
+"""In samples: exp(-1000) is 0 in double precision, so a shorter lag changes no sample."""
+
+_SERIES_BELOW: Final = 0.5
+"""Of |v|: below it exp(v) - 1 - v cancels digits, and its series needs 14 terms."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Process:
+    """What lies between the law's command and the signal: a rate that follows late, integrated.
+
+    Attributes:
+        gain: K, rate by command [1].
+        lag_s: Time constant tau of the rate [s]; 0: it follows at once.
+        dead_time_s: Time after which a command begins to act [s], beside whole samples.
+        low_pass_s: Time constant of a first-order filter of the command in the controller [s]; 0:
+            there is none.
+
+    Raises:
+        TheoryError: Where the gain is not positive, or a time is negative or not finite.
+    """
+
+    gain: float = 1.0
+    lag_s: float = 0.0
+    dead_time_s: float = 0.0
+    low_pass_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive("gain", self.gain)
+        for name in ("lag_s", "dead_time_s", "low_pass_s"):
+            require_not_negative(name, getattr(self, name))
+
+
+INTEGRATOR: Final = Process()
+"""The plant of turtlesim, 1/s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampledProcess:
+    """A process as it looks from sample to sample.
+
+    Attributes:
+        gain: K.
+        whole: Whole samples d of dead time.
+        ahead: w1; 0 without lag.
+        behind: w2; without lag m / T.
+        lag_gap: 1 - e of the lag, None without.
+        filter_gap: 1 - exp(-T / Tl) of the low-pass, None without.
+    """
+
+    gain: float
+    whole: int
+    ahead: float
+    behind: float
+    lag_gap: float | None
+    filter_gap: float | None
+
+    @property
+    def at(self) -> float:
+        """w0; without lag (T - m) / T."""
+        return 1.0 - self.ahead - self.behind
+
+    @property
+    def delay(self) -> int:
+        """Poles at z = 0, d of them; the zero that a low-pass has there takes one away."""
+        return self.whole - (self.filter_gap is not None)
+
+    @property
+    def gaps(self) -> tuple[float, ...]:
+        """1 - e of each pole e that lag and low-pass add."""
+        return tuple(gap for gap in (self.lag_gap, self.filter_gap) if gap is not None)
+
+    def list_weights(self) -> tuple[float, float, float]:
+        """Return what commands d, d + 1 and d + 2 samples old add to the rate that lags."""
+        weights = (self.at, self.behind, 0.0)
+        if self.lag_gap is not None:
+            weights = (self.ahead, self.at, self.behind)
+        return self.gain * weights[0], self.gain * weights[1], self.gain * weights[2]
+
+    @property
+    def is_integrator(self) -> bool:
+        """Whether it is an integrator with a whole number of samples of dead time."""
+        return not (self.gaps or self.behind)
+
+
+def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) -> SampledProcess:
+    """Return a process as it looks from sample to sample.
+
+    Args:
+        process: What a command passes.
+        period_s: Sampling period T [s].
+        dead_time_ticks: Dead time beside that of the process [samples].
+
+    Raises:
+        TheoryError: Where a number is out of its range, or dead times add up to over 1000 samples.
+    """
+    period_s = require_period(period_s)
+    whole, part = _split_dead_time(process, period_s, dead_time_ticks)
+    lag = _scale_time("lag_s", process.lag_s, period_s)
+    low_pass = _scale_time("low_pass_s", process.low_pass_s, period_s)
+    ahead, behind = _weigh(1.0 / lag, part) if lag else (0.0, part)
+    return SampledProcess(
+        gain=process.gain,
+        whole=whole,
+        ahead=ahead,
+        behind=behind,
+        lag_gap=-math.expm1(-1.0 / lag) if lag else None,
+        filter_gap=-math.expm1(-1.0 / low_pass) if low_pass else None,
+    )
+
+
+def _split_dead_time(process: Process, period_s: float, dead_time_ticks: int) -> tuple[int, float]:
+    """Return the dead time as whole samples and the part of a sample that is left, below 1."""
+    samples = require_dead_time(dead_time_ticks) + process.dead_time_s / period_s
+    if not samples <= MAX_DEAD_TIME_TICKS + _WHOLE:
+        expected = f"at most {MAX_DEAD_TIME_TICKS} samples in all"
+        raise TheoryError(f"dead_time_s: expected {expected}, found {samples:.6g}")
+    whole = math.floor(samples + _WHOLE)
+    part = samples - whole
+    return whole, part if part > _WHOLE else 0.0
+
+
+def _scale_time(name: str, time_s: float, period_s: float) -> float:
+    """Return a time constant in samples; 0 where it is too short to change one."""
+    samples = time_s / period_s
+    if samples > _LONGEST_LAG:
+        expected = f"at most {_LONGEST_LAG:g} sampling periods"
+        raise TheoryError(f"{name}: expected {expected}, found {samples:.6g}")
+    return samples if samples >= _SHORTEST_LAG else 0.0
+
+
+def _weigh(a: float, part: float) -> tuple[float, float]:
+    """Return w1 and w2 for T / tau = a and m = part T."""
+    c = a * part
+    whole = a * -math.expm1(-a)
+    if c < _SERIES_BELOW:
+        late = math.exp(-a) * _rest(c)
+    else:  # exp(c) alone could overflow
+        late = math.exp(c - a) - math.exp(-a) * (1.0 + c)
+    return _rest(c - a) / whole, late / whole
+
+
+def _rest(value: float) -> float:
+    """Return exp(v) - 1 - v with all digits."""
+    if abs(value) > _SERIES_BELOW:
+        return math.expm1(value) - value
+    term = total = 0.5 * value * value
+    for power in range(3, 17):
+        term *= value / power
+        total += term
+    return total
