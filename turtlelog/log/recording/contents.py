@@ -32,6 +32,9 @@ from turtlelog.log.recording.topics import (
     REFERENCE,
     REFERENCE64,
     SCHEMAS,
+    SENSED,
+    SENSED64,
+    SHAPED,
     TOPIC_NAMES,
     VELOCITY64,
     Topic,
@@ -66,8 +69,8 @@ class Contents:
     Attributes:
         head: What it says of itself.
         attachments: Bytes by name.
-        topics: The columns of every topic that its declaration asks for, by name; empty ones
-            without messages.
+        topics: The columns by name of every topic that there should be, by its declaration and its
+            effects; empty ones without messages.
         damages: What could not be read; empty where the file is whole.
         recovered: A note of what was lost before, where the file is one that was recovered.
     """
@@ -174,7 +177,7 @@ def build_contents(
     """
     head, topics = _find_head(records), {}
     states = () if head.declaration is None else head.declaration.states
-    for topic in list_topics(head.declaration):
+    for topic in _list_topics(head, parts):
         plan = _plan(topic, states if topic.name == LAW_STATE else ())
         if topic.name in catalogue.topics:
             _check_type(plan, catalogue.find_plan(topic.name))
@@ -187,6 +190,14 @@ def build_contents(
         damages=tuple(damages),
         recovered=describe_recovery(records),
     )
+
+
+def _list_topics(head: Head, parts: Mapping[str, list[Rows]]) -> tuple[Topic, ...]:
+    """Return the topics that there should be; a recording that has no end yet shows its effects."""
+    has_sensing, has_shaping = (
+        topic.name in head.more_topics or topic.name in parts for topic in (SENSED, SHAPED)
+    )
+    return list_topics(head.declaration, has_sensing=has_sensing, has_shaping=has_shaping)
 
 
 def _find_head(records: Collection[Any]) -> Head:
@@ -224,7 +235,8 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
 
     The poses of a recording are numbered from 0, and a sample names the number of its own. Poses
     of which a column is lost, and samples whose pose, states or reference is, are dropped; the rest
-    are numbered anew.
+    are numbered anew. So are samples whose pose as it was sensed, or shaped command, is lost. Of a
+    pose that no sample read, nobody knows whether it dropped out or what was sensed of it is lost.
     """
     topics, declaration = dict(contents.topics), contents.head.declaration
     pose_topics = [
@@ -235,30 +247,65 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     numbers = _intersect({name: topics[name] for name in pose_topics})
     for name in pose_topics:
         topics[name] = topics[name].select(np.isin(topics[name].sequence, numbers))
+    clauses, read = _reconcile_sensed(topics, numbers)
     samples = topics[CONTROL.name]
-    read = samples.fields["pose_sequence"]
-    kept = samples.select(np.isin(read, numbers))
+    kept = samples.select(np.isin(samples.fields["pose_sequence"], read))
     if declaration is not None:
         kept = _take_described(kept, topics, declaration)
     rows = np.searchsorted(numbers, kept.fields["pose_sequence"]).astype(np.uint32)
     fields = MappingProxyType({**kept.fields, "pose_sequence": rows})
     topics[CONTROL.name] = replace(kept, fields=fields)
     lost = len(samples) - len(kept)
-    clause = f"; {lost} samples without their pose, states or reference are dropped" if lost else ""
-    return replace(contents, topics=topics), clause
+    if lost:
+        more = [name for topic, name in _MORE_OF_SAMPLES.items() if topic in topics]
+        whats = ", ".join(["pose", *more, "states or reference"])
+        clauses.insert(0, f"{lost} samples without their {whats} are dropped")
+    return replace(contents, topics=topics), "".join(f"; {clause}" for clause in clauses)
+
+
+_MORE_OF_SAMPLES: Final = {SENSED.name: "sensed pose", SHAPED.name: "shaped command"}
+"""What else belongs to a sample of a run with these topics."""
+
+
+def _reconcile_sensed(
+    topics: dict[str, TopicColumns], numbers: NDArray[np.uint32]
+) -> tuple[list[str], NDArray[np.uint32]]:
+    """Drop what was sensed of lost poses, and number the rest as the poses that are there.
+
+    Returns:
+        Clauses on what is lost, and the numbers of the poses that a sample may have read.
+    """
+    if SENSED.name not in topics:
+        return [], numbers
+    names = [name for name in (SENSED.name, SENSED64.name) if len(topics[name])]
+    sensed = _intersect({name: topics[name] for name in names}) if names else numbers[:0]
+    both = np.intersect1d(sensed, numbers)
+    for name in names:
+        found = topics[name].select(np.isin(topics[name].sequence, both))
+        places = np.searchsorted(numbers, found.sequence).astype(np.uint32)
+        topics[name] = replace(found, sequence=places)
+    clauses = []
+    if lost := len(sensed) - len(both):
+        clauses.append(f"{lost} sensed poses without their pose are dropped")
+    if unknown := len(numbers) - len(both):
+        clauses.append(f"of {unknown} poses none was sensed, or what was sensed is lost")
+    return clauses, both
 
 
 def _take_described(
     samples: TopicColumns, topics: dict[str, TopicColumns], declaration: Declaration
 ) -> TopicColumns:
-    """Return the samples whose states and reference are there, and drop the rows of all others."""
+    """Return the samples of which all is there that they have, and drop the rows of all others."""
     if declaration.states:
         samples = samples.select(np.isin(samples.fields["sequence"], topics[LAW_STATE].sequence))
     if declaration.has_reference:
         due = np.isin(samples.fields["phase"], _list_reference_phases(declaration))
         is_there = np.isin(samples.fields["sequence"], topics[REFERENCE64.name].sequence)
         samples = samples.select(is_there | ~due)
-    for name in (LAW_STATE, REFERENCE.name, REFERENCE64.name):
+    if SHAPED.name in topics:
+        is_there = np.isin(samples.fields["sequence"], topics[SHAPED.name].sequence)
+        samples = samples.select(is_there)
+    for name in (LAW_STATE, REFERENCE.name, REFERENCE64.name, SHAPED.name):
         if name in topics:
             is_kept = np.isin(topics[name].sequence, samples.fields["sequence"])
             topics[name] = topics[name].select(is_kept)
@@ -273,7 +320,7 @@ def _list_reference_phases(declaration: Declaration) -> list[int]:
 
 
 def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
-    numbers = topics[POSE.name].sequence
+    numbers = next(iter(topics.values())).sequence
     for name, columns in topics.items():
         if (columns.sequence[1:] <= columns.sequence[:-1]).any():
             raise LogError(f"topic {name}: expected poses numbered in order, found others")

@@ -10,6 +10,7 @@ import msgspec
 from turtlelog.declaration_json import format_declaration, parse_declaration
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
+from turtlelog.log.recording.topics import SENSED, SHAPED
 from turtlelog.loops import Declaration
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, nest_parameters
@@ -63,6 +64,8 @@ class Head:
         goal_heading_rad: As in `Run`; a quaternion would not give it back exactly.
         absent: As in `Run`.
         nan_columns: Columns of the run that are None, and NaN in the messages.
+        more_topics: Topics that not every recording has, and this one has, even without a message:
+            what is sensed may drop out as a whole.
         declaration: As in `Run`; None in format 1.
         notes: As in `Run`.
     """
@@ -74,6 +77,7 @@ class Head:
     goal_heading_rad: float | None
     absent: tuple[str, ...]
     nan_columns: frozenset[str]
+    more_topics: frozenset[str] = frozenset()
     declaration: Declaration | None
     notes: Mapping[str, str]
 
@@ -88,6 +92,7 @@ def describe_run(run: Run) -> Head:
         goal_heading_rad=run.goal_heading_rad,
         absent=run.absent,
         nan_columns=frozenset(_list_nan_columns(run)),
+        more_topics=frozenset(_list_more_topics(run)),
         declaration=run.declaration,
         notes=run.notes,
     )
@@ -99,6 +104,7 @@ def describe_scenario(
     *,
     stop_reason: str | None = None,
     nan_columns: Collection[str] = (),
+    more_topics: Collection[str] = (),
     notes: Mapping[str, str],
 ) -> Head:
     """Return the head of a recording of a scenario that runs, or has run."""
@@ -110,6 +116,7 @@ def describe_scenario(
         goal_heading_rad=scenario.goal.heading_rad if declaration.uses_goal else None,
         absent=(),
         nan_columns=frozenset(nan_columns),
+        more_topics=frozenset(more_topics),
         declaration=declaration,
         notes=notes,
     )
@@ -136,6 +143,8 @@ def format_head(head: Head) -> dict[str, str]:
             most = _LONGEST_DECLARATION
             raise LogError(f"declaration: expected up to {most} bytes as JSON, found {len(text)}")
         record["declaration"] = text
+    if head.more_topics:
+        record["more_topics"] = _encode(sorted(head.more_topics))
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
@@ -168,6 +177,9 @@ def parse_head(record: Mapping[str, str]) -> Head:
         goal_heading_rad=heading,
         absent=_decode(record, "absent", tuple[str, ...]),
         nan_columns=_decode(record, "nan_columns", frozenset[str]),
+        more_topics=_decode(record, "more_topics", frozenset[str])
+        if "more_topics" in record
+        else frozenset(),
         declaration=None if version == 1 else _parse_declaration(record),
         notes=_decode(record, "notes", dict[str, str]),
     )
@@ -212,6 +224,11 @@ def _list_nan_columns(run: Run) -> list[str]:
         samples |= {name: getattr(run.samples, name) for name in _REFERENCE}
     columns |= {f"samples.{name}": values for name, values in samples.items()}
     return [name for name, values in columns.items() if values is None]
+
+
+def _list_more_topics(run: Run) -> list[str]:
+    columns = {SENSED: run.poses.sensed_xy_m, SHAPED: run.samples.shaped_speed_m_s}
+    return [topic.name for topic, values in columns.items() if values is not None]
 
 
 def sum_up(record: Mapping[str, str]) -> str:

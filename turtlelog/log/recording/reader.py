@@ -47,6 +47,9 @@ from turtlelog.log.recording.topics import (
     POSE,
     POSE64,
     REFERENCE64,
+    SENSED,
+    SENSED64,
+    SHAPED,
     VELOCITY64,
 )
 from turtlelog.loops import Declaration
@@ -251,13 +254,42 @@ def _build_poses(columns: Mapping[str, TopicColumns], head: Head) -> PoseColumns
     velocity = _prefer(columns[VELOCITY64.name], pose).fields
     speed = velocity["linear.x" if "linear.x" in velocity else "linear_velocity"]
     turn_rate = velocity["angular.z" if "angular.z" in velocity else "angular_velocity"]
+    sensed = _build_sensed(columns, pose, columns[CONTROL.name].fields["pose_sequence"])
     return PoseColumns(
         time_ns=pose.log_time_ns,
         xy_m=_gather(position, ("x", "y")),
         heading_rad=_gather(position, ("theta",)),
         speed_m_s=_unless_nan(head, "poses.speed_m_s", speed),
         turn_rate_rad_s=_unless_nan(head, "poses.turn_rate_rad_s", turn_rate),
+        sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
+        sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
     )
+
+
+def _build_sensed(
+    columns: Mapping[str, TopicColumns], pose: TopicColumns, read: Column
+) -> Values | None:
+    """Return x, y and heading as they were sensed, NaN where a pose dropped out."""
+    if SENSED.name not in columns:
+        return None
+    sensed = columns[SENSED.name]
+    rows, place = sensed.sequence, f"topic {SENSED.name}"
+    is_rising = bool((rows[1:] > rows[:-1]).all())
+    if not is_rising or not (rows < len(pose)).all():
+        raise LogError(
+            f"{place}: expected numbers of the {len(pose)} poses, each once, found others"
+        )
+    if not np.array_equal(sensed.log_time_ns, pose.log_time_ns[rows]):
+        raise LogError(
+            f"{place}: expected the times of the poses of the same numbers, found others"
+        )
+    missing = ~np.isin(read, rows)
+    if missing.any():
+        number = read[missing.argmax()]
+        raise LogError(f"{place}: expected pose {number}, which a sample read, found none")
+    found = np.full((len(pose), 3), np.nan)
+    found[rows] = _gather(_prefer(columns[SENSED64.name], sensed).fields, ("x", "y", "theta"))
+    return found
 
 
 def _prefer(exact: TopicColumns, rounded: TopicColumns) -> TopicColumns:
@@ -291,10 +323,13 @@ def _build_samples(
         name: _gather(samples.fields, fields) for name, fields in CONTROL_COLUMNS.items()
     }
     found |= {name: _if_recorded(head, name, found[name]) for name in MAY_BE_ABSENT}
+    shaped = _build_shaped(columns, sequence)
     return SampleColumns(
         time_ns=samples.log_time_ns,
         **found,
         states=_build_states(columns, declaration.states, sequence),
+        shaped_speed_m_s=shaped.get("linear.x"),
+        shaped_turn_rate_rad_s=shaped.get("angular.z"),
         reference_xy_m=reference_xy_m,
         reference_heading_rad=reference_heading_rad,
     )
@@ -324,10 +359,22 @@ def _build_states(
     if not names:
         return None
     found = columns[LAW_STATE]
+    _require_numbers(found, sequence)
+    return np.column_stack([found.fields[name] for name in names])
+
+
+def _build_shaped(columns: Mapping[str, TopicColumns], sequence: Column) -> Mapping[str, Column]:
+    if SHAPED.name not in columns:
+        return {}
+    _require_numbers(columns[SHAPED.name], sequence)
+    return columns[SHAPED.name].fields
+
+
+def _require_numbers(found: TopicColumns, sequence: Column) -> None:
+    """Refuse what should be there once per sample, and is not."""
     if not np.array_equal(found.sequence, sequence):
         expected = f"the numbers of the {len(sequence)} samples"
-        raise LogError(f"topic {LAW_STATE}: expected {expected}, found {len(found)} others")
-    return np.column_stack([found.fields[name] for name in names])
+        raise LogError(f"topic {found.topic}: expected {expected}, found {len(found)} others")
 
 
 def _build_reference(

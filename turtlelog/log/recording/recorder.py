@@ -221,6 +221,7 @@ class Recorder:
             self._declaration,
             stop_reason=self._stop_reason,
             nan_columns=self._records.nan_columns,
+            more_topics=self._records.more_topics,
             notes=notes,
         )
         self._file.add_metadata(HEAD, format_head(head))

@@ -25,6 +25,9 @@ from turtlelog.log.recording.topics import (
     POSE64,
     REFERENCE,
     REFERENCE64,
+    SENSED,
+    SENSED64,
+    SHAPED,
     VELOCITY64,
     Topic,
     define_types,
@@ -71,9 +74,11 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
     topics = (
         _build_goal(run),
         *_build_poses(run.poses),
+        *_build_sensed(run.poses),
         _build_samples(run.samples),
         *_build_states(run),
         *_build_references(run),
+        *_build_shaped(run.samples),
         _build_commands(run),
         _build_phases(run),
         _build_events(run.events),
@@ -158,6 +163,31 @@ def _build_poses(poses: PoseColumns) -> Iterator[TopicColumns]:
         yield _collect(POSE64, poses.time_ns, place)
     if not (_fits_float32(speed) and _fits_float32(turn_rate)):
         yield _collect(VELOCITY64, poses.time_ns, dict(zip(names[1], velocity, strict=True)))
+
+
+def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
+    """Yield the sensed poses by the numbers of their poses, and what 32 bits would not give back.
+
+    A sensor tells no velocity.
+    """
+    xy_m, heading_rad = poses.sensed_xy_m, poses.sensed_heading_rad
+    if xy_m is None or heading_rad is None:
+        return
+    rows = np.column_stack([xy_m, heading_rad])
+    has = ~np.isnan(rows).all(axis=1)
+    time_ns, sequence = poses.time_ns[has], np.flatnonzero(has).astype(np.uint32)
+    place = dict(zip(("x", "y", "theta"), rows[has].T, strict=True))
+    none = dict.fromkeys(("linear_velocity", "angular_velocity"), _or_nan(None, len(time_ns)))
+    yield _collect(SENSED, time_ns, place | none, sequence)
+    if not _fits_float32(rows[has]):
+        yield _collect(SENSED64, time_ns, place, sequence)
+
+
+def _build_shaped(samples: SampleColumns) -> Iterator[TopicColumns]:
+    speed, turn_rate = samples.shaped_speed_m_s, samples.shaped_turn_rate_rad_s
+    if speed is not None and turn_rate is not None:
+        columns = {"linear.x": speed, "angular.z": turn_rate}
+        yield _collect(SHAPED, samples.time_ns, columns, samples.sequence.astype(np.uint32))
 
 
 def _build_samples(samples: SampleColumns) -> TopicColumns:

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from math import isnan
+from math import isnan, nan
 from struct import Struct
 from typing import Any, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 
+from turtlelog.laws import Pose
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.recording.run_writer import describe_event, describe_pose
@@ -25,6 +26,9 @@ from turtlelog.log.recording.topics import (
     REFERENCE,
     REFERENCE64,
     SCHEMAS,
+    SENSED,
+    SENSED64,
+    SHAPED,
     Topic,
     define_types,
     describe_topics,
@@ -33,7 +37,7 @@ from turtlelog.log.recording.topics import (
 from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_message
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import Scenario, Sensing, Shaping
 from turtlelog.simulate import Sample, Tick
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
@@ -64,17 +68,20 @@ def _build_struct(topic: Topic, definitions: Mapping[str, str] = SCHEMAS) -> Str
 
 
 _STRUCTS: Final = {
-    topic: _build_struct(topic) for topic in (POSE, POSE64, CONTROL, COMMAND, REFERENCE64)
+    topic: _build_struct(topic)
+    for topic in (POSE, POSE64, SENSED, SENSED64, CONTROL, SHAPED, COMMAND, REFERENCE64)
 }
-_POSE_SIZE, _CONTROL_SIZE, _COMMAND_SIZE = (
-    _STRUCTS[topic].size for topic in (POSE, CONTROL, COMMAND)
+_POSE_SIZE, _POSE64_SIZE, _CONTROL_SIZE, _COMMAND_SIZE = (
+    _STRUCTS[topic].size for topic in (POSE, POSE64, CONTROL, COMMAND)
 )
 
 
 def measure_tick(tick: Tick) -> int:
     """Return about how many bytes the messages of a tick take."""
+    sensed = 0 if tick.sensed is None else _POSE_SIZE + _POSE64_SIZE
     return (
         _POSE_SIZE
+        + sensed
         + sum(map(_measure_sample, tick.computed))
         + _COMMAND_SIZE * len(tick.published)
         + HEAD.size * len(tick.events)
@@ -84,6 +91,7 @@ def measure_tick(tick: Tick) -> int:
 def _measure_sample(sample: Sample) -> int:
     states, reference = sample.decision.states, sample.decision.reference
     size = _CONTROL_SIZE + (HEAD.size + 8 * len(states) if states else 0)
+    size += 0 if isnan(sample.shaped_speed_m_s) else _COMMAND_SIZE
     return size + (_REFERENCE_BYTES if reference is not None else 0)
 
 
@@ -120,7 +128,9 @@ class TickRecords:
         goal, kind = scenario.goal, scenario.law.kind
         self._goal = (goal.x_m, goal.y_m, goal.heading_rad) if declaration.uses_goal else None
         self._is_exact = scenario.loop.pose_precision == "float64"
-        topics, definitions = list_topics(declaration, kind), define_types(declaration, kind)
+        sensing, shaping = scenario.sensing != Sensing(), scenario.shaping != Shaping()
+        topics = list_topics(declaration, kind, has_sensing=sensing, has_shaping=shaping)
+        definitions = define_types(declaration, kind)
         named = [(topic.name, topic.schema) for topic in topics]
         self._channels = describe_topics(named, definitions)
         self._messages = {
@@ -129,6 +139,11 @@ class TickRecords:
         }
         self._pose, self._pose64 = self._messages[POSE.name], self._messages[POSE64.name]
         self._control, self._command = self._messages[CONTROL.name], self._messages[COMMAND.name]
+        self._sensed, self._sensed64 = (
+            self._messages.get(topic.name) for topic in (SENSED, SENSED64)
+        )
+        self._shaped = self._messages.get(SHAPED.name)
+        self._more_topics: set[str] = set()
         self._states = self._messages.get(LAW_STATE)
         self._reference64 = self._messages.get(REFERENCE64.name)
         self._phases = declaration.phase_names
@@ -144,6 +159,11 @@ class TickRecords:
         """Columns of the run so far that are None, and NaN in the messages."""
         worldless = {"world_velocity_m_s"} if self._has_samples and not self._has_world else set()
         return frozenset(f"samples.{name}" for name in self._lacking | worldless)
+
+    @property
+    def more_topics(self) -> frozenset[str]:
+        """Topics that not every recording has, and that had messages so far."""
+        return frozenset(self._more_topics)
 
     def encode(self, ticks: Iterable[Tick]) -> ChunkRows:
         """Return the messages of the next ticks, of which there is at least one."""
@@ -172,6 +192,17 @@ class TickRecords:
         self._add(self._pose, time_ns, number, *values, tick.speed_m_s, tick.turn_rate_rad_s)
         if self._is_exact:
             self._add(self._pose64, time_ns, number, *values)
+        if tick.sensed is not None:
+            self._add_sensed(time_ns, number, tick.sensed)
+
+    def _add_sensed(self, time_ns: int, number: int, pose: Pose) -> None:
+        """Add what was sensed of a pose, under the pose's number and time; no velocity."""
+        values = pose.x_m, pose.y_m, pose.heading_rad
+        if self._sensed is not None:
+            self._more_topics.add(SENSED.name)
+            self._add(self._sensed, time_ns, number, *values, nan, nan)
+        if self._sensed64 is not None and self._is_exact:
+            self._add(self._sensed64, time_ns, number, *values)
 
     def _add_sample(self, time_ns: int, sample: Sample) -> None:
         row, sequence = sample.row, sample.sequence
@@ -183,6 +214,10 @@ class TickRecords:
             values = pose.x_m, pose.y_m, pose.heading_rad
             self._add_varied(REFERENCE, time_ns, describe_pose(time_ns, *values), sequence)
             self._add(self._reference64, time_ns, sequence, *values)
+        if self._shaped is not None and not isnan(sample.shaped_speed_m_s):
+            self._more_topics.add(SHAPED.name)
+            shaped = sample.shaped_speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.shaped_turn_rate_rad_s
+            self._add(self._shaped, time_ns, sequence, *shaped)
         self._has_samples = True
         if not self._has_world:
             self._has_world = not all(map(isnan, row[_WORLD]))

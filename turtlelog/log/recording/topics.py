@@ -40,6 +40,12 @@ POSE64: Final = Topic("/turtle1/pose64", "geometry_msgs/msg/Pose2D")
 VELOCITY64: Final = Topic("/turtle1/velocity64", "geometry_msgs/msg/Twist")
 """The applied velocities of the same poses, likewise."""
 
+SENSED: Final = Topic("/turtle1/sensed_pose", "turtlesim/msg/Pose")
+"""Each pose as it was sensed, by the pose's number; none of a pose that dropped out."""
+
+SENSED64: Final = Topic("/turtle1/sensed_pose64", "geometry_msgs/msg/Pose2D")
+"""The same, only where 32-bit floats would lose something; a reader prefers them."""
+
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
 """One message per sample, at the time at which its pose was answered."""
 
@@ -70,6 +76,9 @@ REFERENCE: Final = Topic("/turtle1/reference", "geometry_msgs/msg/PoseStamped")
 REFERENCE64: Final = Topic("/turtle1/reference64", "geometry_msgs/msg/Pose2D")
 """The same poses; a reader takes them from here, for a quaternion does not give a heading back."""
 
+SHAPED: Final = Topic("/turtle1/shaped", "geometry_msgs/msg/Twist")
+"""What shaping left of a sample's wanted command, before the limits; one message per sample."""
+
 COMMAND: Final = Topic("/turtle1/cmd_vel", "geometry_msgs/msg/Twist")
 """One message per command, at the time of its publication."""
 
@@ -79,13 +88,16 @@ PHASE: Final = Topic("/turtle1/phase", "std_msgs/msg/String")
 EVENT: Final = Topic("/rosout", "rcl_interfaces/msg/Log")
 """One message per event."""
 
-BEFORE_STATES: Final = (GOAL, POSE, POSE64, VELOCITY64, CONTROL)
-AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)
-"""Topics of every recording, before and after those that a law's declaration asks for."""
+_POSES: Final = (GOAL, POSE, POSE64, VELOCITY64)
+_AFTER_SAMPLES: Final = (COMMAND, PHASE, EVENT)
+"""Topics of every recording, before and after `CONTROL` and those that not every one has."""
+
+OF_SENSING: Final = (SENSED, SENSED64)
+"""Topics of a recording whose controller reads poses through a sensor."""
 
 TOPIC_NAMES: Final = frozenset(
     {
-        *(topic.name for topic in (*BEFORE_STATES, *AFTER_SAMPLES)),
+        *(topic.name for topic in (*_POSES, *OF_SENSING, CONTROL, SHAPED, *_AFTER_SAMPLES)),
         *(LAW_STATE, REFERENCE.name, REFERENCE64.name),
     }
 )
@@ -238,18 +250,27 @@ def _hash_states(kind: str, names: list[str]) -> str:
     return f"RIHS01_{sha256(json.dumps(description).encode()).hexdigest()}"
 
 
-def list_topics(declaration: Declaration | None, kind: object = DEFAULT_LAW) -> tuple[Topic, ...]:
+def list_topics(
+    declaration: Declaration | None,
+    kind: object = DEFAULT_LAW,
+    *,
+    has_sensing: bool = False,
+    has_shaping: bool = False,
+) -> tuple[Topic, ...]:
     """Return the topics of a recording in the order in which messages of one time stand.
 
     Args:
         declaration: None where there is none, as in format 1.
         kind: The law's name, which the type of its states is called after.
+        has_sensing: Whether the controller reads poses through a sensor.
+        has_shaping: Whether the wanted commands are shaped.
     """
+    sensed, shaped = OF_SENSING if has_sensing else (), (SHAPED,) if has_shaping else ()
     if declaration is None:
-        return (*BEFORE_STATES, *AFTER_SAMPLES)
+        return (*_POSES, *sensed, CONTROL, *shaped, *_AFTER_SAMPLES)
     states = (Topic(LAW_STATE, name_state_type(kind)),) if declaration.states else ()
     references = (REFERENCE, REFERENCE64) if declaration.has_reference else ()
-    return (*BEFORE_STATES, *states, *references, *AFTER_SAMPLES)
+    return (*_POSES, *sensed, CONTROL, *states, *references, *shaped, *_AFTER_SAMPLES)
 
 
 def define_types(declaration: Declaration, kind: object = DEFAULT_LAW) -> Mapping[str, str]:

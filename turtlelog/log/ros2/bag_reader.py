@@ -8,12 +8,22 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns, read_flat_columns
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
-from turtlelog.log.recording.topics import CONTROL, GOAL, LAW_STATE, REFERENCE64
+from turtlelog.log.recording.topics import (
+    CONTROL,
+    GOAL,
+    LAW_STATE,
+    POSE,
+    REFERENCE64,
+    SENSED,
+    SHAPED,
+    VELOCITY64,
+)
 from turtlelog.log.ros2.bag_columns import (
     Fields,
     OrderedRows,
@@ -44,6 +54,11 @@ POSE_TYPES: Final = (
     "geometry_msgs/msg/PoseStamped",
 )
 COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
+_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name})
+"""Topics of a recording of ours with the type of commands that nobody published as one."""
+
+_SENSED: Final = (SENSED.name, SENSED.schema)
 
 _TURTLE: Final = re.compile(r"/turtle\d+/pose")
 _TURTLE_COMMANDS: Final = re.compile(r"/turtle\d+/cmd_vel")
@@ -83,6 +98,8 @@ def read_bag(
         poses = choose_pose_topic(distinct, pose_topic)
         commands = choose_command_topic(distinct, command_topic, pose_topic=poses.topic)
     names = {choice.topic for choice in (poses, commands) if choice}
+    if poses.topic == POSE.name:
+        names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
     found = [
         read_flat_columns(
             file, names & {topic.topic for topic in infos[file].topics if topic.count}
@@ -91,12 +108,14 @@ def read_bag(
     ]
     with name_file(path, expected="a bag"):
         run = _build_run(path, found, poses, commands)
-    return replace(run, notes={**run.notes, **_note_rest(distinct), **_join_notes(infos.values())})
+    rest = _note_rest(distinct, run)
+    return replace(run, notes={**run.notes, **rest, **_join_notes(infos.values())})
 
 
-def _note_rest(topics: Iterable[TopicInfo]) -> dict[str, str]:
+def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
     """Return a note on the topics of a recording of ours, which only one of ours is read with."""
-    own = {topic.name: topic.schema for topic in (CONTROL, GOAL, REFERENCE64)}
+    sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
+    own = {topic.name: topic.schema for topic in (CONTROL, GOAL, REFERENCE64, SHAPED, *sensed)}
     rest = [
         f"{topic.count} of {topic.topic}"
         for topic in topics
@@ -121,6 +140,7 @@ def _build_run(
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
     name = path.resolve().name
     absent = () if "speed" in poses.columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
+    sensed = _match_sensed(found, poses.time_ns, moved)
     notes = {
         "original_timestamp": _format_time(start_ns),
         "pose_topic": f"{pose_topic.topic} ({pose_topic.type})",
@@ -140,12 +160,32 @@ def _build_run(
             heading_rad=heading_rad,
             speed_m_s=poses.columns.get("speed"),
             turn_rate_rad_s=poses.columns.get("turn_rate"),
+            sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
+            sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
         ),
         commands=_build_commands(commands, start_ns),
         samples=_build_no_samples(),
         absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
         notes=notes,
     )
+
+
+def _match_sensed(found: _Found, time_ns: NDArray[np.int64], moved: int) -> Values | None:
+    """Return x, y and heading as sensed, beside the poses of the same times; NaN without one.
+
+    None where there are none, or their times do not tell whose they are: those of a wall clock.
+    """
+    kind = TopicInfo(topic=SENSED.name, type=SENSED.schema, count=0)
+    if moved or not any(SENSED.name in of_file for of_file in found):
+        return None
+    sensed = _order(found, kind, extract_poses)
+    rows = np.searchsorted(time_ns, sensed.time_ns)
+    is_known = np.isin(sensed.time_ns, time_ns).all()
+    if not is_known or (np.diff(sensed.time_ns) == 0).any():
+        return None
+    values = np.full((len(time_ns), 3), np.nan)
+    values[rows] = np.column_stack([sensed.columns[name] for name in ("x", "y", "heading")])
+    return values
 
 
 def _order(
@@ -233,7 +273,9 @@ def choose_command_topic(
     present = [topic for topic in topics if topic.count]
     if asked is not None:
         return _find_asked(present, asked, COMMAND_TYPES, "command_topic")
-    fitting = _list_fitting(present, COMMAND_TYPES)
+    fitting = [
+        topic for topic in _list_fitting(present, COMMAND_TYPES) if topic.topic not in _NO_COMMANDS
+    ]
     neighbour = f"{pose_topic.rpartition('/')[0]}/cmd_vel"
     if _TURTLE.fullmatch(pose_topic):
         # The commands of another turtle drove another turtle.
