@@ -134,7 +134,7 @@ ANSWERED = [
     "check spec.toml run.mcap --reference other.mcap",
     "check --init run.mcap",
     "view run.mcap --save view.rrd",
-    "plot run.mcap -o figures --format svg",
+    "plot run.mcap -o figures --format svg --only heading,plane",
     "convert run.mcap -o bag -o poses.csv",
     "recover run.mcap -o whole.mcap",
 ]
