@@ -75,16 +75,18 @@ class RunCollector:
 
     def _add(self, ticks: Iterable[Tick]) -> None:
         poses, commands, add_sample = self._poses, self._commands, self._samples.add
+        pack_pose, pack_command = _POSE_ROW.pack, _COMMAND_ROW.pack
         for tick in ticks:
             pose, time_ns = tick.pose, tick.time_ns
-            poses += _POSE_ROW.pack(
+            poses += pack_pose(
                 time_ns, pose.x_m, pose.y_m, pose.heading_rad, tick.speed_m_s, tick.turn_rate_rad_s
             )
             for sample in tick.computed:
                 add_sample(sample)
             for sample in tick.published:
-                values = sample.speed_m_s, sample.turn_rate_rad_s
-                commands += _COMMAND_ROW.pack(sample.published_ns, *values)
+                commands += pack_command(
+                    sample.published_ns, sample.speed_m_s, sample.turn_rate_rad_s
+                )
             self._events += tick.events
             self._stop_reason = tick.stop_reason
 

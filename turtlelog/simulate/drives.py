@@ -3,15 +3,13 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 from turtlelog.plants import Plant, Turtle, round_to_float32
+from turtlelog.plants.lagged import LaggedRobot
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.random_streams import RandomStream
 from turtlelog.simulate.transport import CommandQueue, TimedCommands
-
-if TYPE_CHECKING:
-    from turtlelog.plants.lagged import LaggedRobot
 
 _NS: Final = 1e9
 
@@ -24,8 +22,8 @@ Push = tuple[float, float]
 _NO_PUSH: Final = (0.0, 0.0)
 
 
-class Drive(Protocol):
-    """A plant that takes the commands that arrive."""
+class Body(Protocol):
+    """What is moved."""
 
     @property
     def hit_wall(self) -> bool:
@@ -35,6 +33,15 @@ class Drive(Protocol):
     @property
     def state(self) -> State:
         """What a pose message holds, in double precision."""
+        ...
+
+
+class Drive(Protocol):
+    """A plant that takes the commands that arrive."""
+
+    @property
+    def body(self) -> Body:
+        """What is moved."""
         ...
 
     def step(self, tick: int) -> State:
@@ -43,26 +50,20 @@ class Drive(Protocol):
 
 
 class TurtleDrive:
-    """A turtle that takes a command per step."""
+    """A turtle that takes a command per step.
 
-    __slots__ = ("_commands", "_turtle")
+    Attributes:
+        body: The turtle.
+    """
+
+    __slots__ = ("_commands", "body")
 
     def __init__(self, turtle: Turtle, commands: CommandQueue) -> None:
-        self._turtle, self._commands = turtle, commands
-
-    @property
-    def hit_wall(self) -> bool:
-        """Whether the last step clamped the position to the world."""
-        return self._turtle.hit_wall
-
-    @property
-    def state(self) -> State:
-        """What a pose message holds, in double precision."""
-        return self._turtle.state
+        self.body, self._commands = turtle, commands
 
     def step(self, tick: int) -> State:
         """Move for one step and return the state after it."""
-        turtle, command = self._turtle, self._commands.take(tick)
+        turtle, command = self.body, self._commands.take(tick)
         if command is not None:
             turtle.take_command(command.speed_m_s, command.turn_rate_rad_s)
         turtle.step()
@@ -84,7 +85,7 @@ class PushedTurtleDrive(TurtleDrive):
 
     def step(self, tick: int) -> State:
         """Move for one step and return the state after it."""
-        turtle, command = self._turtle, self._commands.take(tick)
+        turtle, command = self.body, self._commands.take(tick)
         if command is not None:
             self._held, self._idle_ns = (command.speed_m_s, command.turn_rate_rad_s), 0
         else:
@@ -102,36 +103,22 @@ class LaggedDrive:
     """A robot to which commands come at any nanosecond, or one per period.
 
     Attributes:
-        hit_wall: False: it has no walls.
+        body: The robot.
     """
 
-    __slots__ = (
-        "_commands",
-        "_disturbed",
-        "_newest_only",
-        "_period_ns",
-        "_push",
-        "_robot",
-        "hit_wall",
-    )
+    __slots__ = ("_commands", "_disturbed", "_newest_only", "_period_ns", "_push", "body")
 
     def __init__(
-        self, robot: "LaggedRobot", commands: TimedCommands, scenario: Scenario, period_ns: int
+        self, robot: LaggedRobot, commands: TimedCommands, scenario: Scenario, period_ns: int
     ) -> None:
-        self._robot, self._commands, self._period_ns = robot, commands, period_ns
+        self.body, self._commands, self._period_ns = robot, commands, period_ns
         self._newest_only = scenario.loop.queue_policy == "newest"
         self._disturbed = _Disturbed(scenario, period_ns) if scenario.disturbance.acts else None
         self._push = _NO_PUSH
-        self.hit_wall = False
-
-    @property
-    def state(self) -> State:
-        """What a pose message holds, in double precision."""
-        return self._robot.state
 
     def step(self, tick: int) -> State:
         """Move up to the time of a tick and return the state then."""
-        robot, time_ns = self._robot, tick * self._period_ns
+        robot, time_ns = self.body, tick * self._period_ns
         since_ns = time_ns - self._period_ns
         if self._newest_only:
             for arrival_ns, command in self._commands.list_arrived(time_ns):
@@ -182,18 +169,21 @@ class _Disturbed:
 
 def build_drive(scenario: Scenario, plant: Plant, commands: CommandQueue) -> Drive:
     """Return the plant of a scenario at its start."""
-    start = scenario.start
-    pose = {"x_m": start.x_m, "y_m": start.y_m, "heading_rad": start.heading_rad}
-    is_rounded = start.precision == "float32"
+    start, is_rounded = scenario.start, scenario.start.precision == "float32"
+    x_m, y_m, heading_rad = start.x_m, start.y_m, start.heading_rad
     if isinstance(commands, TimedCommands) and scenario.plant.kind == "lagged":
-        from turtlelog.plants.lagged import LaggedRobot
-
         if is_rounded:
-            pose = {name: round_to_float32(value) for name, value in pose.items()}
-        robot = LaggedRobot(scenario.plant, **pose)
+            x_m, y_m, heading_rad = map(round_to_float32, (x_m, y_m, heading_rad))
+        robot = LaggedRobot(scenario.plant, x_m=x_m, y_m=y_m, heading_rad=heading_rad)
         return LaggedDrive(robot, commands, scenario, plant.period_ns)
-    if not scenario.disturbance.acts:
-        return TurtleDrive(Turtle(**pose, is_rounded=is_rounded, plant=plant), commands)
-    unwatched = replace(plant, watchdog_ns=math.inf)
-    turtle = Turtle(**pose, is_rounded=is_rounded, plant=unwatched)
+    is_pushed = scenario.disturbance.acts
+    turtle = Turtle(
+        x_m=x_m,
+        y_m=y_m,
+        heading_rad=heading_rad,
+        is_rounded=is_rounded,
+        plant=replace(plant, watchdog_ns=math.inf) if is_pushed else plant,
+    )
+    if not is_pushed:
+        return TurtleDrive(turtle, commands)
     return PushedTurtleDrive(turtle, commands, plant, _Disturbed(scenario, plant.period_ns))

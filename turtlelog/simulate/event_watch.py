@@ -14,7 +14,7 @@ class EventWatch:
     """Turns what changed since the last tick into events."""
 
     def __init__(self, drive: Drive, controller: Controller, commands: CommandQueue) -> None:
-        self._drive, self._controller, self._commands = drive, controller, commands
+        self._body, self._controller, self._commands = drive.body, controller, commands
         self._was_at_wall = False
         self._lost_poses = self._lost_commands = 0
 
@@ -22,7 +22,7 @@ class EventWatch:
         self, time_ns: int, stop_reason: str | None, *, answered: bool
     ) -> tuple[Event, ...]:
         """Return the events of a tick, whose samples are `answered`."""
-        at_wall = self._drive.hit_wall
+        at_wall = self._body.hit_wall
         # What a blocked controller misses becomes one event, told when it is back.
         lost_poses = (self._controller.dropped - self._lost_poses) if answered else 0
         lost_commands = self._commands.dropped - self._lost_commands
@@ -32,7 +32,7 @@ class EventWatch:
             return ()
         self._lost_poses += lost_poses
         self._lost_commands += lost_commands
-        x_m, y_m, *_ = self._drive.state
+        x_m, y_m, *_ = self._body.state
         found = {
             "wall_hit": hit_wall
             and f"The turtle hit the wall at x = {x_m:.3f} m, y = {y_m:.3f} m.",

@@ -163,7 +163,8 @@ class LawDriver:
         if not -turn_limit <= turn_rate <= turn_limit:
             turn_rate = copysign(turn_limit, turn_rate)
         distance = hypot(decision.error_x_m, decision.error_y_m)  # type: ignore[arg-type]
-        published_ns = time_ns + decision.blocks_ticks * self._tick_ns
+        blocks = decision.blocks_ticks
+        published_ns = time_ns + blocks * self._tick_ns if blocks else time_ns
         return Sample(
             time_ns,
             sequence,

@@ -39,11 +39,8 @@ class CommandQueue:
 
     def take(self, tick: int) -> Sample | None:
         """Return the command that a step begins with, None where none has arrived."""
-        while self._transport and self._transport[0][0] < tick:
-            self._append(self._transport.popleft()[1])
-        return self._pop()
-
-    def _pop(self) -> Sample | None:
+        if self._transport:
+            self._receive(tick)
         if not self._queue:
             return None
         if not self._newest_only:
@@ -51,6 +48,11 @@ class CommandQueue:
         newest = self._queue.pop()
         self._queue.clear()
         return newest
+
+    def _receive(self, tick: int) -> None:
+        """Queue the commands that have arrived before a step."""
+        while self._transport and self._transport[0][0] < tick:
+            self._append(self._transport.popleft()[1])
 
     def _append(self, command: Sample) -> None:
         full = len(self._queue) == self._queue.maxlen
@@ -130,6 +132,12 @@ class TimedCommands(CommandQueue):
 
     def take(self, tick: int) -> Sample | None:
         """Return the command that a step begins with, None where none has arrived."""
+        self._receive(tick)
+        if len(self._queue) < (self._queue.maxlen or 0):
+            self.pushed_out.end_stretch()
+        return super().take(tick)
+
+    def _receive(self, tick: int) -> None:
         until_ns = tick * self._period_ns + self._causal_ns
         while self._transport and self._transport[0][0] < until_ns:
             arrival_ns, command = self._transport.popleft()
@@ -137,9 +145,6 @@ class TimedCommands(CommandQueue):
             self._append(command)
             if self.dropped > dropped:
                 self.pushed_out.add(arrival_ns)
-        if len(self._queue) < (self._queue.maxlen or 0):
-            self.pushed_out.end_stretch()
-        return self._pop()
 
     def list_arrived(self, until_ns: int) -> Iterator[tuple[int, Sample]]:
         """Yield the commands that arrive before a time, past the queue, with their times [ns]."""
