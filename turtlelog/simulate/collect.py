@@ -100,8 +100,7 @@ class RunCollector:
         if not self.has_samples:
             raise SimulationError(
                 f"{scenario.name}: expected a pose answered within max_duration_s ="
-                f" {scenario.max_duration_s}, found none: start_backlog ="
-                f" {scenario.loop.start_backlog} poses come first"
+                f" {scenario.max_duration_s}, found none: {_describe_wait(scenario)}"
             )
         has_goal = self._declaration.uses_goal
         return Run(
@@ -118,6 +117,14 @@ class RunCollector:
             stop_reason=self._stop_reason,
             events=tuple(self._events),
         )
+
+
+def _describe_wait(scenario: Scenario) -> str:
+    """Return what the first answer waits for."""
+    sensing, backlog = scenario.sensing, scenario.loop.start_backlog
+    effects = {"dropout_probability": sensing.dropout_probability, "delay_s": sensing.delay_s}
+    others = [f", sensing.{key} = {value:g}" for key, value in effects.items() if value]
+    return f"start_backlog = {backlog} poses come first{''.join(others)}"
 
 
 def _pack_sensed(ticks: Iterable[Tick], packed: bytearray) -> Iterator[Tick]:
