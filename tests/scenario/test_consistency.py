@@ -49,6 +49,18 @@ REFUSED = [
         "[shaping]\ndead_zone_speed_m_s = 1.1",
         "shaping.dead_zone_speed_m_s: expected no more than limits.speed_m_s = 1, found 1.1",
     ),
+    (
+        "[sensing]\nbias_position_m = -1.1e6",
+        "sensing.bias_position_m: expected a number from -1000000 to 1000000, found -1100000.0",
+    ),
+    (
+        "[disturbance]\nnoise_speed = 1.1e6",
+        "disturbance.noise_speed: expected a number from 0 to 1000000, found 1100000.0",
+    ),
+    (
+        f"{LAGGED}turn_gain = 1.1e6",
+        "plant.turn_gain: expected a number from -1000000 to 1000000, found 1100000.0",
+    ),
     ("[limits]\njerk_m_s3 = 0", "limits.jerk_m_s3: expected a number > 0, found 0"),
     ("[sensing]\nnoise_heading_rad = nan", "sensing.noise_heading_rad: expected a finite number,"),
     (

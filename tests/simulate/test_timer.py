@@ -113,7 +113,7 @@ def test_timer_reads_only_poses_that_have_arrived() -> None:
 
 
 def test_one_firing_waits_while_the_law_blocks_then_the_grid_goes_on() -> None:
-    timer = {"loop__trigger": "timer", "loop__period_s": 0.01}
+    timer: dict[str, Any] = {"loop__trigger": "timer", "loop__period_s": 0.01}
     controller = make_controller(Blocking(at=2, ticks=3), **timer)
     computed, published = run_controller(controller, 6)
     # Sample 2 at 20 ms blocks for 48 ms, until 68 ms; the grid is at 70 ms.
@@ -123,26 +123,26 @@ def test_one_firing_waits_while_the_law_blocks_then_the_grid_goes_on() -> None:
 
 
 def test_firing_at_the_end_of_a_block_is_answered_once() -> None:
-    timer = {"loop__trigger": "timer", "loop__period_s": 0.008}
+    timer: dict[str, Any] = {"loop__trigger": "timer", "loop__period_s": 0.008}
     computed, _ = run_controller(make_controller(Blocking(at=0, ticks=2), **timer), 4)
     assert list_times_ms(computed) == [0, 32, 40, 48, 56]
 
 
 def test_block_between_two_firings_leaves_the_grid_alone() -> None:
-    timer = {"loop__trigger": "timer", "loop__period_s": 0.05}
+    timer: dict[str, Any] = {"loop__trigger": "timer", "loop__period_s": 0.05}
     computed, published = run_controller(make_controller(Blocking(at=0, ticks=2), **timer), 8)
     assert list_times_ms(computed) == [0, 50, 100]
     assert [s.published_ns / 1e6 for s in published] == [32, 50, 100]
 
 
 def test_nothing_is_answered_after_the_end_though_the_tick_goes_on() -> None:
-    timer = {"loop__trigger": "timer", "loop__period_s": 0.004}
+    timer: dict[str, Any] = {"loop__trigger": "timer", "loop__period_s": 0.004}
     computed, _ = run_controller(make_controller(Blocking(stops_at=2), **timer), 1)
     assert list_times_ms(computed) == [0, 4, 8]
 
 
 def test_blocked_end_is_published_when_the_block_ends() -> None:
-    timer = {"loop__trigger": "timer", "loop__period_s": 0.004}
+    timer: dict[str, Any] = {"loop__trigger": "timer", "loop__period_s": 0.004}
     controller = make_controller(Blocking(at=1, ticks=1, stops_at=1), **timer)
     computed, published = run_controller(controller, 2)
     assert list_times_ms(computed) == [0, 4]
@@ -159,7 +159,7 @@ def test_delayed_poses_wait_while_the_law_blocks_and_come_in_one_burst() -> None
 
 
 def test_delayed_poses_beyond_the_queue_are_dropped() -> None:
-    changes = {"sensing__delay_s": 0.005, "loop__pose_queue": 2}
+    changes: dict[str, Any] = {"sensing__delay_s": 0.005, "loop__pose_queue": 2}
     controller = make_controller(Blocking(at=0, ticks=5), **changes)
     computed, _ = run_controller(controller, 7)
     assert [s.pose_sequence for s in computed] == [0, 4, 5, 6]

@@ -1,6 +1,7 @@
 """What becomes of commands between controller and plant."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,11 +12,11 @@ from turtlelog.run import Run
 from turtlelog.simulate import simulate_run
 
 
-def simulate_numbers(count: int = 600, **changes: object) -> Run:
+def simulate_numbers(count: int = 600, **changes: Any) -> Run:
     """Send the commands 1, 2, 3 ... [mm/s], one per pose, so that each names itself."""
     times = tuple(0.016 * number for number in range(count + 1))
     speeds = tuple(0.001 * number for number in range(1, count + 1))
-    law = {
+    law: dict[str, Any] = {
         "law__kind": "open-loop",
         "law__signal": "sequence",
         "law__time_s": times,
@@ -52,7 +53,10 @@ def draw_uniform(number: int, count: int) -> NDArray[np.float64]:
     ],
 )
 def test_dead_time_is_the_delay_in_whole_ticks(ticks: int, delay_s: float, dead_time: int) -> None:
-    delays = {"loop__transport_delay_ticks": ticks, "loop__transport_delay_s": delay_s}
+    delays: dict[str, Any] = {
+        "loop__transport_delay_ticks": ticks,
+        "loop__transport_delay_s": delay_s,
+    }
     applied = read_numbers(simulate_numbers(20, **delays))
     assert not applied[: 1 + dead_time].any()
     assert np.array_equal(applied[1 + dead_time :], np.arange(1, len(applied) - dead_time))
@@ -77,7 +81,7 @@ def test_commands_without_a_loss_are_those_of_a_loop_without_transport() -> None
 
 @pytest.mark.parametrize("policy", ["one-per-tick", "newest"])
 def test_jittered_commands_never_overtake(policy: str) -> None:
-    jitter = {"loop__jitter_s": 0.08, "loop__queue_policy": policy}
+    jitter: dict[str, Any] = {"loop__jitter_s": 0.08, "loop__queue_policy": policy}
     run = simulate_numbers(**jitter)
     applied = read_numbers(run)
     assert (np.diff(applied) >= 0).all()
@@ -101,7 +105,10 @@ def test_late_command_holds_up_those_behind_it() -> None:
 
 
 def test_repeated_command_is_taken_twice_where_one_is_taken_per_tick() -> None:
-    changes = {"loop__repeat_probability": 0.1, "loop__queue_policy": "one-per-tick"}
+    changes: dict[str, Any] = {
+        "loop__repeat_probability": 0.1,
+        "loop__queue_policy": "one-per-tick",
+    }
     run = simulate_numbers(40, **changes)
     is_repeated = draw_uniform(6, 41)[:40] < 0.1
     assert 0 < is_repeated.sum() < 7
@@ -110,7 +117,10 @@ def test_repeated_command_is_taken_twice_where_one_is_taken_per_tick() -> None:
 
 
 def test_dropped_commands_are_one_event_per_stretch() -> None:
-    changes = {"loop__repeat_probability": 0.5, "loop__queue_policy": "one-per-tick"}
+    changes: dict[str, Any] = {
+        "loop__repeat_probability": 0.5,
+        "loop__queue_policy": "one-per-tick",
+    }
     run = simulate_numbers(400, **changes)
     events = [event for event in run.events if event.kind == "commands_dropped"]
     assert len(events) == 1
