@@ -111,16 +111,15 @@ class LaggedRobot:
         x_m: float,
         y_m: float,
         heading_rad: float = 0.0,
-        time_ns: int = 0,
     ) -> None:
-        """Stand still at a pose [m, m, rad] and a time [ns]; parameters: a scenario's `plant`."""
+        """Stand still at a pose [m, m, rad] at time 0; parameters: a scenario's `plant`."""
         self._speed = _Axis(
             parameters.speed_gain, parameters.speed_dead_time_s, parameters.speed_lag_s
         )
         self._turn = _Axis(parameters.turn_gain, parameters.turn_dead_time_s, parameters.turn_lag_s)
         self._pushes: deque[tuple[int, float, float]] = deque()
         self._x_m, self._y_m, self._heading_rad = x_m, y_m, heading_rad
-        self._now_ns = time_ns
+        self._now_ns = 0
 
     def take_command(self, time_ns: int, speed_m_s: float, turn_rate_rad_s: float) -> None:
         """Let a command arrive [ns], [m/s], [rad/s]; it holds until the next one.

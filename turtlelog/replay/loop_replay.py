@@ -88,8 +88,8 @@ def replay_loop(
     """Simulate the scenario of a recording again, and compare row by row.
 
     Ticks are matched by their time, samples by their number, commands by their order; times are
-    values like others. A log with one pose per sample is compared sample by sample, its clock not at all.
-    A recording that was cut may end before its replay.
+    values like others. A log with one pose per sample is compared sample by sample, its clock not
+    at all. A recording that was cut may end before its replay.
 
     Args:
         run: With ticks of exactly its plant's period, or with samples.

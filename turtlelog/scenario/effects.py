@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from turtlelog.errors import ParameterError
 from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
-from turtlelog.plants import LAGGED, TURTLESIM, Plant, build_lagged_plant
+from turtlelog.plants import LAGGED, LARGEST_M, TURTLESIM, Plant, build_lagged_plant
 
 MOST_S: Final = 1e6
 """Longest time [s]."""
