@@ -11,7 +11,6 @@ import msgspec
 from turtlelog.errors import SimulationError
 from turtlelog.log.interrupts import StopRequest, catch_stop
 from turtlelog.log.recording.recorder import INTERRUPTED
-from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Event, Run
 from turtlelog.scenario import Scenario, resolve_scenario
 from turtlelog.simulate import Tick, collect_run, iterate_ticks
@@ -63,7 +62,9 @@ class Pace:
         greatest_lag_s: By how much the latest [s].
     """
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        """Count a tick that is more than a period of the plant [s] late as late."""
+        self._period_s = period_s
         self.late_ticks, self.greatest_lag_s = 0, 0.0
         self._clock, self._start_s = clock, 0.0
 
@@ -75,7 +76,7 @@ class Pace:
         deadline_s = self._start_s + tick.time_ns / 1e9
         if now_s < deadline_s:
             self._clock.sleep(deadline_s - now_s)
-        elif now_s - deadline_s > TICK_S:
+        elif now_s - deadline_s > self._period_s:
             self.late_ticks += 1
             self.greatest_lag_s = max(self.greatest_lag_s, now_s - deadline_s)
 
@@ -116,7 +117,7 @@ def run_live(
         LogError: Where a recorder can take no more.
     """
     scenario = resolve_scenario(scenario)
-    pace = Pace(clock) if realtime else None
+    pace = Pace(clock, scenario.plant.facts.period_s) if realtime else None
     notes: dict[str, str] = {}
     with catch_stop() as request, ExitStack() as closing:
         for sink in reversed(sinks):

@@ -256,3 +256,56 @@ def test_steps_whose_commands_are_not_known_explain_nothing(noise: float, is_exa
     assert 0 < np.count_nonzero(run.samples.phase == sequential.ROTATE) < 40
     found = find_dead_time(add_noise(run, noise, seed=1) if noise else run, ROTATE)
     assert (isinstance(found, DeadTime) and found.is_exact) == is_exact
+
+
+LAGGED = {"plant__kind": "lagged"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "ticks"),
+    [
+        ({}, (0, 0)),
+        ({"plant__period_s": 0.048, "loop__transport_delay_ticks": 3}, (3, 3)),
+        ({"plant__turn_dead_time_s": 0.1, "plant__speed_dead_time_s": 0.15}, (2, 3)),
+        ({"plant__turn_gain": 0.8, "plant__speed_gain": 0.7}, (0, 0)),
+        ({"loop__transport_delay_s": 0.1}, (2, 2)),
+    ],
+    ids=["none", "transport", "own", "gain", "seconds"],
+)
+def test_robot_without_lag_has_the_dead_time_of_its_scenario(
+    changes: dict[str, Any], ticks: tuple[int, int]
+) -> None:
+    run = simulate("textbook", **LAGGED, **changes)
+    found = require_found(run, ROTATE), require_found(run, TRANSLATE)
+    assert (found[0].ticks, found[1].ticks) == ticks
+    assert all(one.is_exact for one in found)
+
+
+def test_dead_time_of_a_robot_with_a_lag_is_not_guessed() -> None:
+    run = simulate("textbook", **LAGGED, plant__turn_lag_s=0.1)
+    found = find_dead_time(run, ROTATE)
+    assert isinstance(found, Missing)
+    assert found.reason == "it cannot be told from the robot's lag (plant.turn_lag_s = 0.1)"
+
+
+def test_dead_time_that_is_no_whole_number_of_periods_is_not_rounded() -> None:
+    found = find_dead_time(simulate("textbook", **LAGGED, loop__transport_delay_s=0.12), ROTATE)
+    assert isinstance(found, Missing)
+    assert found.reason == "no whole number of periods up to 40 explains every step"
+
+
+@pytest.mark.parametrize("kind", ["turtlesim", "lagged"])
+def test_known_pushes_do_not_hide_the_dead_time(kind: str) -> None:
+    changes = {"disturbance__turn_rate_rad_s": 0.1, "disturbance__speed_m_s": -0.3}
+    times = {"disturbance__from_s": 1.01, "disturbance__to_s": 9.99}
+    run = simulate("paper-kp1", plant__kind=kind, max_duration_s=14.0, **changes, **times)
+    assert read_ticks(run, ROTATE) == 5
+    assert require_found(run, TRANSLATE).is_exact
+
+
+def test_random_pushes_make_a_dead_time_uncertain() -> None:
+    # Least squares of the way found 3 ticks here, where there are 6.
+    noise = {"disturbance__noise_speed": 0.01, "disturbance__noise_turn_rate": 0.003}
+    found = find_dead_time(simulate("paper-kp1", seed=4, **noise), TRANSLATE)
+    assert isinstance(found, Missing)
+    assert found.reason == "the disturbance is random and adds up along the way"

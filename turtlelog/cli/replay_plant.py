@@ -62,7 +62,9 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
     notes = [
         f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
         f" the plant stopped by itself {use.stops} times.",
-        "Rounding: what 32 bits of a stretch's first pose may grow to, along the way driven.",
+        "Rounding: one step of the 32 bits of a pose, for other platforms."
+        if tl.plants.find_plant(run).name == tl.plants.LAGGED
+        else "Rounding: what 32 bits of a stretch's first pose may grow to, along the way driven.",
     ]
     if use.unexplained_ticks:
         notes.append(

@@ -10,8 +10,16 @@ from numpy.typing import NDArray
 from turtlelog.errors import MeasureError, suggest_names
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure.metric import Missing, Status
-from turtlelog.measure.motion import LoopMotion, Values, read_loop_motion
+from turtlelog.measure.motion import (
+    LoopMotion,
+    Values,
+    name_lag,
+    pushes_at_random,
+    read_lag_s,
+    read_loop_motion,
+)
 from turtlelog.measure.response import describe_no_phase
+from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
 LARGEST_TICKS: Final = 40
@@ -85,6 +93,10 @@ def find_dead_time(run: Run, loop: ControlLoop | str) -> DeadTime | Missing:
     A log without noise agrees with one of them to the rounding of its poses; with noise, the one
     that leaves the smallest squares of the way is taken, if it is clearly better than the others.
     The standstill before a loop's first command acts is no evidence: commands may have been lost.
+    Of a robot with a lag there is none: that looks like dead time. Of a lagged robot whose lag is 0
+    there is one where a whole number of its periods explains every step. Pushes that the scenario
+    tells are known; those that are random add up along the way, and only what explains every step
+    counts.
 
     Args:
         run: With samples.
@@ -100,13 +112,30 @@ def find_dead_time(run: Run, loop: ControlLoop | str) -> DeadTime | Missing:
     motion = read_loop_motion(run, loop)
     if motion is None:
         return Missing(status=Status.NO_PHASE, reason=describe_no_phase(run, loop))
+    lag_s = read_lag_s(run, loop)
+    if lag_s > 0.0:
+        reason = f"it cannot be told from the robot's lag ({name_lag(loop)} = {lag_s:g})"
+        return Missing(status=Status.UNDETERMINED, reason=reason)
     moves = np.abs(motion.moved) > motion.rounding
     if np.count_nonzero(moves) < 2:
         return Missing(status=Status.TOO_SHORT, reason=f"nothing moves in {loop.name}")
     predicted, sure = motion.predict(_CANDIDATES)
     # Of a step of several ticks the first to move may have moved in some of them only.
     first = int(moves.argmax()) + (motion.step_ticks > 1)
-    return _choose(motion, motion.moved - predicted, sure, first)
+    found = _choose(motion, motion.moved - predicted, sure, first)
+    if isinstance(found, Missing) or found.is_exact:
+        return found
+    reason = _find_doubt(run, loop)
+    return Missing(status=Status.UNDETERMINED, reason=reason) if reason else found
+
+
+def _find_doubt(run: Run, loop: ControlLoop) -> str:
+    """Return why the scenario forbids a dead time that does not explain every step, or nothing."""
+    if pushes_at_random(run, loop):
+        return "the disturbance is random and adds up along the way"
+    if find_plant(run).name == LAGGED:
+        return f"no whole number of periods up to {LARGEST_TICKS} explains every step"
+    return ""
 
 
 def require_loop(declaration: Declaration, name: str) -> ControlLoop:

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from turtlelog.angles import subtract_headings
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.response import find_loop_samples
-from turtlelog.plants.turtlesim import TICK_NS, TICK_S, WORLD_SIZE_M
+from turtlelog.plants import LAGGED, Plant, find_plant
+from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -40,13 +41,15 @@ class LoopMotion:
     Attributes:
         time_ns: Time of the pose that each step begins at [ns], shape (n,).
         tick: Tick of that pose, shape (n,); rows of no known tick lie far apart.
-        moved: Turned [rad] or moved along the heading [m] in the step, shape (n,).
+        moved: Turned [rad] or moved along the heading [m] in the step, without what the scenario
+            says that pushes the robot, shape (n,).
         rounding: What the rounding of the two poses can make of it [rad or m], shape (n,).
         step_ticks: Ticks in a step: 1 where there is a pose per tick.
         tick_s: Length of a tick [s].
         sample_tick: Tick of the pose that each sample of the run read, shape (m,), rising.
         apart: Usual distance of these [ticks], at least 1.
-        command: Of each sample [rad/s or m/s], shape (m,).
+        command: What the plant makes of each sample's command, in the end [rad/s or m/s],
+            shape (m,): of a lagged robot times its gain.
     """
 
     time_ns: NDArray[np.int64]
@@ -87,12 +90,12 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
 
     None where it never acts. Steps across a gap, or against a wall, are left out.
     """
-    samples, poses = run.samples, run.poses
+    samples, poses, plant = run.samples, run.poses, find_plant(run)
     stretch = find_loop_samples(run, loop)
     if stretch is None:
         return None
     first, last = samples.pose_sequence[[stretch.start, stretch.stop - 1]]
-    tick, step_ticks, tick_s = _count_ticks(poses.time_ns)
+    tick, step_ticks, tick_s = _count_ticks(poses.time_ns, plant)
     # One pose may be answered once only, and in order.
     sample_tick = np.maximum.accumulate(tick[samples.pose_sequence])
     rows = np.arange(first, last)
@@ -101,25 +104,81 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         moved, rounding = _measure_turns(poses.heading_rad, rows)
         command = samples.turn_rate_rad_s
     else:
-        rows = rows[_find_free(poses.xy_m, rows)]
-        moved, rounding = _measure_moves(poses.xy_m, poses.heading_rad, rows)
+        rows = rows[_find_free(poses.xy_m, rows, plant)]
+        measure = _measure_arcs if plant.name == LAGGED else _measure_moves
+        moved, rounding = measure(poses.xy_m, poses.heading_rad, rows)
         command = samples.speed_m_s
     return LoopMotion(
         time_ns=poses.time_ns[rows],
         tick=tick[rows],
-        moved=moved,
+        moved=moved - _compute_pushed(run, loop, rows),
         rounding=rounding,
         step_ticks=step_ticks,
         tick_s=tick_s,
         sample_tick=sample_tick,
         apart=max(float(np.median(np.diff(sample_tick))), 1.0) if len(sample_tick) > 1 else 1.0,
-        command=command,
+        command=command * read_gain(run, loop),
     )
 
 
-def _count_ticks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int, float]:
+def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Values:
+    """Return what the pushes of the recorded scenario move in each step [rad or m]."""
+    rate = _read_number(run, f"disturbance.{_UNITS[loop.command]}", 0.0)
+    if not rate:
+        return np.zeros(len(rows))
+    from_ns = 1e9 * _read_number(run, "disturbance.from_s", 0.0)
+    to_ns = 1e9 * _read_number(run, "disturbance.to_s", np.inf)
+    start_ns, end_ns = run.poses.time_ns[rows], run.poses.time_ns[rows + 1]
+    if find_plant(run).name == LAGGED:
+        pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)
+    else:  # turtlesim applies to a whole step what it has at its end
+        pushed_ns = np.where((end_ns >= from_ns) & (end_ns < to_ns), end_ns - start_ns, 0)
+    return np.asarray(rate * np.maximum(pushed_ns, 0.0) / 1e9)
+
+
+def read_gain(run: Run, loop: ControlLoop) -> float:
+    """Return the gain of the plant from a loop's command to its rate [1]."""
+    return _read_plant(run, loop, "gain", 1.0)
+
+
+def read_lag_s(run: Run, loop: ControlLoop) -> float:
+    """Return the time constant with which the plant follows a loop's command [s]."""
+    return _read_plant(run, loop, "lag_s", 0.0)
+
+
+def name_lag(loop: ControlLoop) -> str:
+    """Return the key of that time constant in a scenario."""
+    return f"plant.{_AXES[loop.command]}_lag_s"
+
+
+_AXES: Final = {"turn_rate": "turn", "speed": "speed"}
+"""How the keys of a lagged plant begin, by command."""
+
+_UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
+"""How the keys of a push end, by command."""
+
+
+def pushes_at_random(run: Run, loop: ControlLoop) -> bool:
+    """Return whether the scenario has noise that moves what a loop's command moves."""
+    return _read_number(run, f"disturbance.noise_{loop.command}", 0.0) > 0.0
+
+
+def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float:
+    if find_plant(run).name != LAGGED:
+        return default
+    return _read_number(run, f"plant.{_AXES[loop.command]}_{name}", default)
+
+
+def _read_number(run: Run, key: str, default: float) -> float:
+    value = run.parameters.get(key)
+    return float(value) if isinstance(value, int | float) else default
+
+
+def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.int64], int, float]:
     """Return the tick of each pose, the usual ticks in a step, and the length of a tick [s]."""
     step_ns = np.diff(time_ns)
+    if plant.name == LAGGED:
+        return (time_ns - time_ns[0]) // plant.period_ns, 1, plant.period_s
     if not len(step_ns):
         return np.zeros(len(time_ns), dtype=np.int64), 1, TICK_S
     usual_ns = float(np.median(step_ns))
@@ -149,6 +208,18 @@ def _measure_moves(
     return moved, ((half[rows] + half[rows + 1]) * np.abs(along)).sum(axis=1) + _EXACT
 
 
+def _measure_arcs(
+    xy_m: Values, heading_rad: Values, rows: NDArray[np.int64]
+) -> tuple[Values, Values]:
+    # A robot turns while it moves: along an arc, whose chord has the mean heading.
+    half_rad = 0.5 * subtract_headings(heading_rad[rows + 1], heading_rad[rows])
+    mean_rad = heading_rad[rows] + half_rad
+    along = np.column_stack([np.cos(mean_rad), np.sin(mean_rad)])
+    half = _find_half_steps(xy_m)
+    moved = ((xy_m[rows + 1] - xy_m[rows]) * along).sum(axis=1) / np.sinc(half_rad / np.pi)
+    return moved, ((half[rows] + half[rows + 1]) * np.abs(along)).sum(axis=1) + _EXACT
+
+
 def _find_half_steps(values: Values) -> Values:
     """Return half the spacing of 32-bit floats at each value, 0 where values have more bits."""
     if (values != values.astype(np.float32)).any():
@@ -157,6 +228,6 @@ def _find_half_steps(values: Values) -> Values:
     return half
 
 
-def _find_free(xy_m: Values, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    free = (xy_m[rows + 1] > 0.0) & (xy_m[rows + 1] < WORLD_SIZE_M)
+def _find_free(xy_m: Values, rows: NDArray[np.int64], plant: Plant) -> NDArray[np.bool_]:
+    free = (xy_m[rows + 1] > plant.low_m) & (xy_m[rows + 1] < plant.high_m)
     return np.asarray(free.all(axis=1))

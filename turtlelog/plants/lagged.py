@@ -13,6 +13,14 @@ from typing import Final, Protocol
 import numpy as np
 
 from turtlelog.angles import wrap_angle
+from turtlelog.plants.turtlesim import TURTLESIM, Plant
+from turtlelog.run import Run
+
+LAGGED: Final = "lagged"
+"""The kind of plant, as scenarios name it."""
+
+LARGEST_M: Final = 1e6
+"""Farthest from the origin that it starts or goes [m]: a double tells 0.1 nm apart there."""
 
 _GAUSS: Final = tuple(
     (0.5 + 0.5 * float(node), 0.5 * float(weight))
@@ -31,6 +39,28 @@ than a coordinate of 10 m can tell."""
 _MOST_TURN_RAD: Final = 1000.0
 """Turn within one advance that the quadrature follows [rad]; it would take forever with a loop that
 runs away."""
+
+
+def build_lagged_plant(period_ns: int) -> Plant:
+    """Return the facts of such a robot that publishes a pose per period [ns]."""
+    return Plant(
+        name=LAGGED,
+        period_ns=period_ns,
+        low_m=-LARGEST_M,
+        high_m=LARGEST_M,
+        watchdog_ns=inf,
+    )
+
+
+def find_plant(run: Run) -> Plant:
+    """Return the plant that a run is of, as its parameters tell.
+
+    turtlesim where they do not: of a robot's own recordings no plant is known.
+    """
+    period_s = run.parameters.get("plant.period_s")
+    if run.parameters.get("plant.kind") != LAGGED or not isinstance(period_s, int | float):
+        return TURTLESIM
+    return build_lagged_plant(max(round(period_s * 1e9), 1))
 
 
 class LaggedParameters(Protocol):
@@ -81,16 +111,15 @@ class LaggedRobot:
         x_m: float,
         y_m: float,
         heading_rad: float = 0.0,
-        time_ns: int = 0,
     ) -> None:
-        """Stand still at a pose [m, m, rad] and a time [ns]; parameters: a scenario's `plant`."""
+        """Stand still at a pose [m, m, rad] at time 0; parameters: a scenario's `plant`."""
         self._speed = _Axis(
             parameters.speed_gain, parameters.speed_dead_time_s, parameters.speed_lag_s
         )
         self._turn = _Axis(parameters.turn_gain, parameters.turn_dead_time_s, parameters.turn_lag_s)
         self._pushes: deque[tuple[int, float, float]] = deque()
         self._x_m, self._y_m, self._heading_rad = x_m, y_m, heading_rad
-        self._now_ns = time_ns
+        self._now_ns = 0
 
     def take_command(self, time_ns: int, speed_m_s: float, turn_rate_rad_s: float) -> None:
         """Let a command arrive [ns], [m/s], [rad/s]; it holds until the next one.

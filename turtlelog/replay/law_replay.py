@@ -20,7 +20,7 @@ from turtlelog.laws import Law, Pose
 from turtlelog.log.recording.contents import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
-from turtlelog.plants.turtlesim import TICK_NS
+from turtlelog.plants import find_plant
 from turtlelog.replay.run_pairs import compare_last_decision, has_ticks
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
@@ -196,7 +196,7 @@ def _pair_pauses(run: Run, blocks_ticks: NDArray[np.int64]) -> list[Pairing]:
             signal="pause",
             unit="tick",
             time_ns=run.samples.time_ns[:rows],
-            recorded=held_ns / TICK_NS,
+            recorded=held_ns / find_plant(run).period_ns,
             replayed=blocks_ticks[:rows],
         )
     ]

@@ -14,7 +14,7 @@ from turtlelog.differences import (
 )
 from turtlelog.errors import ReplayError
 from turtlelog.escapes import escape_controls
-from turtlelog.plants.turtlesim import TICK_NS
+from turtlelog.plants import find_plant
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.run_pairs import (
     RowCount,
@@ -87,12 +87,12 @@ def replay_loop(
 ) -> LoopReplay:
     """Simulate the scenario of a recording again, and compare row by row.
 
-    Ticks are matched by their number, samples by theirs, commands by their order; times are values
-    like others. A log with one pose per sample is compared sample by sample, its clock not at all.
-    A recording that was cut may end before its replay.
+    Ticks are matched by their time, samples by their number, commands by their order; times are
+    values like others. A log with one pose per sample is compared sample by sample, its clock not
+    at all. A recording that was cut may end before its replay.
 
     Args:
-        run: With ticks of exactly 16 ms, or with samples.
+        run: With ticks of exactly its plant's period, or with samples.
         scenario: Otherwise that of the recording; a changed one answers "what if".
         tolerance: Differences up to this one are none, in each signal's unit.
         trust_law: Run the law that the recording names, where it is not built in: its code.
@@ -107,9 +107,9 @@ def replay_loop(
     by_tick = has_ticks(run)
     if not by_tick and not len(run.samples):
         raise ReplayError(
-            f"{run.name}: expected a pose per tick of exactly {TICK_NS / 1e6:g} ms, or the samples"
-            f" of a controller, found neither; --plant drives recorded commands through the plant:"
-            f" {run.source}"
+            f"{run.name}: expected a pose per tick of exactly"
+            f" {find_plant(run).period_ns / 1e6:g} ms, or the samples of a controller, found"
+            f" neither; --plant drives recorded commands through the plant: {run.source}"
         )
     scenario = restore_scenario(run) if scenario is None else scenario
     scenario = resolve_scenario(scenario, trust_law=trust_law)

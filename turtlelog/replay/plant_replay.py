@@ -16,7 +16,9 @@ from turtlelog.differences import (
     find_earliest,
 )
 from turtlelog.escapes import escape_controls
+from turtlelog.plants import LAGGED, find_plant
 from turtlelog.plants.turtlesim import TICK_S, Turtle
+from turtlelog.replay.lagged_drive import drive_lagged
 from turtlelog.replay.plant_ticks import (
     CommandUse,
     Gap,
@@ -34,6 +36,9 @@ _HALF_STEP_M: Final = 2.0**-21
 
 _HALF_STEP_RAD: Final = 2.0**-23
 """Half a 32-bit step of a heading between 2 and 4 rad [rad]."""
+
+_RIGHT: Final = 1e-9
+"""How exactly a lagged robot's position is known [m]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +61,8 @@ class PlantStretch:
         max_abs_error: Over all its poses.
         signals: x, y [m] and heading [rad], with what rounding explains as their limit.
         rounding_m: What 32-bit rounding of the first pose may grow to, along the way driven [m];
-            the plant's own state is in double precision, and not recorded.
+            the plant's own state is in double precision, and not recorded. Of a lagged robot, whose
+            start is known, one step of 32 bits at the largest coordinate.
         rounding_rad: The same for the heading [rad].
     """
 
@@ -115,14 +121,18 @@ class PlantReplay:
 
 
 def replay_plant(run: Run) -> PlantReplay:
-    """Drive the plant with the commands of a turtlesim recording and compare the poses.
+    """Drive the plant with the commands of a recording and compare the poses.
 
-    The poses' applied velocities tell in which tick each command was taken. After each jump or gap
-    the plant starts again from the recorded pose.
+    Of turtlesim the poses' applied velocities tell in which tick each command was taken. After each
+    jump or gap the plant starts again from the recorded pose. A lagged robot is driven from its
+    start to the end; when a command reaches it, its scenario tells.
 
     Raises:
-        ReplayError: Where the run holds no applied velocities, or its poses are no ticks.
+        ReplayError: Where the run holds no applied velocities, or its poses are no ticks; of a
+            lagged robot where it does not hold its whole scenario, start and commands.
     """
+    if find_plant(run).name == LAGGED:
+        return _replay_lagged(run)
     motion = read_motion(run)
     jumps, gaps, starts = find_breaks(motion)
     velocities, use = place_commands(motion, run.commands, frozenset(starts))
@@ -156,15 +166,52 @@ def _replay_stretch(
         turtle.step()
         states.append(turtle.state[:3])
         driven_m += hypot(forward, left) * TICK_S
-    recorded = np.column_stack([motion.xy_m, motion.heading_rad])[first:after]
-    replayed = _round_alike(np.array(states), recorded)
-    rounding_m, rounding_rad = 3.0 * _HALF_STEP_M + driven_m * _HALF_STEP_RAD, 2.0 * _HALF_STEP_RAD
+    return _compare_stretch(
+        motion.time_ns[first:after],
+        recorded=np.column_stack([motion.xy_m, motion.heading_rad])[first:after],
+        states=np.array(states),
+        rounding_m=3.0 * _HALF_STEP_M + driven_m * _HALF_STEP_RAD,
+        rounding_rad=2.0 * _HALF_STEP_RAD,
+    )
+
+
+def _replay_lagged(run: Run) -> PlantReplay:
+    found, poses = drive_lagged(run), run.poses
+    farthest_m = float(np.abs(poses.xy_m).max())
+    stretch = _compare_stretch(
+        poses.time_ns,
+        recorded=np.column_stack([poses.xy_m, poses.heading_rad]),
+        states=found.states,
+        rounding_m=max(float(np.spacing(np.float32(farthest_m))), _RIGHT),
+        rounding_rad=2.0 * _HALF_STEP_RAD,
+    )
+    return PlantReplay(
+        name=run.name,
+        samples=len(poses),
+        max_abs_error=stretch.max_abs_error,
+        first_difference=stretch.first_difference,
+        stretches=(stretch,),
+        jumps=(),
+        gaps=found.gaps,
+        commands=found.commands,
+    )
+
+
+def _compare_stretch(
+    time_ns: NDArray[np.int64],
+    *,
+    recorded: NDArray[np.float64],
+    states: NDArray[np.float64],
+    rounding_m: float,
+    rounding_rad: float,
+) -> PlantStretch:
+    replayed = _round_alike(states, recorded)
     signals = tuple(
         compare_pairing(
             Pairing(
                 signal=name,
                 unit="rad" if name == "heading" else "m",
-                time_ns=motion.time_ns[first:after],
+                time_ns=time_ns,
                 recorded=recorded[:, column],
                 replayed=replayed[:, column],
                 kind="angle" if name == "heading" else "number",
@@ -174,9 +221,9 @@ def _replay_stretch(
         for column, name in enumerate(("x", "y", "heading"))
     )
     return PlantStretch(
-        start_ns=int(motion.time_ns[first]),
-        end_ns=int(motion.time_ns[after - 1]),
-        ticks=after - first - 1,
+        start_ns=int(time_ns[0]),
+        end_ns=int(time_ns[-1]),
+        ticks=len(time_ns) - 1,
         max_abs_error=find_pose_error(signals),
         signals=signals,
         rounding_m=rounding_m,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.differences import Difference, Pairing
 from turtlelog.laws import Decision
-from turtlelog.plants.turtlesim import TICK_NS
+from turtlelog.plants import find_plant
 from turtlelog.replay.sample_pairs import (
     Answers,
     count_missing,
@@ -31,15 +31,17 @@ class RowCount:
 
 def has_ticks(run: Run) -> bool:
     """Whether a run holds its poses tick by tick, as a simulation does."""
-    return run.poses.speed_m_s is not None and not (run.poses.time_ns % TICK_NS).any()
+    is_whole = not (run.poses.time_ns % find_plant(run).period_ns).any()
+    return run.poses.speed_m_s is not None and is_whole
 
 
 def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
-    """Yield poses matched by the number of their tick, samples by theirs, commands by order."""
-    ticks = run.poses.time_ns // TICK_NS
-    rows = np.flatnonzero((ticks >= 0) & (ticks < len(replayed.poses)))
-    yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, ticks[rows])
-    yield from _pair_applied(run.poses, replayed.poses, rows, ticks[rows])
+    """Yield poses matched by the time of their tick, samples by number, commands by order."""
+    _, rows, others = np.intersect1d(
+        run.poses.time_ns, replayed.poses.time_ns, assume_unique=True, return_indices=True
+    )
+    yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, others)
+    yield from _pair_applied(run.poses, replayed.poses, rows, others)
     if len(run.samples):
         rows, others = _match_samples(run, replayed)
         yield from _pair_answers(run, replayed, rows, others)
@@ -87,7 +89,7 @@ def find_count_difference(run: Run, name: str, count: RowCount) -> Difference | 
 
 
 def _has_holes(run: Run) -> bool:
-    ticks = run.poses.time_ns // TICK_NS
+    ticks = run.poses.time_ns // find_plant(run).period_ns
     return bool(count_missing(run.samples)) or (
         has_ticks(run) and int(ticks[-1]) + 1 != len(run.poses)
     )
@@ -152,9 +154,14 @@ def _pair_clocks(run: Run, replayed: Run, rows: Rows, others: Rows) -> Iterator[
         signal="pose_read",
         unit="tick",
         time_ns=time_ns,
-        recorded=run.poses.time_ns[run.samples.pose_sequence[rows]] // TICK_NS,
-        replayed=replayed.samples.pose_sequence[others],
+        recorded=_count_ticks_read(run)[rows],
+        replayed=_count_ticks_read(replayed)[others],
     )
+
+
+def _count_ticks_read(run: Run) -> Rows:
+    """Return the number of the tick whose pose each sample read."""
+    return run.poses.time_ns[run.samples.pose_sequence] // find_plant(run).period_ns
 
 
 def _pair_commands(run: Run, replayed: Run) -> Iterator[Pairing]:

@@ -11,10 +11,7 @@ from msgspec import Meta
 
 from turtlelog.errors import ParameterError
 from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
-from turtlelog.plants import TURTLESIM, Plant
-
-LARGEST_M: Final = 1e6
-"""Farthest from the origin [m]: a double tells 0.1 nm apart there."""
+from turtlelog.plants import LAGGED, LARGEST_M, TURTLESIM, Plant, build_lagged_plant
 
 MOST_S: Final = 1e6
 """Longest time [s]."""
@@ -25,8 +22,6 @@ Size = Annotated[float, Meta(ge=0.0, le=LARGEST_M)]
 Offset = Annotated[float, Meta(ge=-LARGEST_M, le=LARGEST_M)]
 Period = Annotated[float, Meta(ge=0.001, le=1.0)]
 Time = Annotated[float, Meta(ge=0.0, le=MOST_S)]
-
-_LAGGED: Final = "lagged"
 
 
 def absent(default: Any, *, may_be_infinite: bool = False) -> Any:
@@ -67,7 +62,7 @@ class PlantChoice:
     def __post_init__(self) -> None:
         own = {name: getattr(self, name) for name in _ROBOT_DEFAULTS}
         given = {name: value for name, value in own.items() if value is not None}
-        if self.kind == _LAGGED:
+        if self.kind == LAGGED:
             for name, value in (_ROBOT_DEFAULTS | given).items():
                 object.__setattr__(self, name, value)
         elif given:
@@ -77,16 +72,9 @@ class PlantChoice:
     @property
     def facts(self) -> Plant:
         """What the loop around the plant needs to know of it."""
-        if self.kind != _LAGGED:
+        if self.kind != LAGGED:
             return TURTLESIM
-        period_ns = round((self.period_s or 0.0) * 1e9)
-        return Plant(
-            name=_LAGGED,
-            period_ns=period_ns,
-            low_m=-LARGEST_M,
-            high_m=LARGEST_M,
-            watchdog_ns=float("inf"),
-        )
+        return build_lagged_plant(round((self.period_s or 0.0) * 1e9))
 
 
 _ROBOT_DEFAULTS: Final = {
