@@ -133,7 +133,7 @@ def test_unknown_signal_is_refused_with_those_that_are_known() -> None:
     line = f"signal 'z': expected {', '.join([*SIGNALS][:14])}, ..."
     with pytest.raises(MeasureError, match=rf"\A{re.escape(line)}\Z"):
         read_signal(make_run(), "z")
-    with pytest.raises(MeasureError, match=r"'headin': expected heading or heading_error\Z"):
+    with pytest.raises(MeasureError, match=r"'headin': expected heading, heading_error or sensed_"):
         read_signal(make_run(), "headin")
 
 
