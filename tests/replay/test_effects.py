@@ -12,7 +12,7 @@ from tests.effects_cases import EFFECTS, SENSED, SHAPED, build_case
 from tests.log.recording.ticks import assert_same_columns, record_ticks
 from tests.log.runs import assert_same
 from turtlelog.log import read_recording, write_recording
-from turtlelog.replay import LawReplay, LoopReplay, replay_law, replay_loop
+from turtlelog.replay import LawReplay, LoopReplay, replay_law, replay_loop, replay_plant
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import collect_run, iterate_ticks, simulate_run
 
@@ -45,7 +45,7 @@ def test_any_two_effects_are_recorded_read_and_replayed(first: str, tmp_path: Pa
             assert not {*replayed.absent} & {*SENSED_SIGNALS, *SHAPED_SIGNALS}
 
 
-@pytest.mark.parametrize("effect", [*SENSED, *SHAPED, "timer"])
+@pytest.mark.parametrize("effect", [*sorted(SENSED | SHAPED), "timer"])
 def test_what_is_sensed_and_shaped_is_compared(effect: str) -> None:
     run = simulate_run(build_case(effect, max_duration_s=0.6))
     law, loop = replay_law(run), replay_loop(run)
@@ -91,3 +91,25 @@ def test_shaping_is_passed_anew() -> None:
     for first in (replay_law(found).first_difference, replay_loop(found).first_difference):
         assert first is not None
         assert first.signal == "shaped_turn_rate"
+
+
+@pytest.mark.parametrize("effect", ["disturbance", "disturbance_noise"])
+def test_the_plant_is_driven_with_what_it_integrated(effect: str) -> None:
+    run = simulate_run(build_case(effect, max_duration_s=1.5))
+    found = replay_plant(run)
+    assert found.first_difference is None
+    # From 0.3 s to below 1.1 s: ticks 19 to 68; noise acts from the first tick on.
+    ticks = 50 if effect == "disturbance" else len(run.poses)
+    assert found.commands.disturbed_ticks == found.commands.unexplained_ticks == ticks
+    assert found.commands.never_arrived == 0
+    unknown = replay_plant(replace(run, parameters={})).commands
+    assert (unknown.disturbed_ticks, unknown.unexplained_ticks) == (0, ticks)
+
+
+def test_commands_that_never_arrive_are_counted() -> None:
+    run = simulate_run(build_case("loss", max_duration_s=1.5))
+    found = replay_plant(run)
+    assert found.first_difference is None
+    assert found.commands.never_arrived > 10
+    assert found.commands.taken > len(run.commands) - found.commands.never_arrived
+    assert (found.commands.disturbed_ticks, found.commands.unexplained_ticks) == (0, 0)
