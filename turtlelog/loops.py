@@ -76,6 +76,7 @@ SIGNAL_NAMES: Final = frozenset(
         *("x", "y", "heading", "speed", "turn_rate", "wanted_speed", "wanted_turn_rate"),
         *("shaped_speed", "shaped_turn_rate", "applied_speed", "applied_turn_rate"),
         *("measured_speed", "measured_turn_rate", "error_x", "error_y", "distance"),
+        *("sensed_x", "sensed_y", "sensed_heading"),
         *("heading_error", "along_track", "cross_track", "phase"),
     }
 )

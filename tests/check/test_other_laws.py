@@ -100,7 +100,7 @@ UNDECIDED: Mapping[str, tuple[dict[str, str], str]] = {
     "state": (
         {"holds": "not always(integral > 0)"},
         "unknown name 'integral'; there are x, y, heading, speed, turn_rate, wanted_speed,"
-        " wanted_turn_rate, error_x, ... (the law of this run has memory)",
+        " wanted_turn_rate, shaped_speed, ... (the law of this run has memory)",
     ),
     "typo": (
         {"holds": "always(cros_track < 1)"},

@@ -6,10 +6,13 @@ from hypothesis import given, strategies as st
 
 import turtlelog as tl
 from tests.compare.runs import make_run
+from tests.effects_cases import build_case
 from turtlelog.errors import CompareError
 
 KP4 = tl.simulate_run(tl.load_scenario("paper-kp4"))
 KP1 = tl.simulate_run(tl.load_scenario("paper-kp1"))
+HELD = {name for name in tl.SIGNALS if not name.startswith(("sensed_", "shaped_"))}
+"""Without a sensor and without shaping."""
 
 
 def shift_poses(run: tl.Run, row: int, by_m: float) -> tl.Run:
@@ -21,7 +24,23 @@ def shift_poses(run: tl.Run, row: int, by_m: float) -> tl.Run:
 def test_a_run_does_not_differ_from_itself() -> None:
     comparison = tl.compare_runs(KP4, KP4)
     assert {found.largest for found in comparison.signals} == {0.0}
-    assert {found.signal for found in comparison.signals} == set(tl.SIGNALS)
+    assert {found.signal for found in comparison.signals} == HELD
+
+
+@pytest.mark.parametrize("alignment", ["first_sample", "recorded", "sample", "phase:rotate"])
+def test_what_is_sensed_and_shaped_is_compared_where_both_hold_it(alignment: str) -> None:
+    noisy, again = (
+        tl.simulate_run(build_case("noise", "dropout", "low_pass", max_duration_s=1.0, seed=seed))
+        for seed in (1, 2)
+    )
+    own = tl.compare_runs(noisy, noisy, alignment=alignment)
+    assert {found.signal: found.largest for found in own.signals} == dict.fromkeys(tl.SIGNALS, 0.0)
+    other = {found.signal: found for found in tl.compare_runs(noisy, again).signals}
+    # Noise of 0.01 m in both: of some hundred differences the largest is two to five times as far.
+    assert 0.02 < other["sensed_x"].largest < 0.1
+    assert other["shaped_turn_rate"].largest > 0.0
+    plain = tl.compare_runs(noisy, KP4, alignment=alignment)
+    assert {found.signal for found in plain.signals} == HELD
 
 
 @given(row=st.integers(10, 600), by_m=st.floats(1e-6, 1.0))

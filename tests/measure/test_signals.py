@@ -1,16 +1,16 @@
+import dataclasses
 import math
 import re
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.effects_cases import build_case
 from tests.sequential import DECLARATION
 from turtlelog.errors import MeasureError
 from turtlelog.measure.signals import SIGNALS, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
-from turtlelog.scenario import get_preset
 from turtlelog.simulate import simulate_run
 
 XY_M = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 4.0]])
@@ -59,7 +59,9 @@ def read_values(run: Run, name: str) -> list[float]:
 
 
 def test_signals_have_the_names_that_every_stage_shares() -> None:
-    names = "x y heading speed turn_rate wanted_speed wanted_turn_rate error_x error_y distance"
+    commands = "speed turn_rate wanted_speed wanted_turn_rate shaped_speed shaped_turn_rate"
+    poses = "applied_speed applied_turn_rate sensed_x sensed_y sensed_heading"
+    names = f"x y heading {commands} {poses} error_x error_y distance"
     assert " ".join(SIGNALS) == f"{names} heading_error along_track cross_track phase"
 
 
@@ -104,27 +106,34 @@ def test_without_the_first_sample_the_recorded_bearing_gives_the_direction() -> 
 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_signal_has_one_value_per_row_of_its_source(name: str) -> None:
-    run = simulate_run(get_preset("paper-kp10"))
+    run = simulate_run(build_case("dropout", "low_pass", preset="paper-kp10", max_duration_s=1.0))
+    assert run.poses.sensed_heading_rad is not None
     signal = read_signal(run, name)
     assert signal is not None
-    rows = run.poses if signal.kind.source == "pose" else run.samples
     assert (signal.name, signal.kind) == (name, SIGNALS[name])
-    assert signal.values.shape == signal.time_ns.shape == (len(rows),)
-    assert (signal.time_ns == rows.time_ns).all()
+    times = {
+        "pose": run.poses.time_ns,
+        "sample": run.samples.time_ns,
+        "sensed pose": run.poses.time_ns[~np.isnan(run.poses.sensed_heading_rad)],
+    }
+    assert signal.values.shape == signal.time_ns.shape
+    assert np.isfinite(signal.values).all()
+    assert (signal.time_ns == times[signal.kind.source]).all()
+    assert 0 < len(times["sensed pose"]) < len(run.poses)
 
 
-@pytest.mark.parametrize("kind", SIGNALS.values(), ids=SIGNALS)
-def test_commands_are_held_and_poses_joined_by_lines(kind: Any) -> None:
-    assert kind.resampling == {"sample": "hold", "pose": "line"}[kind.source]
+@pytest.mark.parametrize(("name", "kind"), SIGNALS.items(), ids=SIGNALS)
+def test_commands_are_held_and_poses_joined_by_lines(name: str, kind: Any) -> None:
+    is_joined = kind.source == "pose" and not name.startswith("applied_")
+    assert kind.resampling == ("line" if is_joined else "hold")
     assert kind.unit in {"m", "rad", "m/s", "rad/s", "1"}
 
 
 def test_unknown_signal_is_refused_with_those_that_are_known() -> None:
-    *others, last = SIGNALS
-    line = f"signal 'z': expected {', '.join(others)} or {last}"
+    line = f"signal 'z': expected {', '.join([*SIGNALS][:14])}, ..."
     with pytest.raises(MeasureError, match=rf"\A{re.escape(line)}\Z"):
         read_signal(make_run(), "z")
-    with pytest.raises(MeasureError, match=r"'headin': expected heading or heading_error\Z"):
+    with pytest.raises(MeasureError, match=r"'headin': expected heading, heading_error or sensed_"):
         read_signal(make_run(), "headin")
 
 
@@ -139,7 +148,7 @@ def test_signal_that_was_not_recorded_is_none(name: str, column: str) -> None:
 
 @pytest.mark.parametrize("name", ["error_x", "error_y", "distance"])
 def test_signal_without_a_goal_is_none(name: str) -> None:
-    assert read_signal(replace(make_run(), goal_xy_m=None), name) is None
+    assert read_signal(dataclasses.replace(make_run(), goal_xy_m=None), name) is None
 
 
 @pytest.mark.parametrize("name", ["heading_error", "along_track", "cross_track"])
@@ -151,3 +160,39 @@ def test_poses_alone_have_signals() -> None:
     assert read_values(make_run(samples=0), "distance") == pytest.approx(
         [5.0, math.sqrt(20.0), math.sqrt(5.0)]
     )
+
+
+def test_the_sensed_heading_has_the_turns_of_the_heading() -> None:
+    run = make_run()
+    poses = dataclasses.replace(
+        run.poses,
+        sensed_xy_m=np.array([[1.5, 1.0], [np.nan, np.nan], [2.5, 4.0]]),
+        sensed_heading_rad=np.array([-3.1, np.nan, -2.4]),
+    )
+    run = dataclasses.replace(run, poses=poses)
+    assert read_values(run, "heading") == pytest.approx([3.0, math.tau - 3.0, math.tau - 2.5])
+    assert read_values(run, "sensed_heading") == pytest.approx([math.tau - 3.1, math.tau - 2.4])
+    assert read_values(run, "sensed_x") == [1.5, 2.5]
+    assert read_values(run, "sensed_y") == [1.0, 4.0]
+
+
+def test_a_run_of_which_nothing_was_sensed_has_no_such_signal() -> None:
+    run = make_run()
+    nothing = np.full(3, np.nan)
+    poses = dataclasses.replace(
+        run.poses, sensed_xy_m=np.column_stack([nothing] * 2), sensed_heading_rad=nothing
+    )
+    for found in (run, dataclasses.replace(run, poses=poses)):
+        for name in ("sensed_x", "sensed_y", "sensed_heading", "shaped_speed"):
+            assert read_signal(found, name) is None
+
+
+def test_what_is_applied_includes_a_disturbance_and_is_not_what_odometry_measures() -> None:
+    run = simulate_run(build_case("disturbance", max_duration_s=0.5))
+    applied, commanded = (read_signal(run, name) for name in ("applied_turn_rate", "turn_rate"))
+    assert applied is not None
+    assert commanded is not None
+    assert applied.values[20:].max() == pytest.approx(0.95)  # -0.05 rad/s from 0.3 s on
+    assert commanded.values.max() == 1.0
+    odometry = dataclasses.replace(run, notes={"pose_topic": "/odom (nav_msgs/msg/Odometry)"})
+    assert read_signal(odometry, "applied_turn_rate") is None

@@ -66,10 +66,20 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
         if tl.plants.find_plant(run).name == tl.plants.LAGGED
         else "Rounding: what 32 bits of a stretch's first pose may grow to, along the way driven.",
     ]
-    if use.unexplained_ticks:
+    if use.never_arrived:
         notes.append(
-            f"No recorded command explains {use.unexplained_ticks} ticks: the recorded velocity"
-            " was used there."
+            f"The transport lost {use.never_arrived} commands, as the events tell: one that equals"
+            " the command before it counts as taken."
+        )
+    if use.disturbed_ticks:
+        notes.append(
+            f"In {use.disturbed_ticks} ticks a disturbance pushes the plant: its velocity shows no"
+            " command there, and was used as recorded."
+        )
+    if unexplained := use.unexplained_ticks - use.disturbed_ticks:
+        notes.append(
+            f"No recorded command explains {unexplained} ticks: the recorded velocity was used"
+            " there."
         )
     heads = (
         *(("from", "s"), ("to", "s"), ("ticks", ""), ("x", "m"), ("y", "m")),

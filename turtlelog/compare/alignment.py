@@ -95,7 +95,11 @@ class _SampleClock:
 
     def place_signal(self, signal: Signal, run: Run) -> Signal:
         rows = np.arange(len(self.time_ns))
-        read = run.samples.pose_sequence[rows] if signal.kind.source == "pose" else rows
+        read = rows
+        if signal.kind.source != "sample":
+            # Of what was sensed as well, for what a sample read did not drop out.
+            read_ns = run.poses.time_ns[run.samples.pose_sequence[rows]]
+            read = np.searchsorted(signal.time_ns, read_ns)
         placed = dataclasses.replace(signal, time_ns=rows, values=signal.values[read])
         return _smooth(placed)
 

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Final, Literal
@@ -31,7 +31,8 @@ class SignalKind:
 
     Attributes:
         unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
-        source: `pose`: one value per pose row; `sample`: one per sample.
+        source: `pose`: one value per pose row; `sample`: one per sample; `sensed pose`: one per
+            pose that was sensed and did not drop out.
         resampling: `line` between values, or `hold` of the last one.
         compared_as: `number`; `angle`: differences in [-pi, pi); `label`: equal (0) or not (1).
         meaning: One sentence.
@@ -39,7 +40,7 @@ class SignalKind:
     """
 
     unit: str
-    source: Literal["pose", "sample"]
+    source: Literal["pose", "sample", "sensed pose"]
     resampling: Literal["line", "hold"]
     compared_as: Literal["number", "angle", "label"] = "number"
     meaning: str
@@ -94,10 +95,9 @@ def read_signal(run: Run, name: str) -> Signal | None:
         raise MeasureError(f"signal {name!r}: expected {suggest_names(name, kinds)}")
     kind = kinds[name]
     values = kind.read(run)
-    if values is None or (kind.source == "sample" and not len(run.samples)):
+    if values is None or (kind.source != "pose" and not len(values)):
         return None
-    time_ns = run.poses.time_ns if kind.source == "pose" else run.samples.time_ns
-    return Signal(name=name, kind=kind, time_ns=time_ns, values=values)
+    return Signal(name=name, kind=kind, time_ns=_TIMES[kind.source](run), values=values)
 
 
 @lru_cache(maxsize=64)
@@ -130,6 +130,43 @@ def _read_heading(run: Run) -> Values:
     return np.unwrap(heading_rad) if jumps.any() else heading_rad
 
 
+def _find_sensed(run: Run) -> NDArray[np.bool_]:
+    """Return which poses did not drop out; none where there is no sensor."""
+    xy_m, heading_rad = run.poses.sensed_xy_m, run.poses.sensed_heading_rad
+    if xy_m is None or heading_rad is None:
+        return np.zeros(len(run.poses), dtype=bool)
+    return ~(np.isnan(heading_rad) | np.isnan(xy_m).any(axis=1))
+
+
+def _read_sensed(run: Run, axis: int) -> Values | None:
+    xy_m = run.poses.sensed_xy_m
+    return None if xy_m is None else xy_m[_find_sensed(run), axis]
+
+
+def _read_sensed_heading(run: Run) -> Values | None:
+    """Return the sensed heading within half a turn of the heading, so that noise adds no turn."""
+    sensed_rad, heading_rad = run.poses.sensed_heading_rad, _read_heading(run)
+    if sensed_rad is None:
+        return None
+    rows = _find_sensed(run)
+    return heading_rad[rows] + subtract_headings(sensed_rad[rows], heading_rad[rows])
+
+
+def _read_applied(run: Run, values: Values | None) -> Values | None:
+    """Return what the plant applied; a robot's odometry tells what it measures."""
+    return None if "nav_msgs/msg/Odometry" in run.notes.get("pose_topic", "") else values
+
+
+_TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyType(
+    {
+        "pose": lambda run: run.poses.time_ns,
+        "sample": lambda run: run.samples.time_ns,
+        "sensed pose": lambda run: run.poses.time_ns[_find_sensed(run)],
+    }
+)
+"""Times of the values of a signal by its source."""
+
+
 def _read_error(run: Run, axis: int) -> Values | None:
     return None if run.goal_xy_m is None else run.goal_xy_m[axis] - run.poses.xy_m[:, axis]
 
@@ -158,6 +195,15 @@ def _pose(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> Sign
         meaning=meaning,
         read=read,
     )
+
+
+def _sensed(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
+    """Return what holds until the next pose arrives: between two the controller knows nothing."""
+    return replace(_pose(unit, meaning, read), source="sensed pose", resampling="hold")
+
+
+def _applied(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
+    return replace(_pose(unit, meaning, read), resampling="hold")
 
 
 def _sample(unit: str, meaning: str, read: Callable[[Run], Values | None]) -> SignalKind:
@@ -189,6 +235,37 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
             "rad/s",
             "Commanded turn rate before clipping.",
             lambda run: run.samples.wanted_turn_rate_rad_s,
+        ),
+        "shaped_speed": _sample(
+            "m/s",
+            "Commanded speed after shaping, before the limits.",
+            lambda run: run.samples.shaped_speed_m_s,
+        ),
+        "shaped_turn_rate": _sample(
+            "rad/s",
+            "Commanded turn rate after shaping, before the limits.",
+            lambda run: run.samples.shaped_turn_rate_rad_s,
+        ),
+        "applied_speed": _applied(
+            "m/s",
+            "Magnitude of the speed that the plant integrated, a disturbance included.",
+            lambda run: _read_applied(run, run.poses.speed_m_s),
+        ),
+        "applied_turn_rate": _applied(
+            "rad/s",
+            "Turn rate that the plant integrated, a disturbance included.",
+            lambda run: _read_applied(run, run.poses.turn_rate_rad_s),
+        ),
+        "sensed_x": _sensed(
+            "m", "Position that the controller reads.", lambda run: _read_sensed(run, 0)
+        ),
+        "sensed_y": _sensed(
+            "m", "Position that the controller reads.", lambda run: _read_sensed(run, 1)
+        ),
+        "sensed_heading": _sensed(
+            "rad",
+            "Heading that the controller reads, with the turns of the heading.",
+            _read_sensed_heading,
         ),
         "error_x": _pose(
             "m", "Goal minus position in the world frame.", lambda run: _read_error(run, 0)

@@ -36,7 +36,7 @@ from turtlelog.replay.sample_pairs import (
 )
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
-from turtlelog.simulate import LawDriver, Sample, SampleRows, build_law
+from turtlelog.simulate import Sample, SampleRows, build_driver, build_law
 
 _PLANT: Final = "--plant drives recorded commands through the plant"
 
@@ -97,9 +97,10 @@ def replay_law(
 ) -> LawReplay:
     """Let a law answer the recorded poses, in the order and at the times of the samples.
 
-    Its answers are compared with the recorded samples and with the commands that were published.
+    Where poses were sensed, these are what it answers; shaping and limits act anew. Its answers are
+    compared with the recorded samples and with the commands that were published.
     The law sees what the recorded one saw; its own commands have no effect on the poses. Of the
-    scenario only the law, the limits and the goal count.
+    scenario only the law, its path, the shaping, the limits and the goal count.
 
     Args:
         run: With samples.
@@ -162,10 +163,10 @@ def _answer_poses(
     run: Run, scenario: Scenario, law: Law
 ) -> tuple[Answers, NDArray[np.int64], Sample]:
     """Return the samples up to the law's end, the ticks that each blocks for, and the last."""
-    driver, read = LawDriver(scenario, law), run.samples.pose_sequence
-    x_m, y_m = run.poses.xy_m[read].T
-    columns = (run.samples.time_ns, read, x_m, y_m, run.poses.heading_rad[read])
-    rows, blocks_ticks = SampleRows(driver.declaration), []
+    driver, read = build_driver(scenario, law), run.samples.pose_sequence
+    xy_m, heading_rad = _read_poses(run)
+    columns = (run.samples.time_ns, read, *xy_m[read].T, heading_rad[read])
+    rows, blocks_ticks = SampleRows(driver.declaration, has_shaping=scenario.shaping.acts), []
     for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
         sample = driver.answer(time_ns, row, Pose(x, y, heading))
         rows.add(sample)
@@ -174,6 +175,14 @@ def _answer_poses(
             break
     answers = Answers(rows.build_columns(), driver.declaration)
     return answers, np.array(blocks_ticks, dtype=np.int64), sample
+
+
+def _read_poses(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return position and heading of every pose as the law reads them."""
+    xy_m, heading_rad = run.poses.sensed_xy_m, run.poses.sensed_heading_rad
+    if xy_m is None or heading_rad is None:
+        return run.poses.xy_m, run.poses.heading_rad
+    return xy_m, heading_rad
 
 
 def _count_published(run: Run) -> Difference | None:

@@ -17,6 +17,7 @@ from turtlelog.escapes import escape_controls
 from turtlelog.plants import find_plant
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
 from turtlelog.replay.run_pairs import (
+    SENSED,
     RowCount,
     compare_ends,
     count_rows,
@@ -139,7 +140,9 @@ def replay_loop(
 
 def _list_absent(run: Run, replayed: Run) -> tuple[str, ...]:
     was = Answers(run.samples, run.declaration)
-    return list_absent(was, Answers(replayed.samples, replayed.declaration))
+    is_lacking = run.poses.sensed_xy_m is None and replayed.poses.sensed_xy_m is not None
+    sensed = tuple(SENSED) if is_lacking else ()
+    return (*sensed, *list_absent(was, Answers(replayed.samples, replayed.declaration)))
 
 
 def _list_missing(names: Sequence[str], signals: Sequence[SignalDifference]) -> tuple[str, ...]:

@@ -135,7 +135,7 @@ def replay_plant(run: Run) -> PlantReplay:
         return _replay_lagged(run)
     motion = read_motion(run)
     jumps, gaps, starts = find_breaks(motion)
-    velocities, use = place_commands(motion, run.commands, frozenset(starts))
+    velocities, use = place_commands(motion, run, frozenset(starts))
     bounds = zip([0, *starts], [*starts, len(motion.time_ns)], strict=True)
     stretches = tuple(_replay_stretch(motion, velocities, first, after) for first, after in bounds)
     return PlantReplay(

@@ -6,6 +6,7 @@ precision; the recorded velocity, which is rounded to 32 bits and has no sign, o
 recorded command explains it.
 """
 
+import re
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -198,21 +199,27 @@ class CommandUse:
         stops: How often the plant stopped by itself, no command having come for a second.
         unexplained_ticks: Ticks whose velocity no recorded command explains; the recorded velocity
             was integrated.
+        disturbed_ticks: Those of them in which the recording's scenario pushes the plant: its
+            velocity is no command's there, and shows none.
+        never_arrived: Commands that the transport lost, by the recording's events.
     """
 
     taken: int
     unseen: int
     stops: int
     unexplained_ticks: int
+    disturbed_ticks: int = 0
+    never_arrived: int = 0
 
 
 def place_commands(
-    motion: RecordedMotion, commands: CommandColumns, starts: frozenset[int]
+    motion: RecordedMotion, run: Run, starts: frozenset[int]
 ) -> tuple[tuple[Velocity, ...], CommandUse]:
     """Return what the plant held in the tick of each pose, and what became of the commands.
 
     At the rows `starts` the step from the pose before tells nothing.
     """
+    commands = run.commands
     placer = _Placer(motion, commands)
     bodies = _compute_body_velocities(motion, starts)
     rows = zip(
@@ -222,18 +229,54 @@ def place_commands(
         bodies,
         strict=True,
     )
-    velocities = tuple(placer.place(*row) for row in rows)
+    velocities, is_unexplained = [], []
+    for row in rows:
+        velocities.append(placer.place(*row))
+        is_unexplained.append(placer.is_recorded)
+    is_disturbed = _find_disturbed(run, motion.time_ns)
     use = CommandUse(
         taken=placer.taken,
         unseen=len(commands) - placer.taken,
         stops=placer.stops,
-        unexplained_ticks=placer.unexplained_ticks,
+        unexplained_ticks=sum(is_unexplained),
+        disturbed_ticks=int((np.array(is_unexplained, dtype=bool) & is_disturbed).sum()),
+        never_arrived=_count_lost(run),
     )
-    return velocities, use
+    return tuple(velocities), use
+
+
+def _find_disturbed(run: Run, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return the ticks in which the scenario of a recording pushes the plant."""
+    sizes = [run.parameters.get(f"disturbance.{name}", 0.0) for name in _PUSHES]
+    if not any(sizes):
+        return np.zeros(len(time_ns), dtype=bool)
+    # It acts from the first tick at its start on, and no longer in that at its end.
+    from_s, to_s = (
+        float(run.parameters.get(f"disturbance.{name}", default))  # type: ignore[arg-type]
+        for name, default in (("from_s", 0.0), ("to_s", np.inf))
+    )
+    return np.asarray((time_ns >= round(from_s * 1e9)) & (time_ns < np.rint(to_s * 1e9)))
+
+
+_PUSHES: Final = ("speed_m_s", "turn_rate_rad_s", "noise_speed", "noise_turn_rate")
+
+_LOST: Final = re.compile(r"The transport lost (\d+) ")
+
+
+def _count_lost(run: Run) -> int:
+    """Return how many commands never arrived, as the events tell."""
+    texts = (event.text for event in run.events if event.kind == "commands_lost")
+    return sum(int(found[1]) for found in map(_LOST.match, texts) if found)
 
 
 class _Placer:
-    """Walks over ticks and commands together."""
+    """Walks over ticks and commands together.
+
+    Attributes:
+        is_recorded: Whether what the plant holds is a recorded velocity, and no command.
+        taken: As in `CommandUse`, so far.
+        stops: Likewise.
+    """
 
     def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:
         columns = (commands.speed_m_s, commands.lateral_speed_m_s, commands.turn_rate_rad_s)
@@ -253,8 +296,8 @@ class _Placer:
         self._published = 0
         self._held = _STANDING
         self._held_applied = (0.0, 0.0)
-        self._is_recorded = False
-        self.taken = self.stops = self.unexplained_ticks = 0
+        self.is_recorded = False
+        self.taken = self.stops = 0
 
     def place(
         self, time_ns: int, speed: float, turn_rate: float, body: tuple[float, float] | None
@@ -274,12 +317,11 @@ class _Placer:
                 self._hold(_STANDING, applied)
             else:
                 self._hold((*_direct(speed, body), turn_rate), applied)
-                self._is_recorded = True
-        self.unexplained_ticks += self._is_recorded
+                self.is_recorded = True
         return self._held
 
     def _hold(self, velocity: Velocity, applied: tuple[float, float]) -> None:
-        self._held, self._held_applied, self._is_recorded = velocity, applied, False
+        self._held, self._held_applied, self.is_recorded = velocity, applied, False
 
     def _find(
         self, applied: tuple[float, float], body: tuple[float, float] | None, time_ns: int

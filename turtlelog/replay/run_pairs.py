@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,10 @@ from turtlelog.replay.sample_pairs import (
 from turtlelog.run import PoseColumns, Run
 
 Rows = NDArray[np.int64]
+
+
+SENSED: Final = MappingProxyType({"sensed_x": "m", "sensed_y": "m", "sensed_heading": "rad"})
+"""The signals of poses as they were sensed, and their units."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +46,7 @@ def pair_by_tick(run: Run, replayed: Run) -> Iterator[Pairing]:
         run.poses.time_ns, replayed.poses.time_ns, assume_unique=True, return_indices=True
     )
     yield from _pair_poses(run.poses, replayed.poses, run.poses.time_ns[rows], rows, others)
+    yield from pair_sensed(run.poses, replayed.poses, run.poses.time_ns[rows], rows, others)
     yield from _pair_applied(run.poses, replayed.poses, rows, others)
     if len(run.samples):
         rows, others = _match_samples(run, replayed)
@@ -55,6 +61,7 @@ def pair_by_sample(run: Run, replayed: Run) -> Iterator[Pairing]:
     rows, others = _match_samples(run, replayed)
     read = run.samples.pose_sequence[rows], replayed.samples.pose_sequence[others]
     yield from _pair_poses(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
+    yield from pair_sensed(run.poses, replayed.poses, run.samples.time_ns[rows], *read)
     yield from _pair_answers(run, replayed, rows, others)
 
 
@@ -120,6 +127,30 @@ def _pair_poses(
         replayed=replayed.heading_rad[others],
         kind="angle",
     )
+
+
+def pair_sensed(
+    recorded: PoseColumns, replayed: PoseColumns, time_ns: Rows, rows: Rows, others: Rows
+) -> Iterator[Pairing]:
+    """Yield the poses as sensed where both runs have a sensor; a drop-out has no value."""
+    was, now = _read_sensed(recorded), _read_sensed(replayed)
+    if was is None or now is None:
+        return
+    for column, (name, unit) in enumerate(SENSED.items()):
+        yield Pairing(
+            signal=name,
+            unit=unit,
+            time_ns=time_ns,
+            recorded=was[rows, column],
+            replayed=now[others, column],
+            kind="angle" if unit == "rad" else "number",
+        )
+
+
+def _read_sensed(poses: PoseColumns) -> NDArray[np.float64] | None:
+    if poses.sensed_xy_m is None or poses.sensed_heading_rad is None:
+        return None
+    return np.column_stack([poses.sensed_xy_m, poses.sensed_heading_rad])
 
 
 def _pair_applied(

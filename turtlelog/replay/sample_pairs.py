@@ -19,6 +19,8 @@ _NUMBERS: Final[Mapping[str, tuple[str, _Read]]] = MappingProxyType(
     {
         "wanted_speed": ("m/s", lambda samples: samples.wanted_speed_m_s),
         "wanted_turn_rate": ("rad/s", lambda samples: samples.wanted_turn_rate_rad_s),
+        "shaped_speed": ("m/s", lambda samples: samples.shaped_speed_m_s),
+        "shaped_turn_rate": ("rad/s", lambda samples: samples.shaped_turn_rate_rad_s),
         "speed": ("m/s", lambda samples: samples.speed_m_s),
         "turn_rate": ("rad/s", lambda samples: samples.turn_rate_rad_s),
         "bearing": ("rad", lambda samples: samples.bearing_rad),

@@ -37,7 +37,7 @@ from turtlelog.log.recording.topics import (
 from turtlelog.log.records import CODES, ENCAPSULATION, HEAD, ChunkRows, encode_message
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import CUT_SHORT
-from turtlelog.scenario import Scenario, Sensing, Shaping
+from turtlelog.scenario import Scenario
 from turtlelog.simulate import Sample, Tick
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
@@ -122,13 +122,18 @@ class TickRecords:
     The message of a pause comes with the sample that begins it, where the law blocks and says that
     its phase ends; otherwise the next sample tells, and the message carries the earlier time. Poses
     in double precision are recorded where the scenario asks for them.
+
+    Attributes:
+        more_topics: Topics that not every recording has, and this one has.
     """
 
     def __init__(self, scenario: Scenario, declaration: Declaration) -> None:
         goal, kind = scenario.goal, scenario.law.kind
         self._goal = (goal.x_m, goal.y_m, goal.heading_rad) if declaration.uses_goal else None
         self._is_exact = scenario.loop.pose_precision == "float64"
-        sensing, shaping = scenario.sensing != Sensing(), scenario.shaping != Shaping()
+        sensing, shaping = scenario.sensing.changes_poses, scenario.shaping.acts
+        more = {SENSED.name: sensing, SHAPED.name: shaping}
+        self.more_topics = frozenset(name for name, is_there in more.items() if is_there)
         topics = list_topics(declaration, kind, has_sensing=sensing, has_shaping=shaping)
         definitions = define_types(declaration, kind)
         named = [(topic.name, topic.schema) for topic in topics]
@@ -143,7 +148,6 @@ class TickRecords:
             self._messages.get(topic.name) for topic in (SENSED, SENSED64)
         )
         self._shaped = self._messages.get(SHAPED.name)
-        self._more_topics: set[str] = set()
         self._states = self._messages.get(LAW_STATE)
         self._reference64 = self._messages.get(REFERENCE64.name)
         self._phases = declaration.phase_names
@@ -160,11 +164,6 @@ class TickRecords:
         worldless = {"world_velocity_m_s"} if self._has_samples and not self._has_world else set()
         return frozenset(f"samples.{name}" for name in self._lacking | worldless)
 
-    @property
-    def more_topics(self) -> frozenset[str]:
-        """Topics that not every recording has, and that had messages so far."""
-        return frozenset(self._more_topics)
-
     def encode(self, ticks: Iterable[Tick]) -> ChunkRows:
         """Return the messages of the next ticks, of which there is at least one."""
         for tick in ticks:
@@ -178,7 +177,9 @@ class TickRecords:
             for sample in tick.computed:
                 self._follow_phase(sample.time_ns, sample)
             if tick.stop_reason is not None and self._phase is not None:
-                self._end_phase(time_ns, tick.stop_reason)
+                later_ns = [sample.time_ns for sample in tick.computed]
+                later_ns += [sample.published_ns for sample in tick.published]
+                self._end_phase(max([time_ns, *later_ns]), tick.stop_reason)
             for event in tick.events:
                 self._add_varied(EVENT, event.time_ns, describe_event(event))
         return self._collect()
@@ -199,7 +200,6 @@ class TickRecords:
         """Add what was sensed of a pose, under the pose's number and time; no velocity."""
         values = pose.x_m, pose.y_m, pose.heading_rad
         if self._sensed is not None:
-            self._more_topics.add(SENSED.name)
             self._add(self._sensed, time_ns, number, *values, nan, nan)
         if self._sensed64 is not None and self._is_exact:
             self._add(self._sensed64, time_ns, number, *values)
@@ -214,8 +214,7 @@ class TickRecords:
             values = pose.x_m, pose.y_m, pose.heading_rad
             self._add_varied(REFERENCE, time_ns, describe_pose(time_ns, *values), sequence)
             self._add(self._reference64, time_ns, sequence, *values)
-        if self._shaped is not None and not isnan(sample.shaped_speed_m_s):
-            self._more_topics.add(SHAPED.name)
+        if self._shaped is not None:
             shaped = sample.shaped_speed_m_s, 0.0, 0.0, 0.0, 0.0, sample.shaped_turn_rate_rad_s
             self._add(self._shaped, time_ns, sequence, *shaped)
         self._has_samples = True
