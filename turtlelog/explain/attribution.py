@@ -10,7 +10,6 @@ from turtlelog.angles import wrap_angle
 from turtlelog.display import format_html
 from turtlelog.loops import Declaration
 from turtlelog.measure import list_metrics
-from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 
 _SHARE: Final = 0.01
@@ -50,13 +49,19 @@ def find_grain(scenario: Scenario, declaration: Declaration, metric: str, value:
     """
     unit = list_metrics(declaration)[metric].unit
     if unit == "s":
-        return Grain(size=scenario.loop.period_ticks * TICK_S, reason="one sample period")
+        return Grain(size=find_sample_period_s(scenario), reason="one sample period")
     if scenario.law.kind == DEFAULT_LAW and unit in {"m", "deg", "%"}:
         return _find_tolerated(scenario, declaration, metric, unit)
     kind = metric.rpartition(".")[2]
     if kind.removeprefix("speed_").removeprefix("turn_rate_") in _COUNTS:
         return Grain(size=_HALF_A_COUNT, reason="half a count")
     return Grain(size=_SHARE * abs(value), reason=f"{100.0 * _SHARE:g} % of the value")
+
+
+def find_sample_period_s(scenario: Scenario) -> float:
+    """Return the usual time between two answers [s]."""
+    loop = scenario.loop
+    return loop.period_s or loop.period_ticks * scenario.plant.facts.period_s
 
 
 def _find_tolerated(scenario: Scenario, declaration: Declaration, metric: str, unit: str) -> Grain:

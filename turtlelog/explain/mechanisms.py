@@ -13,7 +13,6 @@ from typing import Any, Final
 from turtlelog.errors import ExplainError, suggest_names
 from turtlelog.laws import find_law, list_mechanisms, list_sample_counters
 from turtlelog.loops import Mechanism
-from turtlelog.plants import TURTLESIM
 from turtlelog.run import Run
 from turtlelog.scenario import (
     Scenario,
@@ -262,7 +261,10 @@ def take_out(scenario: Scenario, mechanisms: Iterable[Mechanism]) -> Scenario:
 
 def _simulate_finer(scenario: Scenario) -> Run:
     """Simulate a scenario with a plant whose clock is `FINER` times finer."""
-    run = simulate_run(_stretch_counts(scenario), TURTLESIM.refine(FINER))
+    facts = scenario.plant.facts
+    # A robot's period need not be a multiple of anything: its steps are whole nanoseconds.
+    plant = replace(facts, period_ns=facts.period_ns // FINER, steps_per_tick=FINER)
+    run = simulate_run(_stretch_counts(scenario), plant)
     return replace(run, parameters=flatten_scenario(scenario))
 
 

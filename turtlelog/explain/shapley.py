@@ -14,9 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.explain.attribution import StartRange
+from turtlelog.explain.attribution import StartRange, find_sample_period_s
 from turtlelog.explain.game import Coalition, Game, list_coalitions
-from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
 
@@ -113,7 +112,7 @@ def vary_start(
     """
     built = simulate_run(scenario)
     turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max())
-    within_rad = 0.5 * turn_rate * scenario.loop.period_ticks * TICK_S
+    within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
     if within_rad == 0.0:
         return None
     games = [

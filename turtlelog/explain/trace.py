@@ -36,8 +36,10 @@ class Trace:
         jumps: Rows whose pose the robot cannot have reached from the one before; none until
             `mark_breaks`.
         time_ns: Of each answer [ns], shape (n,).
-        xy_m: Of the pose read [m], shape (n, 2).
-        heading_rad: Of the pose read [rad], shape (n,).
+        xy_m: Of the pose read, as the plant published it [m], shape (n, 2).
+        heading_rad: Of the pose read, as the plant published it [rad], shape (n,).
+        read_xy_m: As the controller read it, where that is logged; else the same [m].
+        read_heading_rad: As the controller read it, where that is logged; else the same [rad].
         speed_m_s: Published [m/s], shape (n,).
         turn_rate_rad_s: Published [rad/s], shape (n,).
         rotating: How many samples the first phase has, from the first one: of sequential-p the
@@ -55,6 +57,8 @@ class Trace:
     time_ns: NDArray[np.int64]
     xy_m: Values
     heading_rad: Values
+    read_xy_m: Values
+    read_heading_rad: Values
     speed_m_s: Values
     turn_rate_rad_s: Values
     rotating: int
@@ -97,16 +101,6 @@ class Trace:
         return find_grain(self.heading_rad)
 
     @property
-    def noise_m(self) -> float:
-        """Standard deviation of the noise of positions [m]."""
-        return estimate_noise(self.xy_m)
-
-    @property
-    def noise_rad(self) -> float:
-        """Standard deviation of the noise of headings [rad]."""
-        return estimate_noise(np.unwrap(self.heading_rad)[:, None])
-
-    @property
     def missing(self) -> list[tuple[int, int]]:
         """Rows before which others are missing, and how many."""
         steps = np.diff(self.number)
@@ -136,13 +130,18 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         rotating = count_leading(names == phases[0])
         translating = count_leading(names[rotating:] == phases[1])
     has_ticks = _has_ticks(run)
+    poses = run.poses
     return Trace(
         run=run,
         number=samples.sequence if has_ticks else np.arange(len(samples)),
         jumps=(),
         time_ns=samples.time_ns,
-        xy_m=run.poses.xy_m[read],
-        heading_rad=run.poses.heading_rad[read],
+        xy_m=poses.xy_m[read],
+        heading_rad=poses.heading_rad[read],
+        read_xy_m=(poses.xy_m if poses.sensed_xy_m is None else poses.sensed_xy_m)[read],
+        read_heading_rad=(
+            poses.heading_rad if poses.sensed_heading_rad is None else poses.sensed_heading_rad
+        )[read],
         speed_m_s=samples.speed_m_s,
         turn_rate_rad_s=samples.turn_rate_rad_s,
         rotating=rotating,
@@ -174,15 +173,16 @@ def find_grain(values: Values) -> float:
     return step if is_common else spacing
 
 
-def estimate_noise(values: Values) -> float:
+def estimate_noise(values: Values, order: int = 2) -> float:
     """Return the standard deviation of noise, from what neighbours do not have in common.
 
-    The median of second differences of normal noise is 0.6745 times the root of 6 of it.
+    The median of second differences of normal noise is 0.6745 times the root of 6 of it. Of a
+    higher order the motion itself leaves less.
     """
-    if len(values) < 3:
+    if len(values) <= order:
         return 0.0
-    bends = np.abs(np.diff(values, n=2, axis=0))
-    return float(np.median(bends)) / (0.6745 * float(np.sqrt(6.0)))
+    bends = np.abs(np.diff(values, n=order, axis=0))
+    return float(np.median(bends)) / (0.6745 * math.sqrt(math.comb(2 * order, order)))
 
 
 def count_leading(holds: NDArray[np.bool_]) -> int:
