@@ -44,6 +44,7 @@ from turtlelog.explain.stop_reason import Ending, find_pause, find_stop_rule
 from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
 from turtlelog.explain.unseen import join_words, list_unseen, take_findings
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
@@ -286,6 +287,11 @@ def _find_obstacle(trace: Trace) -> str | None:
         return f"its phases are not one rotation and one translation: {listed}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
+    if trace.answered_after_s >= TICK_S:
+        return (
+            f"no pose is answered sooner than {trace.answered_after_s:.3g} s after it was published:"
+            " what delays them, the log does not tell"
+        )
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:
         return f"it lasts {length_s:.0f} s; up to {LONGEST_S:.0f} s are simulated again"

@@ -101,6 +101,11 @@ class Trace:
         return find_grain(self.heading_rad)
 
     @property
+    def answered_after_s(self) -> float:
+        """Least time from a pose to its answer [s]; 0 of a log with a pose per sample."""
+        return float(np.min(self.time_ns - _get_pose_times(self))) / 1e9
+
+    @property
     def missing(self) -> list[tuple[int, int]]:
         """Rows before which others are missing, and how many."""
         steps = np.diff(self.number)
@@ -254,7 +259,7 @@ def list_breaks(trace: Trace) -> list[int]:
 
 
 def describe_breaks(trace: Trace) -> list[str]:
-    """Return jumps and missing rows in sentences, the first of each, and how many more."""
+    """Return jumps, missing rows and misread poses in sentences; of many the first."""
     found = []
     if trace.jumps:
         row = trace.jumps[0]
@@ -269,6 +274,13 @@ def describe_breaks(trace: Trace) -> list[str]:
         length_s = _find_time_s(trace, row) - at_s
         more = _count_more(len(trace.missing))
         found.append(f"{amount} {noun} missing after {at_s:.3f} s, for {length_s:.3f} s{more}")
+    if not np.array_equal(trace.read_xy_m, trace.xy_m) or not np.array_equal(
+        trace.read_heading_rad, trace.heading_rad
+    ):
+        off_m = float(np.hypot(*(trace.read_xy_m - trace.xy_m).T).max())
+        off_rad = np.abs(subtract_headings(trace.read_heading_rad, trace.heading_rad)).max()
+        off = f"{off_m:.3g} m and {np.degrees(off_rad):.3g} deg"
+        found.append(f"the poses that the controller read are off the plant's by up to {off}")
     return found
 
 
