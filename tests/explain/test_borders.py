@@ -9,7 +9,7 @@ import pytest
 from tests.explain.truth import Log, Truth, make_log
 from turtlelog.explain import Certainty, identify_run
 from turtlelog.explain.driven_plant import drive_plant
-from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain
+from turtlelog.explain.gain_fit import PoseNoise, Values, fit_command, fit_gain, measure_pose_noise
 from turtlelog.explain.identification import ABSENT_KEYS, LAW_KEYS, LOOP_KEYS
 from turtlelog.explain.law_identification import (
     PHASES,
@@ -81,11 +81,15 @@ def test_a_pause_contradicts_the_clock_from_three_quarters_of_a_tick(
     assert agrees_with_clock(34, read_hints(trace), trace) == near
 
 
+def of_noise(size: float) -> PoseNoise:
+    return PoseNoise(size=size, least=size, grain=0.0)
+
+
 @pytest.mark.parametrize(("rows", "obstacle"), [(8, False), (7, True)])
 def test_fewer_than_eight_commands_tell_no_noise_from_a_curve(rows: int, obstacle: bool) -> None:  # noqa: FBT001
     noise = np.random.default_rng(5).normal(0.0, 1e-3, rows)
     command, error = make_commands(noise)
-    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    fit = fit_command(command, lambda gain: gain * error, of_noise(1e-3))
     assert (fit.obstacle is not None) == obstacle
 
 
@@ -94,7 +98,7 @@ def test_fewer_than_eight_commands_tell_no_noise_from_a_curve(rows: int, obstacl
 )
 def test_what_is_left_of_a_gain_is_noise_or_a_pattern(share: float, obstacle: bool) -> None:  # noqa: FBT001
     command, error = make_commands(alternate(200, share))
-    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1.0, grain=0.0))
+    fit = fit_command(command, lambda gain: gain * error, of_noise(1.0))
     assert (fit.obstacle is not None) == obstacle
 
 
@@ -105,7 +109,7 @@ def test_a_gain_leaves_no_more_than_twice_the_noise_of_the_poses(
 ) -> None:
     noise = np.random.default_rng(2).normal(0.0, 1.0, 400)
     command, error = make_commands(noise / noise.std() * 1e-3)
-    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=size, grain=0.0))
+    fit = fit_command(command, lambda gain: gain * error, of_noise(size))
     assert (fit.obstacle is not None) == obstacle
 
 
@@ -122,7 +126,7 @@ def test_equal_commands_are_clipped_where_the_error_changed_by_five_deviations(
     error = command / 2.0 + left
     # The first and the last third of the equal commands: 10 rows each.
     error[:10] += way * noise * float(np.sqrt(2.0 / 10.0))
-    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=noise, grain=0.0))
+    fit = fit_command(command, lambda gain: gain * error, of_noise(noise))
     assert (fit.limit == 1.0) == limited
 
 
@@ -133,7 +137,7 @@ def test_a_limit_shows_in_three_equal_commands_and_not_in_two(
     command, error = make_commands(np.random.default_rng(5).normal(0.0, 1e-3, 60))
     command = np.append(np.full(rows, 1.2), command)
     error = np.append(np.linspace(1.5, 0.8, rows), error)
-    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    fit = fit_command(command, lambda gain: gain * error, of_noise(1e-3))
     assert fit.limit == limit
 
 
@@ -274,7 +278,7 @@ def test_a_noisy_error_has_wrapped_from_six_deviations_beyond_half_a_turn(
     start = (5.5444446, 5.5444446, bearing_rad - np.pi + 0.004)
     run = make_log(Truth(start=start, log_noise=1e-3)).to_run()
     heading_rad = run.poses.heading_rad.copy()
-    size = trace_run(run, PHASES).noise_rad
+    size = measure_pose_noise(trace_run(run, PHASES).heading_rad[:, None]).size
     heading_rad[1] = bearing_rad - np.pi - deviations * size
     poses = replace(run.poses, heading_rad=heading_rad)
     found = identify_rotation(trace_run(replace(run, poses=poses), PHASES))[0]["law.wrap_error"]
@@ -286,7 +290,7 @@ def test_a_tolerance_is_bounded_where_the_error_that_ended_is_the_least(
     ended_m: float, interval: tuple[float, float] | None
 ) -> None:
     error = np.array([0.5, 0.3, 0.002])
-    fit = fit_command(2.0 * error, lambda gain: gain * error, PoseNoise(size=0.0, grain=0.0))
+    fit = fit_command(2.0 * error, lambda gain: gain * error, of_noise(0.0))
     errors = np.column_stack([np.append(error, ended_m), np.zeros(4)])
     found = bound_position_tolerance(errors, np.append(2.0 * error, 0.0), fit)
     assert (found.interval, found.value) == (interval, None if interval is None else ended_m)
@@ -295,7 +299,7 @@ def test_a_tolerance_is_bounded_where_the_error_that_ended_is_the_least(
 def test_noisy_errors_bound_a_tolerance_to_four_deviations() -> None:
     noise = np.random.default_rng(5).normal(0.0, 1e-3, 50)
     command, error = make_commands(noise)
-    fit = fit_command(command, lambda gain: gain * error, PoseNoise(size=1e-3, grain=0.0))
+    fit = fit_command(command, lambda gain: gain * error, of_noise(1e-3))
     errors = np.column_stack([[*error, 0.03, 0.02], np.zeros(52)])
     found = bound_position_tolerance(errors, np.array([*command, 0.06, 0.0]), fit)
     assert fit.gain is not None

@@ -62,8 +62,8 @@ def test_the_gain_of_ten_in_words() -> None:
         " is between 0.16 and 0.62.",
         "Re-simulated without saturation alone (no limit of speed and turn rate) it would be"
         " 0.8506 m.",
-        "Re-simulated without sampling alone (a clock 8 times finer, dead times unchanged) it would"
-        " be 0.1361 m.",
+        "Re-simulated without sampling alone (a clock 8 times finer, each pose answered, delays"
+        " unchanged) it would be 0.1361 m.",
         "Re-simulated without tolerance alone (tolerances of 1e-06) it would be 0.0009877 m.",
     )
 

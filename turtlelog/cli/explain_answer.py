@@ -10,7 +10,7 @@ import turtlelog as tl
 from turtlelog.cli.output import format_table
 
 if TYPE_CHECKING:
-    from turtlelog.explain import Attribution, Finding, Identification, StartRange
+    from turtlelog.explain import Attribution, Finding, Identification, SeedRange, StartRange
 
 
 _JSON: Final = {
@@ -142,16 +142,33 @@ def _describe_attribution(found: "Attribution") -> dict[str, Any]:
         "as_built": found.as_built,
         "without_all": found.without_all,
         "shares": [
-            {"mechanism": share.mechanism, "share": share.share, "alone": share.alone}
+            {
+                "mechanism": share.mechanism,
+                "share": share.share,
+                "standard_error": share.standard_error,
+                "alone": share.alone,
+            }
             for share in found.shares
         ],
+        "this_seed": found.this_seed,
+        "seeds": None if found.seeds is None else _describe_seeds(found.seeds),
         "others": [
-            {"mechanism": share.mechanism, "alone": share.alone, "ending": share.ending or None}
+            {
+                "mechanism": share.mechanism,
+                "alone": share.alone,
+                "standard_error": share.standard_error,
+                "ending": share.ending or None,
+            }
             for share in found.others
         ],
         "withheld": found.withheld or None,
         "together": [
-            {"mechanisms": case.mechanisms, "value": case.value} for case in found.together
+            {
+                "mechanisms": case.mechanisms,
+                "value": case.value,
+                "standard_error": case.standard_error,
+            }
+            for case in found.together
         ],
         "without_value": [
             {"mechanisms": case.mechanisms, "reason": case.reason} for case in found.without_value
@@ -159,6 +176,17 @@ def _describe_attribution(found: "Attribution") -> dict[str, Any]:
         "grain": {"size": found.grain.size, "reason": found.grain.reason},
         "starts": None if found.starts is None else _describe_starts(found.starts),
         "sentences": tl.explain.write_sentences(found),
+    }
+
+
+def _describe_seeds(found: "SeedRange") -> dict[str, Any]:
+    return {
+        "count": found.count,
+        "used": found.used,
+        "mean": found.mean,
+        "standard_error": found.standard_error,
+        "low": found.low,
+        "high": found.high,
     }
 
 
@@ -207,29 +235,32 @@ def format_identification(found: "Identification") -> str:
 
 def format_attribution(found: "Attribution") -> str:
     """Return the values, the shares, and what they mean."""
+    from turtlelog.explain.attribution import THIS_SEED, THIS_SEED_MEANS
+
     unit, sentences = found.unit, tl.explain.write_sentences(found)
     parts = (*found.shares, *found.others)
     if all(one.share is None and one.alone is None for one in parts):
         # No table of dashes: what there is to say stands in the sentences.
         wrapped = "\n".join(textwrap.fill(one, _TEXT_WIDTH) for one in sentences)
         return f"\nWhat caused {found.metric}\n\n{wrapped}"
+    columns = [
+        tl.compare.Column(title="mechanism"),
+        tl.compare.Column(title="share", unit=unit),
+        tl.compare.Column(title="without it alone", unit=unit),
+        tl.compare.Column(title="without it means"),
+    ]
+    rows = [[one.mechanism, one.share, one.alone, one.meaning] for one in parts]
+    if found.seeds is not None:
+        columns.insert(2, tl.compare.Column(title="standard error", unit=unit))
+        for row, one in zip(rows, parts, strict=True):
+            row.insert(2, one.standard_error)
+        if found.shares:
+            row = [THIS_SEED, found.this_seed, None, None, THIS_SEED_MEANS]
+            rows.insert(len(found.shares), row)
     table = tl.compare.Table(
         title=f"What caused {found.metric}",
-        columns=(
-            tl.compare.Column(title="mechanism"),
-            tl.compare.Column(title="share", unit=unit),
-            tl.compare.Column(title="without it alone", unit=unit),
-            tl.compare.Column(title="without it means"),
-        ),
-        rows=tuple(
-            (
-                share.mechanism,
-                share.share,
-                share.alone,
-                share.meaning,
-            )
-            for share in parts
-        ),
+        columns=tuple(columns),
+        rows=tuple(map(tuple, rows)),
         notes=sentences,
     )
     return f"\n{format_table(table)}"

@@ -6,7 +6,16 @@ from turtlelog.explain.attribute import (
     choose_metric,
     require_mechanisms,
 )
-from turtlelog.explain.attribution import Attribution, Grain, Share, StartRange, Together, ValueSet
+from turtlelog.explain.attribution import (
+    Attribution,
+    Grain,
+    SeedRange,
+    Share,
+    StartRange,
+    Together,
+    ValueSet,
+)
+from turtlelog.explain.game import Work
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
@@ -22,10 +31,12 @@ __all__ = [
     "Grain",
     "Identification",
     "Resimulation",
+    "SeedRange",
     "Share",
     "StartRange",
     "Together",
     "ValueSet",
+    "Work",
     "attribute_run",
     "attribute_scenario",
     "choose_metric",

@@ -7,6 +7,7 @@ from typing import Final
 
 from turtlelog.errors import ExplainError
 from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet, find_grain
+from turtlelog.explain.game import Coalition, Game, Outcome, Work, list_coalitions
 from turtlelog.explain.hypothesis import require_trust
 from turtlelog.explain.identification import LOOP_KEYS, Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
@@ -16,18 +17,14 @@ from turtlelog.explain.mechanisms import (
     describe_no_sampling,
     find_mechanism,
     find_mechanisms,
-    is_present,
     list_effects,
 )
+from turtlelog.explain.seeds import describe_alone, divide_over_seeds
 from turtlelog.explain.shapley import (
-    Coalition,
-    Game,
-    Outcome,
     Worth,
     compute_dividends,
     compute_shares,
     find_smallest,
-    list_coalitions,
     vary_start,
 )
 from turtlelog.laws import LAWS, find_law, list_mechanisms
@@ -51,8 +48,8 @@ def choose_metric(declaration: Declaration) -> str:
 
 
 _MOST: Final = 6
-"""Mechanisms that take part: 64 simulations, a second or two of the paper's runs; each more doubles
-them."""
+"""Mechanisms that take part: 64 simulations, a second or two of the paper's runs, and with random
+effects 32 times as many; each more doubles them."""
 
 _AGREEMENT: Final = 0.1
 """Of what the effects add together: a re-simulation further away from the log does not show what
@@ -60,6 +57,10 @@ is in the log."""
 
 _SAME: Final = 1e-6
 """Of a value: a smaller difference is none. Two platforms differ by no more in one scenario."""
+
+_OUTSIDE: Final = (
+    "the log's value lies outside of the central 95 % over seeds, its own is not known"
+)
 
 
 def attribute_run(
@@ -69,12 +70,14 @@ def attribute_run(
     mechanisms: Sequence[str] | None = None,
     identified: Identification | None = None,
     trust_law: bool = False,
+    work: Work | None = None,
 ) -> Attribution:
     """Attribute a value of a run to mechanisms of the scenario that stands for it.
 
     That is the identified one, or the recorded one of a law that none is identified of, where its
     re-simulation reproduces the run. Shares are withheld where the log's value and the
-    re-simulation's differ by more than a tenth of what the effects add together.
+    re-simulation's differ by more than a tenth of what the effects add together; of random effects
+    whose seed is not known, where the log's lies outside of the central 95 % over seeds.
 
     Args:
         run: Whose value it is.
@@ -82,6 +85,7 @@ def attribute_run(
         mechanisms: Those that take part; otherwise every effect that is in the scenario.
         identified: What `identify_run` found, where that is known already.
         trust_law: Run the law that the recording names, where it is not built in: its code.
+        work: How to simulate.
 
     Raises:
         ExplainError: Where no scenario stands for the run, or as in `attribute_scenario`.
@@ -92,14 +96,14 @@ def attribute_run(
     require_trust(run, trust_law=trust_law)
     identified = identified or identify_run(run, trust_law=trust_law)
     scenario = identified.build_scenario()
-    found = attribute_scenario(scenario, metric=metric, mechanisms=mechanisms)
+    found = attribute_scenario(scenario, metric=metric, mechanisms=mechanisms, work=work)
     logged = measure_run(run, only=[metric])[metric]
     found = replace(found, as_logged=logged.value, reason=logged.reason or found.reason)
     is_identified = scenario.law.kind == DEFAULT_LAW and not identified.is_recorded
     if is_identified:
         others = tuple(_withhold_alone(share, identified.findings) for share in found.others)
         found = replace(found, others=others)
-    obstacle = found.withheld or _compare_with_log(found)
+    obstacle = found.withheld or _compare_with_log(found, knows_seed=identified.is_recorded)
     if obstacle:
         return replace(found, withheld=obstacle, shares=())
     if not is_identified:
@@ -114,11 +118,13 @@ def attribute_scenario(
     *,
     metric: str | None = None,
     mechanisms: Sequence[str] | None = None,
+    work: Work | None = None,
 ) -> Attribution:
     """Attribute a value of a scenario to mechanisms.
 
-    All 2^n sets of n mechanisms are simulated. Of more than six, those six take part that change
-    the value most, alone out or alone in; the others stay as built.
+    All 2^n sets of n mechanisms are simulated, with each of 32 seeds where one that is in draws
+    random numbers. Of more than six, those six take part that change the value most, alone out or
+    alone in; the others stay as built.
 
     Raises:
         ExplainError: Where a metric or mechanism is not known, a mechanism stands twice, or there
@@ -129,35 +135,44 @@ def attribute_scenario(
     scenario = resolve_scenario(scenario)
     declaration = declare_scenario(scenario)
     metric = metric or choose_metric(declaration)
-    game = Game(scenario, metric)
+    game = Game(scenario, metric, work)
     table = game.mechanisms
     _require_metric(declaration, metric)
     _require_distinct(mechanisms)
     for name in mechanisms or ():
         find_mechanism(name, table, scenario)
-    present = [name for name, found in table.items() if is_present(scenario, found)]
+    present = game.present
     if mechanisms is None:
         mechanisms = [name for name in list_effects(table) if name in present]
     chosen = _choose_mechanisms(game, mechanisms)
-    outcomes = {inside: game.play(inside, chosen) for inside in list_coalitions(chosen)}
-    worth = {key: found.value for key, found in outcomes.items() if found.value is not None}
-    built, without = outcomes[frozenset(chosen)], outcomes[frozenset()]
     others = [name for name in present if name not in chosen]
+    game.prepare(
+        [*({*chosen} - inside for inside in list_coalitions(chosen)), *([o] for o in others)]
+    )
+    built = game.play_as_built()
     found = Attribution(
         metric=metric,
         unit=list_metrics(declaration)[metric].unit,
         as_built=built.value,
-        without_all=without.value,
+        without_all=game.take_out(chosen).value,
         mechanisms=tuple(chosen),
         shares=(),
-        others=tuple(_describe_alone(game, name) for name in others),
+        others=tuple(describe_alone(game, name) for name in others),
         grain=find_grain(scenario, declaration, metric, built.value or 0.0),
         reason=built.reason,
-        left=tuple(name for name in mechanisms if name not in chosen),
+        left=tuple(name for name in mechanisms if name in others),
         effects=list_effects(table),
         remarks=() if SAMPLING in table else (_write_no_sampling(scenario),),
     )
+    if game.is_random and built.value is not None:
+        return divide_over_seeds(found, game)
+    # A run without a value has its reason in its own seed.
+    outcomes = {
+        inside: game.play_as_built({*chosen} - inside) for inside in list_coalitions(chosen)
+    }
+    worth = {key: found.value for key, found in outcomes.items() if found.value is not None}
     if len(worth) < len(outcomes):
+        found = replace(found, without_all=outcomes[frozenset()].value)
         return _tell_what_has_no_value(found, outcomes)
     return _divide(found, game, scenario, worth)
 
@@ -219,22 +234,12 @@ def _compare(left: Outcome, right: Outcome) -> float:
     return abs(left.value - right.value)
 
 
-def _describe_alone(game: Game, name: str, share: float | None = None) -> Share:
-    return Share(
-        mechanism=name,
-        share=share,
-        alone=game.take_out([name]).value,
-        ending=game.describe_ending(name),
-        meaning=game.mechanisms[name].meaning,
-    )
-
-
 def _divide(found: Attribution, game: Game, scenario: Scenario, worth: Worth) -> Attribution:
     shares = compute_shares(worth, found.mechanisms)
     dividends = compute_dividends(worth, found.mechanisms)
     found = replace(
         found,
-        shares=tuple(_describe_alone(game, name, share) for name, share in shares.items()),
+        shares=tuple(describe_alone(game, name, share) for name, share in shares.items()),
         together=tuple(
             Together(mechanisms=names, value=value) for names, value in dividends.items()
         ),
@@ -272,21 +277,23 @@ def _tell_what_has_no_value(
     )
 
 
-def _compare_with_log(found: Attribution) -> str:
+def _compare_with_log(found: Attribution, *, knows_seed: bool) -> str:
     """Return why the shares of the re-simulation say nothing of the log; empty where they do."""
     logged, built, without = found.as_logged, found.as_built, found.without_all
     if logged is None:
         return "the log has no value of it"
     if built is None or without is None:
         return "the re-simulation has no value of it"
+    if found.seeds is not None and not knows_seed:
+        is_central = found.seeds.low <= logged <= found.seeds.high
+        return "" if is_central else _OUTSIDE
     added, apart = abs(built - without), abs(logged - built)
     if added <= _SAME * abs(logged):
         same = f"{100.0 * _SAME:g} % of the value"
         agrees = apart <= _SAME * abs(logged)
         return "" if agrees else f"they differ by more than {same}, and the effects add less"
-    if apart <= _AGREEMENT * added:
-        return ""
-    return "they differ by more than a tenth of what the effects add together"
+    agrees = apart <= _AGREEMENT * added
+    return "" if agrees else "they differ by more than a tenth of what the effects add together"
 
 
 def _withhold_alone(share: Share, findings: Mapping[str, Finding]) -> Share:

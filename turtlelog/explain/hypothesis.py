@@ -171,7 +171,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         **_describe_limits(run),
         **describe_loop(trace, fits),
         "loop.pose_precision": describe_start(trace, fits)["loop.pose_precision"],
-        "stop_reason": _describe_stop(run, recorded),
+        "stop_reason": describe_stop(run, recorded),
     }
     return Identification(
         name=run.name,
@@ -291,7 +291,8 @@ def _describe_limit(wanted: Values | None, sent: Values) -> Finding:
     return find_exactly(largest, f"{int(clipped.sum())} of {len(sent)} commands are there")
 
 
-def _describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
+def describe_stop(run: Run, recorded: RecordedScenario) -> Finding:
+    """Return which rule ended the run, as it is recorded and simulated again."""
     if run.stop_reason == _TIME_IS_UP:
         return find_exactly(_TIME_IS_UP, "as recorded: no rule of the law had ended the run")
     again: Any = None if recorded.run is None else recorded.run.stop_reason

@@ -28,6 +28,9 @@ class Certainty(enum.StrEnum):
     """Anything in an interval fits; the value is the roundest in it."""
     AMBIGUOUS = "ambiguous"
     """Several values fit alike; they are the candidates, and the value is the likeliest."""
+    RECORDED = "as recorded"
+    """Of the recorded scenario, whose re-simulation reproduces every sample; the samples alone do
+    not tell it."""
     UNKNOWN = "unknown"
     """The log does not determine it."""
 
@@ -71,6 +74,11 @@ def fit_value(value: Any, evidence: str, interval: tuple[Any, Any] | None = None
 def bound_value(value: Any, evidence: str, interval: tuple[float, float]) -> Finding:
     """Return a value of an interval in which anything fits."""
     return Finding(value=value, certainty=Certainty.BOUNDED, evidence=evidence, interval=interval)
+
+
+def take_recorded(value: Any, evidence: str) -> Finding:
+    """Return a value of the recorded scenario."""
+    return Finding(value=value, certainty=Certainty.RECORDED, evidence=evidence)
 
 
 def leave_open(candidates: Sequence[Any], evidence: str, likeliest: Any) -> Finding:

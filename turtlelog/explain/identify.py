@@ -14,7 +14,9 @@ from turtlelog.explain.hypothesis import (
     LONGEST_S,
     check_recorded_scenario,
     describe_dead_time,
+    describe_stop,
     identify_other_law,
+    require_noise,
 )
 from turtlelog.explain.identification import (
     DEAD_TIME,
@@ -40,7 +42,9 @@ from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_wh
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.stop_reason import Ending, find_pause, find_stop_rule
 from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
+from turtlelog.explain.unseen import join_words, list_unseen, take_findings
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
@@ -48,7 +52,10 @@ from turtlelog.simulate import simulate_run
 _MOST_PHASES: Final = 6
 """Phases that are listed: three runs in one file."""
 
-_UNEXPLAINED: Final = "an effect that is not simulated, or commands that the log does not hold"
+_UNEXPLAINED: Final = (
+    "an effect that no log tells by itself, such as loss, jitter or a push, or commands that the"
+    " log does not hold"
+)
 
 
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
@@ -63,7 +70,7 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
 
     Where the run holds its whole scenario, that one is a hypothesis, and its re-simulation the
     test: of another law it stands for the run if it reproduces every sample, of sequential-p if
-    what was identified does not.
+    what was identified does not, or if it holds effects that no identification looks for.
 
     Args:
         run: Any.
@@ -80,7 +87,43 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
         reason = _find_other_law(run)
         if reason:
             return identify_other_law(run, reason, trust_law=trust_law)
-        return _prefer_recorded(run, _identify_samples(run))
+        return _identify_recorded(run) or _prefer_recorded(run, _identify_samples(run))
+
+
+def _identify_recorded(run: Run) -> Identification | None:
+    """Return what is known of a run whose scenario holds what no identification looks for.
+
+    An effect may show nothing in this run, or what another setting shows: where the recorded
+    scenario reproduces every sample, its settings stand. None where it does not, or holds no such
+    thing.
+    """
+    unseen = list_unseen(run)
+    if not (unseen and run.scenario_is_complete):
+        return None
+    trace = mark_breaks(trace_run(run, PHASES))
+    recorded = check_recorded_scenario(run, trace, trust_law=False)
+    if recorded.scenario is None:
+        return None
+    motion = space_out(trace)
+    rotation, turning = identify_rotation(trace)
+    translation, driving = identify_translation(trace)
+    is_law = _contradict_law(trace, turning, driving) is None
+    findings = {**describe_goal(trace), **(rotation | translation if is_law else {})}
+    for loop in PHASES:
+        dead_time = require_noise(find_dead_time(motion, loop))
+        findings[f"{DEAD_TIME}{loop}"] = describe_dead_time(dead_time, motion, run)
+    findings |= take_findings(findings, recorded.scenario, unseen)
+    findings["stop_reason"] = describe_stop(run, recorded)
+    findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
+    note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
+    return Identification(
+        name=run.name,
+        findings=MappingProxyType(findings),
+        resimulation=recorded.resimulation,
+        scenario=recorded.scenario,
+        is_recorded=True,
+        notes=(note,),
+    )
 
 
 def _prefer_recorded(run: Run, found: Identification) -> Identification:
@@ -104,7 +147,7 @@ def _prefer_recorded(run: Run, found: Identification) -> Identification:
 def _identify_samples(run: Run) -> Identification:
     trace = mark_breaks(trace_run(run, PHASES))
     motion = space_out(trace)
-    dead_times = {loop: find_dead_time(motion, loop) for loop in PHASES}
+    dead_times = {loop: require_noise(find_dead_time(motion, loop)) for loop in PHASES}
     findings = {
         f"{DEAD_TIME}{loop}": describe_dead_time(found, motion, run)
         for loop, found in dead_times.items()
@@ -244,6 +287,11 @@ def _find_obstacle(trace: Trace) -> str | None:
         return f"its phases are not one rotation and one translation: {listed}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
+    if trace.answered_after_s >= TICK_S:
+        return (
+            f"no pose is answered sooner than {trace.answered_after_s:.3g} s after it was published:"
+            " what delays them, the log does not tell"
+        )
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:
         return f"it lasts {length_s:.0f} s; up to {LONGEST_S:.0f} s are simulated again"

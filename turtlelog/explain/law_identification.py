@@ -9,12 +9,12 @@ import numpy as np
 from turtlelog.angles import wrap_angle
 from turtlelog.explain.gain_fit import (
     CommandFit,
-    PoseNoise,
     Reproduce,
     compute_misfit,
     describe_gain,
     describe_limit,
     fit_command,
+    measure_pose_noise,
 )
 from turtlelog.explain.identification import (
     Finding,
@@ -58,7 +58,7 @@ def describe_loop_name(kind: str, loop: str) -> str:
 def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | None]:
     """Return gain, limit, tolerance and wrapping of the heading loop, by key of the scenario."""
     rows = slice(1, trace.rotating - trace.ended_rotation)
-    error = trace.bearing_rad - trace.heading_rad
+    error = trace.bearing_rad - trace.read_heading_rad
     command = trace.turn_rate_rad_s[rows]
     if not np.any(command):
         reason = "the run has no command that turns"
@@ -68,7 +68,7 @@ def identify_rotation(trace: Trace) -> tuple[dict[str, Finding], CommandFit | No
             "law.heading_tolerance_rad": bound_heading_tolerance(trace, error, None),
             "law.wrap_error": miss(reason, assumed=False),
         }, None
-    noise = PoseNoise(size=trace.noise_rad, grain=trace.grain_rad)
+    noise = measure_pose_noise(np.unwrap(trace.read_heading_rad)[:, None])
     plain = fit_command(command, partial(np.multiply, error[rows]), noise)
     wrapped = fit_command(command, partial(np.multiply, wrap_angle(error[rows])), noise)
     wraps, wrap_finding = _choose_wrapping(command, error[rows], plain, wrapped)
@@ -95,12 +95,12 @@ def identify_translation(trace: Trace) -> tuple[dict[str, Finding], CommandFit |
             "law.position_tolerance_m": miss(known, DEFAULT_TOLERANCE),
             "law.projection": miss(known, "heading"),
         }, None
-    errors = np.subtract(trace.goal_xy_m, trace.xy_m[rows])
+    errors = np.subtract(trace.goal_xy_m, trace.read_xy_m[rows])
     along = {
         "bearing": np.full(int(driven.sum()), trace.bearing_rad),
-        "heading": trace.heading_rad[rows][driven],
+        "heading": trace.read_heading_rad[rows][driven],
     }
-    noise = PoseNoise(size=trace.noise_m, grain=trace.grain_m)
+    noise = measure_pose_noise(trace.read_xy_m)
     fits = {
         name: fit_command(command[driven], _project(errors[driven], headings), noise)
         for name, headings in along.items()

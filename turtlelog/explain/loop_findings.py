@@ -18,6 +18,7 @@ from turtlelog.explain.identification import (
 from turtlelog.explain.resimulation import count_lost_commands, read_pause
 from turtlelog.explain.search import START_KEYS, Fits
 from turtlelog.explain.trace import Trace
+from turtlelog.plants.turtlesim import TICK_S
 
 _HELD_AND_BURST: Final = ("pause.held_turn_rate_rad_s", "pause.burst")
 
@@ -107,7 +108,7 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
     if len(values) > 1:
         how = "reproduces every sample" if is_reproduced else "leaves as little as the others"
         return leave_open(values, f"each {how}", chosen)
-    also = "; so does a command queue of 1" if chosen == "newest" else ""
+    also = _name_alike(key, chosen)
     if fits.is_exact:
         if key == "loop.period_ticks":
             return find_exactly(chosen, _PERIOD)
@@ -120,6 +121,16 @@ def _describe_setting(trace: Trace, fits: Fits, key: str) -> Finding:
         evidence = f"reproduces all {len(trace)} samples to rounding, none bit for bit"
     is_number = isinstance(chosen, int)
     return fit_value(chosen, evidence + also, (chosen, chosen) if is_number else None)
+
+
+def _name_alike(key: str, chosen: Any) -> str:
+    """Return what else makes the same run as a setting; empty where nothing does."""
+    if key == "loop.transport_delay_ticks" and chosen:
+        low_s, high_s = chosen * TICK_S, (chosen + 1) * TICK_S
+        return f"; so does any delay from {low_s:.3g} s to below {high_s:.3g} s"
+    if key == "loop.pose_queue" and chosen == 1:
+        return "; so does a timer that reads the newest pose"
+    return "; so does a command queue of 1" if chosen == "newest" else ""
 
 
 def _write_none(fits: Fits, chosen: Any) -> str:

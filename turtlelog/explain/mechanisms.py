@@ -1,7 +1,7 @@
 """What an implementation adds to the ideal loop: one table of data for each scenario.
 
 The loop's own mechanisms stand here, those of a law in the law. Each says how a scenario is without
-it. Sampling is the plant's: without it the same scenario is simulated on a finer clock.
+it. Sampling is the clock's: without it the same scenario is simulated on a finer one.
 """
 
 import math
@@ -13,7 +13,6 @@ from typing import Any, Final
 from turtlelog.errors import ExplainError, suggest_names
 from turtlelog.laws import find_law, list_mechanisms, list_sample_counters
 from turtlelog.loops import Mechanism
-from turtlelog.plants import TURTLESIM
 from turtlelog.run import Run
 from turtlelog.scenario import (
     Scenario,
@@ -26,10 +25,8 @@ from turtlelog.simulate import simulate_run
 FINER: Final = 8
 """Steps that a tick is divided into without sampling: 2 ms each."""
 
-_PERIOD: Final = "plant.period_s"
-"""The plant's period: what sampling hangs on. No scenario sets it."""
-
 SAMPLING: Final = "sampling"
+"""The property that no setting is: without it the plant has a finer clock."""
 
 LOOP_MECHANISMS: Final = (
     Mechanism(
@@ -41,8 +38,77 @@ LOOP_MECHANISMS: Final = (
     Mechanism(
         name="delay",
         kind="effect",
-        neutral={"loop.transport_delay_ticks": 0},
-        meaning="no transport delay",
+        neutral={
+            "loop.transport_delay_ticks": 0,
+            "loop.transport_delay_s": 0.0,
+            "sensing.delay_s": 0.0,
+        },
+        meaning="no delay of commands and poses",
+    ),
+    Mechanism(
+        name="jitter",
+        kind="effect",
+        neutral={"loop.jitter_s": 0.0, "sensing.jitter_s": 0.0},
+        meaning="no jitter of commands and poses, nor the mean delay that it adds",
+    ),
+    Mechanism(
+        name="loss",
+        kind="effect",
+        neutral={"loop.loss_probability": 0.0},
+        meaning="every command arrives",
+    ),
+    Mechanism(
+        name="repeat",
+        kind="effect",
+        neutral={"loop.repeat_probability": 0.0},
+        meaning="no command arrives twice",
+    ),
+    Mechanism(
+        name="late",
+        kind="effect",
+        neutral={"loop.late_probability": 0.0},
+        meaning="no command is late",
+    ),
+    Mechanism(
+        name="noise",
+        kind="effect",
+        neutral={"sensing.noise_position_m": 0.0, "sensing.noise_heading_rad": 0.0},
+        meaning="poses are read without noise",
+    ),
+    Mechanism(
+        name="bias",
+        kind="effect",
+        neutral={"sensing.bias_position_m": 0.0, "sensing.bias_heading_rad": 0.0},
+        meaning="poses are read without bias",
+    ),
+    Mechanism(
+        name="quantum",
+        kind="effect",
+        neutral={"sensing.quantum_position_m": 0.0, "sensing.quantum_heading_rad": 0.0},
+        meaning="poses are read unrounded",
+    ),
+    Mechanism(
+        name="dropout",
+        kind="effect",
+        neutral={"sensing.dropout_probability": 0.0},
+        meaning="every pose arrives",
+    ),
+    Mechanism(
+        name="outlier",
+        kind="effect",
+        neutral={"sensing.outlier_probability": 0.0},
+        meaning="no pose is an outlier",
+    ),
+    Mechanism(
+        name="disturbance",
+        kind="effect",
+        neutral={
+            "disturbance.speed_m_s": 0.0,
+            "disturbance.turn_rate_rad_s": 0.0,
+            "disturbance.noise_speed": 0.0,
+            "disturbance.noise_turn_rate": 0.0,
+        },
+        meaning="nothing pushes the robot",
     ),
     Mechanism(
         name="saturation",
@@ -51,10 +117,34 @@ LOOP_MECHANISMS: Final = (
         meaning="no limit of speed and turn rate",
     ),
     Mechanism(
+        name="acceleration",
+        kind="property",
+        neutral={"limits.acceleration_m_s2": math.inf, "limits.turn_acceleration_rad_s2": math.inf},
+        meaning="no limit of acceleration",
+    ),
+    Mechanism(
+        name="jerk",
+        kind="property",
+        neutral={"limits.jerk_m_s3": math.inf, "limits.turn_jerk_rad_s3": math.inf},
+        meaning="no limit of jerk",
+    ),
+    Mechanism(
+        name="shaping",
+        kind="property",
+        neutral={
+            "shaping.low_pass_s": 0.0,
+            "shaping.dead_zone_speed_m_s": 0.0,
+            "shaping.dead_zone_turn_rate_rad_s": 0.0,
+            "shaping.quantum_speed_m_s": 0.0,
+            "shaping.quantum_turn_rate_rad_s": 0.0,
+        },
+        meaning="commands as the law wants them, up to the limits",
+    ),
+    Mechanism(
         name=SAMPLING,
         kind="property",
-        neutral={_PERIOD: TURTLESIM.refine(FINER).period_s},
-        meaning=f"a clock {FINER} times finer, dead times unchanged",
+        neutral={},
+        meaning=f"a clock {FINER} times finer, each pose answered, delays unchanged",
     ),
     Mechanism(
         name="float32",
@@ -63,7 +153,33 @@ LOOP_MECHANISMS: Final = (
         meaning="poses of 64 bits",
     ),
 )
-"""What lies between law and plant, whatever the law."""
+"""What lies between law and plant, whatever the law. Dead time and lag of a robot are its own."""
+
+_AMOUNTS: Final = (
+    "loop.jitter_s",
+    "sensing.jitter_s",
+    "sensing.noise_position_m",
+    "sensing.noise_heading_rad",
+    "sensing.outlier_probability",
+    "disturbance.noise_speed",
+    "disturbance.noise_turn_rate",
+)
+"""Settings that draw random numbers unless they are 0."""
+
+_CHANCES: Final = (
+    "loop.loss_probability",
+    "loop.repeat_probability",
+    "loop.late_probability",
+    "sensing.dropout_probability",
+)
+"""Settings that draw random numbers unless they are 0 or 1."""
+
+
+def draws_random(scenario: Scenario) -> bool:
+    """Return whether a scenario's run is another one with another seed."""
+    values = flatten_scenario(scenario)
+    chances = [values.get(key, 0.0) for key in _CHANCES]
+    return any(values.get(key) for key in _AMOUNTS) or any(c not in {0.0, 1.0} for c in chances)
 
 
 def find_mechanisms(scenario: Scenario) -> Mapping[str, Mechanism]:
@@ -95,22 +211,23 @@ def list_effects(table: Mapping[str, Mechanism]) -> tuple[str, ...]:
 
 def is_present(scenario: Scenario, mechanism: Mechanism) -> bool:
     """Return whether a mechanism is in a scenario: whether taking it out changes a setting."""
-    return _PERIOD in mechanism.neutral or _take_out(scenario, [mechanism]) != scenario
+    return mechanism.name == SAMPLING or take_out(scenario, [mechanism]) != scenario
 
 
-def simulate_without(scenario: Scenario, names: Iterable[str]) -> Run:
-    """Simulate a scenario without some of its mechanisms.
+def simulate_without(scenario: Scenario, names: Iterable[str], *, seed: int | None = None) -> Run:
+    """Simulate a scenario without some of its mechanisms; with another seed, where one is given.
 
     Raises:
         ExplainError: Where the scenario has no mechanism of that name.
         ScenarioError: Where the law cannot be loaded, or may not run.
     """
+    names = [*names]
     scenario = resolve_scenario(scenario)
     table = find_mechanisms(scenario)
-    mechanisms = [find_mechanism(name, table, scenario) for name in names]
-    changed = _take_out(scenario, mechanisms)
-    is_finer = any(_PERIOD in mechanism.neutral for mechanism in mechanisms)
-    return _simulate_finer(changed) if is_finer else simulate_run(changed)
+    changed = take_out(scenario, [find_mechanism(name, table, scenario) for name in names])
+    if seed is not None:
+        changed = replace(changed, seed=seed)
+    return _simulate_finer(changed) if SAMPLING in names else simulate_run(changed)
 
 
 def find_mechanism(name: str, table: Mapping[str, Mechanism], scenario: Scenario) -> Mechanism:
@@ -134,25 +251,28 @@ def describe_no_sampling(scenario: Scenario) -> str:
     )
 
 
-def _take_out(scenario: Scenario, mechanisms: Iterable[Mechanism]) -> Scenario:
+def take_out(scenario: Scenario, mechanisms: Iterable[Mechanism]) -> Scenario:
+    """Return a scenario with the settings that it has without some mechanisms."""
     for mechanism in mechanisms:
-        values = {key: value for key, value in mechanism.neutral.items() if key != _PERIOD}
         source = f"{scenario.name} without {mechanism.name}"
-        scenario = override_scenario(scenario, values, source=source)
+        scenario = override_scenario(scenario, mechanism.neutral, source=source)
     return resolve_scenario(scenario)
 
 
 def _simulate_finer(scenario: Scenario) -> Run:
     """Simulate a scenario with a plant whose clock is `FINER` times finer."""
-    run = simulate_run(_stretch_counts(scenario), TURTLESIM.refine(FINER))
+    facts = scenario.plant.facts
+    # A robot's period need not be a multiple of anything: its steps are whole nanoseconds.
+    plant = replace(facts, period_ns=facts.period_ns // FINER, steps_per_tick=FINER)
+    run = simulate_run(_stretch_counts(scenario), plant)
     return replace(run, parameters=flatten_scenario(scenario))
 
 
 def _stretch_counts(scenario: Scenario) -> Scenario:
     """Return the scenario for a finer clock: what counts ticks or samples takes as long as before.
 
-    Every pose is answered. A dead time of k ticks is k times `FINER` steps, and a queue that keeps
-    k commands makes k - 1 ticks of it.
+    Every pose is answered, also where a timer answered. A dead time of k ticks is k times `FINER`
+    steps, and a queue that keeps k commands makes k - 1 ticks of it.
     """
     loop, parameters = scenario.loop, scenario.law.parameters
     counters = list_sample_counters(find_law(scenario.law.kind)) or ()
@@ -163,6 +283,8 @@ def _stretch_counts(scenario: Scenario) -> Scenario:
         loop=replace(
             loop,
             period_ticks=1,
+            trigger="pose",
+            period_s=None,
             start_backlog=(loop.start_backlog - 1) * FINER + 1,
             pose_queue=loop.pose_queue * FINER,
             command_queue=(loop.command_queue - 1) * FINER + 1,

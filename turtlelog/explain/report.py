@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet
+from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet, is_clear
 
 _NAMED: Final = 0.1
 """Of the sum of the shares' magnitudes: a mechanism with a larger share is named, and so is what
@@ -24,7 +24,8 @@ def write_sentences(found: Attribution) -> tuple[str, ...]:
     elif found.withheld:
         sentences += [_write_withheld(found)]
     else:
-        sentences += [_write_cause(found), _write_starts(found)]
+        sentences += [_write_seeds(found), _write_cause(found), _write_starts(found)]
+        sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *(_write_alone(found, other) for other in found.others)]
     if found.left:
         sentences += [f"{_capitalise(_join(found.left))} {_be(found.left)} left as built."]
@@ -84,14 +85,15 @@ def _write_cause(found: Attribution) -> str:
     if not found.acting:
         return f"Without {_join(found.mechanisms, 'or')} it is the same."
     largest = max(abs(share.share or 0.0) for share in found.shares)
-    added = (found.as_built or 0.0) - (found.without_all or 0.0)
+    added = found.divided - (found.without_all or 0.0)
     if max(largest, abs(added)) <= found.grain.size:
         together = " together change" if len(found.mechanisms) > 1 else " changes"
         return (
             f"{_capitalise(_join(found.mechanisms))}{together} it by {_format(found, added)}:"
             f" next to nothing, no more than {_describe_grain(found)}."
         )
-    parts = [_write_part(found, share) for share in _choose_named(found)]
+    parts = [_write_part(found, share) for share in _choose_named(found) if share.is_clear]
+    parts = parts or ["no effect is told from chance"]
     nothing = ", next to nothing together" if abs(added) <= found.grain.size else ""
     return (
         f"{_capitalise(_join(parts))}{_write_together(found)}{nothing};"
@@ -115,7 +117,7 @@ def _sum_shares(found: Attribution) -> float:
 
 def _write_part(found: Attribution, share: Share) -> str:
     value = share.share or 0.0
-    size = _format(found, abs(value))
+    size = _format(found, abs(value), share.standard_error)
     return (
         f"{share.mechanism} adds {size}" if value > 0.0 else f"{share.mechanism} takes away {size}"
     )
@@ -128,16 +130,55 @@ def _write_together(found: Attribution) -> str:
         _write_case(found, case)
         for case in largest
         if abs(case.value) > _NAMED * _sum_shares(found)
+        and is_clear(case.value, case.standard_error)
     ]
     return f" ({'; '.join(parts)})" if parts else ""
 
 
 def _write_case(found: Attribution, case: Together) -> str:
-    size, names = _format(found, abs(case.value)), _join(case.mechanisms)
+    size = _format(found, abs(case.value), case.standard_error)
+    names = _join(case.mechanisms)
     if case.value > 0.0:
         both = "both" if len(case.mechanisms) == 2 else "all"
         return f"{size} of this arises only when {names} {both} act"
     return f"{names} together make {size} less than the sum of their parts"
+
+
+def _write_seeds(found: Attribution) -> str:
+    """Return what the value is with other seeds."""
+    seeds = found.seeds
+    if seeds is None:
+        return ""
+    of = f"{seeds.count} seeds"
+    if seeds.used < seeds.count:
+        of = f"{seeds.used} of {of} (with the others it has no value, or none without some effect)"
+    mean = _format(found, seeds.mean, seeds.standard_error)
+    low, high = _format(found, seeds.low), _format(found, seeds.high)
+    return (
+        f"Each seed gives another value: over {of} the mean is {mean} (one standard error), and the"
+        f" central 95 % lie between {low} and {high}. The shares are of the mean."
+    )
+
+
+def _write_unclear(found: Attribution) -> str:
+    """Return the shares that would be named if they were further from 0 than chance."""
+    unclear = [share for share in _choose_named(found) if not share.is_clear]
+    if found.seeds is None or not unclear:
+        return ""
+    parts = [
+        f"{share.mechanism} ({_format(found, share.share, share.standard_error)})"
+        for share in unclear
+    ]
+    return f"Chance alone may make the share of {_join(parts)}."
+
+
+def _write_this_seed(found: Attribution) -> str:
+    value = found.this_seed
+    if value is None:
+        return ""
+    size = _format(found, abs(value))
+    does = "adds" if value >= 0.0 else "takes away"
+    return f"The seed of this run {does} {size}: that is the rest."
 
 
 def _write_starts(found: Attribution) -> str:
@@ -170,20 +211,24 @@ def _write_remainder(found: Attribution) -> str:
 
 
 def _write_alone(found: Attribution, other: Share) -> str:
-    built = found.as_built or 0.0
+    built = found.divided
     without = f"Re-simulated without {other.mechanism} alone ({other.meaning})"
     if other.alone is None:
         return f"{without} it has no value: {other.ending}."
     change = abs(other.alone - built)
     if change <= found.grain.size or change <= _NAMED * abs(built):
         return ""
+    if not is_clear(change, other.standard_error):
+        return ""
     if other.ending:
         return f"{without} {other.ending}."
-    return f"{without} it would be {_format(found, other.alone)}."
+    mean = "" if found.seeds is None else " in the mean"
+    return f"{without} it would be {_format(found, other.alone)}{mean}."
 
 
-def _format(found: Attribution, value: float | None) -> str:
-    return f"{value or 0.0:.4g} {found.unit}".removesuffix(" 1")
+def _format(found: Attribution, value: float | None, standard_error: float | None = None) -> str:
+    spread = "" if standard_error is None else f" +- {standard_error:.2g}"
+    return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
 
 
 def _join(words: "list[str] | tuple[str, ...]", last: str = "and") -> str:

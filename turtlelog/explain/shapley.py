@@ -1,4 +1,4 @@
-"""A value as a game: simulated without any set of mechanisms, and divided in exact arithmetic.
+"""The value of a game, divided in exact arithmetic among those that play it.
 
 A share is a Shapley value (Shapley, "A value for n-person games", 1953): what a mechanism adds to
 the value, averaged over all orders in which they can be put in. What a set of mechanisms makes only
@@ -8,103 +8,19 @@ starts that lie within one sample's turn.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
-from itertools import combinations
 from typing import Final
 
 import numpy as np
 
-from turtlelog.explain.attribution import StartRange
-from turtlelog.explain.law_identification import describe_phase
-from turtlelog.explain.mechanisms import SAMPLING, find_mechanisms, simulate_without
-from turtlelog.measure import measure_run
-from turtlelog.plants.turtlesim import TICK_S
-from turtlelog.run import Run
+from turtlelog.explain.attribution import StartRange, find_sample_period_s
+from turtlelog.explain.game import Coalition, Game, list_coalitions
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
 
-_OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
-"""Dead times are looked for up to 40 poses, which a finer clock passes in a few ticks."""
-
-Coalition = frozenset[str]
-"""The mechanisms that are in."""
-
 Worth = Mapping[Coalition, float]
 """The value of every coalition."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """What a simulation came to.
-
-    Attributes:
-        value: Of the metric, None where it has none.
-        reason: Why it has none, else empty.
-        ended: Names of the phases that came to their end, in order.
-    """
-
-    value: float | None
-    reason: str
-    ended: tuple[str, ...]
-
-
-class Game:
-    """Plays a scenario with some of its mechanisms out, and remembers the outcomes.
-
-    Attributes:
-        mechanisms: All that may be taken out, by name.
-    """
-
-    def __init__(self, scenario: Scenario, metric: str) -> None:
-        """Take the scenario with all mechanisms in."""
-        self._scenario, self._metric = scenario, metric
-        self.mechanisms = find_mechanisms(scenario)
-        self._outcomes: dict[frozenset[str], Outcome] = {}
-
-    def play(self, inside: Coalition, mechanisms: Sequence[str]) -> Outcome:
-        """Return the outcome with these mechanisms in, and all others out."""
-        return self.take_out(name for name in mechanisms if name not in inside)
-
-    def take_out(self, names: Iterable[str] = ()) -> Outcome:
-        """Return the outcome without these mechanisms."""
-        out = frozenset(names)
-        if out not in self._outcomes:
-            run = simulate_without(self._scenario, out)
-            found = measure_run(run, only=[self._metric])[self._metric]
-            value, reason = found.value, found.reason
-            if SAMPLING in out and self._metric.endswith(_OF_DEAD_TIME):
-                value, reason = None, "dead times are not measured on a finer clock"
-            self._outcomes[out] = Outcome(value=value, reason=reason, ended=_find_ended(run))
-        return self._outcomes[out]
-
-    def describe_ending(self, name: str) -> str:
-        """Return what differs in kind without a mechanism, in one clause; empty: nothing does."""
-        built, without = self.take_out(), self.take_out([name])
-        longer = [phase for phase in built.ended if phase not in without.ended]
-        sooner = [phase for phase in without.ended if phase not in built.ended]
-        within = f"within {self._scenario.max_duration_s:g} s"
-        kind = self._scenario.law.kind
-        if longer:
-            return f"{describe_phase(kind, longer[0])} no longer ends {within}"
-        if sooner:
-            return f"{describe_phase(kind, sooner[0])} ends {within}"
-        return without.reason
-
-
-def _find_ended(run: Run) -> tuple[str, ...]:
-    spans = run.find_phase_spans()
-    ended = (span.phase for span in (spans if run.is_complete else spans[:-1]))
-    return tuple(dict.fromkeys(ended))
-
-
-def list_coalitions(mechanisms: Sequence[str]) -> list[Coalition]:
-    """Return all sets of mechanisms, the smaller first."""
-    return [
-        frozenset(inside)
-        for size in range(len(mechanisms) + 1)
-        for inside in combinations(mechanisms, size)
-    ]
 
 
 def compute_shares(worth: Worth, mechanisms: Sequence[str]) -> dict[str, float]:
@@ -196,7 +112,7 @@ def vary_start(
     """
     built = simulate_run(scenario)
     turn_rate = float(np.abs(built.samples.turn_rate_rad_s).max())
-    within_rad = 0.5 * turn_rate * scenario.loop.period_ticks * TICK_S
+    within_rad = 0.5 * turn_rate * find_sample_period_s(scenario)
     if within_rad == 0.0:
         return None
     games = [

@@ -157,7 +157,7 @@ def _judge_times(trace: Trace) -> list[_Rule]:
     rules = []
     if trace.goal_xy_m is not None:
         driving = time_s[trace.rotating :]
-        errors = np.abs(np.subtract(trace.goal_xy_m, trace.xy_m[trace.rotating :]))
+        errors = np.abs(np.subtract(trace.goal_xy_m, trace.read_xy_m[trace.rotating :]))
         close = np.asarray((errors < _USUAL.settled_within_m).all(axis=1))
         held = _count_held(close)
         since = driving - driving[np.arange(len(close)) - np.maximum(held - 1, 0)]

@@ -36,8 +36,10 @@ class Trace:
         jumps: Rows whose pose the robot cannot have reached from the one before; none until
             `mark_breaks`.
         time_ns: Of each answer [ns], shape (n,).
-        xy_m: Of the pose read [m], shape (n, 2).
-        heading_rad: Of the pose read [rad], shape (n,).
+        xy_m: Of the pose read, as the plant published it [m], shape (n, 2).
+        heading_rad: Of the pose read, as the plant published it [rad], shape (n,).
+        read_xy_m: As the controller read it, where that is logged; else the same [m].
+        read_heading_rad: As the controller read it, where that is logged; else the same [rad].
         speed_m_s: Published [m/s], shape (n,).
         turn_rate_rad_s: Published [rad/s], shape (n,).
         rotating: How many samples the first phase has, from the first one: of sequential-p the
@@ -55,6 +57,8 @@ class Trace:
     time_ns: NDArray[np.int64]
     xy_m: Values
     heading_rad: Values
+    read_xy_m: Values
+    read_heading_rad: Values
     speed_m_s: Values
     turn_rate_rad_s: Values
     rotating: int
@@ -97,14 +101,9 @@ class Trace:
         return find_grain(self.heading_rad)
 
     @property
-    def noise_m(self) -> float:
-        """Standard deviation of the noise of positions [m]."""
-        return estimate_noise(self.xy_m)
-
-    @property
-    def noise_rad(self) -> float:
-        """Standard deviation of the noise of headings [rad]."""
-        return estimate_noise(np.unwrap(self.heading_rad)[:, None])
+    def answered_after_s(self) -> float:
+        """Least time from a pose to its answer [s]; 0 of a log with a pose per sample."""
+        return float(np.min(self.time_ns - _get_pose_times(self))) / 1e9
 
     @property
     def missing(self) -> list[tuple[int, int]]:
@@ -136,13 +135,18 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         rotating = count_leading(names == phases[0])
         translating = count_leading(names[rotating:] == phases[1])
     has_ticks = _has_ticks(run)
+    poses = run.poses
     return Trace(
         run=run,
         number=samples.sequence if has_ticks else np.arange(len(samples)),
         jumps=(),
         time_ns=samples.time_ns,
-        xy_m=run.poses.xy_m[read],
-        heading_rad=run.poses.heading_rad[read],
+        xy_m=poses.xy_m[read],
+        heading_rad=poses.heading_rad[read],
+        read_xy_m=(poses.xy_m if poses.sensed_xy_m is None else poses.sensed_xy_m)[read],
+        read_heading_rad=(
+            poses.heading_rad if poses.sensed_heading_rad is None else poses.sensed_heading_rad
+        )[read],
         speed_m_s=samples.speed_m_s,
         turn_rate_rad_s=samples.turn_rate_rad_s,
         rotating=rotating,
@@ -174,15 +178,16 @@ def find_grain(values: Values) -> float:
     return step if is_common else spacing
 
 
-def estimate_noise(values: Values) -> float:
+def estimate_noise(values: Values, order: int = 2) -> float:
     """Return the standard deviation of noise, from what neighbours do not have in common.
 
-    The median of second differences of normal noise is 0.6745 times the root of 6 of it.
+    The median of second differences of normal noise is 0.6745 times the root of 6 of it. Of a
+    higher order the motion itself leaves less.
     """
-    if len(values) < 3:
+    if len(values) <= order:
         return 0.0
-    bends = np.abs(np.diff(values, n=2, axis=0))
-    return float(np.median(bends)) / (0.6745 * float(np.sqrt(6.0)))
+    bends = np.abs(np.diff(values, n=order, axis=0))
+    return float(np.median(bends)) / (0.6745 * math.sqrt(math.comb(2 * order, order)))
 
 
 def count_leading(holds: NDArray[np.bool_]) -> int:
@@ -254,7 +259,7 @@ def list_breaks(trace: Trace) -> list[int]:
 
 
 def describe_breaks(trace: Trace) -> list[str]:
-    """Return jumps and missing rows in sentences, the first of each, and how many more."""
+    """Return jumps, missing rows and misread poses in sentences; of many the first."""
     found = []
     if trace.jumps:
         row = trace.jumps[0]
@@ -269,6 +274,13 @@ def describe_breaks(trace: Trace) -> list[str]:
         length_s = _find_time_s(trace, row) - at_s
         more = _count_more(len(trace.missing))
         found.append(f"{amount} {noun} missing after {at_s:.3f} s, for {length_s:.3f} s{more}")
+    if not np.array_equal(trace.read_xy_m, trace.xy_m) or not np.array_equal(
+        trace.read_heading_rad, trace.heading_rad
+    ):
+        off_m = float(np.hypot(*(trace.read_xy_m - trace.xy_m).T).max())
+        off_rad = np.abs(subtract_headings(trace.read_heading_rad, trace.heading_rad)).max()
+        off = f"{off_m:.3g} m and {np.degrees(off_rad):.3g} deg"
+        found.append(f"the poses that the controller read are off the plant's by up to {off}")
     return found
 
 

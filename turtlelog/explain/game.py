@@ -1,0 +1,209 @@
+"""A value as a game: a scenario simulated without any set of its mechanisms, over seeds.
+
+Where a mechanism that is in draws random numbers, one run says little of it: such a scenario is
+simulated with every one of `SEEDS`, and the same seeds with and without a mechanism.
+"""
+
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from statistics import fmean
+from typing import Final
+
+from turtlelog.errors import ExplainError, SimulationError
+from turtlelog.explain.law_identification import describe_phase
+from turtlelog.explain.mechanisms import (
+    SAMPLING,
+    draws_random,
+    find_mechanisms,
+    is_present,
+    simulate_without,
+    take_out,
+)
+from turtlelog.laws import LAWS
+from turtlelog.measure import measure_run
+from turtlelog.run import Run
+from turtlelog.scenario import Scenario
+
+SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
+"""Of the means: the same for all runs, so that two which differ in their seed alone have the same
+shares; and far from those that people number their runs with."""
+
+_OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
+"""Dead times are looked for up to 40 poses, which a finer clock passes in a few ticks."""
+
+_AT_ONCE: Final = 4
+"""Simulations that a process takes at a time: some 40 ms of work."""
+
+Coalition = frozenset[str]
+"""The mechanisms that are in."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Work:
+    """How to simulate.
+
+    Attributes:
+        jobs: Processes, at least 1. They import the module that runs: a script that asks for more
+            than one keeps its own work under `if __name__ == "__main__":`. A law that is not built
+            in is simulated in one.
+        report: Called with the simulations that are done and those that are known to be needed.
+    """
+
+    jobs: int = 1
+    report: Callable[[int, int], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.jobs < 1:
+            raise ExplainError(f"jobs: expected at least 1 process, found {self.jobs}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What a simulation came to, or most of several with different seeds.
+
+    Attributes:
+        value: Of the metric, None where it has none; of several their mean.
+        reason: Why it has none, else empty.
+        ended: Names of the phases that came to their end, in order.
+    """
+
+    value: float | None
+    reason: str
+    ended: tuple[str, ...]
+
+
+class Game:
+    """Plays a scenario with some of its mechanisms out, and remembers the outcomes.
+
+    Attributes:
+        mechanisms: All that may be taken out, by name.
+        present: Those that are in, in their order; to take out another changes nothing.
+        is_random: Whether the scenario's run is another one with another seed.
+    """
+
+    def __init__(self, scenario: Scenario, metric: str, work: Work | None = None) -> None:
+        """Take the scenario with all mechanisms in."""
+        self._scenario, self._metric, self._work = scenario, metric, work or Work()
+        self.mechanisms = find_mechanisms(scenario)
+        self.present = tuple(
+            name for name, found in self.mechanisms.items() if is_present(scenario, found)
+        )
+        self.is_random = draws_random(scenario)
+        self._outcomes: dict[tuple[Coalition, int | None], Outcome] = {}
+
+    def play(self, inside: Coalition, mechanisms: Sequence[str]) -> Outcome:
+        """Return the outcome with these mechanisms in, and all others out."""
+        return self.take_out(name for name in mechanisms if name not in inside)
+
+    def take_out(self, names: Iterable[str] = ()) -> Outcome:
+        """Return the outcome without these mechanisms; of random ones that of most seeds."""
+        found = self.take_out_each(names)
+        return found[0] if len(found) == 1 else _average(found)
+
+    def take_out_each(self, names: Iterable[str] = ()) -> list[Outcome]:
+        """Return the outcomes without these mechanisms, by seed; one where nothing is random."""
+        out = frozenset(names).intersection(self.present)
+        self.prepare([out])
+        return [self._outcomes[out, seed] for seed in self._list_seeds(out)]
+
+    def play_as_built(self, names: Iterable[str] = ()) -> Outcome:
+        """Return the outcome without these mechanisms, with the scenario's own seed."""
+        out = frozenset(names).intersection(self.present)
+        self._simulate([(out, None)])
+        return self._outcomes[out, None]
+
+    def prepare(self, sets: Iterable[Iterable[str]]) -> None:
+        """Simulate without each of these sets of mechanisms."""
+        outs = dict.fromkeys(frozenset(names).intersection(self.present) for names in sets)
+        self._simulate([(out, seed) for out in outs for seed in self._list_seeds(out)])
+
+    def describe_ending(self, name: str) -> str:
+        """Return what differs in kind without a mechanism, in one clause; empty: nothing does."""
+        built, without = self.take_out(), self.take_out([name])
+        longer = [phase for phase in built.ended if phase not in without.ended]
+        sooner = [phase for phase in without.ended if phase not in built.ended]
+        within = f"within {self._scenario.max_duration_s:g} s"
+        within += " with most seeds" * self.is_random
+        kind = self._scenario.law.kind
+        if longer:
+            return f"{describe_phase(kind, longer[0])} no longer ends {within}"
+        if sooner:
+            return f"{describe_phase(kind, sooner[0])} ends {within}"
+        return without.reason
+
+    def _list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        if not self.is_random:
+            return (None,)
+        left = take_out(self._scenario, [self.mechanisms[name] for name in out])
+        return SEEDS if draws_random(left) else (None,)
+
+    def _simulate(self, wanted: Sequence[tuple[Coalition, int | None]]) -> None:
+        missing = [one for one in wanted if one not in self._outcomes]
+        total = len(self._outcomes) + len(missing)
+        for one, outcome in zip(missing, self._iterate(missing), strict=True):
+            self._outcomes[one] = outcome
+            if self._work.report is not None:
+                self._work.report(len(self._outcomes), total)
+
+    def _iterate(self, missing: Sequence[tuple[Coalition, int | None]]) -> Iterator[Outcome]:
+        simulate = partial(_simulate, self._scenario, self._metric)
+        jobs = self._work.jobs if self._scenario.law.kind in LAWS else 1
+        if jobs == 1 or len(missing) <= _AT_ONCE:
+            yield from map(simulate, missing)
+            return
+        # Spawned and not forked: the same everywhere, and safe beside threads.
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(min(jobs, len(missing)), mp_context=context)
+        try:
+            yield from pool.map(simulate, missing, chunksize=_AT_ONCE)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _simulate(scenario: Scenario, metric: str, one: tuple[Coalition, int | None]) -> Outcome:
+    out, seed = one
+    try:
+        run = simulate_without(scenario, out, seed=seed)
+    except SimulationError as err:
+        if seed is None:
+            raise
+        return Outcome(value=None, reason=str(err), ended=())
+    found = measure_run(run, only=[metric])[metric]
+    value, reason = found.value, found.reason
+    if SAMPLING in out and metric.endswith(_OF_DEAD_TIME):
+        value, reason = None, "dead times are not measured on a finer clock"
+    return Outcome(value=value, reason=reason, ended=_find_ended(run))
+
+
+def _find_ended(run: Run) -> tuple[str, ...]:
+    spans = run.find_phase_spans()
+    ended = (span.phase for span in (spans if run.is_complete else spans[:-1]))
+    return tuple(dict.fromkeys(ended))
+
+
+def _average(outcomes: Sequence[Outcome]) -> Outcome:
+    """Return what most outcomes have: the mean of their values, and the phases that they ended."""
+    most = len(outcomes) / 2.0
+    values = [found.value for found in outcomes if found.value is not None]
+    ended = Counter(phase for found in outcomes for phase in found.ended)
+    phases = tuple(phase for phase, count in ended.items() if count > most)
+    if len(values) > most:
+        return Outcome(value=fmean(values), reason="", ended=phases)
+    reasons = Counter(found.reason for found in outcomes if found.value is None)
+    ((reason, count),) = reasons.most_common(1)
+    reason = f"{reason} (with {count} of {len(outcomes)} seeds)"
+    return Outcome(value=None, reason=reason, ended=phases)
+
+
+def list_coalitions(mechanisms: Sequence[str]) -> list[Coalition]:
+    """Return all sets of mechanisms, the smaller first."""
+    return [
+        frozenset(inside)
+        for size in range(len(mechanisms) + 1)
+        for inside in combinations(mechanisms, size)
+    ]
