@@ -79,7 +79,7 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["theory", "inf"], "turtlelog theory: expected no further word, found 'inf'"),
+        (["theory", "a", "inf"], "turtlelog theory: expected no further word, found 'inf'"),
         (["run", "a", "b", "c"], "turtlelog run: expected no further word, found 'b' and 1 more"),
         (["run", "--kp", "x"], "--kp: expected a number, found 'x'"),
         (["run", "--kp"], "turtlelog run: --kp: expected a number, found none"),
@@ -95,7 +95,7 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         (["list", "metric"], "KIND: expected metrics, signals, presets, laws, mechanisms or"),
         (["help", "explane"], "turtlelog help: expected explain or replay"),
         (["frob\x1b[2J"], "found 'frob\\x1b[2J'"),
-        (["theory", "n" * 999], f"found '{'n' * 60}...'"),
+        (["theory", "a", "n" * 999], f"found '{'n' * 60}...'"),
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else "",
 )

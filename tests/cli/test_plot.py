@@ -182,3 +182,17 @@ def test_a_bad_file_is_one_line(
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert match in err
     assert [path.name for path in tmp_path.iterdir()] == ["folder.png"]
+
+
+def test_a_preset_or_a_scenario_file_is_simulated_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text("[law]\nkp_angular = 4.0\n")
+    for word in ("paper-kp10", str(scenario)):
+        target = tmp_path / "bode.svg"
+        code, out, _ = run_plot(capsys, word, "-o", str(target), "--only", "bode")
+        assert (code, out) == (0, f"wrote {target}\n")
+    code, out, err = run_plot(capsys, "nix.toml", "-o", str(tmp_path / "a.svg"))
+    assert (code, out) == (2, "")
+    assert "nix.toml: expected a recording, a bag or a log, found" in err

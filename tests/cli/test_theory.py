@@ -1,3 +1,6 @@
+import re
+from pathlib import Path
+
 import pytest
 
 from tests.cli.conftest import Call
@@ -73,6 +76,20 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
         (["--dead-time=-1"], "dead_time_ticks: expected a whole number from 0 to 1000, found -1"),
         (["--dead-time", "1.5"], "--dead-time: expected a whole number, found '1.5'"),
         (["--dead-time", "1e9"], "--dead-time: expected a whole number, found '1e9'"),
+        (["--lag", "nan"], "lag_s: expected a number from 0 to 1e+100, found nan"),
+        (["--ki=-1"], "ki: expected a number from 0 to 1e+100, found -1.0"),
+        (["--gain", "0"], "gain: expected a number > 0, found 0.0"),
+        (
+            ["--dead-time-s", "17"],
+            "dead_time_s: expected at most 1000 samples in all, found 1062.5",
+        ),
+        (["--low-pass", "x"], "--low-pass: expected a number, found 'x'"),
+        (["--set", "law.kp_linear=4"], "--set: expected SCENARIO beside it, found none"),
+        (["textbook", "--lag", "1"], "--lag: expected no such option beside SCENARIO, found one"),
+        (["textbook", "--period", "1"], "--period: expected no such option beside SCENARIO"),
+        (["textbook", "--dead-time", "1"], "--dead-time: expected no such option beside SCENARIO"),
+        (["textbook", "--kp", "1,2"], "--kp: expected one gain beside SCENARIO, found 2"),
+        (["textbuch"], "textbuch: expected a scenario file (.toml) or"),
         (["--dead-time", "1000000000"], "expected a whole number from 0 to 1000, found 1000000000"),
     ],
 )
@@ -82,3 +99,102 @@ def test_theory_names_what_it_cannot_use(call: Call, words: list[str], expected:
     assert answer.err.startswith("turtlelog: error: ")
     assert expected in answer.err
     assert answer.err.count("\n") == 1
+
+
+def test_an_integral_and_a_lag_have_their_range_and_margins(call: Call) -> None:
+    loop = ("--ki", "1", "--lag", "0.1", "--dead-time-s", "0.08", "--period", "0.05")
+    answer = call("theory", "--kp", "2,30", *loop, "--json").json
+    assert answer["process"] == {"gain": 1.0, "lag_s": 0.1, "dead_time_s": 0.08, "low_pass_s": 0.0}
+    assert answer["period_s"] == 0.05
+    low, fine = answer["gains"]
+    assert (low["stable"], fine["stable"]) == (True, False)
+    ((least, most),) = low["stable_gains"]
+    assert answer["stability_gain"] == most == pytest.approx(10.83, abs=5e-3)
+    assert least == pytest.approx(0.2326, abs=5e-5)
+    # Of 1.6 samples of dead time two commands wait and a third acts in part; lag, integral, plant.
+    assert len(low["poles"]) == 5
+    assert (fine["gain_margin"], fine["phase_margin_rad"]) == (None, None)
+    text = call("theory", "--kp", "2,30", *loop).out
+    assert re.search(r"stable for Kp \[1/s\] +0.2326 to 10.83  0.2326 to 10.83", text)
+    assert re.search(r"overshoots +by 22.43 % +without end", text)
+
+
+def test_neutral_options_answer_as_p_on_an_integrator(call: Call) -> None:
+    plain = call("theory", "--kp", "4", "--dead-time", "6", "--json").json["gains"][0]
+    found = call("theory", "--kp", "4", "--dead-time-s", "0.096", "--json").json["gains"][0]
+    same = ("poles", "stable", "overshoots", "overshoot_percent", "sampled_settling_time_s")
+    assert [found[key] for key in same] == [plain[key] for key in same]
+    assert found["gain_margin"] == pytest.approx(plain["gain_margin"])
+    assert found["delay_margin_s"] == pytest.approx(plain["delay_margin_s"])
+
+
+def test_a_scenario_is_answered_loop_by_loop(call: Call) -> None:
+    answer = call("theory", "paper-kp10", "--json").json
+    assert (answer["name"], answer["source"]) == ("paper-kp10", "scenario")
+    rotate, translate = answer["loops"]
+    assert (rotate["loop"], rotate["signal"], rotate["status"]) == ("rotate", "heading", "ok")
+    assert (rotate["kp"], rotate["dead_time_s"]) == (10.0, 0.064)
+    assert rotate["most_dead_time_s"] == pytest.approx(0.096)
+    assert rotate["left_out"] == ["limits.turn_rate_rad_s = 1"]
+    assert translate["left_out"] == ["limits.speed_m_s = 1"]
+    assert set(translate["from"].values()) == {"from the scenario"}
+
+
+def test_a_recording_gives_its_own_dead_times_and_says_where_they_are_from(
+    call: Call, kp10: Path
+) -> None:
+    rotate, translate = call("theory", kp10, "--json").json["loops"]
+    assert [rotate["dead_time_s"], translate["dead_time_s"]] == pytest.approx([0.064, 0.096])
+    assert rotate["from"]["dead_time_s"] == "measured in the recording, 4 ticks"
+    assert rotate["from"]["gains"] == "from the scenario"
+    text = " ".join(call("theory", kp10).out.split())
+    assert "dead time measured in the recording, 6 ticks" in text
+
+
+def test_a_recording_without_its_scenario_has_gains_identified(call: Call, tmp_path: Path) -> None:
+    riddle = tmp_path / "riddle.mcap"
+    call("run", "paper-kp4", "--strip-scenario", "-o", riddle)
+    for loop in call("theory", riddle, "--json").json["loops"]:
+        assert loop["kp"] == pytest.approx(4.0)
+        assert loop["from"]["gains"] == "identified from the commands"
+        assert loop["from"]["plant"] == "assumed, as the recording names no plant"
+
+
+def test_a_law_that_theory_does_not_know_is_said_to_be_unknown(call: Call) -> None:
+    answer = call("theory", "posture")
+    assert (answer.code, answer.out.count("is unknown: the law declares")) == (0, 2)
+    loops = call("theory", "posture", "--json").json["loops"]
+    assert [loop["status"] for loop in loops] == ["unknown", "unknown"]
+    assert "poles" not in loops[0]
+    assert "no loop is declared" in call("theory", "plant-step").out
+
+
+def test_a_lagged_robot_is_answered_from_its_file(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(
+        '[law]\nkind = "sequential-pid"\nkp_angular = 4.0\nkp_linear = 2.0\nki_linear = 0.5\n'
+        '[plant]\nkind = "lagged"\nturn_lag_s = 0.1\nturn_dead_time_s = 0.08\nspeed_gain = 0.9\n'
+        "[loop]\ntransport_delay_s = 0.03\njitter_s = 0.01\n[shaping]\nlow_pass_s = 0.05\n"
+        "dead_zone_speed_m_s = 0.01\n"
+    )
+    rotate, translate = call("theory", path, "--json").json["loops"]
+    assert rotate["process"] == {
+        "gain": 1.0,
+        "lag_s": 0.1,
+        "dead_time_s": pytest.approx(0.11),
+        "low_pass_s": 0.05,
+    }
+    assert translate["process"]["gain"] == 0.9
+    assert rotate["left_out"] == ["limits.turn_rate_rad_s = 1", "loop.jitter_s = 0.01"]
+    assert "shaping.dead_zone_speed_m_s = 0.01" in translate["left_out"]
+    gained = call("theory", path, "--kp", "40", "--json").json["loops"]
+    assert [loop["stable"] for loop in gained] == [False, False]
+    slow = call("theory", path, "--set", "plant.turn_lag_s=0.5", "--json").json["loops"][0]
+    assert slow["process"]["lag_s"] == 0.5
+
+
+def test_gains_of_a_scenario_belong_to_no_recording(call: Call, kp10: Path) -> None:
+    for words in (["--kp", "3"], ["--set", "law.kp_linear=3"]):
+        answer = call("theory", kp10, *words)
+        assert answer.code == 2
+        assert f"{words[0]}: expected a scenario beside it, found a recording" in answer.err

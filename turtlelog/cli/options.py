@@ -119,13 +119,14 @@ _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
 
 def find_scenario_file(name: str | None) -> Path | None:
     """Return the scenario file that a word names, None where it names something else."""
-    if name is None or name in tl.PRESETS or _is_recording(Path(name)):
+    if name is None or name in tl.PRESETS or is_recording(Path(name)):
         return None
     path = Path(name)
     return path if path.suffix.lower() == ".toml" or path.is_file() else None
 
 
-def _is_recording(path: Path) -> bool:
+def is_recording(path: Path) -> bool:
+    """Return whether a word names a recording, by its ending, or a bag's folder."""
     return path.suffix.lower() in _RECORDINGS or path.is_dir()
 
 
@@ -144,7 +145,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     named = options.find_law_kind()
     name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
     path, declared = Path(name_or_path), None
-    if not _is_recording(path):
+    if not is_recording(path):
         base = tl.load_scenario(name_or_path)
     else:
         run = _read_run(path, TopicOptions())

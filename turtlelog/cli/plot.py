@@ -34,7 +34,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 ) -> None:
     """Make the paper's figures from any recordings, and its tables as LaTeX.
 
-    Into a folder: every figure that the recordings hold the data for. Only what they hold is drawn;
+    Into a folder: every figure that the recordings hold the data for; bode, nyquist,
+    sampled-root-locus and sampled-step only where --only names them. Only what they hold is drawn;
     what is left out, and why, is said on stderr. Without recordings: the figures of the ideal loop.
     A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
     Figures and tables that are there already are replaced.
@@ -43,9 +44,12 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 
     Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane
 
+    Example: turtlelog plot paper-kp10 -o bode.png --only bode
+
     Args:
-        files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv); one is drawn in
-            detail, several over each other.
+        files: Recordings (.mcap), ROS 2 bags, the paper's logs (.json, .csv), or presets and
+            scenario files (.toml), which are simulated; one is drawn in detail, several over each
+            other.
         output: Write into this folder, or one figure to this .pdf, .png or .svg file.
         only: Figures by name, with commas (turtlelog list figures).
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
@@ -71,7 +75,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         if is_file
         else _split("pdf" if formats is None else formats, "--format")
     )
-    runs = read_runs(files, topics) if files else []
+    runs = _collect_runs(files or [], topics)
     if is_file:
         name = names[0] if names else _choose_overview(runs)
         figures = {_draw_one(output, runs, name, kinds, page): name}
@@ -87,6 +91,25 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         print_json({**_describe(files or [], figures, tables), "left_out": list(left_out)})
     else:
         print_lines(f"wrote {path}" for path in [*figures, *tables])
+
+
+def _collect_runs(words: Sequence[Path], topics: TopicOptions | None) -> "list[Run]":
+    """Return recordings, and runs of scenarios and presets, in their order."""
+    scenarios = {
+        word
+        for word in words
+        if str(word) in tl.PRESETS or (word.suffix.lower() == ".toml" and word.is_file())
+    }
+    if not scenarios:
+        return read_runs(words, topics) if words else []
+    runs = []
+    for word in words:
+        if word in scenarios:
+            with show_progress("simulating"):
+                runs.append(tl.simulate_run(tl.load_scenario(str(word))))
+        else:
+            runs += read_runs([word], topics)
+    return runs
 
 
 _SUFFIXES: Final = frozenset({".pdf", ".png", ".svg"})

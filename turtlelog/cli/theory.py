@@ -1,52 +1,235 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Json, Whole
+from turtlelog.cli.list_names import complete_keys, complete_preset
+from turtlelog.cli.options import (
+    Json,
+    LawOptions,
+    TopicOptions,
+    Whole,
+    is_recording,
+    load_changed_scenario,
+    read_runs,
+)
 from turtlelog.cli.output import format_table, print_json, print_text
+from turtlelog.cli.theory_loops import (
+    LoopAnswer,
+    answer_models,
+    describe_pid_loop,
+    describe_process,
+    tabulate_answers,
+)
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
-    from turtlelog.theory import SampledLoop
+    from turtlelog.theory import Process, SampledLoop
 
 _MOST_GAINS: Final = 100
+_GAINS: Final = "1,2,4,10"
+_TURTLE_TICK_S: Final = 0.016
 
 
-def theory(
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TermOptions:
+    """Terms of the controller beside P, and what its command passes.
+
+    Attributes:
+        ki: Integral gain [1/s^2].
+        kd: Derivative gain, on the measurement [1].
+        filter: Time constant of the derivative's first-order filter [s].
+        gain: Gain K of the plant K exp(-theta s) / ((tau s + 1) s) [1]; 1 by default.
+        lag: Time constant tau of the plant [s].
+        dead_time_s: Dead time theta [s], any part of a period; adds to --dead-time.
+        low_pass: Time constant of a first-order low-pass of the commands [s], as low_pass_s of
+            [shaping].
+    """
+
+    ki: Annotated[float | None, Parameter(metavar="GAIN")] = None
+    kd: Annotated[float | None, Parameter(metavar="GAIN")] = None
+    filter: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+    gain: Annotated[float | None, Parameter(metavar="GAIN")] = None
+    lag: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+    dead_time_s: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+    low_pass: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+
+    def list_given(self) -> list[str]:
+        """Return the options that are given."""
+        given = [one.name for one in fields(self) if getattr(self, one.name) is not None]
+        return [f"--{name.replace('_', '-')}" for name in given]
+
+    def build_process(self) -> "Process":
+        """Return what the command passes."""
+        return tl.theory.Process(
+            gain=1.0 if self.gain is None else self.gain,
+            lag_s=self.lag or 0.0,
+            dead_time_s=self.dead_time_s or 0.0,
+            low_pass_s=self.low_pass or 0.0,
+        )
+
+
+def theory(  # noqa: PLR0913 (each is an option of the command)
+    scenario: Annotated[str | None, Parameter(name="SCENARIO", completer=complete_preset)] = None,
+    /,
     *,
-    kp: Annotated[str, Parameter(metavar="GAINS")] = "1,2,4,10",
-    period: Annotated[float, Parameter(metavar="SECONDS")] = 0.016,
-    dead_time: Whole = 0,
+    kp: Annotated[str | None, Parameter(metavar="GAINS")] = None,
+    terms: TermOptions | None = None,
+    period: Annotated[float | None, Parameter(metavar="SECONDS")] = None,
+    dead_time: Annotated[Whole | None, Parameter()] = None,
+    assignments: Annotated[
+        list[str] | None,
+        Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
+    ] = None,
+    topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Say what theory expects of an integrator under proportional feedback.
+    """Say what theory expects of an integrator under P, PI, PD or PID control.
 
     The plant 1/s, the ideal loop Kp / (s + Kp), and the sampled loop with dead
     time: poles, overshoot, settling times, margins, and the gains at which
     overshoot and instability begin. Commands are not clipped. The paper's
     programs had 4 or 5 ticks of dead time while rotating, 6 while translating.
 
+    With an integral, a derivative, a lag, a low-pass or dead time in seconds:
+    the same of that loop, sampled exactly. Of a scenario or a recording: of
+    each loop of its law, where each value comes from, and what is left out.
+
     Example: turtlelog theory --kp 1,2,4,10 --dead-time 6
 
+    Example: turtlelog theory --kp 2 --ki 1 --lag 0.1 --dead-time-s 0.08
+
+    Example: turtlelog theory kp10.mcap
+
     Args:
-        kp: Gains [1/s], with commas between; at most 100 of them.
-        period: Sampling period [s]; turtlesim's tick by default.
-        dead_time: Dead time [ticks], 0 to 1000; 0 is the least possible.
+        scenario: A preset, a scenario file (.toml), or a recording, whose period and dead times are
+            measured.
+        kp: Gains [1/s], with commas between, at most 100; 1,2,4,10 by default. Of a scenario the
+            one gain to set.
+        terms: Other terms and the plant.
+        period: Sampling period [s]; turtlesim's tick, 0.016, by default.
+        dead_time: Dead time [ticks], 0 to 1000; 0, the default, is the least possible.
+        assignments: Change one value of the scenario by its dotted key; may stand several times.
+        topics: How a recording is read.
         json: Print one JSON object instead of tables.
     """
-    gains = _parse_gains(kp)
+    terms = terms or TermOptions()
+    if scenario is not None:
+        given = terms.list_given()
+        given += [] if period is None else ["--period"]
+        given += [] if dead_time is None else ["--dead-time"]
+        if given:
+            raise UsageError(f"{given[0]}: expected no such option beside SCENARIO, found one")
+        _answer_file(scenario, kp, assignments, topics, json=json)
+        return
+    if assignments:
+        raise UsageError("--set: expected SCENARIO beside it, found none")
+    gains = _parse_gains(_GAINS if kp is None else kp)
+    period_s = _TURTLE_TICK_S if period is None else period
+    if terms.list_given():
+        _answer_terms(gains, terms, period_s, dead_time or 0, json=json)
+        return
     loops = [
-        tl.theory.analyse_sampled_loop(gain, period_s=period, dead_time_ticks=dead_time)
+        tl.theory.analyse_sampled_loop(gain, period_s=period_s, dead_time_ticks=dead_time or 0)
         for gain in gains
     ]
     if json:
         print_json(_describe(loops))
         return
     print_text("\n".join(map(format_table, tabulate_theory(loops))))
+
+
+def _answer_terms(
+    gains: list[float], terms: TermOptions, period_s: float, dead_time: int, *, json: bool
+) -> None:
+    """Answer for a loop with more than P on 1/s, at each Kp."""
+    process = terms.build_process()
+    found = [
+        tl.theory.analyse_pid_loop(
+            tl.theory.PidGains(
+                kp=kp, ki=terms.ki or 0.0, kd=terms.kd or 0.0, filter_s=terms.filter or 0.0
+            ),
+            period_s=period_s,
+            dead_time_ticks=dead_time,
+            process=process,
+        )
+        for kp in gains
+    ]
+    if not json:
+        answers = [LoopAnswer(title=f"Kp = {loop.gains.kp:g}", found=loop) for loop in found]
+        print_text(format_table(tabulate_answers("The sampled loop", answers)))
+        return
+    ranges = found[0].stable_gains
+    print_json(
+        {
+            "period_s": period_s,
+            "dead_time_ticks": dead_time,
+            "dead_time_s": found[0].dead_time_s,
+            "process": describe_process(process),
+            "overshoot_gain": None,
+            "stability_gain": ranges[-1][1] if ranges else None,
+            "gains": [describe_pid_loop(loop) for loop in found],
+        }
+    )
+
+
+def _answer_file(
+    word: str,
+    kp: str | None,
+    assignments: list[str] | None,
+    topics: TopicOptions | None,
+    *,
+    json: bool,
+) -> None:
+    """Answer for each loop of a scenario or a recording."""
+    path = Path(word)
+    if is_recording(path):
+        if kp is not None or assignments:
+            option = "--set" if kp is None else "--kp"
+            raise UsageError(f"{option}: expected a scenario beside it, found a recording, {path}")
+        (run,) = read_runs([path], topics)
+        name, source = run.name, "recording"
+        models = tl.measure.model_run_loops(run, identified=_identify(run))
+    else:
+        options = LawOptions(kp=_parse_one_gain(kp), assignments=assignments)
+        chosen = tl.scenario.resolve_scenario(load_changed_scenario(word, options))
+        name, source = chosen.name, "scenario"
+        parameters = tl.scenario.flatten_scenario(chosen)
+        models = tl.theory.model_loops(tl.simulate.declare_scenario(chosen), parameters)
+    answers = answer_models(models)
+    if json:
+        print_json({"name": name, "source": source, "loops": [one.describe() for one in answers]})
+    elif answers:
+        table = tabulate_answers(f"The loops of {name}", answers)
+        print_text(format_table(table) if table.rows else "\n".join(table.notes))
+    else:
+        print_text(f"{name}: no loop is declared, so theory says nothing of it.")
+
+
+def _identify(run: "tl.Run") -> dict[str, Any]:
+    """Return gains that a recording does not tell, as its commands do."""
+    gains = [loop.gain for loop in run.declaration.loops if loop.gain]
+    keys = [key for key in gains if key not in run.parameters]
+    if not keys or not len(run.samples):
+        return {}
+    findings = tl.explain.identify_run(run).findings
+    values = {key: findings[key].value for key in keys if key in findings}
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _parse_one_gain(text: str | None) -> float | None:
+    if text is None:
+        return None
+    gains = _parse_gains(text)
+    if len(gains) != 1:
+        raise UsageError(f"--kp: expected one gain beside SCENARIO, found {len(gains)}")
+    return gains[0]
 
 
 def _parse_gains(text: str) -> list[float]:

@@ -20,6 +20,7 @@ from turtlelog.measure.path import read_reference_path
 from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
+from turtlelog.measure.run_loops import model_run_loops
 from turtlelog.measure.signals import (
     SIGNALS,
     Signal,
@@ -62,6 +63,7 @@ __all__ = [
     "list_signals",
     "measure_run",
     "miss_metric",
+    "model_run_loops",
     "read_reference",
     "read_reference_path",
     "read_signal",

@@ -30,6 +30,13 @@ from turtlelog.theory.declared_loops import (
     read_gains,
     read_process,
 )
+from turtlelog.theory.loop_models import (
+    LoopModel,
+    MeasuredTiming,
+    list_known,
+    model_loop,
+    model_loops,
+)
 from turtlelog.theory.pid_gains import PidGains
 from turtlelog.theory.pid_loop import (
     PidLoop,
@@ -60,8 +67,10 @@ __all__ = [
     "BiboVerdict",
     "FinalValue",
     "FinalValueStatus",
+    "LoopModel",
     "LoopTiming",
     "Margins",
+    "MeasuredTiming",
     "PidGains",
     "PidLoop",
     "Process",
@@ -94,7 +103,10 @@ __all__ = [
     "hides_stability",
     "is_pid_stable",
     "judge_bibo",
+    "list_known",
     "list_left_out",
+    "model_loop",
+    "model_loops",
     "read_gains",
     "read_process",
 ]

@@ -39,7 +39,11 @@ def list_labels(axes: Axes) -> set[str]:
 
 
 def list_drawn(run: tl.Run) -> set[str]:
-    return {name for name, kind in tl.show.FIGURES.items() if not kind.find_lack([run])}
+    return {
+        name
+        for name, kind in tl.show.FIGURES.items()
+        if not (kind.is_extra or kind.find_lack([run]))
+    }
 
 
 THEORY = {"plant", "step-responses", "root-locus"}

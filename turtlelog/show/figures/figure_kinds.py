@@ -32,6 +32,12 @@ from turtlelog.show.figures.panels import (
     draw_track,
     draw_wanted,
 )
+from turtlelog.show.figures.sampled_loops import (
+    draw_bode,
+    draw_nyquist,
+    draw_sampled_root_locus,
+    draw_sampled_step,
+)
 from turtlelog.show.shared_curves import (
     Command,
     list_loops,
@@ -108,6 +114,7 @@ class FigureKind:
         panels: Those that no run has anything for are left out.
         list_more: More panels, that depend on what the laws of runs declare.
         is_usual: Whether it is missed where no run has anything for it.
+        is_extra: Whether it is drawn only where it is asked for by name.
         arrange: Puts panels where they stand.
     """
 
@@ -119,6 +126,7 @@ class FigureKind:
     panels: tuple[Panel, ...] = ()
     list_more: Callable[[Sequence[Run]], tuple[Panel, ...]] = lambda _: ()
     is_usual: bool = True
+    is_extra: bool = False
     arrange: Arrange = draw_stack
 
     def find_lack(self, runs: Sequence[Run]) -> str | None:
@@ -164,7 +172,7 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
     """
     runs = order_by_gain(runs)
     left_out: dict[tuple[str, tuple[int, ...]], list[str]] = {}
-    shown = tuple(FIGURES) if names is None else tuple(dict.fromkeys(names))
+    shown = list_usual_figures() if names is None else tuple(dict.fromkeys(names))
     for name in shown:
         for part, lacks in _list_parts(name, runs):
             for words in dict.fromkeys(filter(None, lacks)):
@@ -186,6 +194,11 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
             part, expected = ("furthest off the path", _DEPARTURE)
         lines.append(f"left out plane ({part}): expected {expected}, found none")
     return tuple(lines)
+
+
+def list_usual_figures() -> tuple[str, ...]:
+    """Return the names of the figures that are drawn unless others are asked for."""
+    return tuple(name for name, kind in FIGURES.items() if not kind.is_extra)
 
 
 def has_table1(runs: Sequence[Run]) -> bool:
@@ -373,6 +386,42 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             height=0.32,
             needs="states",
             is_usual=False,
+        ),
+        "bode": FigureKind(
+            title="Frequency response of the open sampled loops, with their margins",
+            paper="",
+            draw=draw_bode,
+            height=0.62,
+            needs="theory",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "nyquist": FigureKind(
+            title="Open sampled loops in the complex plane, with their margins",
+            paper="",
+            draw=draw_nyquist,
+            height=0.62,
+            needs="theory",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "sampled-root-locus": FigureKind(
+            title="Poles of the closed sampled loops as Kp rises",
+            paper="",
+            draw=draw_sampled_root_locus,
+            height=0.55,
+            needs="theory",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "sampled-step": FigureKind(
+            title="Step responses of the sampled loops, without limits",
+            paper="",
+            draw=draw_sampled_step,
+            height=0.42,
+            needs="theory",
+            is_usual=False,
+            is_extra=True,
         ),
         "plane": FigureKind(
             title="Paths in the plane, and how each run ends",

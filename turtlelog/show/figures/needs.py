@@ -7,6 +7,7 @@ from typing import Final
 
 from turtlelog.run import Run
 from turtlelog.show.figures.figure_curves import find_gains
+from turtlelog.show.figures.sampled_loops import find_lack_of_theory
 from turtlelog.show.shared_curves import Command, read_applied, read_command, read_curve
 from turtlelog.show.tracked_path import read_along_error
 
@@ -48,6 +49,7 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
 
 _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
     {
+        "theory": lambda run, _: find_lack_of_theory([run]),
         "gain": lambda run, _: find_lack_of_gain([run]),
         "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
         "goal": lambda run, _: _lack(GOAL, is_held=run.goal_xy_m is not None),

@@ -22,7 +22,12 @@ from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
-from turtlelog.show.figures.figure_kinds import FIGURES, FigureKind, has_table1
+from turtlelog.show.figures.figure_kinds import (
+    FIGURES,
+    FigureKind,
+    has_table1,
+    list_usual_figures,
+)
 from turtlelog.show.figures.page import LOOKS, Page, add_legend
 from turtlelog.show.output_files import replace_together
 from turtlelog.show.table_formats import format_latex
@@ -34,7 +39,9 @@ _LEAST_INCH: Final = 3.0
 """A narrower figure is no lower: its lettering is the same."""
 _MOST_COLUMNS: Final = 4
 """More runs than these stand as rows."""
-_WIDE: Final = frozenset({"plant", "plane", "panel"})
+_WIDE: Final = frozenset(
+    {*("plant", "plane", "panel"), *("bode", "nyquist", "sampled-root-locus", "sampled-step")}
+)
 _NO_DATE: Final = {
     "pdf": {"CreationDate": None, "ModDate": None},
     "svg": {"Date": None},
@@ -76,7 +83,7 @@ def write_figures(
     Args:
         runs: What to draw; one in detail, several over each other. Theory needs none.
         folder: Made where it is not there.
-        only: Names of `FIGURES`; otherwise all that the runs hold the data for.
+        only: Names of `FIGURES`; otherwise all usual ones that the runs hold the data for.
         formats: Some of `FIGURE_FORMATS`.
         page: Where they will stand.
         on_written: Called with each file as it is drawn.
@@ -105,7 +112,7 @@ def add_figures(
     if unknown or not formats:
         found = repr(unknown[0]) if unknown else "none"
         raise ShowError(f"format: expected some of {', '.join(FIGURE_FORMATS)}, found {found}")
-    names = [name for name, kind in FIGURES.items() if not kind.find_lack(runs)]
+    names = [name for name in list_usual_figures() if not FIGURES[name].find_lack(runs)]
     for name in (only or ()) if names else FIGURES:
         _find_kind(name, runs)
     written = []

@@ -1,0 +1,234 @@
+"""Sampled loops of any kind as tables and JSON: those of options, scenarios and recordings."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import turtlelog as tl
+from turtlelog.loops import SIGNAL_WORDS
+
+if TYPE_CHECKING:
+    from turtlelog.compare import Table
+    from turtlelog.theory import LoopModel, Margins, PidLoop, Process
+
+_NO_OVERSHOOT: Final = 0.005
+"""In %: less is none in the digits that are shown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopAnswer:
+    """What theory says of one loop.
+
+    Attributes:
+        title: Above its column.
+        found: None where nothing is known.
+        model: Of a declared loop, which says where values come from.
+    """
+
+    title: str
+    found: "PidLoop | None"
+    model: "LoopModel | None" = None
+
+    def describe(self) -> dict[str, Any]:
+        """Return a declared loop for JSON."""
+        model = self.model
+        if model is None:
+            return {}
+        return {
+            "loop": model.loop.name,
+            "signal": model.loop.signal,
+            "command": model.loop.command,
+            "status": "ok" if self.found else "unknown",
+            "reason": model.reason or None,
+            "from": dict(model.sources),
+            "left_out": list(model.left_out),
+            "most_dead_time_s": model.most_dead_time_s,
+            **({} if self.found is None else describe_pid_loop(self.found)),
+        }
+
+
+def answer_models(models: "Sequence[LoopModel]") -> list[LoopAnswer]:
+    """Return what theory says of declared loops."""
+    return [
+        LoopAnswer(
+            title=model.loop.name, found=None if model.reason else model.analyse(), model=model
+        )
+        for model in models
+    ]
+
+
+def describe_pid_loop(loop: "PidLoop") -> dict[str, Any]:
+    """Return a loop for JSON."""
+    gains = loop.gains
+    whole = gains.kp * loop.process.gain
+    margins = loop.margins
+    return {
+        "kp": gains.kp,
+        "ki": gains.ki,
+        "kd": gains.kd,
+        "filter_s": gains.filter_s,
+        "period_s": loop.period_s,
+        "dead_time_s": loop.dead_time_s,
+        "process": describe_process(loop.process),
+        "tau_s": tl.theory.compute_time_constant(whole),
+        "settling_time_s": tl.theory.compute_settling_time(whole),
+        "poles": [{"re": float(pole.real), "im": float(pole.imag)} for pole in loop.poles],
+        "stable": loop.stable,
+        "stable_gains": [list(ends) for ends in loop.stable_gains],
+        "overshoots": not loop.stable or _overshoots(loop),
+        "overshoot_percent": loop.overshoot_percent,
+        "sampled_settling_time_s": loop.settling_time_s,
+        "gain_margin": margins and margins.gain_margin,
+        "gain_reduction": margins and margins.gain_reduction,
+        "phase_margin_rad": margins and margins.phase_margin_rad,
+        "crossover_rad_s": margins and margins.crossover_rad_s,
+        "delay_margin_ticks": margins and margins.delay_margin_ticks,
+        "delay_margin_s": _find_delay_margin(loop),
+    }
+
+
+def describe_process(process: "Process") -> dict[str, float]:
+    """Return what a command passes for JSON; its dead time is beside whole ticks."""
+    return {
+        "gain": process.gain,
+        "lag_s": process.lag_s,
+        "dead_time_s": process.dead_time_s,
+        "low_pass_s": process.low_pass_s,
+    }
+
+
+def tabulate_answers(title: str, answers: Sequence[LoopAnswer]) -> "Table":
+    """Return a table with a column for each loop; rows that are zero in all are left out."""
+    known = [answer.found for answer in answers if answer.found]
+    rows = []
+    for name, is_optional, write in _ROWS:
+        cells = tuple("-" if one.found is None else write(one.found) for one in answers)
+        if known and not (is_optional and set(cells) <= {"-", "0"}):
+            rows.append((name, *cells))
+    return tl.compare.Table(
+        title=title,
+        columns=(
+            tl.compare.Column(title=""),
+            *(tl.compare.Column(title=answer.title) for answer in answers),
+        ),
+        rows=tuple(rows),
+        notes=tuple(_list_notes(answers)),
+    )
+
+
+def _list_notes(answers: Sequence[LoopAnswer]) -> list[str]:
+    notes = []
+    for answer in answers:
+        model = answer.model
+        if model is None:
+            continue
+        of = f"{model.loop.name} ({SIGNAL_WORDS[model.loop.signal]})"
+        if model.reason:
+            notes.append(f"{of} is unknown: {model.reason}.")
+            continue
+        notes.append(f"{of}: {_tell_sources(model)}.")
+        if model.most_dead_time_s is not None:
+            most = f"{1e3 * model.most_dead_time_s:.6g} ms"
+            notes.append(f"{of}: the dead time is the least; queues may let it grow to {most}.")
+        if model.left_out:
+            notes.append(f"{of}: theory's linear loop leaves out {', '.join(model.left_out)}.")
+    if any(answer.found and answer.found.stable for answer in answers):
+        notes.append(
+            "Overshoot and settling time are read at the samples, after a step, without limits."
+        )
+    return notes
+
+
+def _tell_sources(model: "LoopModel") -> str:
+    """Return where values come from, those of one source together."""
+    found: dict[str, list[str]] = {}
+    for key, words in model.sources.items():
+        found.setdefault(words, []).append(_NAMES[key])
+    return "; ".join(
+        f"{' and '.join([', '.join(names[:-1]), names[-1]] if names[1:] else names)} {words}"
+        for words, names in found.items()
+    )
+
+
+_NAMES: Final = {
+    "gains": "gains",
+    "plant": "plant",
+    "period_s": "period",
+    "dead_time_s": "dead time",
+}
+
+
+def _overshoots(loop: "PidLoop") -> bool:
+    return loop.overshoot_percent is not None and loop.overshoot_percent >= _NO_OVERSHOOT
+
+
+def _find_delay_margin(loop: "PidLoop") -> float | None:
+    if loop.margins is None or loop.margins.delay_margin_ticks is None:
+        return None
+    return loop.margins.delay_margin_ticks * loop.period_s
+
+
+def _tell_overshoot(loop: "PidLoop") -> str:
+    if not loop.stable:
+        return "without end"
+    if loop.overshoot_percent is None:
+        return "-"
+    return f"by {loop.overshoot_percent:.2f} %" if _overshoots(loop) else "no"
+
+
+def _tell_pole(loop: "PidLoop") -> str:
+    pole = complex(loop.poles[0])
+    if pole.imag == 0.0:
+        return f"{pole.real:.4f}"
+    return f"{pole.real:.4f} +- {abs(pole.imag):.4f}j"
+
+
+def _tell_range(loop: "PidLoop") -> str:
+    if not loop.stable_gains:
+        return "none"
+    return ", ".join(
+        f"below {high:.4g}" if low == 0.0 else f"{low:.4g} to {high:.4g}"
+        for low, high in loop.stable_gains
+    )
+
+
+def _tell_margin(
+    read: "Callable[[Margins], float | None]", form: str, factor: float = 1.0
+) -> "Callable[[PidLoop], str]":
+    def write(loop: "PidLoop") -> str:
+        value = None if loop.margins is None else read(loop.margins)
+        return "-" if value is None else format(factor * value, form)
+
+    return write
+
+
+def _tell_number(value: float | None, form: str = ".6g") -> str:
+    return "-" if value is None else format(value, form)
+
+
+_ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
+    ("Kp [1/s]", False, lambda loop: _tell_number(loop.gains.kp)),
+    ("Ki [1/s^2]", True, lambda loop: _tell_number(loop.gains.ki)),
+    ("Kd", True, lambda loop: _tell_number(loop.gains.kd)),
+    ("filter of D [ms]", True, lambda loop: _tell_number(1e3 * loop.gains.filter_s)),
+    ("plant's gain", False, lambda loop: _tell_number(loop.process.gain)),
+    ("lag [ms]", True, lambda loop: _tell_number(1e3 * loop.process.lag_s)),
+    ("low-pass [ms]", True, lambda loop: _tell_number(1e3 * loop.process.low_pass_s)),
+    ("period [ms]", False, lambda loop: _tell_number(1e3 * loop.period_s)),
+    ("dead time [ms]", False, lambda loop: _tell_number(1e3 * loop.dead_time_s)),
+    ("stable", False, lambda loop: "yes" if loop.stable else "no"),
+    ("stable for Kp [1/s]", False, _tell_range),
+    ("slowest pole", False, _tell_pole),
+    ("overshoots", False, _tell_overshoot),
+    ("settles in [s]", False, lambda loop: _tell_number(loop.settling_time_s, ".3f")),
+    ("gain margin", False, _tell_margin(lambda found: found.gain_margin, ".2f")),
+    ("gain may fall to", True, _tell_margin(lambda found: found.gain_reduction, ".3f")),
+    (
+        "phase margin [deg]",
+        False,
+        _tell_margin(lambda found: found.phase_margin_rad, ".1f", 180.0 / math.pi),
+    ),
+    ("delay margin [ticks]", False, _tell_margin(lambda found: found.delay_margin_ticks, ".1f")),
+)
+"""Rows of the table: name, whether it is left out where it is 0 in all, and how it is written."""

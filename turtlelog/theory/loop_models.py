@@ -1,0 +1,155 @@
+"""A declared loop with all that theory needs of it, or the reason why it is not known."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, TypedDict
+
+from turtlelog.errors import TheoryError
+from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.theory.declared_loops import (
+    Parameters,
+    find_timing,
+    list_left_out,
+    read_gains,
+    read_process,
+)
+from turtlelog.theory.pid_gains import PidGains
+from turtlelog.theory.pid_loop import PidLoop, analyse_pid_loop, is_pid_stable
+from turtlelog.theory.process import Process
+
+SCENARIO: Final = "from the scenario"
+
+
+class Settings(TypedDict):
+    """Arguments of theory's functions beside the gains."""
+
+    period_s: float
+    process: Process
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredTiming:
+    """Where period and dead time of a loop come from, if not from a scenario.
+
+    Attributes:
+        period_s: Sampling period [s].
+        dead_time_s: From a pose to the plant [s].
+        sources: Where each comes from, in words, by `period_s` and `dead_time_s`.
+    """
+
+    period_s: float
+    dead_time_s: float
+    sources: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopModel:
+    """A declared loop as theory knows it.
+
+    Attributes:
+        loop: As the law declares it.
+        gains: None where the reason says why.
+        process: Likewise; all dead time is in it.
+        period_s: Sampling period T [s], None likewise.
+        most_dead_time_s: Dead time that queues may let it grow to [s]; None where it cannot grow.
+        reason: Why theory does not know the loop; empty where it does.
+        sources: Where values come from, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
+        left_out: What of the scenario the linear loop leaves out, as `key = value`.
+    """
+
+    loop: ControlLoop
+    gains: PidGains | None = None
+    process: Process | None = None
+    period_s: float | None = None
+    most_dead_time_s: float | None = None
+    reason: str = ""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+    def analyse(self) -> PidLoop:
+        """Return what the loop does.
+
+        Raises:
+            TheoryError: Where it is not known; the line is the reason.
+        """
+        gains, settings = self.require()
+        return analyse_pid_loop(gains, **settings)
+
+    def require(self) -> tuple[PidGains, Settings]:
+        """Return gains, and period and process as theory's functions take them.
+
+        Raises:
+            TheoryError: Where they are not known; the line is the reason.
+        """
+        if self.gains is None or self.process is None or self.period_s is None:
+            raise TheoryError(f"{self.loop.name}: {self.reason}")
+        return self.gains, {"period_s": self.period_s, "process": self.process}
+
+
+def model_loops(declaration: Declaration, parameters: Parameters) -> tuple[LoopModel, ...]:
+    """Return the loops of a law under a scenario, one for each that it declares.
+
+    Args:
+        declaration: Of the law.
+        parameters: Of the scenario, by dotted key.
+    """
+    return tuple(model_loop(loop, parameters) for loop in declaration.loops)
+
+
+def model_loop(
+    loop: ControlLoop,
+    parameters: Parameters,
+    *,
+    timing: MeasuredTiming | str | None = None,
+    sources: Mapping[str, str] | None = None,
+) -> LoopModel:
+    """Return one loop as theory knows it.
+
+    Args:
+        loop: Of a law.
+        parameters: Of a run or a scenario, by dotted key.
+        timing: As measured, or why it could not be; None: that of the scenario.
+        sources: Where gains and plant come from, if not from the scenario.
+    """
+    told = {"gains": SCENARIO, "plant": SCENARIO, **(sources or {})}
+    most_s: float | None = None
+    if timing is None:
+        scheduled = find_timing(parameters)
+        if isinstance(scheduled, str):
+            timing = scheduled
+        else:
+            from_scenario = {"period_s": SCENARIO, "dead_time_s": SCENARIO}
+            period_s, least_s = scheduled.period_s, scheduled.least_s
+            most_s = scheduled.most_s if scheduled.most_s > least_s else None
+            timing = MeasuredTiming(period_s=period_s, dead_time_s=least_s, sources=from_scenario)
+    dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
+    gains, process = read_gains(loop, parameters), read_process(loop, parameters, dead_time_s)
+    reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
+    left_out = list_left_out(loop, parameters)
+    if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
+        return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
+    found = LoopModel(
+        loop=loop,
+        gains=gains,
+        process=process,
+        period_s=timing.period_s,
+        most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
+        sources={**told, **timing.sources},
+        left_out=left_out,
+    )
+    return _refuse_numbers(found)
+
+
+def _refuse_numbers(model: LoopModel) -> LoopModel:
+    """Return a model whose numbers theory takes, or one with the reason why it does not."""
+    try:
+        gains, settings = model.require()
+        is_pid_stable(gains, **settings)
+    except TheoryError as err:
+        return LoopModel(loop=model.loop, reason=str(err), left_out=model.left_out)
+    return model
+
+
+def list_known(models: Sequence[LoopModel]) -> list[LoopModel]:
+    """Return the models that theory knows."""
+    return [model for model in models if not model.reason]
