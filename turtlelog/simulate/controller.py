@@ -63,17 +63,16 @@ class Controller:
         """Return the samples computed in a tick, and those whose command goes out in it."""
         if self._waits_for:
             return (), ()
-        published: Samples = ()
-        if self._blocked is not None:
-            free_at_tick, blocked = self._blocked
-            if tick < free_at_tick:
-                return (), ()
-            self._blocked = None
-            published = (blocked,)
-            if blocked.decision.stop_reason is not None:
-                return (), published
+        if self._blocked is None:
+            return self._answer_waiting(tick, time_ns)
+        free_at_tick, blocked = self._blocked
+        if tick < free_at_tick:
+            return (), ()
+        self._blocked = None
+        if blocked.decision.stop_reason is not None:
+            return (), (blocked,)
         computed, answered = self._answer_waiting(tick, time_ns)
-        return computed, published + answered
+        return computed, (blocked, *answered)
 
     def _answer_waiting(self, now: int, time_ns: int) -> tuple[Samples, Samples]:
         """Answer the poses that wait, until the law blocks, ends or fails.
@@ -82,10 +81,11 @@ class Controller:
         """
         computed: Samples = ()
         published: Samples = ()
-        while self._poses:
-            pose_sequence, pose = self._poses.popleft()
+        poses, answer = self._poses, self._driver.answer
+        while poses:
+            pose_sequence, pose = poses.popleft()
             try:
-                sample = self._driver.answer(time_ns, pose_sequence, pose)
+                sample = answer(time_ns, pose_sequence, pose)
             except SimulationError as err:
                 self.failure = err
                 break
