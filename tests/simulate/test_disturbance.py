@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.effects_cases import build_case
+from turtlelog.errors import SimulationError
 from turtlelog.plants import TURTLESIM
 from turtlelog.run import Run
 from turtlelog.scenario import PlantChoice
@@ -156,3 +157,14 @@ def test_finer_clock_leaves_delays_in_seconds_as_they_are(plant: dict[str, Any])
 
 def test_plant_choice_of_the_lagged_robot_has_no_watchdog() -> None:
     assert math.isinf(PlantChoice(kind="lagged").facts.watchdog_ns)
+
+
+def test_robot_that_runs_away_ends_the_run_in_one_line() -> None:
+    # Driven the wrong way at twice the speed, without limits: its speed overflows first.
+    changes: dict[str, Any] = {"plant__speed_gain": -2.0, "limits__speed_m_s": math.inf}
+    gains: dict[str, Any] = {"law__kp_linear": 4.0, "law__timeout_s": math.inf}
+    with pytest.raises(SimulationError, match=r"the robot runs away: at [\d.]+ s x = ") as err:
+        simulate_run(build_case(**LAGGED, **changes, **gains))
+    assert err.value.run is not None
+    assert len(err.value.run.poses) > 100
+    assert "\n" not in str(err.value)

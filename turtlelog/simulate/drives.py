@@ -5,9 +5,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final, Protocol
 
+from turtlelog.errors import SimulationError
 from turtlelog.plants import Plant, Turtle, round_to_float32
 from turtlelog.plants.lagged import LaggedRobot
 from turtlelog.scenario import Scenario
+from turtlelog.simulate.law_driver import LARGEST_FLOAT
 from turtlelog.simulate.random_streams import RandomStream
 from turtlelog.simulate.transport import CommandQueue, TimedCommands
 
@@ -131,7 +133,14 @@ class LaggedDrive:
                     robot.push(push_ns, *push)
                     self._push = push
         robot.advance(time_ns)
-        return robot.state
+        state = robot.state
+        if not max(map(abs, state)) < LARGEST_FLOAT:
+            raise SimulationError(
+                f"the robot runs away: at {time_ns / _NS:g} s x = {state[0]:g} m,"
+                f" y = {state[1]:g} m, speed {state[3]:g} m/s, turn rate {state[4]:g} rad/s;"
+                f" a pose holds numbers below {LARGEST_FLOAT:g}"
+            )
+        return state
 
 
 class _Disturbed:

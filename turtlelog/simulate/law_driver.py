@@ -23,8 +23,8 @@ from turtlelog.scenario import LawChoice, Scenario, resolve_law
 from turtlelog.simulate.answers import complete_decision
 from turtlelog.simulate.step_budget import StepBudget, StepBudgetError
 
-_LARGEST: Final = 3.4e38
-"""Applied velocities are published as 32-bit floats."""
+LARGEST_FLOAT: Final = 3.4e38
+"""Poses and applied velocities are published as 32-bit floats."""
 
 
 class Sample(msgspec.Struct, frozen=True, gc=False):
@@ -203,9 +203,11 @@ class LawDriver:
         # A sum of numbers is finite where all of them are.
         errors = decision.bearing_rad + decision.heading_error_rad  # type: ignore[operator]
         errors += decision.error_x_m + decision.error_y_m  # type: ignore[operator]
-        if not (-_LARGEST < speed < _LARGEST and -_LARGEST < turn_rate < _LARGEST):
+        if not (
+            -LARGEST_FLOAT < speed < LARGEST_FLOAT and -LARGEST_FLOAT < turn_rate < LARGEST_FLOAT
+        ):
             raise SimulationError(
-                f"expected a finite command (below {_LARGEST:g}),"
+                f"expected a finite command (below {LARGEST_FLOAT:g}),"
                 f" found speed {speed} m/s, turn rate {turn_rate} rad/s"
             )
         if not isfinite(errors + decision.world_v_x_m_s + decision.world_v_y_m_s):
