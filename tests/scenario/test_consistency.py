@@ -58,6 +58,10 @@ REFUSED = [
         "disturbance.noise_speed: expected a number from 0 to 1000000, found 1100000.0",
     ),
     (
+        "[disturbance]\nturn_rate_rad_s = -1001",
+        "disturbance.turn_rate_rad_s: expected a number from -1000 to 1000, found -1001",
+    ),
+    (
         f"{LAGGED}turn_gain = 1.1e6",
         "plant.turn_gain: expected a number from -1000000 to 1000000, found 1100000.0",
     ),
@@ -80,6 +84,8 @@ TAKEN = [
     "[sensing]\noutlier_probability = 1\noutlier_rad = 0.001",
     "[shaping]\ndead_zone_speed_m_s = 1.0",
     "[disturbance]\nto_s = inf",
+    "[disturbance]\nturn_rate_rad_s = -1000\nnoise_speed = 1e6",
+    f"{LAGGED}turn_gain = 1e6\n[sensing]\nbias_position_m = -1e6",
 ]
 
 

@@ -13,6 +13,10 @@ from turtlelog.errors import ParameterError
 from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
 from turtlelog.plants import LAGGED, LARGEST_M, TURTLESIM, Plant, build_lagged_plant
 
+MOST_RAD_S: Final = 1e3
+"""Fastest push of a turn rate, 160 turns a second [rad/s]: the lagged robot's way is integrated turn
+by turn, and more would take minutes."""
+
 MOST_S: Final = 1e6
 """Longest time [s]."""
 
@@ -20,6 +24,8 @@ Probability = Annotated[float, Meta(ge=0.0, le=1.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 Size = Annotated[float, Meta(ge=0.0, le=LARGEST_M)]
 Offset = Annotated[float, Meta(ge=-LARGEST_M, le=LARGEST_M)]
+TurnSize = Annotated[float, Meta(ge=0.0, le=MOST_RAD_S)]
+TurnOffset = Annotated[float, Meta(ge=-MOST_RAD_S, le=MOST_RAD_S)]
 Period = Annotated[float, Meta(ge=0.001, le=1.0)]
 Time = Annotated[float, Meta(ge=0.0, le=MOST_S)]
 
@@ -103,11 +109,11 @@ class Disturbance:
     """
 
     speed_m_s: Offset = absent(0.0)
-    turn_rate_rad_s: Offset = absent(0.0)
+    turn_rate_rad_s: TurnOffset = absent(0.0)
     from_s: Time = absent(0.0)
     to_s: NotNegative = absent(float("inf"), may_be_infinite=True)
     noise_speed: Size = absent(0.0)
-    noise_turn_rate: Size = absent(0.0)
+    noise_turn_rate: TurnSize = absent(0.0)
 
     @property
     def acts(self) -> bool:
