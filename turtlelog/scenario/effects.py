@@ -14,8 +14,8 @@ from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE
 from turtlelog.plants import LAGGED, LARGEST_M, TURTLESIM, Plant, build_lagged_plant
 
 MOST_RAD_S: Final = 1e3
-"""Fastest push of a turn rate, 160 turns a second [rad/s]: the lagged robot's way is integrated turn
-by turn, and more would take minutes."""
+"""Fastest push of a turn rate, 160 turns a second [rad/s]: the way of the lagged robot is
+integrated turn by turn, and more would take minutes."""
 
 MOST_S: Final = 1e6
 """Longest time [s]."""
