@@ -82,4 +82,4 @@ def test_times_of_a_robot_leave_one_of_its_own_ticks() -> None:
     assert choose_bound(0.0, "s", up=True, tick_s=0.05) == (0.05, "0.05 s")
     robot = {"plant.kind": "lagged", "goal.x_m": 7.0, "goal.y_m": 6.0}
     run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), robot))
-    assert "run.largest_gap <= 0.1 " in format_first_spec(run, reference="run.mcap")
+    assert 'run.largest_gap <= 0.1"' in format_first_spec(run, reference="run.mcap")
