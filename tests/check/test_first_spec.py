@@ -76,3 +76,10 @@ def test_of_a_run_that_was_cut_nothing_is_read_off_that_it_does_not_pass() -> No
         assert "# always(abs(cross_track) <= ...): not read off" in text
         spec = tl.parse_spec({"checks": tomllib.loads(text)["checks"]})
         assert {result.verdict for result in tl.check_runs(spec, [("a", run)])} == {"PASS"}
+
+
+def test_times_of_a_robot_leave_one_of_its_own_ticks() -> None:
+    assert choose_bound(0.0, "s", up=True, tick_s=0.05) == (0.05, "0.05 s")
+    robot = {"plant.kind": "lagged", "goal.x_m": 7.0, "goal.y_m": 6.0}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), robot))
+    assert 'run.largest_gap <= 0.1"' in format_first_spec(run, reference="run.mcap")

@@ -17,7 +17,15 @@ from turtlelog.scenario import (
 
 def test_presets_are_the_paper_as_built_the_textbook_and_other_laws() -> None:
     plant = ("plant-impulse", "plant-step", "plant-ramp")
-    assert (*PAPER_RUNS, "paper", "textbook", "posture", "track-square", *plant) == PRESETS
+    assert (
+        *PAPER_RUNS,
+        "paper",
+        "textbook",
+        "posture",
+        "track-square",
+        "lagged",
+        *plant,
+    ) == PRESETS
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -100,3 +108,12 @@ def test_flat_scenario_leaves_out_what_is_none() -> None:
     values = flatten_scenario(get_preset("textbook"))
     assert "goal.heading_rad" not in values
     assert (values["law.kind"], values["law.kp_linear"]) == ("sequential-p", 1.0)
+
+
+def test_robot_differs_from_the_textbook_in_its_plant_alone() -> None:
+    robot, textbook = get_preset("lagged"), get_preset("textbook")
+    plant = robot.plant
+    assert (plant.kind, plant.period_s) == ("lagged", 0.05)
+    assert (plant.speed_lag_s, plant.turn_lag_s) == (0.1, 0.1)
+    assert (plant.speed_dead_time_s, plant.turn_dead_time_s) == (0.08, 0.08)
+    assert (robot.law, robot.loop, robot.limits) == (textbook.law, textbook.loop, textbook.limits)

@@ -10,6 +10,7 @@ from turtlelog.check.formula_trace import RunEnding, find_ending
 from turtlelog.display import format_number
 from turtlelog.loops import Declaration
 from turtlelog.measure import Metric, MetricKind, list_metrics, measure_run
+from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
 
 _OF_STEP: Final = ("overshoot", "settling_time", "saturated_share")
@@ -28,9 +29,9 @@ It is a first guess, marked as observed, until somebody has thought of what the 
 _MOST: Final = 0.2
 """What a bound leaves at most: two digits read well, but round up to 21 %; then there are three."""
 
-_GRAIN: Final = {"s": 0.016, "m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6}
-"""What a bound leaves in any case, by unit, for values near zero: times differ by whole ticks,
-poses by up to 1e-6 m and rad from platform to platform, which of an angle of a radian is 1e-4 %."""
+_GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6}
+"""What a bound leaves in any case, by unit, for values near zero: poses differ by up to 1e-6 m and
+rad from platform to platform, which of an angle of a radian is 1e-4 %. Of times it is a tick."""
 
 
 def format_first_spec(run: Run, *, reference: str, partial: str = "") -> str:
@@ -73,7 +74,8 @@ def _list_checks(run: Run) -> Iterator[str]:
             yield ""
             yield f"# {metric.id}: no value here: {metric.status.value} ({_comment(metric.reason)})"
         else:
-            yield from _list_check(metric, metric.value, kinds[metric.id])
+            tick_s = find_plant(run).period_s
+            yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
     if run.goal_xy_m is not None and len(run.samples):
         yield from _list_arrival(run)
 
@@ -103,11 +105,11 @@ def _is_name(text: str) -> bool:
     return all(part.isidentifier() for part in text.split("."))
 
 
-def _list_check(metric: Metric, value: float, kind: MetricKind) -> Iterator[str]:
+def _list_check(metric: Metric, value: float, kind: MetricKind, tick_s: float) -> Iterator[str]:
     is_higher = kind.better == "higher"
     base = value if kind.floor is None or is_higher else max(value, kind.floor)
     operator = ">=" if is_higher else "<="
-    bound, spare = choose_bound(base, metric.unit, up=not is_higher)
+    bound, spare = choose_bound(base, metric.unit, up=not is_higher, tick_s=tick_s)
     here = format_number(value, metric.unit)
     yield ""
     yield f'[checks."{metric.id}"]'
@@ -132,9 +134,12 @@ def _list_arrival(run: Run) -> Iterator[str]:
     yield f'reason = "observed, and {spare} to spare: how far beside the line, at any time"'
 
 
-def choose_bound(value: float, unit: str, *, up: bool) -> tuple[float, str]:
+def choose_bound(
+    value: float, unit: str, *, up: bool, tick_s: float = TURTLESIM.period_s
+) -> tuple[float, str]:
     """Return a bound beyond an observed value, and in words what it leaves."""
-    spare, grain = abs(value) * _SHARE, _GRAIN.get(unit, 0.0)
+    spare = abs(value) * _SHARE
+    grain = tick_s if unit == "s" else _GRAIN.get(unit, 0.0)
     if spare < grain:
         words = f"{grain:g}" if unit == "1" else f"{grain:g} {unit}"
         return _round(value + grain if up else value - grain, digits=3, up=up), words

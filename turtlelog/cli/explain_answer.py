@@ -316,6 +316,8 @@ def _format_resimulation(found: "Identification") -> str:
 
 def _format_tried(found: "Identification") -> str:
     """Return among which settings of the loop the log's were looked for."""
+    if not found.tried:
+        return "Settings tried: those recorded, and no others."
     parts = [
         f"{name} {_format_range(found.tried[key], unit)}"
         for name, key, unit in _ROWS

@@ -18,6 +18,7 @@ _PRESETS: Final = {
     "textbook": "the loop of the equations: no pause, no backlog, the newest command wins",
     "posture": "the law posture in the textbook's loop: to the goal and a heading of 90 deg",
     "track-square": "pure pursuit along a square of 5 m at 0.5 m/s",
+    "lagged": "the textbook's loop around a robot with a lag of 0.1 s and a dead time of 0.08 s",
     "plant-impulse": "the turn rate's unit impulse, without limits: the heading stays at 1 rad",
     "plant-step": "the turn rate's unit step, without limits: the heading is t",
     "plant-ramp": "the turn rate's unit ramp, without limits: the heading is t^2 / 2, sampled",

@@ -50,7 +50,8 @@ def replay(
     Without --plant or --law its scenario is simulated again in closed loop, changed by --set and
     its like where given, and compared tick by tick and sample by sample. --law gives a law the
     recorded poses and compares what it commands. --plant takes the recorded commands through
-    turtlelog's turtlesim. Times count from the first sample, or else the first pose.
+    turtlelog's turtlesim, or through the lagged robot of the recording. Times count from the first
+    sample, or else the first pose.
 
     A law that is not built in is code. The code of --law FILE:Class, --set law.kind=FILE:Class and
     of a scenario file given by name runs; that of a law that only the recording names runs with

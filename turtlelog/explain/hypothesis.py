@@ -46,6 +46,7 @@ from turtlelog.explain.trace import (
 from turtlelog.laws import LAWS
 from turtlelog.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
+from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.scenario import (
     DEFAULT_LAW,
@@ -158,9 +159,11 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
     motion = space_out(trace)
     dead_times = {name: require_noise(one) for name, one in find_dead_times(motion).items()}
     recorded = _check_if_allowed(run, trace, kind, trust_law=trust_law)
-    fits = _fit_loop(trace, recorded, [*dead_times.values()])
-    if recorded.scenario is not None and fits.is_driven:
-        recorded = RecordedScenario(reach=_NOT_DETERMINISTIC)
+    fits = None
+    if find_plant(run).name == TURTLESIM.name:  # only its motion tells of the loop around it
+        fits = _fit_loop(trace, recorded, [*dead_times.values()])
+        if recorded.scenario is not None and fits.is_driven:
+            recorded = RecordedScenario(reach=_NOT_DETERMINISTIC)
     findings = {
         **{key: miss(reason) for key in (*LAW_KEYS, *LOOP_KEYS, "stop_reason", "lost_commands")},
         **{
@@ -169,8 +172,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         },
         **describe_goal(trace),
         **_describe_limits(run),
-        **describe_loop(trace, fits),
-        "loop.pose_precision": describe_start(trace, fits)["loop.pose_precision"],
+        **({} if fits is None else _describe_fits(trace, fits)),
         "stop_reason": describe_stop(run, recorded),
     }
     return Identification(
@@ -180,9 +182,14 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         scenario=recorded.scenario,
         is_recorded=recorded.scenario is not None,
         law=kind,
-        tried=fits.ranges,
+        tried={} if fits is None else fits.ranges,
         notes=(*describe_breaks(trace), *filter(None, (reason, recorded.reach))),
     )
+
+
+def _describe_fits(trace: Trace, fits: Fits) -> dict[str, Finding]:
+    precision = describe_start(trace, fits)["loop.pose_precision"]
+    return {**describe_loop(trace, fits), "loop.pose_precision": precision}
 
 
 def _check_if_allowed(run: Run, trace: Trace, kind: str, *, trust_law: bool) -> RecordedScenario:

@@ -44,7 +44,7 @@ from turtlelog.explain.stop_reason import Ending, find_pause, find_stop_rule
 from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
 from turtlelog.explain.unseen import join_words, list_unseen, take_findings
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
-from turtlelog.plants.turtlesim import TICK_S
+from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
@@ -58,14 +58,18 @@ _UNEXPLAINED: Final = (
 )
 
 
+_AROUND: Final = "a loop is identified from commands only around turtlesim"
+
+
 def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """Identify the scenario of a run from its samples alone: pose read, command published, time.
 
-    Of the run's own parameters only the law's name is read: of another law than sequential-p no
-    parameter is claimed. Gains, limits and tolerances come from the commands; the queues and the
-    pause from the dead times and the time stamps, and from simulating every setting that agrees
-    with them: those that reproduce all samples are what fits. Where none does, the plant is driven
-    with the log's commands, and what fits within the noise is told as that.
+    Of the run's own parameters only the law's name and the plant are read: of another law than
+    sequential-p, or around another plant than turtlesim, no parameter is claimed. Gains, limits and
+    tolerances come from the commands; the queues and the pause from the dead times and the time
+    stamps, and from simulating every setting that agrees with them: those that reproduce all
+    samples are what fits. Where none does, the plant is driven with the log's commands, and what
+    fits within the noise is told as that.
     A run without samples tells next to nothing, and the findings say why.
 
     Where the run holds its whole scenario, that one is a hypothesis, and its re-simulation the
@@ -87,7 +91,10 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
         reason = _find_other_law(run)
         if reason:
             return identify_other_law(run, reason, trust_law=trust_law)
-        return _identify_recorded(run) or _prefer_recorded(run, _identify_samples(run))
+        recorded, plant = _identify_recorded(run), find_plant(run).name
+        if recorded is None and plant != TURTLESIM.name:
+            return identify_other_law(run, f"its plant is {plant}: {_AROUND}", trust_law=trust_law)
+        return recorded or _prefer_recorded(run, _identify_samples(run))
 
 
 def _identify_recorded(run: Run) -> Identification | None:
@@ -287,10 +294,10 @@ def _find_obstacle(trace: Trace) -> str | None:
         return f"its phases are not one rotation and one translation: {listed}"
     if trace.goal_xy_m is None:
         return "the log does not hold the goal"
-    if trace.answered_after_s >= TICK_S:
+    if trace.answered_after_s >= TURTLESIM.period_s:
         return (
-            f"no pose is answered sooner than {trace.answered_after_s:.3g} s after it was published:"
-            " what delays them, the log does not tell"
+            f"no pose is answered sooner than {trace.answered_after_s:.3g} s after it was"
+            " published: what delays them, the log does not tell"
         )
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:

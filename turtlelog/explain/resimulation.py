@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.explain.trace import Trace, Values
-from turtlelog.plants.turtlesim import TICK_NS, TICK_S
 from turtlelog.replay import PoseError
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
@@ -67,7 +66,9 @@ def list_rows(trace: Trace) -> list[Row | None]:
 def number_poses(trace: Trace) -> NDArray[np.int64]:
     """Return the number of the pose that each sample read; poses may be lost as well."""
     poses, read = trace.run.poses, trace.run.samples.pose_sequence
-    return (poses.time_ns[read] - poses.time_ns[0]) // TICK_NS if trace.has_exact_clock else read
+    return (
+        (poses.time_ns[read] - poses.time_ns[0]) // trace.tick_ns if trace.has_exact_clock else read
+    )
 
 
 def count_equal(scenario: Scenario, rows: list[Row | None], *, to_rounding: bool = False) -> int:
@@ -150,14 +151,14 @@ def _pair_phases(trace: Trace, again: Run) -> Iterator[tuple[Any, Any]]:
 
 def find_end_s(trace: Trace, scenario: Scenario, samples: int) -> float:
     """Return the time of a simulation at which the log ends, whose samples it reproduces [s]."""
-    run = trace.run
+    run, tick_s = trace.run, trace.tick_ns / 1e9
     if trace.has_exact_clock and trace.has_ticks:
-        return max(float(run.end_ns - run.poses.time_ns[0]) / 1e9, TICK_S)
+        return max(float(run.end_ns - run.poses.time_ns[0]) / 1e9, tick_s)
     computed = 0
     for tick in iterate_ticks(scenario):
         computed += len(tick.computed)
         if computed >= samples:
-            return max(tick.time_ns / 1e9, TICK_S)
+            return max(tick.time_ns / 1e9, tick_s)
     return scenario.max_duration_s
 
 
@@ -166,9 +167,9 @@ def cut_where_logged(scenario: Scenario, trace: Trace) -> Scenario:
     run, loop = trace.run, scenario.loop
     first_ns = run.poses.time_ns[0] if trace.has_ticks else trace.time_ns[0]
     waited = 0 if trace.has_ticks else (loop.start_backlog - 1) * loop.period_ticks
-    ticks = waited + round(float(run.end_ns - first_ns) / TICK_NS)
-    ticks = max(ticks, 1)
-    return replace(scenario, max_duration_s=min(scenario.max_duration_s, ticks * TICK_S))
+    ticks = waited + round(float(run.end_ns - first_ns) / trace.tick_ns)
+    end_s = max(ticks, 1) * (trace.tick_ns / 1e9)
+    return replace(scenario, max_duration_s=min(scenario.max_duration_s, end_s))
 
 
 def count_lost_commands(scenario: Scenario) -> int:

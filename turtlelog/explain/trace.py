@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import ExplainError
-from turtlelog.plants.turtlesim import TICK_NS, TICK_S
+from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -70,6 +70,11 @@ class Trace:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    @property
+    def tick_ns(self) -> int:
+        """Length of a tick: the period of the plant that the run is of [ns]."""
+        return find_plant(self.run).period_ns
 
     @property
     def ended_rotation(self) -> bool:
@@ -134,7 +139,7 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         names = np.array(run.phase_names)[samples.phase]
         rotating = count_leading(names == phases[0])
         translating = count_leading(names[rotating:] == phases[1])
-    has_ticks = _has_ticks(run)
+    has_ticks, tick_ns = _has_ticks(run), find_plant(run).period_ns
     poses = run.poses
     return Trace(
         run=run,
@@ -153,7 +158,7 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         translating=translating,
         goal_xy_m=_find_goal(run),
         period_ticks=_find_period(run),
-        has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % TICK_NS).any(),
+        has_exact_clock=not (np.r_[samples.time_ns, run.poses.time_ns] % tick_ns).any(),
         has_ticks=has_ticks,
     )
 
@@ -215,7 +220,7 @@ def _has_ticks(run: Run) -> bool:
         return True
     # What the plant itself publishes holds the applied velocity; a controller does not see it.
     is_plants = run.poses.speed_m_s is not None
-    return is_plants and bool((np.diff(run.poses.time_ns) == TICK_NS).all())
+    return is_plants and bool((np.diff(run.poses.time_ns) == find_plant(run).period_ns).all())
 
 
 def _find_period(run: Run) -> int:
@@ -224,7 +229,7 @@ def _find_period(run: Run) -> int:
     if len(read) < 2:
         return 1
     step_ns = float(np.median(np.diff(run.poses.time_ns[read])))
-    return max(round(step_ns / TICK_NS), 1)
+    return max(round(step_ns / find_plant(run).period_ns), 1)
 
 
 _NOISE_STEPS: Final = 8.0
@@ -296,26 +301,45 @@ def space_out(trace: Trace) -> Run:
     if trace.has_ticks:
         time_ns = run.poses.time_ns.copy()
         for row in trace.jumps:
-            time_ns[run.samples.pose_sequence[row] :] += _FAR_TICKS * TICK_NS
+            time_ns[run.samples.pose_sequence[row] :] += _FAR_TICKS * trace.tick_ns
         return replace(run, poses=replace(run.poses, time_ns=time_ns))
     ticks = trace.number * trace.period_ticks
     for row in (trace.rotating, *trace.jumps):
         ticks[row:] += _FAR_TICKS
-    return replace(run, poses=replace(run.poses, time_ns=ticks * TICK_NS))
+    return replace(run, poses=replace(run.poses, time_ns=ticks * trace.tick_ns))
 
 
 def _find_jumps(trace: Trace) -> tuple[int, ...]:
     """Return the rows whose pose no command can have reached from the one before."""
     if len(trace) < 2:
         return ()
-    ticks = np.maximum(np.rint(np.diff(_get_pose_times(trace)) / TICK_NS), 1.0) + 1.0
+    ticks = np.maximum(np.rint(np.diff(_get_pose_times(trace)) / trace.tick_ns), 1.0) + 1.0
     moved, turned = _measure_steps(trace)
-    reach_m = ticks * TICK_S * float(np.abs(trace.speed_m_s).max())
-    reach_rad = ticks * TICK_S * float(np.abs(trace.turn_rate_rad_s).max())
+    speed, turn_rate = _find_fastest(trace)
+    reach_m, reach_rad = (ticks * (trace.tick_ns / 1e9) * rate for rate in (speed, turn_rate))
     is_jump = moved > reach_m + _find_slack(trace.xy_m, trace.grain_m)
     unwrapped = np.unwrap(trace.heading_rad)[:, None]
     is_jump |= turned > reach_rad + _find_slack(unwrapped, trace.grain_rad)
     return tuple((np.flatnonzero(is_jump) + 1).tolist())
+
+
+def _find_fastest(trace: Trace) -> tuple[float, float]:
+    """Return the largest speed [m/s] and turn rate [rad/s] that the robot can have had."""
+    run = trace.run
+    speed, turn_rate = (float(np.abs(v).max()) for v in (trace.speed_m_s, trace.turn_rate_rad_s))
+    if find_plant(run).name != LAGGED:
+        return speed, turn_rate
+    gains = [run.parameters.get(f"plant.{axis}_gain") for axis in ("speed", "turn")]
+    shown = [run.poses.speed_m_s, run.poses.turn_rate_rad_s]
+    fastest = [
+        max(rate * abs(gain) if isinstance(gain, int | float) else rate, _find_largest(values))
+        for rate, gain, values in zip((speed, turn_rate), gains, shown, strict=True)
+    ]
+    return fastest[0], fastest[1]
+
+
+def _find_largest(values: Values | None) -> float:
+    return 0.0 if values is None else float(np.abs(values).max())
 
 
 def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
@@ -324,7 +348,7 @@ def _number_rows(trace: Trace, jumps: tuple[int, ...]) -> NDArray[np.int64]:
     A long step of the clock hides rows if the robot moved as far as in several steps, or stood.
     """
     step_ns = np.diff(trace.time_ns)
-    usual_ns = trace.period_ticks * TICK_NS
+    usual_ns = trace.period_ticks * trace.tick_ns
     steps = np.rint(step_ns / usual_ns).astype(np.int64)
     is_late = np.append(step_ns[1:] < _CAUGHT_UP * usual_ns, False)
     rows = set(np.flatnonzero((steps > 1) & ~is_late).tolist())

@@ -62,6 +62,15 @@ _TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
                 "speed_m_s": 0.5,
             },
         },
+        "lagged": {
+            "name": "lagged",
+            "plant": {
+                "kind": "lagged",
+                "period_s": 0.05,
+                **dict.fromkeys(("speed_dead_time_s", "turn_dead_time_s"), 0.08),
+                **dict.fromkeys(("speed_lag_s", "turn_lag_s"), 0.1),
+            },
+        },
         "plant-impulse": _describe_plant_run("impulse", width_s=0.016),
         "plant-step": _describe_plant_run("step"),
         "plant-ramp": _describe_plant_run("ramp"),
@@ -70,7 +79,8 @@ _TABLES: Final[Mapping[str, Mapping[str, Any]]] = MappingProxyType(
 
 PRESETS: Final = tuple(_TABLES)
 """Names of the presets: the paper's four recorded runs, its controller as built, the textbook's,
-other laws in the textbook's loop, and the plant's responses of the paper's figure 2."""
+other laws in the textbook's loop, a robot that is not turtlesim, and the plant's responses of the
+paper's figure 2."""
 
 PAPER_RUNS: Final = ("paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10")
 """The presets of the paper's experiment, by rising gain."""

@@ -14,6 +14,7 @@ from turtlelog.angles import subtract_headings
 from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
+from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 from turtlelog.theory import compute_step_response
 
@@ -143,13 +144,15 @@ def read_command(run: Run, command: Command) -> Curve | None:
 def read_applied(run: Run, command: Command) -> Curve | None:
     """Return what the plant applied of `speed` or `turn_rate`, None where not recorded.
 
-    turtlesim publishes the magnitude of the applied speed, whichever way it drives.
+    turtlesim publishes the magnitude of the applied speed, whichever way it drives. What it applies
+    holds for a tick; a lagged robot tells the rates of an instant.
     """
     poses = run.poses
     values = poses.speed_m_s if command == "speed" else poses.turn_rate_rad_s
     if values is None:
         return None
-    return Curve(start_ns=run.start_ns, time_ns=poses.time_ns, values=values, holds=True)
+    holds = find_plant(run).name != LAGGED
+    return Curve(start_ns=run.start_ns, time_ns=poses.time_ns, values=values, holds=holds)
 
 
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:

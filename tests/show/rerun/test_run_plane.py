@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 
+import turtlelog as tl
 from tests.show.rerun.rrds import (
     join_strips,
     list_entities,
@@ -86,4 +87,11 @@ def test_events_stand_in_the_plane_and_across_the_plots(run_rrd: Path) -> None:
 
 def test_a_path_outside_the_world_has_no_border(tmp_path: Path) -> None:
     write_run_rrd(make_foreign_run(300), tmp_path / "run.rrd")
+    assert "/plane/border" not in list_entities(tmp_path / "run.rrd")
+
+
+def test_a_robot_has_no_walls_wherever_it_drives(tmp_path: Path) -> None:
+    robot = {"plant.kind": "lagged", "goal.x_m": 6.0, "goal.y_m": 6.0}
+    run = tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), robot))
+    write_run_rrd(run, tmp_path / "run.rrd")
     assert "/plane/border" not in list_entities(tmp_path / "run.rrd")

@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
 from turtlelog.show import palette
@@ -62,7 +63,12 @@ class Bounds:
 
 
 def is_in_world(runs: Sequence[Run]) -> bool:
-    """Whether every pose lies in turtlesim's world; a physical robot's need not."""
+    """Whether every pose lies in turtlesim's world; a physical robot's need not.
+
+    A robot that is known to have no walls is not in it, wherever it drives.
+    """
+    if any(find_plant(run) != TURTLESIM for run in runs):
+        return False
     places = [_list_places(run) for run in runs]
     return all(xy_m.min() >= 0.0 and xy_m.max() <= WORLD_SIZE_M for xy_m in places)
 
