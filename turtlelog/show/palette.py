@@ -67,6 +67,15 @@ SECOND: Final[Color] = _OKABE_ITO[2]
 WANTED: Final[Color] = _OKABE_ITO[3]
 """What the law asked for before clipping."""
 
+SHAPED: Final[Color] = _OKABE_ITO[4]
+"""What shaping left of that, before the limits."""
+
+SENSED: Final[Color] = (105, 105, 105)
+"""What the controller read of a pose."""
+
+DROPPED_OUT: Final[Color] = (190, 175, 215)
+"""A pose that it did not get."""
+
 IDEAL: Final[Color] = _OKABE_ITO[1]
 """What the ideal loop would do."""
 

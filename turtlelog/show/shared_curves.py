@@ -36,6 +36,11 @@ columns at 600 dpi."""
 
 Command = Literal["speed", "turn_rate"]
 
+SENSED_SIGNALS: Final = ("x", "y", "heading")
+"""Signals of which there is one that was sensed."""
+
+_PUSHES: Final = ("speed_m_s", "turn_rate_rad_s", "noise_speed", "noise_turn_rate")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
@@ -153,6 +158,33 @@ def read_applied(run: Run, command: Command) -> Curve | None:
         return None
     holds = find_plant(run).name != LAGGED
     return Curve(start_ns=run.start_ns, time_ns=poses.time_ns, values=values, holds=holds)
+
+
+def read_sensed(run: Run, signal: str) -> Curve | None:
+    """Return what the controller read of `x`, `y` or `heading`, None where it read the pose."""
+    return read_curve(run, f"sensed_{signal}") if signal in SENSED_SIGNALS else None
+
+
+def find_drop_outs(run: Run) -> NDArray[np.int64]:
+    """Return the rows of the poses that dropped out on their way to the controller."""
+    heading_rad = run.poses.sensed_heading_rad
+    return np.flatnonzero(np.isnan(heading_rad) if heading_rad is not None else [])
+
+
+def find_disturbance(run: Run) -> tuple[float, float] | None:
+    """Return from when to when a disturbance pushes the plant, within the run [s]; None without."""
+    found = {key: run.parameters.get(f"disturbance.{key}", 0.0) for key in _PUSHES}
+    if not any(found.values()):
+        return None
+    edges = (("from_s", 0.0), ("to_s", np.inf))
+    from_s, to_s = (
+        float(value)
+        for value in (run.parameters.get(f"disturbance.{key}", usual) for key, usual in edges)
+        if isinstance(value, int | float)
+    )
+    zero_s, end_s = run.start_ns / 1e9, run.end_ns / 1e9
+    first_s = max(from_s, float(run.poses.time_ns[0]) / 1e9)
+    return (first_s - zero_s, min(to_s, end_s) - zero_s) if first_s < min(to_s, end_s) else None
 
 
 def list_loops(run: Run, signal: str) -> list[ControlLoop]:

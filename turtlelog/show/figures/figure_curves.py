@@ -58,13 +58,24 @@ def draw_curve(axes: Axes, curve: Curve, **looks: Any) -> None:
 
 def draw_thinned(axes: Axes, across: Values, up: Values, kept: Values, **looks: Any) -> None:
     """Draw a line; where points are left out the extremes of `kept` stay, and a note says so."""
-    rows = choose_rows(kept)
-    if rows is not None:
-        across, up = across[rows], up[rows]
-        note = f"curves of over {MOST_POINTS:,} points are\nthinned for drawing, extremes kept"
-        axes.figure.supxlabel(note, fontsize=7.0, color="0.4")
+    across, up = _thin(axes, across, up, kept)
     # A line of one point would be none.
     axes.plot(across, up, marker="o" if len(up) == 1 else None, markersize=3.0, **looks)
+
+
+def draw_points(axes: Axes, across: Values, up: Values, **looks: Any) -> None:
+    """Draw points without a line between them, thinned as lines are."""
+    across, up = _thin(axes, across, up, up)
+    axes.plot(across, up, **looks)
+
+
+def _thin(axes: Axes, across: Values, up: Values, kept: Values) -> tuple[Values, Values]:
+    rows = choose_rows(kept)
+    if rows is None:
+        return across, up
+    note = f"curves of over {MOST_POINTS:,} points are\nthinned for drawing, extremes kept"
+    axes.figure.supxlabel(note, fontsize=7.0, color="0.4")
+    return across[rows], up[rows]
 
 
 def draw_level(axes: Axes, levels: Sequence[float], **looks: Any) -> None:

@@ -69,11 +69,42 @@ AIM: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """What a law, or the goal, asks for where that moves; in the colour of its run."""
 
+SENSED: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "linestyle": "",
+        "marker": ".",
+        "markersize": 2.4,
+        "markeredgewidth": 0.0,
+        "color": "0.62",
+        "zorder": 1.7,
+        "label": "sensed",
+    }
+)
+"""What the controller reads of a pose; below what it is."""
+
+DROPPED_OUT: Final[Mapping[str, Any]] = MappingProxyType(
+    {
+        "linestyle": "",
+        "marker": "|",
+        "markersize": 3.5,
+        "markeredgewidth": 0.4,
+        "color": "0.45",
+        "zorder": 1.7,
+        "label": "dropped out",
+    }
+)
+"""Poses that the controller does not get: strokes at the lower edge."""
+
+PUSHED: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.92", "linewidth": 0.0, "zorder": 0.5, "label": "disturbance"}
+)
+"""While something pushes the plant."""
+
 _MOST_LETTERS: Final = 28
 _NAMES: Final = frozenset(
     {
         *("goal", "goal bearing", "goal heading", "zero", "ideal", "limit", "path", "start"),
-        "tolerance",
+        *("tolerance", "sensed", "dropped out", "disturbance"),
         *(AIMED, BEARING_NOW),
     }
 )

@@ -28,9 +28,19 @@ from turtlelog.show.figures.figure_curves import (
     compute_ideals,
     draw_curve,
     draw_level,
+    draw_points,
     draw_thinned,
 )
-from turtlelog.show.figures.page import AIM, IDEAL, REFERENCE, choose_lines, label_runs
+from turtlelog.show.figures.page import (
+    AIM,
+    DROPPED_OUT,
+    IDEAL,
+    PUSHED,
+    REFERENCE,
+    SENSED,
+    choose_lines,
+    label_runs,
+)
 from turtlelog.show.figures.tracking_panels import (
     draw_tracked_paths,
     draw_ways_to_reference,
@@ -40,6 +50,8 @@ from turtlelog.show.shared_curves import (
     REFERENCE as AIMED,
     Command,
     Curve,
+    find_disturbance,
+    find_drop_outs,
     find_limits,
     find_parameters,
     list_aims,
@@ -47,6 +59,7 @@ from turtlelog.show.shared_curves import (
     read_applied,
     read_command,
     read_curve,
+    read_sensed,
 )
 from turtlelog.show.tracked_path import (
     WorstPlace,
@@ -85,6 +98,8 @@ def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> 
             draw_curve(axes, ideal, **{**looks, **IDEAL})
         if (curve := read_curve(run, signal)) is not None:
             draw_curve(axes, curve, **looks)
+    if len(runs) == 1:
+        _draw_sensed(axes, runs[0], signal)
     _finish(axes, runs, label)
 
 
@@ -145,6 +160,8 @@ def draw_command(axes: Axes, runs: Sequence[Run], *, command: Command, label: st
     """Draw a command: of one run wanted, commanded and applied, of several what was commanded."""
     _draw_limits(axes, runs, command)
     if len(runs) == 1:
+        if (pushed_s := find_disturbance(runs[0])) is not None:
+            axes.axvspan(*pushed_s, **PUSHED)
         _draw_stages(axes, runs[0], command)
     else:
         for run, looks in _style_runs(runs):
@@ -260,12 +277,25 @@ def _draw_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     draw_level(axes, levels, **_LIMIT)
 
 
+def _draw_sensed(axes: Axes, run: Run, signal: str) -> None:
+    """Draw what the controller reads of a signal as points, and a stroke where it reads nothing."""
+    curve = read_sensed(run, signal)
+    if curve is None:
+        return
+    draw_points(axes, curve.time_s, curve.values, **SENSED)
+    lost_s = (run.poses.time_ns[find_drop_outs(run)] - run.start_ns) / 1e9
+    if len(lost_s):
+        edge = np.full(len(lost_s), 0.02)
+        axes.plot(lost_s, edge, transform=axes.get_xaxis_transform(), **DROPPED_OUT)
+
+
 def _draw_stages(axes: Axes, run: Run, command: Command) -> None:
-    lines = choose_lines(3)
+    lines = choose_lines(4)
     # The plant tells its speed without a sign.
     applied = "|applied|" if command == "speed" else "applied"
     stages = (
         ("wanted", read_curve(run, f"wanted_{command}"), {**lines[1], "linewidth": 0.9}),
+        ("shaped", read_curve(run, f"shaped_{command}"), {**lines[3], "linewidth": 0.9}),
         ("commanded", read_command(run, command), {**lines[0], "linewidth": 1.7}),
         (applied, read_applied(run, command), {**lines[2], "linewidth": 0.8}),
     )
@@ -280,6 +310,8 @@ def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
     if not limits:
         return
     curves = [read_command(run, command) for run in runs]
+    if len(runs) == 1 and find_disturbance(runs[0]) is not None:
+        curves.append(read_applied(runs[0], command))
     low = min((float(curve.values.min()) for curve in curves if curve), default=0.0)
     high = max((float(curve.values.max()) for curve in curves if curve), default=0.0)
     axes.set_ylim(min(1.3 * low, -0.2 * limits[-1]), 1.3 * max(high, limits[-1]))
@@ -298,6 +330,8 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     for run, name, looks in zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True):
         xy_m = run.poses.xy_m
         draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
+        if len(runs) == 1 and run.poses.sensed_xy_m is not None:
+            draw_points(axes, *run.poses.sensed_xy_m.T, **SENSED)
         axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
         for aims_m in _list_aims([run]) if has_own_way(run) else ():
             draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM}, label=AIMED)

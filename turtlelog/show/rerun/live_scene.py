@@ -44,6 +44,8 @@ stays a small multiple of the rows."""
 _WHOLE = (
     join_path(entities.PATH),
     join_path(entities.REFERENCE_PATH),
+    join_path(entities.SENSED_PLACES),
+    join_path(entities.DROPPED_PLACES),
     join_path(entities.EVENT_PLACES),
     join_path(entities.REFERENCE),
 )
@@ -173,6 +175,7 @@ class LiveScene:
         if stream.is_due:
             plane.draw_trace_by_phase(run_stream, run)
             plane.draw_reference_path(run_stream, run)
+            plane.draw_sensed(run_stream, run)
             draw_references(stream, references, read_span([run], [timelines]))
         plane.draw_turtle(run_stream, run, palette.MAIN, self._half_size_m)
         plane.draw_reference_pose(run_stream, run, self._half_size_m)

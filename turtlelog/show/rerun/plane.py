@@ -9,12 +9,13 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.run import Run
+from turtlelog.run import Event, Run
 from turtlelog.show import palette
 from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.timelines import RunStream, Values, choose_trace_rows
 from turtlelog.show.rerun.world import UPWARD
+from turtlelog.show.shared_curves import find_drop_outs
 from turtlelog.show.tracked_path import has_own_way, read_way_to_reference
 
 _SPEED_LEVELS: Final = 16
@@ -24,7 +25,12 @@ _TURTLE_RADIUS: Final = 5.0
 _ARROW_SHARE: Final = 0.12
 _ARROW_RADIUS: Final = 2.5
 _THIN_RADIUS: Final = 1.0
+_SENSED_RADIUS: Final = 1.25
+_BELOW_TRACES: Final = 18.0  # lines have 20
+_ON_TRACES: Final = 22.0
 _EVENT_RADIUS: Final = 4.0
+_LOST_AGAIN: Final = frozenset({"poses_lost", "commands_lost"})
+"""Kinds of events of which random effects make one every few samples; the list holds them."""
 _ABOVE_TRACES: Final = 28.0  # below points, which have 30
 
 
@@ -119,6 +125,26 @@ def draw_reference_path(run_stream: RunStream, run: Run) -> None:
     _log_strips(run_stream, entities.REFERENCE_PATH, strips, colors, _TRACE_RADIUS)
 
 
+def draw_sensed(run_stream: RunStream, run: Run) -> None:
+    """Draw where the controller read that the turtle is, and where it is when it read nothing."""
+    xy_m, lost = run.poses.sensed_xy_m, find_drop_outs(run)
+    if xy_m is None:
+        return
+    kept = choose_trace_rows(run)
+    lost_m = run.poses.xy_m[np.intersect1d(kept, lost)]
+    for entity, places_m, color, order in (
+        (entities.SENSED_PLACES, xy_m[kept], palette.SENSED, _BELOW_TRACES),
+        (entities.DROPPED_PLACES, lost_m, palette.DROPPED_OUT, _ON_TRACES),
+    ):
+        points = rr.Points2D(
+            places_m[np.isfinite(places_m[:, 0])],
+            radii=rr.Radius.ui_points(_SENSED_RADIUS),
+            colors=[color],
+            draw_order=order,
+        )
+        run_stream.log(entity, points)
+
+
 def draw_reference_pose(run_stream: RunStream, run: Run, half_size_m: float) -> None:
     """Draw the reference pose at the cursor as an arrow, where the law records one."""
     xy_m, heading_rad = run.samples.reference_xy_m, run.samples.reference_heading_rad
@@ -157,17 +183,21 @@ def _read_errors(run: Run) -> Values | None:
     return read_way_to_reference(run)
 
 
+def list_placed(run: Run) -> list[Event]:
+    """Return the events that are marked: what is lost time and again would cover all else."""
+    return [event for event in run.events if event.kind not in _LOST_AGAIN]
+
+
 def draw_event_places(run_stream: RunStream, run: Run) -> None:
     """Mark where the turtle was when something happened; the viewer names it at the pointer."""
-    times_ns = [event.time_ns for event in run.events]
+    events = list_placed(run)
+    times_ns = [event.time_ns for event in events]
     rows = np.searchsorted(run.poses.time_ns, times_ns, side="right") - 1
     points = rr.Points2D(
         run.poses.xy_m[np.maximum(rows, 0)],
         radii=rr.Radius.ui_points(_EVENT_RADIUS),
-        colors=[
-            palette.WANTED if event.kind == "wall_hit" else palette.EVENT for event in run.events
-        ],
-        labels=[event.kind.replace("_", " ") for event in run.events],
+        colors=[palette.WANTED if event.kind == "wall_hit" else palette.EVENT for event in events],
+        labels=[event.kind.replace("_", " ") for event in events],
         show_labels=False,
     )
     run_stream.log(entities.EVENT_PLACES, points)

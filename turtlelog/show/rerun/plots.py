@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import rerun as rr
@@ -16,6 +16,7 @@ from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.timelines import RunStream, Times, Values, build_index
 from turtlelog.show.shared_curves import (
     Command,
+    find_drop_outs,
     find_limits,
     list_aims,
     list_levels,
@@ -23,6 +24,7 @@ from turtlelog.show.shared_curves import (
     read_command,
     read_curve,
     read_distance_to_reference,
+    read_sensed,
     read_world_velocity,
 )
 from turtlelog.show.state_groups import StateGroup, group_states
@@ -48,6 +50,8 @@ LINE_WIDTH: Final = 1.5
 
 _COMMANDED_WIDTH: Final = 3.0
 _THIN_WIDTH: Final = 1.25
+_SENSED_SIZE: Final = 0.75
+_DROPPED_SIZE: Final = 2.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,6 +69,7 @@ class Series:
         holds: Whether a value lasts until the next, rather than leading to it in a line.
         is_main: Whether a comparison shows it too.
         is_measured: Whether it is the run's own, so that the plot must have room for it.
+        marker: Shape of points instead of lines; None: lines.
     """
 
     entity: str
@@ -76,6 +81,7 @@ class Series:
     holds: bool = False
     is_main: bool = True
     is_measured: bool = True
+    marker: Literal["circle", "cross"] | None = None
 
     @property
     def plot(self) -> str:
@@ -108,6 +114,7 @@ def list_series(run: Run) -> tuple[Series, ...]:
         *_list_logarithms(poses),
         *_list_along_errors(run),
         *_list_aims(run),
+        *_list_sensed(run),
         *_list_states(run),
         *_list_commands(run, entities.SPEED, "speed"),
         *_list_commands(run, entities.TURN_RATE, "turn_rate"),
@@ -164,13 +171,19 @@ def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
 
 def draw_series(run_stream: RunStream, series: Series) -> None:
     """Draw curves into their plot."""
-    style = rr.SeriesLines(
-        names=series.labels,
-        colors=palette.pack_colors(series.colors),
-        widths=[series.width] * len(series.labels),
-        interpolation_mode="StepAfter" if series.holds else "Linear",
-        aggregation_policy="MinMax",
-    )
+    names, colors = series.labels, palette.pack_colors(series.colors)
+    style: rr.AsComponents
+    if series.marker is not None:
+        sizes, markers = [series.width] * len(names), [series.marker] * len(names)
+        style = rr.SeriesPoints(names=names, colors=colors, markers=markers, marker_sizes=sizes)
+    else:
+        style = rr.SeriesLines(
+            names=names,
+            colors=colors,
+            widths=[series.width] * len(names),
+            interpolation_mode="StepAfter" if series.holds else "Linear",
+            aggregation_policy="MinMax",
+        )
     run_stream.log(series.entity, style)
     run_stream.send(series.entity, series.time_ns, series.values, _build_scalars)
 
@@ -194,9 +207,10 @@ def draw_references(
 
 
 def _list_commands(run: Run, plot: str, command: Command) -> Iterator[Series]:
-    """Yield what was wanted, commanded and applied; the thick one shows beneath the others."""
+    """Yield what was wanted, shaped, commanded and applied; the thick one shows beneath."""
     found = (
         (entities.WANTED, read_curve(run, f"wanted_{command}"), palette.WANTED),
+        (entities.SHAPED, read_curve(run, f"shaped_{command}"), palette.SHAPED),
         (entities.COMMANDED, read_command(run, command), palette.MAIN),
         (entities.APPLIED, read_applied(run, command), palette.SECOND),
     )
@@ -326,6 +340,40 @@ def _list_aims(run: Run) -> Iterable[Series]:
             time_ns=run.samples.time_ns,
             values=away_m[:, np.newaxis],
             is_main=False,
+        )
+
+
+def _list_sensed(run: Run) -> Iterable[Series]:
+    """Yield what the controller read, and where it read nothing the pose itself, as points."""
+    lost = find_drop_outs(run)
+    for plot, signals in ((entities.POSITION, ("x", "y")), (entities.HEADING, ("heading",))):
+        found = [read_sensed(run, signal) for signal in signals]
+        own = [read_curve(run, signal) for signal in signals]
+        columns = [curve.values for curve in found if curve is not None]
+        if len(columns) < len(signals) or found[0] is None:
+            continue
+        names = signals if len(signals) > 1 else ("",)
+        sensed = Series(
+            entity=f"{plot}/{entities.SENSED}",
+            labels=tuple(f"sensed {name}".strip() for name in names),
+            colors=(palette.SENSED,) * len(signals),
+            time_ns=found[0].time_ns,
+            values=np.column_stack(columns),
+            width=_SENSED_SIZE,
+            is_main=False,
+            is_measured=False,
+            marker="circle",
+        )
+        yield sensed
+        yield replace(
+            sensed,
+            entity=f"{plot}/{entities.DROPPED_OUT}",
+            labels=tuple(f"{name} dropped out".strip() for name in names),
+            colors=(palette.DROPPED_OUT,) * len(signals),
+            time_ns=run.poses.time_ns[lost],
+            values=np.column_stack([curve.values[lost] for curve in own if curve is not None]),
+            width=_DROPPED_SIZE,
+            marker="cross",
         )
 
 

@@ -136,7 +136,7 @@ class Single:
             ends=find_ends(self.series, content.ranges),
             corners=find_corners(self.series, content.ranges) if self.run.goal_xy_m is None else {},
             series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
-            lines=(join_path(_EVENT_LINES),) if self.run.events else (),
+            lines=(join_path(_EVENT_LINES),) if plane.list_placed(self.run) else (),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
         )
 
@@ -162,6 +162,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     run_stream = RunStream(stream, "", timelines)
     plane.draw_trace_by_phase(run_stream, run)
     plane.draw_reference_path(run_stream, run)
+    plane.draw_sensed(run_stream, run)
     if single.by_speed is not None:
         plane.draw_speed_trace(run_stream, single.by_speed)
     plane.draw_turtle(run_stream, run, palette.MAIN, content.plane.half_size_m)
@@ -208,6 +209,6 @@ def _draw_violation(stream: rr.RecordingStream, run: Run, at_ns: int, title: str
 def _draw_events(run_stream: RunStream, run: Run, largest: float) -> None:
     """Draw the events where the turtle was, across the plots, and as a log."""
     plane.draw_event_places(run_stream, run)
-    times_ns = sorted({event.time_ns for event in run.events})
+    times_ns = sorted({event.time_ns for event in plane.list_placed(run)})
     draw_lines(run_stream, _EVENT_LINES, "event", palette.EVENT, times_ns, largest=largest)
     draw_events(run_stream, run)
