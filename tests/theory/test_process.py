@@ -25,6 +25,7 @@ from turtlelog.theory import (
     find_stable_gains,
     is_pid_stable,
 )
+from turtlelog.theory.process import _rest
 
 T = 0.05
 
@@ -347,3 +348,44 @@ def test_1000_samples_of_dead_time_with_lag_and_a_part_of_a_sample_are_no_troubl
     for share, is_stable in [(1.0 - 1e-6, True), (1.0 + 1e-6, False)]:
         gains = PidGains(kp=share * high)
         assert is_pid_stable(gains, period_s=0.016, process=process) == is_stable
+
+
+def test_python_control_puts_the_crossover_elsewhere_where_dead_time_is_several_samples() -> None:
+    gains, process, ticks = draw_loop(np.random.default_rng(504))
+    loop: Any = {"period_s": T, "dead_time_ticks": ticks, "process": process}
+    plant = control.tf(*expand_transfer_function(gains, **loop), T)
+    theirs = control.stability_margins(plant, method="poly")[4]
+    ours = analyse_pid_loop(gains, **loop).margins
+    assert ours is not None
+    assert ours.crossover_rad_s is not None
+    sizes = [abs(plant(np.exp(1j * at * T))) for at in (theirs, ours.crossover_rad_s)]
+    assert abs(sizes[0] - 1.0) > 1e-4
+    assert sizes[1] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("value", [0.5, -0.5])
+def test_series_and_closed_form_of_the_weights_meet(value: float) -> None:
+    near = [_rest(value * (1.0 + step)) for step in (-1e-12, 1e-12)]
+    exact = math.fsum([value**n / math.factorial(n) for n in range(2, 30)])
+    assert near == pytest.approx([exact, exact], rel=1e-11)
+
+
+@pytest.mark.parametrize(("samples", "is_taken"), [(0.99e9, True), (1.01e9, False)])
+def test_the_longest_lag_is_a_billion_samples(samples: float, *, is_taken: bool) -> None:
+    process = Process(lag_s=samples)
+    if is_taken:  # Kp (L + T / 2) = 1 is the limit
+        assert is_pid_stable(PidGains(kp=1.9), period_s=1.0, process=process)
+        assert not is_pid_stable(PidGains(kp=2.1), period_s=1.0, process=process)
+    else:
+        with pytest.raises(TheoryError, match="lag_s: expected at most"):
+            is_pid_stable(PidGains(kp=1.9), period_s=1.0, process=process)
+
+
+def test_an_open_loop_that_vanishes_at_its_highest_frequency_has_no_gain_margin_there() -> None:
+    # Half a sample of dead time: a zero at z = -1, where rounding is left of the open loop.
+    margins = analyse_pid_loop(
+        PidGains(kp=0.5), period_s=1.0, process=Process(dead_time_s=0.5)
+    ).margins
+    assert margins is not None
+    assert margins.gain_margin == pytest.approx(4.0, rel=1e-9)
+    assert margins.gain_reduction is None
