@@ -198,3 +198,18 @@ def test_gains_of_a_scenario_belong_to_no_recording(call: Call, kp10: Path) -> N
         answer = call("theory", kp10, *words)
         assert answer.code == 2
         assert f"{words[0]}: expected a scenario beside it, found a recording" in answer.err
+
+
+def test_many_gains_with_other_terms_stand_in_tables_that_fit(call: Call) -> None:
+    answer = call("theory", "--kp", "1,2,3,4,5,6,7,8,9", "--ki", "0.1", "--lag", "0.1")
+    assert answer.out.count("The sampled loop") == 3
+    assert max(map(len, answer.out.splitlines())) <= 100
+
+
+@pytest.mark.parametrize(("kp", "words"), [("3.04", "no"), ("3.05", "by 0.01 %")])
+def test_an_overshoot_that_no_digit_shows_is_none(call: Call, kp: str, words: str) -> None:
+    options = ("--lag", "0.09", "--period", "0.001", "--low-pass", "0")
+    found = call("theory", "--kp", kp, *options, "--json").json["gains"][0]
+    assert found["overshoots"] == (words != "no")
+    text = call("theory", "--kp", kp, *options).out
+    assert re.search(rf"overshoots +{words}\n", text)

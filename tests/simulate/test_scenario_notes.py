@@ -155,6 +155,17 @@ LAGGED = {
             "a period of 32 ms and a dead time of 2 ticks",
         ),
         (
+            {
+                **LAGGED,
+                "loop__queue_policy": "one-per-tick",
+                "loop__command_queue": 1,
+                "loop__transport_delay_s": 0.01,
+            },
+            Process(gain=0.8, lag_s=0.2, dead_time_s=0.13),  # it takes it at its next period
+            0.05,
+            "a period of 50 ms, a lag of 0.2 s and a dead time of 0.13 s",
+        ),
+        (
             {"loop__trigger": "timer", "loop__period_s": 0.048, "sensing__bias_heading_rad": 0.1},
             Process(),
             0.048,
@@ -187,8 +198,6 @@ def test_lag_timers_and_seconds_of_delay_get_their_own_limit(
         {"disturbance__noise_turn_rate": 0.1},
         {"limits__turn_acceleration_rad_s2": 1.0},
         {"loop__trigger": "timer", "loop__period_s": 0.05},  # no multiple of 16 ms
-        {"loop__trigger": "timer", "loop__period_s": 0.032, "sensing__delay_s": 0.005},
-        {**LAGGED, "loop__queue_policy": "one-per-tick", "loop__transport_delay_s": 0.01},
         {**LAGGED, "plant__turn_gain": -1.0},
     ],
 )

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 _MOST_GAINS: Final = 100
 _GAINS: Final = "1,2,4,10"
+_MOST_COLUMNS: Final = 4
+"""Gains beside each other: more would be wider than 100 characters."""
 _TURTLE_TICK_S: Final = 0.016
 
 
@@ -163,7 +165,9 @@ def _answer_terms(
     ]
     if not json:
         answers = [LoopAnswer(title=f"Kp = {loop.gains.kp:g}", found=loop) for loop in found]
-        print_text(format_table(tabulate_answers("The sampled loop", answers)))
+        parts = [answers[k : k + _MOST_COLUMNS] for k in range(0, len(answers), _MOST_COLUMNS)]
+        tables = [tabulate_answers("The sampled loop", part) for part in parts]
+        print_text("\n".join(map(format_table, tables)))
         return
     ranges = found[0].stable_gains
     print_json(

@@ -3,6 +3,7 @@
 A run and a scenario hold the same dotted keys, so both are read here.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -129,20 +130,20 @@ def find_timing(parameters: Parameters) -> LoopTiming | str:
     period_s, delay_s = every * step_s, _read(parameters, "sensing.delay_s")
     if parameters.get("loop.trigger") == "timer":
         period_s = _read(parameters, "loop.period_s")
-        if not _is_multiple(period_s, step_s) or not _is_multiple(delay_s, step_s):
+        if not _is_multiple(period_s, step_s):  # it begins when a pose comes: their ages are alike
             return (
                 "the age of the pose that is read changes from sample to sample, where the timer's"
-                " period or sensing.delay_s is no multiple of the plant's period"
+                " period is no multiple of the plant's"
             )
     if is_turtlesim and period_s > (_LONGEST_HOLD_TICKS + _WHOLE) * step_s:
         return "turtlesim stops by itself between two samples, 1 s after a command"
     delay_s += _read(parameters, "loop.transport_delay_s")
     delay_s += _read(parameters, "loop.transport_delay_ticks") * step_s
-    if is_turtlesim:  # its commands act on ticks
-        delay_s = step_s * int(delay_s / step_s + _WHOLE)
     queued = parameters.get("loop.queue_policy") == "one-per-tick"
-    if queued and not _is_multiple(delay_s, step_s):
-        return "a command that waits for the plant's next period waits for a part of it"
+    if is_turtlesim:  # a command acts on the whole tick in which it arrives
+        delay_s = step_s * math.floor(delay_s / step_s + _WHOLE)
+    elif queued:  # a robot takes it at its next period
+        delay_s = step_s * math.ceil(delay_s / step_s - _WHOLE)
     least_s = most_s = delay_s
     if queued and every == 1 and parameters.get("loop.trigger") != "timer":
         # One command leaves and one comes in each tick, so what waits first waits for good. No
