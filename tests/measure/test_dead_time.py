@@ -8,7 +8,14 @@ from tests import sequential
 from tests.log.runs import find_shared
 from turtlelog.angles import wrap_angle
 from turtlelog.log import import_log
-from turtlelog.measure import DeadTime, DeadTimeChange, Missing, Status, find_dead_time
+from turtlelog.measure import (
+    DeadTime,
+    DeadTimeChange,
+    Missing,
+    Status,
+    find_dead_time,
+    measure_run,
+)
 from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import TICK_NS
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
@@ -309,3 +316,12 @@ def test_random_pushes_make_a_dead_time_uncertain() -> None:
     found = find_dead_time(simulate("paper-kp1", seed=4, **noise), TRANSLATE)
     assert isinstance(found, Missing)
     assert found.reason == "the disturbance is random and adds up along the way"
+
+
+def test_lag_of_a_robot_that_is_not_known_is_no_dead_time() -> None:
+    run = replace(simulate("lagged"), parameters={}, scenario_is_complete=False)
+    found = measure_run(run, only=["rotate.dead_time"])["rotate.dead_time"]
+    assert (found.value, found.status) == (None, Status.UNDETERMINED)
+    assert found.reason.endswith("what they leave is no noise, as where the robot has a lag")
+    noisy = add_noise(simulate("paper-kp1"), 1e-4)
+    assert measure_run(noisy, only=["rotate.dead_time"])["rotate.dead_time"].value == 5 * 0.016

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
-from turtlelog.measure.metric import Missing
+from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.path import compute_path_distances, compute_path_length
 from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
@@ -23,6 +23,9 @@ _Value = TypeVar("_Value")
 
 _MOST_SAMPLES: Final = 20_000
 """As much of a loop's stretch as its dead time is looked for in: five minutes of ticks."""
+
+_WHITE: Final = 0.5
+"""The least whiteness of noise, whose own is 1: a lag leaves a curve, below 0.1."""
 
 
 class RunContext:
@@ -123,7 +126,14 @@ class RunContext:
         return found if isinstance(found, Missing) else found.ticks
 
     def _find_dead_time(self, loop: ControlLoop) -> DeadTime | Missing:
-        return find_dead_time(take_beginning(self.run, loop, _MOST_SAMPLES), loop)
+        found = find_dead_time(take_beginning(self.run, loop, _MOST_SAMPLES), loop)
+        if isinstance(found, Missing) or found.whiteness > _WHITE:
+            return found
+        reason = (
+            f"no single dead time explains the motion, {found.ticks} ticks are the nearest: what"
+            " they leave is no noise, as where the robot has a lag"
+        )
+        return Missing(status=Status.UNDETERMINED, reason=reason)
 
 
 _EARLIER_SAMPLES: Final = 1000
