@@ -64,6 +64,16 @@ def test_closed_loop_is_replayed_without_a_difference(changes: dict[str, Any]) -
     assert {"applied_speed", "pose_read", "sample_time"} <= {one.signal for one in found.signals}
 
 
+def test_commands_that_never_come_or_come_twice_are_counted_once() -> None:
+    lossy = simulate(loop__loss_probability=0.1, loop__repeat_probability=0.2)
+    use = replay_plant(lossy).commands
+    lost = sum(
+        int(event.text.split()[3]) for event in lossy.events if event.kind == "commands_lost"
+    )
+    # the last command leaves after the last pose
+    assert (use.taken + use.unseen, use.unseen) == (len(lossy.commands), lost + 1)
+
+
 def find_signal(found: LoopReplay, name: str) -> int:
     return next(one.rows for one in found.signals if one.signal == name)
 

@@ -75,7 +75,7 @@ def drive_lagged(run: Run) -> LaggedPoses:
         ),
         commands=CommandUse(
             taken=commands.taken,
-            unseen=len(run.commands) - min(commands.taken, len(run.commands)),
+            unseen=len(run.commands) - commands.taken,
             stops=0,
             unexplained_ticks=0,
         ),
@@ -126,20 +126,27 @@ def _list_samples(run: Run) -> Iterator[Sample]:
 
 
 class _CountedCommands(TimedCommands):
-    """Commands on their way, and how many the robot has taken.
+    """Commands on their way, and how many of them the robot has taken.
 
     Attributes:
-        taken: So far; a command that is repeated counts twice.
+        taken: So far; a command that arrives twice counts once.
     """
 
     taken = 0
+    _last = -1
 
     def take(self, tick: int) -> Sample | None:
         found = super().take(tick)
-        self.taken += found is not None
+        if found is not None:
+            self._count(found)
         return found
 
     def list_arrived(self, until_ns: int) -> Iterator[tuple[int, Sample]]:
-        for arrived in super().list_arrived(until_ns):
-            self.taken += 1
-            yield arrived
+        for arrival_ns, command in super().list_arrived(until_ns):
+            self._count(command)
+            yield arrival_ns, command
+
+    def _count(self, command: Sample) -> None:
+        # None overtakes another, so one that comes again comes next.
+        self.taken += command.sequence != self._last
+        self._last = command.sequence
