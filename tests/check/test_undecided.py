@@ -9,6 +9,7 @@ import pytest
 
 import turtlelog as tl
 from tests.check.recordings import simulate
+from tests.effects_cases import build_case
 from turtlelog.check import CheckResult, Recording, UndecidedError, Verdict
 from turtlelog.check.result import CheckOutcome, find_worst
 from turtlelog.run import slice_run
@@ -181,3 +182,13 @@ def test_a_signal_that_a_recording_lacks_is_undecided(tmp_path: Path) -> None:
     found = Recording(tmp_path / "whole.mcap").matches(bare, tolerance=tolerances)
     with pytest.raises(UndecidedError, match="does not hold it"):
         bool(found)
+
+
+def test_what_is_sensed_is_judged_where_it_was_and_undecided_where_it_was_not() -> None:
+    noisy = tl.simulate_run(build_case("noise", "dropout", max_duration_s=1.0))
+    # It turns where it stands, sensed with a noise of 0.01 m.
+    away = "abs(sensed_x - 5.5444)"
+    assert tl.check_formula(noisy, f"eventually({away} > 0.005)").holds is True
+    assert tl.check_formula(noisy, f"always({away} < 0.005)").holds is False
+    plain = tl.simulate_run(build_case(max_duration_s=1.0))
+    assert tl.check_formula(plain, "eventually(sensed_x > 0)").holds is None

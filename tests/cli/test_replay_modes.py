@@ -226,7 +226,10 @@ def test_a_recording_of_a_law_that_is_gone_says_so(call: Call, tmp_path: Path) -
         (["kp4.mcap", "--plant", "--tolerance", "0"], "are, found --tolerance"),
         (["kp4.mcap", "-o", "kp4.mcap"], "kp4.mcap: expected another file to write to"),
         (["kp4.mcap", "-o", "b.txt"], "b.txt: expected a name that ends in .mcap"),
-        (["kp4.mcap", "--law", "--set", "loop.period_ticks=2"], "expected a key of law, limits, g"),
+        (
+            ["kp4.mcap", "--law", "--set", "loop.period_ticks=2"],
+            "expected a key of law, shaping, l",
+        ),
         (["kp4.mcap", "--set", "law.kp=2"], "--set: law.kp: expected kp_angular or kp_linear"),
         (["kp4.mcap", "--set", "law.kp_linear=nan"], "--set: law.kp_linear: expected a finite num"),
         (["kp4.mcap", "--scenario", "no"], "no: expected a scenario file (.toml) or one of"),
@@ -288,3 +291,11 @@ def test_commands_that_are_missing_are_not_what_the_law_answers(
     driven = tl.Recording(tmp_path / "few.mcap")
     (result,) = driven.driven_by().matches(driven).failures
     assert (result.check, result.reason) == ("law.commands", "recorded 9, the law answers 681")
+
+
+def test_shaping_can_be_changed_as_limits_can(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    assert call("run", "textbook", "--set", "max_duration_s=0.5", "-o", path).code == 0
+    answer = call("replay", path, "--law", "--set", "shaping.low_pass_s=0.1", "--json").json
+    assert answer["first_difference"]["signal"] == "turn_rate"
+    assert answer["not_compared"] == ["shaped_speed", "shaped_turn_rate"]

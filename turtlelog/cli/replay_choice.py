@@ -14,7 +14,7 @@ from turtlelog.errors import UsageError
 if TYPE_CHECKING:
     from turtlelog import Run, Scenario
 
-_OF_LAW: Final = ("law", "limits", "goal")
+_OF_LAW: Final = ("law", "shaping", "limits", "goal")
 """The tables of a scenario that count where poses are given."""
 
 
