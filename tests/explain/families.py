@@ -97,6 +97,9 @@ FAMILIES = MappingProxyType(
         "laws": Family(meaning="other laws", fixed={}, drawn=_law),
         "sensed 1e-4": Family(meaning="noise in what the controller reads", fixed={"noise": 1e-4}),
         "sensed 1e-2": Family(meaning="noise in what the controller reads", fixed={"noise": 1e-2}),
+        **{f"misread {size:.0e}".replace("e-0", "e-"):
+           Family(meaning="noise in what the controller reads, not logged",
+                  fixed={"hidden_noise": size}) for size in (1e-5, 1e-4, 1e-3)},
         "logged 1e-4": Family(meaning="noise in the log alone", fixed={"log_noise": 1e-4}),
         "logged 1e-2": Family(meaning="noise in the log alone", fixed={"log_noise": 1e-2}),
         "logged 1e-2, cut": Family(meaning="noise in the log alone, cut", fixed={"log_noise": 1e-2},

@@ -39,6 +39,8 @@ class Truth:
             the distance instead of its projection); `bang` (full speed until the tolerance).
         start: x, y, heading of the plant in double precision; published as 32-bit floats.
         noise: Standard deviation of what the controller reads [m, rad].
+        hidden_noise: Standard deviation of what the controller reads, where the log has the pose
+            without it [m, rad].
         log_noise: Standard deviation that only the log has: the controller read the true pose.
         quantum: Step of what the controller reads [m, rad].
         log_quantum: Step of what the log holds.
@@ -70,6 +72,7 @@ class Truth:
     start: Vector = (SPAWN, SPAWN, 0.0)
     goal: tuple[float, float] = (2.0, 10.0)
     noise: float = 0.0
+    hidden_noise: float = 0.0
     log_noise: float = 0.0
     quantum: float = 0.0
     log_quantum: float = 0.0
@@ -152,7 +155,7 @@ class Log:
 
 def make_log(truth: Truth) -> Log:
     """Drive one run."""
-    rng, blurring = np.random.default_rng(truth.seed).spawn(2)
+    rng, blurring, hiding = np.random.default_rng(truth.seed).spawn(3)
     plant, law = _Plant(truth), _Law(truth)
     waiting: deque[tuple[int, Vector]] = deque(maxlen=truth.pose_queue)
     log = Log(truth=truth, rows=[], read=[], answered=[], poses=[], taken=plant.taken)
@@ -173,7 +176,7 @@ def make_log(truth: Truth) -> Log:
                 tick * 0.016 + rng.uniform(-truth.jitter_s, truth.jitter_s),
                 clock + rng.uniform(0.0011, 0.0015),
             )
-            row, pauses = law.answer(clock, pose)
+            row, pauses = law.answer(clock, _misread(pose, truth, hiding))
             log.rows.append((clock, *_blur(pose, truth, blurring), *row))
             log.read.append(number)
             log.answered.append(tick)
@@ -234,6 +237,13 @@ class _Plant:
             self.idle = 0
         if self.idle >= 63:
             self.speed = self.turn = 0.0
+
+
+def _misread(pose: Vector, truth: Truth, rng: np.random.Generator) -> Vector:
+    if not truth.hidden_noise:
+        return pose
+    x, y, heading = (value + rng.normal(0.0, truth.hidden_noise) for value in pose)
+    return float(np.float32(x)), float(np.float32(y)), float(np.float32(_wrap(heading)))
 
 
 def _blur(pose: Vector, truth: Truth, rng: np.random.Generator) -> Vector:

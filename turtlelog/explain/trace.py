@@ -11,6 +11,7 @@ from turtlelog.angles import subtract_headings
 from turtlelog.errors import ExplainError
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+from turtlelog.scenario import LoopSettings
 
 Values = NDArray[np.float64]
 
@@ -23,6 +24,10 @@ OFF_GRID: Final = 0.02
 
 _FIRST_DIGITS: Final = 9
 """A goal that is only logged as position plus error is rounded to this many decimals."""
+
+
+_LONGEST_BURST: Final = LoopSettings().pose_queue
+"""Poses that are answered at once: the last of them is answered when it is published."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,7 +112,9 @@ class Trace:
 
     @property
     def answered_after_s(self) -> float:
-        """Least time from a pose to its answer [s]; 0 of a log with a pose per sample."""
+        """Least time from a pose to its answer [s]; 0 where bursts alone may have made it."""
+        if len(self) <= _LONGEST_BURST:
+            return 0.0
         return float(np.min(self.time_ns - _get_pose_times(self))) / 1e9
 
     @property
