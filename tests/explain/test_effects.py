@@ -192,6 +192,19 @@ def test_what_each_of_loss_and_dropout_would_do_alone_is_said() -> None:
     assert missing.endswith(" So there are no shares.")
 
 
+@pytest.mark.parametrize(("chance", "used"), [(0.05, 30), (0.16, 20), (0.19, 16)])
+def test_seeds_without_a_value_are_left_out_up_to_half_of_them(chance: float, used: int) -> None:
+    metric, values = EFFECTS["outlier"]
+    scenario = change(**{**values, "sensing.outlier_probability": chance})
+    found = attribute_scenario(scenario, metric=metric)
+    sentences = " ".join(write_sentences(found))
+    if used > 16:
+        text = f"over {used} of 32 seeds (with the others it has no value, or none without some"
+        assert text in sentences
+    else:
+        assert f"No shares: only with {used} of 32 seeds every combination has a" in sentences
+
+
 def test_two_runs_that_differ_in_their_seed_have_the_same_shares() -> None:
     values = {"sensing.noise_heading_rad": 0.01}
     found = [
