@@ -39,7 +39,9 @@ def test_nothing_is_exact_that_is_not_true(family: str, amount: int) -> None:
     assert sum(said == "exact true" for _, said in total) >= 2
 
 
-@pytest.mark.parametrize("family", ["logged 1e-4", "logged 1e-2"])
+@pytest.mark.parametrize(
+    "family", ["logged 1e-4", "logged 1e-2", "misread 1e-5", "misread 1e-4", "misread 1e-3"]
+)
 def test_an_interval_of_a_gain_holds_the_truth_in_95_of_100_logs(family: str) -> None:
     said: Counter[str] = Counter()
     for log in make_family(family, 21, 60):

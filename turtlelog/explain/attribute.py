@@ -218,6 +218,10 @@ def _choose_mechanisms(game: Game, mechanisms: Sequence[str]) -> list[str]:
     if len(mechanisms) <= _MOST:
         return [*mechanisms]
 
+    every = [*mechanisms]
+    alone = [[*filter(name.__ne__, every)] for name in every]
+    game.prepare([[], every, *alone, *([name] for name in every)])
+
     def weigh(name: str) -> float:
         others = [other for other in mechanisms if other != name]
         out = _compare(game.take_out(), game.take_out([name]))

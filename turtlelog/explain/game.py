@@ -8,7 +8,7 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
 from statistics import fmean
@@ -21,13 +21,14 @@ from turtlelog.explain.mechanisms import (
     draws_random,
     find_mechanisms,
     is_present,
-    simulate_without,
+    simulate_finer,
     take_out,
 )
 from turtlelog.laws import LAWS
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
+from turtlelog.simulate import simulate_run
 
 SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
 """Of the means: the same for all runs, so that two which differ in their seed alone have the same
@@ -41,6 +42,9 @@ _AT_ONCE: Final = 4
 
 Coalition = frozenset[str]
 """The mechanisms that are in."""
+
+_Play = tuple[frozenset[str], int | None]
+"""The mechanisms that are out, and the seed; None: the scenario's own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +98,8 @@ class Game:
             name for name, found in self.mechanisms.items() if is_present(scenario, found)
         )
         self.is_random = draws_random(scenario)
-        self._outcomes: dict[tuple[Coalition, int | None], Outcome] = {}
+        self._without: dict[Coalition, Scenario] = {}
+        self._outcomes: dict[_Play, Outcome] = {}
 
     def play(self, inside: Coalition, mechanisms: Sequence[str]) -> Outcome:
         """Return the outcome with these mechanisms in, and all others out."""
@@ -136,13 +141,16 @@ class Game:
             return f"{describe_phase(kind, sooner[0])} ends {within}"
         return without.reason
 
-    def _list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
-        if not self.is_random:
-            return (None,)
-        left = take_out(self._scenario, [self.mechanisms[name] for name in out])
-        return SEEDS if draws_random(left) else (None,)
+    def _take_out(self, out: Coalition) -> Scenario:
+        if out not in self._without:
+            mechanisms = [found for name, found in self.mechanisms.items() if name in out]
+            self._without[out] = take_out(self._scenario, mechanisms)
+        return self._without[out]
 
-    def _simulate(self, wanted: Sequence[tuple[Coalition, int | None]]) -> None:
+    def _list_seeds(self, out: Coalition) -> tuple[int | None, ...]:
+        return SEEDS if self.is_random and draws_random(self._take_out(out)) else (None,)
+
+    def _simulate(self, wanted: Sequence[_Play]) -> None:
         missing = [one for one in wanted if one not in self._outcomes]
         total = len(self._outcomes) + len(missing)
         for one, outcome in zip(missing, self._iterate(missing), strict=True):
@@ -150,32 +158,35 @@ class Game:
             if self._work.report is not None:
                 self._work.report(len(self._outcomes), total)
 
-    def _iterate(self, missing: Sequence[tuple[Coalition, int | None]]) -> Iterator[Outcome]:
-        simulate = partial(_simulate, self._scenario, self._metric)
+    def _iterate(self, missing: Sequence[_Play]) -> Iterator[Outcome]:
+        simulate = partial(_simulate, self._metric)
+        plays = [(self._take_out(out), SAMPLING in out, seed) for out, seed in missing]
         jobs = self._work.jobs if self._scenario.law.kind in LAWS else 1
-        if jobs == 1 or len(missing) <= _AT_ONCE:
-            yield from map(simulate, missing)
+        if jobs == 1 or len(plays) <= _AT_ONCE:
+            yield from map(simulate, plays)
             return
         # Spawned and not forked: the same everywhere, and safe beside threads.
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(jobs, len(missing)), mp_context=context)
+        pool = ProcessPoolExecutor(min(jobs, len(plays)), mp_context=context)
         try:
-            yield from pool.map(simulate, missing, chunksize=_AT_ONCE)
+            yield from pool.map(simulate, plays, chunksize=_AT_ONCE)
         finally:
             pool.shutdown(cancel_futures=True)
 
 
-def _simulate(scenario: Scenario, metric: str, one: tuple[Coalition, int | None]) -> Outcome:
-    out, seed = one
+def _simulate(metric: str, play: tuple[Scenario, bool, int | None]) -> Outcome:
+    """Simulate a scenario, on a finer clock or its own, with another seed or its own."""
+    scenario, is_finer, seed = play
+    scenario = scenario if seed is None else replace(scenario, seed=seed)
     try:
-        run = simulate_without(scenario, out, seed=seed)
+        run = simulate_finer(scenario) if is_finer else simulate_run(scenario)
     except SimulationError as err:
         if seed is None:
             raise
         return Outcome(value=None, reason=str(err), ended=())
     found = measure_run(run, only=[metric])[metric]
     value, reason = found.value, found.reason
-    if SAMPLING in out and metric.endswith(_OF_DEAD_TIME):
+    if is_finer and metric.endswith(_OF_DEAD_TIME):
         value, reason = None, "dead times are not measured on a finer clock"
     return Outcome(value=value, reason=reason, ended=_find_ended(run))
 

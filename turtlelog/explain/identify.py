@@ -296,8 +296,8 @@ def _find_obstacle(trace: Trace) -> str | None:
         return "the log does not hold the goal"
     if trace.answered_after_s >= TURTLESIM.period_s:
         return (
-            f"no pose is answered sooner than {trace.answered_after_s:.3g} s after it was"
-            " published: what delays them, the log does not tell"
+            f"poses are answered {trace.answered_after_s:.3g} s after their publication (median):"
+            " what delays them, the log does not tell"
         )
     length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
     if length_s > LONGEST_S:

@@ -214,8 +214,8 @@ def is_present(scenario: Scenario, mechanism: Mechanism) -> bool:
     return mechanism.name == SAMPLING or take_out(scenario, [mechanism]) != scenario
 
 
-def simulate_without(scenario: Scenario, names: Iterable[str], *, seed: int | None = None) -> Run:
-    """Simulate a scenario without some of its mechanisms; with another seed, where one is given.
+def simulate_without(scenario: Scenario, names: Iterable[str]) -> Run:
+    """Simulate a scenario without some of its mechanisms.
 
     Raises:
         ExplainError: Where the scenario has no mechanism of that name.
@@ -225,9 +225,7 @@ def simulate_without(scenario: Scenario, names: Iterable[str], *, seed: int | No
     scenario = resolve_scenario(scenario)
     table = find_mechanisms(scenario)
     changed = take_out(scenario, [find_mechanism(name, table, scenario) for name in names])
-    if seed is not None:
-        changed = replace(changed, seed=seed)
-    return _simulate_finer(changed) if SAMPLING in names else simulate_run(changed)
+    return simulate_finer(changed) if SAMPLING in names else simulate_run(changed)
 
 
 def find_mechanism(name: str, table: Mapping[str, Mechanism], scenario: Scenario) -> Mechanism:
@@ -259,7 +257,7 @@ def take_out(scenario: Scenario, mechanisms: Iterable[Mechanism]) -> Scenario:
     return resolve_scenario(scenario)
 
 
-def _simulate_finer(scenario: Scenario) -> Run:
+def simulate_finer(scenario: Scenario) -> Run:
     """Simulate a scenario with a plant whose clock is `FINER` times finer."""
     facts = scenario.plant.facts
     # A robot's period need not be a multiple of anything: its steps are whole nanoseconds.

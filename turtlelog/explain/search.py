@@ -160,11 +160,24 @@ class _Search:
         self._tried = self._simulated = 0
         self._values: dict[str, set[Any]] = {}
         self.to_rounding = self.is_driven = False
+        self._base: Scenario | None = None
+        self._base_values: Settings = {}
 
     def build(self, guess: Settings, **more: Any) -> Scenario:
-        """Return the scenario of a guess."""
-        values = {"name": self._trace.run.name, **self._known, **guess, **more}
-        values.setdefault("max_duration_s", self._most_s)
+        """Return the scenario of a guess, which sets nothing but the loop and the pause."""
+        known = {**self._known, **more}
+        if self._base is None or known != self._base_values:
+            self._base, self._base_values = self._build_base({**known, **guess}), known
+        base, values = self._base, dict(guess)
+        law = base.law
+        if PAUSE_KEY in values:
+            pause_ticks = values.pop(PAUSE_KEY)
+            law = replace(law, parameters=replace(law.parameters, pause_ticks=pause_ticks))
+        loop = {key.removeprefix("loop."): value for key, value in values.items()}
+        return replace(base, law=law, loop=replace(base.loop, **loop))
+
+    def _build_base(self, values: Settings) -> Scenario:
+        values = {"name": self._trace.run.name, "max_duration_s": self._most_s, **values}
         # Whoever searches with a law may run it.
         tables = nest_parameters(values)
         return build_scenario(tables, source=self._trace.run.name, trust_law=True)

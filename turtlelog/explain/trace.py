@@ -11,7 +11,6 @@ from turtlelog.angles import subtract_headings
 from turtlelog.errors import ExplainError
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
-from turtlelog.scenario import LoopSettings
 
 Values = NDArray[np.float64]
 
@@ -26,8 +25,8 @@ _FIRST_DIGITS: Final = 9
 """A goal that is only logged as position plus error is rounded to this many decimals."""
 
 
-_LONGEST_BURST: Final = LoopSettings().pose_queue
-"""Poses that are answered at once: the last of them is answered when it is published."""
+_FEWEST_ANSWERS: Final = 10
+"""Answers of fewer single poses say nothing of the usual delay: a run may end in its start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,10 +111,15 @@ class Trace:
 
     @property
     def answered_after_s(self) -> float:
-        """Least time from a pose to its answer [s]; 0 where bursts alone may have made it."""
-        if len(self) <= _LONGEST_BURST:
+        """Usual time from a pose to its answer [s], bursts left out; 0 where there is little else.
+
+        Of a burst all but the newest pose have waited.
+        """
+        is_other = np.diff(self.time_ns) != 0
+        alone = np.r_[True, is_other] & np.r_[is_other, True]
+        if alone.sum() <= _FEWEST_ANSWERS:
             return 0.0
-        return float(np.min(self.time_ns - _get_pose_times(self))) / 1e9
+        return float(np.median((self.time_ns - _get_pose_times(self))[alone])) / 1e9
 
     @property
     def missing(self) -> list[tuple[int, int]]:

@@ -1,0 +1,238 @@
+"""`explain` finds every effect and every property, alone and in pairs, and names no other."""
+
+import math
+import re
+from typing import Any
+
+import pytest
+
+from turtlelog.errors import ExplainError
+from turtlelog.explain import (
+    Attribution,
+    Work,
+    attribute_scenario,
+    write_sentences,
+)
+from turtlelog.explain.game import SEEDS
+from turtlelog.explain.mechanisms import (
+    LOOP_MECHANISMS,
+    draws_random,
+    find_mechanisms,
+    list_effects,
+)
+from turtlelog.scenario import Scenario, get_preset, override_scenario
+
+SHORT = {"max_duration_s": 2.0, "goal.x_m": 6.5, "goal.y_m": 6.1, "law.kp_angular": 8.0}
+"""A turn of 30 deg and the begin of a drive, without any effect."""
+
+EFFECTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "queue": ("rotate.overshoot", {"loop.queue_policy": "one-per-tick", "loop.start_backlog": 6}),
+    "delay": ("rotate.overshoot", {"loop.transport_delay_s": 0.06, "sensing.delay_s": 0.04}),
+    "jitter": ("rotate.overshoot", {"loop.jitter_s": 0.2}),
+    "loss": ("rotate.overshoot", {"loop.loss_probability": 0.8, "law.kp_angular": 20.0}),
+    "late": ("rotate.overshoot", {"loop.late_probability": 0.3, "loop.late_s": 0.2}),
+    "noise": ("rotate.total_variation", {"sensing.noise_heading_rad": 0.01}),
+    "bias": ("final.heading_error", {"sensing.bias_heading_rad": 0.05}),
+    "quantum": ("final.heading_error", {"sensing.quantum_heading_rad": 0.08}),
+    "dropout": (
+        "rotate.overshoot", {"sensing.dropout_probability": 0.8, "law.kp_angular": 20.0}
+    ),
+    "outlier": (
+        "rotate.total_variation",
+        {"sensing.outlier_probability": 0.05, "sensing.outlier_rad": 0.5},
+    ),
+    "disturbance": ("final.heading_error", {"disturbance.turn_rate_rad_s": 0.2}),
+    "disturbance, noise": ("final.heading_error", {"disturbance.noise_turn_rate": 0.1}),
+    "pause": ("final.heading_error", {"law.pause_ticks": 33}),
+    "wrap": (
+        "final.heading_error",
+        {"law.wrap_error": False, "start.heading_rad": -2.8, "goal.x_m": 3.0, "goal.y_m": 6.0},
+    ),
+}  # fmt: skip
+"""By mechanism: a metric that it changes, and the only effect of a run."""
+
+PROPERTIES: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "saturation": ("rotate.iae", "smaller", {}),
+    "acceleration": ("rotate.delay_time", "smaller", {"limits.turn_acceleration_rad_s2": 1.0}),
+    "jerk": ("rotate.delay_time", "smaller", {"limits.turn_jerk_rad_s3": 2.0}),
+    "shaping": ("rotate.iae", "smaller", {"shaping.low_pass_s": 0.3}),
+    "sampling": (
+        "rotate.overshoot",
+        "smaller",
+        {"law.kp_angular": 110.0, "limits.turn_rate_rad_s": 100.0},
+    ),
+    "sampling, timer": (
+        "rotate.overshoot",
+        "smaller",
+        {"loop.trigger": "timer", "loop.period_s": 0.15},
+    ),
+    "projection": (
+        "final.position_error",
+        "smaller",
+        {"law.projection": "bearing", "max_duration_s": 12.0, "law.pause_ticks": 100,
+         "disturbance.turn_rate_rad_s": 1.0, "disturbance.from_s": 2.0, "disturbance.to_s": 3.0},
+    ),
+    "tolerance": ("rotate.duration", "larger", {"law.heading_tolerance_rad": 0.1}),
+}  # fmt: skip
+"""The same of properties."""
+
+
+def change(**values: Any) -> Scenario:
+    return override_scenario(get_preset("textbook"), {**SHORT, **values})
+
+
+def attribute(scenario: Scenario, metric: str) -> Attribution:
+    """Attribute a value with every effect that there is as a candidate."""
+    effects = list_effects(find_mechanisms(scenario))
+    return attribute_scenario(scenario, metric=metric, mechanisms=effects)
+
+
+def find_named(sentence: str) -> set[str]:
+    """Return the effects that a sentence names."""
+    return {
+        name
+        for name in list_effects(find_mechanisms(change()))
+        if name in re.split(r"\W+", sentence.lower())
+    }
+
+
+@pytest.mark.parametrize("case", EFFECTS)
+def test_an_effect_alone_gets_all_of_what_effects_add(case: str) -> None:
+    metric, values = EFFECTS[case]
+    name = case.partition(",")[0]
+    found = attribute(change(**values), metric)
+    shares = {share.mechanism: share for share in found.shares}
+    assert found.without_all is not None
+    assert abs(found.divided - found.without_all) > 0.3 * abs(found.divided)
+    assert shares.pop(name).share == pytest.approx(found.divided - found.without_all)
+    assert {share.share for share in shares.values()} <= {0.0}
+    assert found.acting == (name,)
+    assert found.left == ()
+    sentences = write_sentences(found)
+    assert find_named(" ".join(sentences)) == {name}
+    assert any(
+        text.startswith((f"{name.capitalize()} adds", f"{name.capitalize()} takes away"))
+        for text in sentences
+    )
+    assert (found.seeds is not None) == draws_random(change(**values))
+
+
+@pytest.mark.parametrize("case", PROPERTIES)
+def test_a_property_is_named_beside_with_its_direction(case: str) -> None:
+    metric, way, values = PROPERTIES[case]
+    name = case.partition(",")[0]
+    found = attribute(change(**values), metric)
+    other = next(share for share in found.others if share.mechanism == name)
+    assert other.share is None
+    assert other.alone is not None
+    assert found.as_built is not None
+    assert abs(other.alone - found.as_built) > 0.3 * abs(found.as_built)
+    assert ("larger" if other.alone > found.as_built else "smaller") == way
+    (named,) = [text for text in write_sentences(found) if f"without {name} alone" in text]
+    assert (other.ending or f"it would be {other.alone:.4g}") in named
+
+
+def test_float32_is_named_where_no_pose_of_32_bits_is_within_the_tolerance() -> None:
+    values = {"law.heading_tolerance_rad": 1e-9, "law.kp_angular": 20.0}
+    found = attribute(change(**values), "final.position_error")
+    assert (
+        "Re-simulated without float32 alone (poses of 64 bits) the rotation ends within 2 s."
+        in write_sentences(found)
+    )
+
+
+def test_every_mechanism_has_a_case() -> None:
+    cases = {case.partition(",")[0] for case in (*EFFECTS, *PROPERTIES)}
+    # float32 and repeat have tests of their own.
+    assert {*find_mechanisms(change())} - cases == {"float32", "repeat"}
+    assert {found.name for found in LOOP_MECHANISMS} - {*find_mechanisms(change())} == set()
+
+
+PAIRS = {
+    ("delay", "jitter"): ("rotate.overshoot", {**EFFECTS["delay"][1], "loop.jitter_s": 0.05}),
+    ("bias", "disturbance"): (
+        "final.heading_error", {**EFFECTS["bias"][1], **EFFECTS["disturbance"][1]}
+    ),
+    ("late", "noise"): (
+        "rotate.total_variation", {**EFFECTS["late"][1], **EFFECTS["noise"][1]}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("names", PAIRS)
+def test_the_shares_of_two_effects_add_up_and_both_are_named(names: tuple[str, str]) -> None:
+    metric, values = PAIRS[names]
+    found = attribute_scenario(change(**values), metric=metric)
+    assert found.mechanisms == names
+    assert found.without_all is not None
+    added = math.fsum(share.share or 0.0 for share in found.shares)
+    assert added == found.divided - found.without_all
+    if found.seeds is not None:
+        assert found.this_seed is not None
+        assert added + found.this_seed == pytest.approx((found.as_built or 0.0) - found.without_all)
+    (cause,) = [text for text in write_sentences(found) if "; without" in text]
+    assert find_named(cause) == {*names}
+
+
+def test_what_needs_queue_and_repeat_both_is_said() -> None:
+    values = {"loop.queue_policy": "one-per-tick", "loop.repeat_probability": 0.2}
+    found = attribute_scenario(change(**values), metric="rotate.overshoot")
+    shares = {share.mechanism: share.share for share in found.shares}
+    assert shares["queue"] == pytest.approx(shares["repeat"])
+    assert "of this arises only when queue and repeat both act" in " ".join(write_sentences(found))
+
+
+def test_what_each_of_loss_and_dropout_would_do_alone_is_said() -> None:
+    values = {"loop.loss_probability": 0.97, "sensing.dropout_probability": 0.97}
+    found = attribute_scenario(change(**values), metric="rotate.settling_time")
+    assert [case.mechanisms for case in found.without_value] == [("loss",), ("dropout",)]
+    missing = write_sentences(found)[1]
+    assert missing.startswith("With loss alone it has no value: ")
+    assert "; with dropout alone it has no value: " in missing
+    assert missing.endswith(" So there are no shares.")
+
+
+@pytest.mark.parametrize(("chance", "used"), [(0.05, 30), (0.16, 20), (0.19, 16)])
+def test_seeds_without_a_value_are_left_out_up_to_half_of_them(chance: float, used: int) -> None:
+    metric, values = EFFECTS["outlier"]
+    scenario = change(**{**values, "sensing.outlier_probability": chance})
+    found = attribute_scenario(scenario, metric=metric)
+    sentences = " ".join(write_sentences(found))
+    if used > 16:
+        text = f"over {used} of 32 seeds (with the others it has no value, or none without some"
+        assert text in sentences
+    else:
+        assert f"No shares: only with {used} of 32 seeds every combination has a" in sentences
+
+
+def test_two_runs_that_differ_in_their_seed_have_the_same_shares() -> None:
+    values = {"sensing.noise_heading_rad": 0.01}
+    found = [
+        attribute_scenario(change(**values, seed=seed), metric="final.heading_error")
+        for seed in (1, 2)
+    ]
+    assert found[0].shares == found[1].shares
+    assert found[0].this_seed != found[1].this_seed
+    assert found[0].starts is None
+
+
+def test_a_combination_without_random_effects_is_simulated_once() -> None:
+    steps: list[tuple[int, int]] = []
+    values = {"loop.transport_delay_s": 0.1, "loop.loss_probability": 0.3}
+    attribute_scenario(
+        change(**values),
+        metric="rotate.iae",
+        work=Work(report=lambda done, total: steps.append((done, total))),
+    )
+    # Random: as built, without delay, and without each of four properties; and the own seed.
+    assert steps[-1] == (6 * len(SEEDS) + 2 + 1, 6 * len(SEEDS) + 2 + 1)
+
+
+def test_as_many_processes_make_the_same_shares() -> None:
+    scenario = change(**{"loop.jitter_s": 0.1, "max_duration_s": 1.0})
+    alone, both = (
+        attribute_scenario(scenario, metric="rotate.iae", work=Work(jobs=jobs)) for jobs in (1, 2)
+    )
+    assert alone == both
+    with pytest.raises(ExplainError, match="jobs: expected at least 1 process, found 0"):
+        Work(jobs=0)
