@@ -1,5 +1,6 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
+import textwrap
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 _MOST_GAINS: Final = 100
 _GAINS: Final = "1,2,4,10"
+_WIDTH: Final = 96
+"""Of notes that stand without a table [characters]."""
 _MOST_COLUMNS: Final = 4
 """Gains beside each other: more would be wider than 100 characters."""
 _TURTLE_TICK_S: Final = 0.016
@@ -211,7 +214,8 @@ def _answer_file(
         print_json({"name": name, "source": source, "loops": [one.describe() for one in answers]})
     elif answers:
         table = tabulate_answers(f"The loops of {name}", answers)
-        print_text(format_table(table) if table.rows else "\n".join(table.notes))
+        lines = [textwrap.fill(note, _WIDTH) for note in table.notes]
+        print_text(format_table(table) if table.rows else "\n".join(lines))
     else:
         print_text(f"{name}: no loop is declared, so theory says nothing of it.")
 
