@@ -1,5 +1,6 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
+import textwrap
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -25,14 +26,16 @@ from turtlelog.cli.theory_loops import (
     describe_process,
     tabulate_answers,
 )
+from turtlelog.cli.theory_tables import describe_theory, tabulate_theory
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog.compare import Table
-    from turtlelog.theory import Process, SampledLoop
+    from turtlelog.theory import Process
 
 _MOST_GAINS: Final = 100
 _GAINS: Final = "1,2,4,10"
+_WIDTH: Final = 96
+"""Of notes that stand without a table [characters]."""
 _MOST_COLUMNS: Final = 4
 """Gains beside each other: more would be wider than 100 characters."""
 _TURTLE_TICK_S: Final = 0.016
@@ -142,7 +145,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         for gain in gains
     ]
     if json:
-        print_json(_describe(loops))
+        print_json(describe_theory(loops))
         return
     print_text("\n".join(map(format_table, tabulate_theory(loops))))
 
@@ -211,7 +214,8 @@ def _answer_file(
         print_json({"name": name, "source": source, "loops": [one.describe() for one in answers]})
     elif answers:
         table = tabulate_answers(f"The loops of {name}", answers)
-        print_text(format_table(table) if table.rows else "\n".join(table.notes))
+        lines = [textwrap.fill(note, _WIDTH) for note in table.notes]
+        print_text(format_table(table) if table.rows else "\n".join(lines))
     else:
         print_text(f"{name}: no loop is declared, so theory says nothing of it.")
 
@@ -244,230 +248,3 @@ def _parse_gains(text: str) -> list[float]:
     if len(gains) > _MOST_GAINS:
         raise UsageError(f"--kp: expected at most {_MOST_GAINS} gains, found {len(gains)}")
     return gains
-
-
-def _describe(loops: "list[SampledLoop]") -> dict[str, Any]:
-    first = loops[0]
-    overshoot_gain, stability_gain = compute_limits(first.period_s, first.dead_time_ticks)
-    limits = [(ticks, *compute_limits(first.period_s, ticks)) for ticks in list_dead_times(first)]
-    return {
-        "period_s": first.period_s,
-        "dead_time_ticks": first.dead_time_ticks,
-        "overshoot_gain": overshoot_gain,
-        "stability_gain": stability_gain,
-        "plant": _describe_plant(),
-        "gains": [_describe_loop(loop) for loop in loops],
-        "limits": [
-            {"dead_time_ticks": ticks, "overshoot_gain": overshoot, "stability_gain": stability}
-            for ticks, overshoot, stability in limits
-        ],
-    }
-
-
-def _describe_plant() -> dict[str, Any]:
-    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
-    ends = [(kind, tl.theory.find_plant_final_value(kind)) for kind in tl.theory.PLANT_INPUTS]
-    return {
-        "transfer_function": {"numerator": tl.theory.PLANT[0], "denominator": tl.theory.PLANT[1]},
-        "bibo_stable": verdict.stable,
-        "reason": verdict.reason,
-        "final_values": [
-            {"input": kind, "value": end.value, "status": end.status.value, "reason": end.reason}
-            for kind, end in ends
-        ],
-    }
-
-
-def _describe_loop(loop: "SampledLoop") -> dict[str, Any]:
-    return {
-        "kp": loop.kp,
-        "tau_s": tl.theory.compute_time_constant(loop.kp),
-        "settling_time_s": tl.theory.compute_settling_time(loop.kp),
-        "exact_settling_time_s": tl.theory.compute_exact_settling_time(loop.kp),
-        "poles": [{"re": float(pole.real), "im": float(pole.imag)} for pole in loop.poles],
-        "stable": loop.stable,
-        "overshoots": loop.overshoots,
-        "damping_ratio": loop.damping_ratio,
-        "overshoot_percent": loop.overshoot_percent,
-        "sampled_settling_time_s": loop.settling_time_s,
-        "gain_margin": loop.gain_margin,
-        "phase_margin_rad": loop.phase_margin_rad,
-        "delay_margin_ticks": loop.delay_margin_ticks,
-        "delay_margin_s": loop.delay_margin_s,
-    }
-
-
-_LIMITS_UP_TO: Final = 8
-_RESPONSES: Final = {"impulse": "1", "step": "t", "ramp": "t^2 / 2"}
-
-
-def tabulate_theory(loops: "list[SampledLoop]") -> "list[Table]":
-    """Return the plant, the ideal loop, the sampled loop and its limits as tables."""
-    return [
-        _tabulate_plant(),
-        _tabulate_ideal(loops),
-        _tabulate_loops(loops),
-        _tabulate_limits(loops),
-    ]
-
-
-def compute_limits(period_s: float, ticks: int) -> tuple[float, float]:
-    """Return the gains [1/s] at which overshoot and instability begin."""
-    overshoot = tl.theory.compute_overshoot_gain(period_s, ticks)
-    return overshoot, tl.theory.compute_stability_gain(period_s, ticks)
-
-
-def list_dead_times(loop: "SampledLoop") -> list[int]:
-    """Return the dead times [ticks] that a table of limits shows, that of the loop among them."""
-    return sorted({*range(_LIMITS_UP_TO + 1), loop.dead_time_ticks})
-
-
-def _tabulate_plant() -> "Table":
-    ends = {kind: tl.theory.find_plant_final_value(kind) for kind in tl.theory.PLANT_INPUTS}
-    endless = {
-        end.reason: [kind for kind in ends if ends[kind].reason == end.reason]
-        for end in ends.values()
-        if end.value is None
-    }
-    verdict = tl.theory.judge_bibo(*tl.theory.PLANT)
-    return tl.compare.Table(
-        title="The plant 1/s",
-        columns=tuple(
-            tl.compare.Column(title=title) for title in ("input", "response", "final value")
-        ),
-        rows=tuple(
-            (kind, _RESPONSES[kind], end.status.value if end.value is None else f"{end.value:g}")
-            for kind, end in ends.items()
-        ),
-        notes=(
-            f"BIBO stable: {_tell(verdict.stable)}; {verdict.reason}.",
-            *(
-                f"Final value theorem, {' and '.join(kinds)}: {reason}."
-                for reason, kinds in endless.items()
-            ),
-        ),
-    )
-
-
-def _tabulate_ideal(loops: "list[SampledLoop]") -> "Table":
-    rows = [
-        (
-            loop.kp,
-            -loop.kp,
-            tl.theory.compute_time_constant(loop.kp),
-            tl.theory.compute_settling_time(loop.kp),
-            tl.theory.compute_exact_settling_time(loop.kp),
-        )
-        for loop in loops
-    ]
-    return tl.compare.Table(
-        title="The ideal loop Kp / (s + Kp)",
-        columns=(
-            tl.compare.Column(title="Kp", unit="1/s"),
-            tl.compare.Column(title="pole", unit="1/s"),
-            tl.compare.Column(title="tau", unit="s"),
-            tl.compare.Column(title="4 tau", unit="s"),
-            tl.compare.Column(title="ln 50 tau", unit="s"),
-        ),
-        rows=tuple(rows),
-        notes=(
-            "It settles to 2 % in ln 50 tau = 3.91 tau; 4 tau is the rule. It never overshoots.",
-        ),
-    )
-
-
-def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
-    return tl.compare.Table(
-        title=f"Sampled every {_tell_period(loops[0])}, dead time {_tell_dead_time(loops[0])}",
-        columns=(
-            tl.compare.Column(title="Kp", unit="1/s"),
-            tl.compare.Column(title="slowest pole"),
-            tl.compare.Column(title="damping", digits=3),
-            tl.compare.Column(title="overshoots"),
-            tl.compare.Column(title="settles in", unit="s", digits=3),
-            tl.compare.Column(title="gain margin", digits=2),
-            tl.compare.Column(title="delay margin", unit="ticks", digits=1),
-            tl.compare.Column(title="stable"),
-        ),
-        rows=tuple(
-            (
-                loop.kp,
-                _tell_pole(complex(loop.poles[0])),
-                loop.damping_ratio,
-                _tell_overshoot(loop),
-                loop.settling_time_s,
-                loop.gain_margin,
-                loop.delay_margin_ticks,
-                _tell(loop.stable),
-            )
-            for loop in loops
-        ),
-        notes=(_summarise(loops),),
-    )
-
-
-def _tabulate_limits(loops: "list[SampledLoop]") -> "Table":
-    period_s = loops[0].period_s
-    rows = [
-        (ticks, 1e3 * ticks * period_s, *compute_limits(period_s, ticks))
-        for ticks in list_dead_times(loops[0])
-    ]
-    return tl.compare.Table(
-        title=f"Limits of the gain, sampled every {_tell_period(loops[0])}",
-        columns=(
-            tl.compare.Column(title="dead time d", unit="ticks"),
-            tl.compare.Column(title="d T", unit="ms"),
-            tl.compare.Column(title="no overshoot up to Kp", unit="1/s"),
-            tl.compare.Column(title="stable below Kp", unit="1/s"),
-        ),
-        rows=tuple(rows),
-        notes=(
-            "Overshoot begins at Kp T = d^d / (d + 1)^(d + 1), instability at 2 sin(pi / (2 (2 d +"
-            " 1))). A command that is clipped hides both while it is clipped.",
-        ),
-    )
-
-
-def _summarise(loops: "list[SampledLoop]") -> str:
-    """Return on which side of both limits the gains stand."""
-    overshoot, stability = compute_limits(loops[0].period_s, loops[0].dead_time_ticks)
-    groups = {
-        "no overshoot": [loop for loop in loops if loop.stable and not loop.overshoots],
-        "overshoots, and settles": [loop for loop in loops if loop.stable and loop.overshoots],
-        "unstable": [loop for loop in loops if not loop.stable],
-    }
-    verdicts = [
-        f"Kp = {', '.join(f'{loop.kp:g}' for loop in group)}: {verdict}."
-        for verdict, group in groups.items()
-        if group
-    ]
-    limits = f"Overshoot begins above Kp = {overshoot:.4g} 1/s, instability at {stability:.4g} 1/s."
-    return " ".join((limits, *verdicts))
-
-
-def _tell_period(loop: "SampledLoop") -> str:
-    return f"{1e3 * loop.period_s:.6g} ms"
-
-
-def _tell_dead_time(loop: "SampledLoop") -> str:
-    ticks = loop.dead_time_ticks
-    return f"{ticks} tick{'' if ticks == 1 else 's'} ({1e3 * ticks * loop.period_s:.6g} ms)"
-
-
-def _tell_pole(pole: complex) -> str:
-    if pole.imag == 0.0:
-        return f"{pole.real:.4f}"
-    return f"{pole.real:.4f} +- {abs(pole.imag):.4f}j"
-
-
-def _tell_overshoot(loop: "SampledLoop") -> str:
-    if not loop.stable:
-        return "without end"
-    if not loop.overshoots:
-        return "no"
-    percent = loop.overshoot_percent
-    return "yes" if percent is None else f"by {percent:.2f} %"
-
-
-def _tell(value: object) -> str:
-    return "yes" if value else "no"

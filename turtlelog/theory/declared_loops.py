@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import TheoryError
-from turtlelog.loops import LIMIT_KEYS, ControlLoop
+from turtlelog.loops import COMMAND_WORDS, LIMIT_KEYS, SIGNAL_WORDS, ControlLoop
 from turtlelog.plants.turtlesim import TURTLESIM, WATCHDOG_NS
 from turtlelog.run import Parameter
 from turtlelog.scenario import Scenario, flatten_scenario
@@ -81,9 +81,10 @@ def read_gains(loop: ControlLoop, parameters: Parameters) -> PidGains | str:
     """Return the gains of a loop that theory knows, or why there are none."""
     kp = loop.read_gain(parameters)
     if not loop.is_integrator:
-        return f"theory knows no loop of {loop.signal} with {loop.command}"
+        words = SIGNAL_WORDS[loop.signal], COMMAND_WORDS[loop.command]
+        return f"theory knows no loop of {words[0]} under {words[1]}"
     if not (loop.is_proportional or loop.integral_gain or loop.derivative_gain):
-        return "the law declares that its command is more than gain times error, and not what"
+        return "the law declares that its command is more than gain times error, but not its terms"
     if kp is None:
         known = "the law declares no proportional gain"
         return known if loop.gain is None else f"{loop.gain} is not known"
