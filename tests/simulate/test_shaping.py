@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tests.effects_cases import build_case
 from turtlelog.run import Run
-from turtlelog.simulate import simulate_run
+from turtlelog.simulate import iterate_ticks, simulate_run
 from turtlelog.simulate.shaping import AccelerationLimiter, JerkLimiter
 
 PERIOD_S = 0.016
@@ -78,8 +78,12 @@ def test_wanted_shaped_and_published_commands_stay_apart() -> None:
 
 
 def test_without_shaping_nothing_shaped_is_recorded() -> None:
-    run = simulate_step(limits__acceleration_m_s2=1.0)
-    assert run.samples.shaped_speed_m_s is None
+    changes: dict[str, Any] = {"limits__acceleration_m_s2": 1.0, "max_duration_s": 0.1}
+    scenario = build_case(**changes)
+    assert simulate_run(scenario).samples.shaped_speed_m_s is None
+    samples = [sample for tick in iterate_ticks(scenario) for sample in tick.computed]
+    assert all(math.isnan(sample.shaped_speed_m_s) for sample in samples)
+    assert all(math.isnan(sample.shaped_turn_rate_rad_s) for sample in samples)
 
 
 @pytest.mark.parametrize("acceleration", [0.5, 1.0, 3.0])

@@ -104,6 +104,18 @@ def test_late_command_holds_up_those_behind_it() -> None:
     assert np.count_nonzero(read_numbers(run) == late) == 5
 
 
+def test_lagged_robot_takes_late_commands_and_those_behind_them_at_one_time() -> None:
+    changes: dict[str, Any] = {"loop__late_probability": 0.05, "loop__late_s": 0.07}
+    plant: dict[str, Any] = {"plant__kind": "lagged", "plant__period_s": 0.016}
+    run = simulate_numbers(200, **changes, **plant, loop__pose_precision="float64")
+    is_late = draw_uniform(7, len(run.commands)) < 0.05
+    arrivals_ns = np.maximum.accumulate(run.commands.time_ns + 70_000_000 * is_late)
+    time_s, begins_s = run.poses.time_ns / 1e9, arrivals_ns / 1e9
+    held_s = np.diff(np.minimum(np.append(begins_s, 1e9), time_s[:, None]), axis=1)
+    moved = run.poses.xy_m[:, 0] - run.poses.xy_m[0, 0]
+    assert np.abs(moved - held_s @ run.commands.speed_m_s).max() < 1e-9
+
+
 def test_repeated_command_is_taken_twice_where_one_is_taken_per_tick() -> None:
     changes: dict[str, Any] = {
         "loop__repeat_probability": 0.1,
