@@ -119,6 +119,15 @@ def test_ticks_that_come_late_are_counted_and_caught_up() -> None:
     assert watcher.times_s[30] == pytest.approx(100.0 + 30 * TICK_S)
 
 
+def test_ticks_of_a_robot_are_late_by_its_own_period() -> None:
+    clock = Clock()
+    watcher = Watcher(clock, {10: 0.18})
+    scenario = make_scenario("lagged", max_duration_s=1.0)
+    # The next three come 0.13, 0.08 and 0.03 s late; the last by less than its period of 0.05 s.
+    run = run_live(scenario, [watcher], realtime=True, clock=clock)
+    assert run.notes == {"late_ticks": "2, by up to 0.130 s"}
+
+
 def test_a_run_that_keeps_no_time_never_sleeps() -> None:
     clock = Clock()
     run_live(make_scenario(max_duration_s=1.0), realtime=False, clock=clock)

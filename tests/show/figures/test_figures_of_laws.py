@@ -22,7 +22,7 @@ from tests.show.laws import (
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
 from turtlelog.show.figures.figure_curves import compute_ideals, find_gains
-from turtlelog.show.shared_curves import list_levels, read_curve
+from turtlelog.show.shared_curves import list_levels, read_applied, read_curve
 
 STRANGE, EXAMPLE, FOLLOWER = map(simulate_law, ("strange", "example", "Follower"))
 KP4 = tl.simulate_run(get_preset("paper-kp4"))
@@ -162,6 +162,17 @@ def test_theorys_figures_are_of_proportional_loops_alone() -> None:
     assert list_left_out([forget_loops(KP4)], ["plant"]) == (
         "left out plant: expected the law's gain, found none",
     )
+    robot = replace(KP4, parameters={**KP4.parameters, "plant.kind": "lagged", "plant.period_s": 1})
+    assert list_left_out([robot], ["plant", "root-locus"]) == (
+        "left out plant: expected a plant that is 1/s, found none",
+    )
+
+
+def test_rates_of_a_robot_are_those_of_an_instant() -> None:
+    robot = {**KP4.parameters, "plant.kind": "lagged", "plant.period_s": 0.016}
+    runs = (KP4, replace(KP4, parameters=robot))
+    curves = [read_applied(run, "speed") for run in runs]
+    assert [curve is not None and curve.holds for curve in curves] == [True, False]
 
 
 def test_levels_are_of_the_declared_references() -> None:

@@ -17,7 +17,14 @@ from turtlelog.show.figures.figure_curves import (
     draw_root_locus,
     draw_step_responses,
 )
-from turtlelog.show.figures.needs import GOAL, SAMPLES, find_lack_of_gain, find_lacks, has_states
+from turtlelog.show.figures.needs import (
+    GOAL,
+    OF_THEORY,
+    SAMPLES,
+    find_lack_of_gain,
+    find_lacks,
+    has_states,
+)
 from turtlelog.show.figures.page import label_runs
 from turtlelog.show.figures.panels import (
     Draw,
@@ -132,7 +139,7 @@ class FigureKind:
     def find_lack(self, runs: Sequence[Run]) -> str | None:
         """Return what is missing to draw it, None where nothing is; theory needs no runs."""
         if not runs:
-            return (find_lack_of_gain(()) or None) if self.needs == "gain" else "a recording"
+            return (find_lack_of_gain(()) or None) if self.needs in OF_THEORY else "a recording"
         if self.draw is not None:
             lacks = find_lacks(runs, self.needs)
             return lacks[0] if all(lacks) else None
@@ -290,7 +297,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             paper="2",
             draw=draw_plant_responses,
             height=0.36,
-            needs="gain",
+            needs="integrator",
         ),
         "step-responses": FigureKind(
             title="Step responses of the ideal closed loop, with 4 tau",

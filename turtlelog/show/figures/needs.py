@@ -5,6 +5,7 @@ from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Final
 
+from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 from turtlelog.show.figures.figure_curves import find_gains
 from turtlelog.show.figures.sampled_loops import find_lack_of_theory
@@ -47,10 +48,17 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
     return "a proportional loop" if has_others else "the law's gain"
 
 
+OF_THEORY: Final = ("gain", "integrator")
+"""Needs that are met without a run."""
+
 _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
     {
         "theory": lambda run, _: find_lack_of_theory([run]),
         "gain": lambda run, _: find_lack_of_gain([run]),
+        "integrator": lambda run, _: (
+            find_lack_of_gain([run])
+            or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)
+        ),
         "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
         "goal": lambda run, _: _lack(GOAL, is_held=run.goal_xy_m is not None),
         "heading_error": lambda run, _: _lack_samples(
