@@ -238,7 +238,7 @@ def test_the_line_of_this_seed_stands_in_table_json_and_notebook() -> None:
     assert told["this_seed"] == found.this_seed
     assert told["seeds"]["count"] == len(SEEDS)
     assert told["shares"][0]["standard_error"] == found.shares[0].standard_error
-    assert "<td>this seed</td>" in found._repr_html_()
+    assert ">this seed<" in found._repr_html_()
 
 
 def test_as_many_processes_make_the_same_shares() -> None:
