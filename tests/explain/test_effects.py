@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from turtlelog.cli.explain_answer import describe_attribution, format_attribution
 from turtlelog.errors import ExplainError
 from turtlelog.explain import (
     Attribution,
@@ -226,6 +227,18 @@ def test_a_combination_without_random_effects_is_simulated_once() -> None:
     )
     # Random: as built, without delay, and without each of four properties; and the own seed.
     assert steps[-1] == (6 * len(SEEDS) + 2 + 1, 6 * len(SEEDS) + 2 + 1)
+
+
+def test_the_line_of_this_seed_stands_in_table_json_and_notebook() -> None:
+    metric, values = EFFECTS["noise"]
+    found = attribute_scenario(change(**values), metric=metric)
+    assert found.this_seed is not None
+    assert re.search(rf"^this seed +{found.this_seed:.4f}", format_attribution(found), re.M)
+    told = describe_attribution(found)
+    assert told["this_seed"] == found.this_seed
+    assert told["seeds"]["count"] == len(SEEDS)
+    assert told["shares"][0]["standard_error"] == found.shares[0].standard_error
+    assert ">this seed<" in found._repr_html_()
 
 
 def test_as_many_processes_make_the_same_shares() -> None:

@@ -120,7 +120,7 @@ def describe_explanation(
             "is_exact": again.is_exact,
         },
         "tried": {key: [*values] for key, values in found.tried.items()},
-        "attribution": None if attribution is None else _describe_attribution(attribution),
+        "attribution": None if attribution is None else describe_attribution(attribution),
         "notes": [*found.notes],
     }
 
@@ -134,7 +134,8 @@ def _list_dead_times(found: "Identification") -> dict[str, Any]:
     }
 
 
-def _describe_attribution(found: "Attribution") -> dict[str, Any]:
+def describe_attribution(found: "Attribution") -> dict[str, Any]:
+    """Return what is told of an attribution."""
     return {
         "metric": found.metric,
         "unit": found.unit,

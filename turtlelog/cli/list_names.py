@@ -61,7 +61,7 @@ _IN_JSON: Final = frozenset({"scenario", "parameters"})
 
 def _show(value: Any) -> str:
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {item}" for key, item in value.items())
+        return ", ".join(f"{key} = {item}" for key, item in value.items()) or "-"
     return ", ".join(value) if isinstance(value, list) else str(value or "-")
 
 

@@ -119,10 +119,10 @@ def _identify_recorded(run: Run) -> Identification | None:
     for loop in PHASES:
         dead_time = require_noise(find_dead_time(motion, loop))
         findings[f"{DEAD_TIME}{loop}"] = describe_dead_time(dead_time, motion, run)
-    findings |= take_findings(findings, recorded.scenario, unseen)
+    note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
+    findings |= take_findings(findings, recorded.scenario, note)
     findings["stop_reason"] = describe_stop(run, recorded)
     findings["lost_commands"] = miss(f"with {join_words(unseen)} they are not counted")
-    note = f"{recorded.reach}; it holds {join_words(unseen)}, so its settings stand as recorded"
     return Identification(
         name=run.name,
         findings=MappingProxyType(findings),

@@ -41,7 +41,7 @@ def list_unseen(run: Run) -> list[str]:
 
 
 def take_findings(
-    findings: Mapping[str, Finding], scenario: Scenario, unseen: Sequence[str]
+    findings: Mapping[str, Finding], scenario: Scenario, evidence: str
 ) -> dict[str, Finding]:
     """Return findings with the settings of the recorded scenario, which reproduces the run.
 
@@ -49,14 +49,18 @@ def take_findings(
     them, or tell others.
     """
     recorded = flatten_scenario(scenario)
-    evidence = f"the recorded scenario, with {join_words(unseen)}, reproduces every sample"
     kept = {
         key: finding
         for key, finding in findings.items()
         if key in LAW_KEYS and _agrees(finding, recorded[key])
     }
     keys = [key for key in (*LAW_KEYS, *LOOP_KEYS) if key not in kept]
-    return {**findings, **{key: take_recorded(recorded[key], evidence) for key in keys}}
+    taken = {key: take_recorded(recorded[key], evidence) for key in keys}
+    more_s = scenario.loop.transport_delay_s
+    if more_s:
+        key = "loop.transport_delay_ticks"
+        taken[key] = take_recorded(recorded[key], f"and {more_s:g} s more")
+    return {**findings, **taken}
 
 
 def _agrees(finding: Finding, value: object) -> bool:
