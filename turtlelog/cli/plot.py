@@ -34,8 +34,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 ) -> None:
     """Make the paper's figures from any recordings, and its tables as LaTeX.
 
-    Into a folder: every figure that the recordings hold the data for; bode, nyquist,
-    sampled-root-locus and sampled-step only where --only names them. Only what they hold is drawn;
+    Into a folder: every figure that the recordings hold the data for; bode, nyquist
+    and step only where --only names them. Only what they hold is drawn;
     what is left out, and why, is said on stderr. Without recordings: the figures of the ideal loop.
     A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
     Figures and tables that are there already are replaced.

@@ -19,7 +19,7 @@ Read = Callable[[tl.Run], Values]
 LABELS = {
     "plant": ["response of 1/s", "", ""],
     "step-responses": ["response to a unit step"],
-    "root-locus": ["imaginary part [1/s]"],
+    "root-locus": ["imaginary part [1/s]", "imaginary part of z", "imaginary part of z"],
     "heading": ["heading [deg]"],
     "position": ["x [m]", "y [m]"],
     "heading-error": ["heading error [deg]"],
@@ -155,7 +155,7 @@ def test_every_axis_says_what_it_shows_and_in_which_unit(name: str) -> None:
     axes = draw(name).axes
     assert [panel.get_ylabel() for panel in axes] == LABELS[name]
     below = axes[-1].get_xlabel()
-    across = {"plane": "x [m]", "root-locus": "real part [1/s]"}
+    across = {"plane": "x [m]", "root-locus": "real part of z"}
     ideal = name in {"plant", "step-responses"}
     expected = "time [s]" if ideal else "time from the first sample [s]"
     assert below == across.get(name, expected)

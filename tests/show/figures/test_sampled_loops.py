@@ -13,7 +13,7 @@ from turtlelog.errors import ShowError
 from turtlelog.show.figures.figure_kinds import list_usual_figures
 from turtlelog.theory import PidGains, Process, analyse_pid_loop, compute_pid_poles
 
-EXTRA = ("bode", "nyquist", "sampled-root-locus", "sampled-step")
+EXTRA = ("bode", "nyquist", "step")
 KP10 = tl.simulate_run(tl.load_scenario("paper-kp10"))
 LOOPS = {
     "rotate": analyse_pid_loop(PidGains(kp=10.0), period_s=0.016, dead_time_ticks=4),
@@ -79,7 +79,7 @@ def test_nyquist_marks_where_the_loops_cross_circle_and_axis() -> None:
 
 
 def test_a_root_locus_holds_the_poles_and_where_they_leave_the_unit_circle() -> None:
-    axes, _ = tl.show.draw_figure("sampled-root-locus", [KP10]).axes
+    _, axes, _ = tl.show.draw_figure("root-locus", [KP10]).axes
     drawn = find_line(axes, "rotate: Kp = 10")
     np.testing.assert_allclose(drawn[0] + 1j * drawn[1], LOOPS["rotate"].poles)
     limit = find_line(axes, "limit of Kp")
@@ -90,25 +90,33 @@ def test_a_root_locus_holds_the_poles_and_where_they_leave_the_unit_circle() -> 
     assert axes.get_title() == "heading, dead time 64 ms"
 
 
+def test_a_root_locus_shows_the_ideal_loop_only_where_there_is_one() -> None:
+    robot = tl.simulate_run(tl.load_scenario("lagged"))
+    for runs, panels in (((), ["s"]), ([robot], ["z", "z"]), ([KP10], ["s", "z", "z"])):
+        axes = tl.show.draw_figure("root-locus", runs).axes
+        planes = ["z" if "of z" in one.get_xlabel() else "s" for one in axes]
+        assert planes == panels
+
+
 def test_loops_that_differ_in_kp_alone_share_a_root_locus() -> None:
     runs = [KP10, tl.simulate_run(tl.load_scenario("paper-kp2"))]  # 4 and 6 ticks late, both
-    figure = tl.show.draw_figure("sampled-root-locus", runs)
-    assert len(figure.axes) == 2
-    assert len([name for name in list_legend(figure) if "Kp = 2" in name]) == 2
+    figure = tl.show.draw_figure("root-locus", runs)
+    assert len(figure.axes) == 3  # the ideal one and two dead times
+    assert len([name for name in list_legend(figure) if "Kp = 2" in name]) == 3
 
 
 def test_a_step_response_is_theorys_and_an_unstable_one_is_said_to_be_so_and_cut() -> None:
-    (axes,) = tl.show.draw_figure("sampled-step", [KP10]).axes
+    (axes,) = tl.show.draw_figure("step", [KP10]).axes
     _, values = find_line(axes, "translate: overshoot 54.2 %, settles in 1.34 s")
     assert values.max() == pytest.approx(1.5424, abs=5e-5)
     wild = simulate(law__kp_angular=150.0, law__kp_linear=1.0, max_duration_s=3.0)
-    (axes,) = tl.show.draw_figure("sampled-step", [wild]).axes
+    (axes,) = tl.show.draw_figure("step", [wild]).axes
     _, values = find_line(axes, "rotate: unstable")
     beyond = np.abs(values - 1.0) > 2.5
     assert beyond.sum() == 1
     assert np.isnan(values[beyond.argmax() + 1 :]).all()
     assert "rotate: unstable" in list_legend(tl.show.draw_figure("bode", [wild]))
-    locus = list_legend(tl.show.draw_figure("sampled-root-locus", [wild]))
+    locus = list_legend(tl.show.draw_figure("root-locus", [wild]))
     assert "rotate: Kp = 150, unstable" in locus
 
 

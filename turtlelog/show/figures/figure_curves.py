@@ -134,9 +134,8 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     axes.set(xlabel="time [s]", ylabel="response to a unit step", xlim=(0.0, last_s), ylim=(0, 1.1))
 
 
-def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the closed loop's pole s = -Kp, from the plant's at the origin leftward."""
-    axes, gains = figure.subplots(), find_gains(runs)
+def draw_ideal_locus(axes: Axes, gains: Sequence[float]) -> None:
+    """Draw the ideal closed loop's pole s = -Kp, from the plant's at the origin leftward."""
     left = -1.25 * max(gains)
     axes.axvspan(0.0, -0.24 * left, color="0.94", zorder=0.5)
     axes.text(-0.12 * left, 0.82, "unstable", ha="center", fontsize=7.0, color="0.4")

@@ -14,7 +14,6 @@ from turtlelog.run import Run
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
 from turtlelog.show.figures.figure_curves import (
     draw_plant_responses,
-    draw_root_locus,
     draw_step_responses,
 )
 from turtlelog.show.figures.needs import (
@@ -42,8 +41,8 @@ from turtlelog.show.figures.panels import (
 from turtlelog.show.figures.sampled_loops import (
     draw_bode,
     draw_nyquist,
-    draw_sampled_root_locus,
-    draw_sampled_step,
+    draw_root_locus,
+    draw_step,
 )
 from turtlelog.show.shared_curves import (
     Command,
@@ -306,10 +305,11 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             needs="gain",
         ),
         "root-locus": FigureKind(
-            title="Root locus of the ideal closed loop",
+            title="Poles of the ideal and of the sampled closed loops as Kp rises",
             paper="5",
             draw=draw_root_locus,
-            needs="gain",
+            height=0.55,
+            needs="locus",
         ),
         "heading": FigureKind(
             title="Heading, the goal bearing and the ideal response",
@@ -412,19 +412,10 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             is_usual=False,
             is_extra=True,
         ),
-        "sampled-root-locus": FigureKind(
-            title="Poles of the closed sampled loops as Kp rises",
-            paper="",
-            draw=draw_sampled_root_locus,
-            height=0.55,
-            needs="theory",
-            is_usual=False,
-            is_extra=True,
-        ),
-        "sampled-step": FigureKind(
+        "step": FigureKind(
             title="Step responses of the sampled loops, without limits",
             paper="",
-            draw=draw_sampled_step,
+            draw=draw_step,
             height=0.42,
             needs="theory",
             is_usual=False,

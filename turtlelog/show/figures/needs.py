@@ -14,6 +14,7 @@ from turtlelog.show.tracked_path import read_along_error
 
 SAMPLES: Final = "the controller's samples"
 GOAL: Final = "a goal"
+PYTHON_CONTROL: Final = "python-control"
 _STATES: Final = "states of its law that are not always 0"
 
 
@@ -40,7 +41,7 @@ def has_states(run: Run) -> bool:
 def find_lack_of_gain(runs: Sequence[Run]) -> str:
     """Say what theory lacks: python-control, which computes it, or a gain."""
     if find_spec("control") is None:
-        return "python-control"
+        return PYTHON_CONTROL
     if find_gains(runs):
         return ""
     loops = [loop for run in runs for loop in run.declaration.loops]
@@ -48,13 +49,20 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
     return "a proportional loop" if has_others else "the law's gain"
 
 
-OF_THEORY: Final = ("gain", "integrator")
+def _find_lack_of_locus(run: Run) -> str:
+    """Say what a root locus lacks: of the ideal loop or of a sampled one, each is enough."""
+    lack = find_lack_of_gain([run])
+    return lack if lack == PYTHON_CONTROL or find_lack_of_theory([run]) else ""
+
+
+OF_THEORY: Final = ("gain", "integrator", "locus")
 """Needs that are met without a run."""
 
 _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
     {
         "theory": lambda run, _: find_lack_of_theory([run]),
         "gain": lambda run, _: find_lack_of_gain([run]),
+        "locus": lambda run, _: _find_lack_of_locus(run),
         "integrator": lambda run, _: (
             find_lack_of_gain([run])
             or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)

@@ -6,6 +6,7 @@ All curves are those of the exact discretisation, dead time included, and end at
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -16,7 +17,9 @@ from numpy.typing import NDArray
 
 from turtlelog.loops import SIGNAL_WORDS
 from turtlelog.measure import model_run_loops
+from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
+from turtlelog.show.figures.figure_curves import draw_ideal_locus, find_gains
 from turtlelog.show.figures.page import REFERENCE, choose_lines, label_runs
 from turtlelog.theory import (
     LoopModel,
@@ -144,20 +147,32 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     axes.set(xlim=(-_FAR, 0.6 * _FAR), ylim=(-0.8 * _FAR, 0.8 * _FAR))
 
 
-def draw_sampled_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
-    """Draw the closed loops' poles in the z plane as Kp rises, those of the runs marked."""
-    groups = _group_loci(_style_loops(runs))[:_MOST_LOCI]
-    columns = min(len(groups), 2)
-    grid = figure.subplots(-(-len(groups) // columns), columns, squeeze=False)
-    for axes in grid.flat[len(groups) :]:
+def draw_root_locus(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw the poles of the closed loops as Kp rises, those of the runs marked.
+
+    First that of the ideal loop in the s plane, where the plant is 1/s and the law proportional;
+    then those of the sampled loops in the z plane.
+    """
+    gains = find_ideal_gains(runs)
+    groups = _group_loci(_style_loops(runs)) if runs else []
+    draw = [partial(draw_ideal_locus, gains=gains)] if gains else []
+    draw += [partial(_draw_locus, group=group) for group in groups]
+    draw = draw[:_MOST_LOCI]
+    columns = min(len(draw), 2)
+    grid = figure.subplots(-(-len(draw) // columns), columns, squeeze=False)
+    for axes in grid.flat[len(draw) :]:
         axes.remove()
-    for axes, group in zip(grid.flat, groups, strict=False):
-        _draw_locus(axes, group)
-    for axes in grid[:, 1:].flat:
-        axes.set_ylabel("")
+    for axes, draw_panel in zip(grid.flat, draw, strict=False):
+        draw_panel(axes)
 
 
-def draw_sampled_step(figure: Figure, runs: Sequence[Run]) -> None:
+def find_ideal_gains(runs: Sequence[Run]) -> tuple[float, ...]:
+    """Return the gains of proportional loops on a plant that is 1/s; without runs the paper's."""
+    ideal = [run for run in runs if find_plant(run).name != LAGGED]
+    return find_gains(ideal) if ideal or not runs else ()
+
+
+def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the sampled loops' answers to a step of the reference, without limits."""
     axes, curves = figure.subplots(), _style_loops(runs)
     last_s = max(_choose_duration(curve.found) for curve in curves)

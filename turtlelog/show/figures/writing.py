@@ -39,9 +39,9 @@ _LEAST_INCH: Final = 3.0
 """A narrower figure is no lower: its lettering is the same."""
 _MOST_COLUMNS: Final = 4
 """More runs than these stand as rows."""
-_WIDE: Final = frozenset(
-    {*("plant", "plane", "panel"), *("bode", "nyquist", "sampled-root-locus", "sampled-step")}
-)
+_WIDE: Final = frozenset({"plant", "plane", "panel", "bode", "nyquist", "step"})
+_WIDE_OF_RUNS: Final = frozenset({"root-locus"})
+"""Of theory alone these have one panel."""
 _NO_DATE: Final = {
     "pdf": {"CreationDate": None, "ModDate": None},
     "svg": {"Date": None},
@@ -59,7 +59,7 @@ def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None
         ShowError: Where there is no such figure, or the runs do not hold what it needs.
     """
     kind, page = _find_kind(name, runs), page or Page()
-    if name in _WIDE:
+    if name in _WIDE or (runs and name in _WIDE_OF_RUNS):
         page = Page(text_width_mm=page.text_width_mm, columns=2)
     with mpl.rc_context(dict(LOOKS)):
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
