@@ -127,7 +127,7 @@ def find_response(
     if controlled is None or wanted is None:
         return Missing(status=Status.ABSENT, reason=_describe_unknown(run, loop))
     start_ns, end_ns = stretch[0].start_ns, stretch[-1].end_ns
-    first = int(np.searchsorted(run.poses.time_ns, start_ns, side="left"))
+    first = _find_first_row(run.poses.time_ns, start_ns)
     inside = slice(first, int(np.searchsorted(run.poses.time_ns, end_ns, side="right")))
     if len(controlled[inside]) < 2:
         found = f"{len(controlled[inside])} pose" + ("" if len(controlled[inside]) == 1 else "s")
@@ -138,7 +138,7 @@ def find_response(
         loop=loop,
         start_s=(start_ns - run.start_ns) / 1e9,
         rows=inside,
-        time_s=(run.poses.time_ns[inside] - start_ns) / 1e9,
+        time_s=np.maximum(run.poses.time_ns[inside] - start_ns, 0) / 1e9,
         values=values,
         initial=initial,
         reference=reference,
@@ -147,6 +147,22 @@ def find_response(
         was_cut=not run.is_complete and end_ns == run.end_ns,
         ended_itself=stretch[-1].phase == PAUSE or end_ns < run.end_ns or came_to_rest(run),
     )
+
+
+_NEAR: Final = 1.5
+"""In usual steps from pose to pose: over a longer one the robot may have moved far since."""
+
+
+def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
+    """Return the row of the pose at which a loop begins: of one between two poses the earlier.
+
+    That is the one which a timer reads. Where poses are lost before the begin it is the later one.
+    """
+    after = int(np.searchsorted(time_ns, start_ns, side="left"))
+    if after in {0, len(time_ns)} or time_ns[after] == start_ns:
+        return after
+    step_ns = time_ns[after] - time_ns[after - 1]
+    return after - 1 if step_ns <= _NEAR * np.median(np.diff(time_ns)) else after
 
 
 def came_to_rest(run: Run) -> bool:
