@@ -27,6 +27,8 @@ def make_poses(rows: int = 4, **changes: Any) -> PoseColumns:
         "heading_rad": np.zeros(rows),
         "speed_m_s": np.zeros(rows),
         "turn_rate_rad_s": np.zeros(rows),
+        "sensed_xy_m": np.zeros((rows, 2)),
+        "sensed_heading_rad": np.zeros(rows),
     }
     return PoseColumns(**(columns | changes))
 
@@ -72,7 +74,10 @@ NUMBERS = [
 ]
 
 
-PARTIAL = {"world_velocity_m_s", "reference_xy_m", "reference_heading_rad"}
+PARTIAL = {
+    *("world_velocity_m_s", "reference_xy_m", "reference_heading_rad"),
+    *("sensed_xy_m", "sensed_heading_rad"),
+}
 
 
 def make_run(**changes: Any) -> Run:

@@ -225,8 +225,8 @@ def test_a_combination_without_random_effects_is_simulated_once() -> None:
         metric="rotate.iae",
         work=Work(report=lambda done, total: steps.append((done, total))),
     )
-    # Random: as built, without delay, and without each of four properties; and the own seed.
-    assert steps[-1] == (6 * len(SEEDS) + 2 + 1, 6 * len(SEEDS) + 2 + 1)
+    # Random: as built, without delay, and without each of three properties; and the own seed.
+    assert steps[-1] == (5 * len(SEEDS) + 2 + 1, 5 * len(SEEDS) + 2 + 1)
 
 
 def test_the_line_of_this_seed_stands_in_table_json_and_notebook() -> None:

@@ -185,15 +185,15 @@ def draws_random(scenario: Scenario) -> bool:
 def find_mechanisms(scenario: Scenario) -> Mapping[str, Mechanism]:
     """Return what a scenario may have, by name: the loop's mechanisms, then those of its law.
 
-    Without `sampling` where the law does not tell which of its parameters count samples.
+    Without `sampling` where the clock cannot be made finer.
 
     Raises:
         ScenarioError: Where the law cannot be loaded, or may not run.
         ExplainError: Where two mechanisms have one name.
     """
     law = find_law(resolve_scenario(scenario).law.kind)
-    counts = list_sample_counters(law) is not None
-    found = {one.name: one for one in LOOP_MECHANISMS if counts or one.name != SAMPLING}
+    is_offered = not describe_no_sampling(scenario)
+    found = {one.name: one for one in LOOP_MECHANISMS if is_offered or one.name != SAMPLING}
     for mechanism in list_mechanisms(law):
         if mechanism.name in found or mechanism.name == SAMPLING:
             raise ExplainError(
@@ -242,11 +242,18 @@ def find_mechanism(name: str, table: Mapping[str, Mechanism], scenario: Scenario
 
 
 def describe_no_sampling(scenario: Scenario) -> str:
-    """Return why a law's clock cannot be made finer, in one clause."""
-    return (
-        f"sampling is not taken out, as the law {scenario.law.kind} does not say which of its"
-        " parameters count samples (counts_samples)"
-    )
+    """Return why the clock cannot be made finer, in one clause; empty where it can."""
+    if list_sample_counters(find_law(scenario.law.kind)) is None:
+        return (
+            f"sampling is not taken out, as the law {scenario.law.kind} does not say which of its"
+            " parameters count samples (counts_samples)"
+        )
+    if draws_random(scenario):
+        return (
+            "sampling is not taken out, as the scenario draws random numbers for each pose or"
+            " command, and a finer clock has more of them"
+        )
+    return ""
 
 
 def take_out(scenario: Scenario, mechanisms: Iterable[Mechanism]) -> Scenario:

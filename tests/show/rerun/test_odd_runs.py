@@ -12,7 +12,7 @@ from tests.show.rerun.rrds import (
     simulate_preset,
     verify,
 )
-from turtlelog.run import Run, SampleColumns
+from turtlelog.run import Run, SampleColumns, take_rows
 from turtlelog.show import write_run_rrd
 
 RUN = simulate_preset("paper-kp10")
@@ -52,10 +52,7 @@ def cut_samples(count: int) -> SampleColumns:
 
 def cut_after(count: int) -> Run:
     """Return a run that was cut while rotating, at its nth pose."""
-    columns = RUN.poses.__dataclass_fields__
-    poses = replace(
-        RUN.poses, **{name: getattr(RUN.poses, name)[:count].copy() for name in columns}
-    )
+    poses = take_rows(RUN.poses, slice(count))
     end_ns = poses.time_ns[-1]
     samples = cut_samples(int(np.searchsorted(RUN.samples.time_ns, end_ns)))
     rows = RUN.commands.time_ns <= end_ns
