@@ -16,6 +16,7 @@ from turtlelog.scenario import (
     flatten_scenario,
     get_preset,
     nest_parameters,
+    override_scenario,
     restore_scenario,
 )
 from turtlelog.simulate import simulate_run
@@ -72,6 +73,22 @@ def test_the_textbook_has_no_backlog_and_no_pause() -> None:
         ("newest", "one-per-tick"),
     )
     assert found.findings["loop.command_queue"].evidence == "a deeper queue gives the same run"
+
+
+def test_noise_claims_no_depth_of_a_queue_that_never_fills() -> None:
+    changes = {
+        "sensing.noise_heading_rad": 0.001,
+        "loop.command_queue": 20,
+        "loop.pose_queue": 30,
+        "goal.x_m": 6.5,
+        "goal.y_m": 6.1,
+    }
+    scenario = override_scenario(get_preset("textbook"), changes)
+    found = identify_run(forget(simulate_run(scenario))).findings
+    assert found["loop.start_backlog"].certainty is Certainty.FITTED
+    for key in ("loop.command_queue", "loop.pose_queue"):
+        assert found[key].certainty is Certainty.UNKNOWN
+        assert found[key].evidence == "a deeper queue gives the same run"
 
 
 def test_the_pause_holds_a_stale_command() -> None:

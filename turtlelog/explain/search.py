@@ -261,9 +261,11 @@ class _Search:
             return self._build_nearest(guesses, None)
         # Of settings that fit alike, those that the clock does not contradict.
         least = min(self.contradict_clock(guess) for guess, _ in driven)
-        agreeing = [guess for guess, _ in driven if self.contradict_clock(guess) == least]
-        drives = [drive for guess, drive in driven if guess in agreeing]
-        return self._build_nearest(agreeing, join_starts(drives))
+        agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
+        found = self._build_nearest(
+            [guess for guess, _ in agreeing], join_starts([drive for _, drive in agreeing])
+        )
+        return replace(found, hidden=self._find_hidden(agreeing))
 
     def drive_only(self, queues: Sequence[Guess]) -> Fits:
         """Return the settings with which the log's commands move the plant as logged, by no law."""
@@ -273,9 +275,6 @@ class _Search:
         least = min((self.contradict_clock(guess) for guess, _ in driven), default=(False, False))
         agreeing = [pair for pair in driven if self.contradict_clock(pair[0]) == least]
         drives = [drive for _, drive in agreeing]
-        hidden = {
-            key for key in DEPTHS if any(self._is_deeper_alike(*one, key) for one in agreeing)
-        }
         return Fits(
             guesses=tuple(guess for guess, _ in agreeing) or (queues[0],),
             scenarios=(),
@@ -285,11 +284,18 @@ class _Search:
             tried=self._tried,
             ranges=self._list_ranges(),
             is_driven=True,
-            hidden=frozenset(hidden),
+            hidden=self._find_hidden(agreeing),
+        )
+
+    def _find_hidden(self, driven: Sequence[tuple[Guess, Drive]]) -> frozenset[str]:
+        """Return the depths of queues that move the plant alike where they are deeper."""
+        return frozenset(
+            key for key in DEPTHS if any(self._is_deeper_alike(*one, key) for one in driven)
         )
 
     def _is_deeper_alike(self, guess: Guess, drive: Drive, key: str) -> bool:
-        deeper = drive_plant(self._trace, {**guess, key: guess[key] + 1}, reads_alike=True)
+        guess = {**guess, key: guess[key] + 1}
+        deeper = drive_plant(self._trace, guess, reads_alike=self.is_driven)
         return deeper is not None and np.array_equal(deeper.left, drive.left)
 
     def start_between_floats(self, tiers: Sequence[Sequence[Guess]], fits: Fits) -> Fits | None:
