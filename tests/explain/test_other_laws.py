@@ -145,6 +145,26 @@ def test_a_metric_of_a_loop_that_the_law_does_not_declare_is_refused_at_once() -
         attribute_run(run, metric="c.iae", trust_law=True)
 
 
+def test_ticks_that_seconds_add_to_are_told_as_recorded() -> None:
+    changes = {"loop.transport_delay_s": 0.1, "max_duration_s": 4.0}
+    found = identify_run(simulate_run(override_scenario(get_preset("posture"), changes))).findings
+    delay = found["loop.transport_delay_ticks"]
+    assert (delay.value, delay.certainty, delay.evidence) == (
+        0,
+        Certainty.RECORDED,
+        "and 0.1 s more",
+    )
+
+
+@pytest.mark.parametrize("preset", ["posture", "textbook"])
+def test_a_timer_answers_no_number_of_ticks(preset: str) -> None:
+    changes = {"loop.trigger": "timer", "loop.period_s": 0.19, "max_duration_s": 4.0}
+    found = identify_run(simulate_run(override_scenario(get_preset(preset), changes))).findings
+    period = found["loop.period_ticks"]
+    assert (period.value, period.assumed) == (None, 1)
+    assert period.evidence == "a timer asks for answers, every 0.19 s as recorded"
+
+
 def test_an_ending_names_the_phase_of_another_law() -> None:
     run = simulate_strange(max_duration_s=8.3, limits__turn_rate_rad_s=0.05)
     (share,) = (

@@ -43,6 +43,7 @@ from turtlelog.explain.trace import (
     space_out,
     trace_run,
 )
+from turtlelog.explain.unseen import take_seconds
 from turtlelog.laws import LAWS
 from turtlelog.loops import PAUSE, RESERVED, ControlLoop
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
@@ -173,6 +174,7 @@ def identify_other_law(run: Run, reason: str, *, trust_law: bool) -> Identificat
         **describe_goal(trace),
         **_describe_limits(run),
         **({} if fits is None else _describe_fits(trace, fits)),
+        **({} if recorded.scenario is None else take_seconds(recorded.scenario)),
         "stop_reason": describe_stop(run, recorded),
     }
     return Identification(

@@ -13,6 +13,7 @@ from turtlelog.explain.identification import (
     LOOP_KEYS,
     Certainty,
     Finding,
+    miss,
     take_recorded,
 )
 from turtlelog.explain.mechanisms import LOOP_MECHANISMS
@@ -56,11 +57,20 @@ def take_findings(
     }
     keys = [key for key in (*LAW_KEYS, *LOOP_KEYS) if key not in kept]
     taken = {key: take_recorded(recorded[key], evidence) for key in keys}
-    more_s = scenario.loop.transport_delay_s
-    if more_s:
-        key = "loop.transport_delay_ticks"
-        taken[key] = take_recorded(recorded[key], f"and {more_s:g} s more")
-    return {**findings, **taken}
+    return {**findings, **taken, **take_seconds(scenario)}
+
+
+def take_seconds(scenario: Scenario) -> dict[str, Finding]:
+    """Return the settings in ticks that the recorded scenario adds seconds to, or replaces."""
+    loop = scenario.loop
+    found: dict[str, Finding] = {}
+    if loop.transport_delay_s:
+        more = f"and {loop.transport_delay_s:g} s more"
+        found["loop.transport_delay_ticks"] = take_recorded(loop.transport_delay_ticks, more)
+    if loop.period_s is not None:
+        asks = f"a timer asks for answers, every {loop.period_s:g} s as recorded"
+        found["loop.period_ticks"] = miss(asks, loop.period_ticks)
+    return found
 
 
 def _agrees(finding: Finding, value: object) -> bool:
