@@ -11,6 +11,7 @@ from tests.effects_cases import build_case
 from turtlelog.errors import SimulationError
 from turtlelog.run import Run
 from turtlelog.simulate import simulate_run
+from turtlelog.simulate.sensing import round_to_step
 
 Values = NDArray[np.float64]
 
@@ -158,3 +159,10 @@ def test_jittered_poses_arrive_within_the_jitter_and_never_overtake() -> None:
     own_ns = np.round(0.05e9 * stream.random((768, 1))[: len(late_ns), 0])
     arrivals_ns = run.poses.time_ns[: len(late_ns)] + own_ns
     assert np.array_equal(run.samples.time_ns, np.maximum.accumulate(arrivals_ns))
+
+
+def test_a_step_that_no_double_can_count_rounds_nothing() -> None:
+    run = simulate("quantum", sensing__quantum_position_m=1e-320, max_duration_s=0.5)
+    assert np.array_equal(list_sensed(run)[:, :2], list_poses(run)[:, :2])
+    assert round_to_step(0.25, 0.1) == 0.2
+    assert round_to_step(-5.0, 5e-324) == -5.0

@@ -95,7 +95,11 @@ class Sensor:
 
 def round_to_step(value: float, step: float) -> float:
     """Return the nearest multiple of a step, the even one of two; without a step the value."""
-    return step * round(value / step) if step else value
+    if not step:
+        return value
+    steps = value / step
+    # Of a step far below the digits of a double there is no whole number: nothing is rounded.
+    return step * round(steps) if math.isfinite(steps) else value
 
 
 def build_sensor(
