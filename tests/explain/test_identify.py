@@ -91,6 +91,20 @@ def test_noise_claims_no_depth_of_a_queue_that_never_fills() -> None:
         assert found[key].evidence == "a deeper queue gives the same run"
 
 
+def test_a_noisy_bound_of_the_heading_tolerance_is_told_in_degrees() -> None:
+    changes = {
+        "sensing.quantum_heading_rad": 0.01,
+        "shaping.quantum_turn_rate_rad_s": 0.05,
+        "law.kp_angular": 4.0,
+        "max_duration_s": 4.0,
+    }
+    run = simulate_run(override_scenario(get_preset("textbook"), changes))
+    found = identify_run(forget(run)).findings["law.heading_tolerance_rad"]
+    assert found.interval is not None
+    high_deg = float(np.degrees(found.interval[1]))
+    assert found.evidence.endswith(f"below {high_deg:.4g} deg")
+
+
 def test_the_pause_holds_a_stale_command() -> None:
     found = identify_run(forget(simulate("paper-kp10")))
     held, turned, burst = read_values(

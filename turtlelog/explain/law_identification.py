@@ -230,6 +230,8 @@ def _choose(low: float, high: float) -> float:
 
 
 def _name_bounds(low: float, high: float, unit: str) -> str:
+    if unit == "rad":
+        low, high, unit = math.degrees(low), math.degrees(high), "deg"
     if low <= 0.0:
         return f"below {high:.4g} {unit}"
     return f"at least {low:.4g} {unit}" + ("" if math.isinf(high) else f", below {high:.4g} {unit}")
