@@ -325,3 +325,10 @@ def test_lag_of_a_robot_that_is_not_known_is_no_dead_time() -> None:
     assert found.reason.endswith("what they leave is no noise, as where the robot has a lag")
     noisy = add_noise(simulate("paper-kp1"), 1e-4)
     assert measure_run(noisy, only=["rotate.dead_time"])["rotate.dead_time"].value == 5 * 0.016
+
+
+def test_lost_commands_are_not_called_noise() -> None:
+    changes = {"loop__loss_probability": 0.9, "seed": 2, "law__kp_angular": 6.0}
+    found = find_dead_time(simulate("textbook", **changes, max_duration_s=4.0), ROTATE)
+    assert isinstance(found, Missing)
+    assert found.reason == "dead times of 14 and 15 ticks fit alike"

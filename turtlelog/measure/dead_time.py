@@ -229,7 +229,7 @@ def _fit_least_squares(motion: LoopMotion, errors: Values) -> DeadTime | Missing
         reason = f"no dead time up to {LARGEST_TICKS} ticks explains the motion"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     if len(rows) * np.log(margin) < CERTAIN:
-        reason = f"noise: dead times of {best} and {second} ticks fit alike"
+        reason = f"dead times of {best} and {second} ticks fit alike"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     is_rounding = bool(size[best] <= motion.rounding.max())
     return DeadTime(
