@@ -200,6 +200,17 @@ LIMIT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Scenario keys of the limits of the commands."""
 
+PLANT_KEYS: Final[Mapping[str, str]] = MappingProxyType(
+    {"turn_rate": "plant.turn_", "speed": "plant.speed_"}
+)
+"""How the keys begin of what a lagged plant makes of a command: `gain`, `dead_time_s`, `lag_s`."""
+
+
+def read_number(parameters: Mapping[str, object], key: str, default: float = 0.0) -> float:
+    """Return a number of a run's or a scenario's parameters; the default where there is none."""
+    value = parameters.get(key, default)
+    return float(value) if isinstance(value, int | float) else default
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declaration:

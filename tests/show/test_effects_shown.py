@@ -14,7 +14,7 @@ from tests.show.rerun.rrds import list_entities, read_rows, read_static, read_ti
 from turtlelog.run import Run
 from turtlelog.show.rerun import live_scene
 from turtlelog.show.rerun.live_scene import GrowingStream
-from turtlelog.show.shared_curves import find_disturbance, find_drop_outs
+from turtlelog.show.shared_curves import find_disturbance
 from turtlelog.simulate import RunCollector, iterate_ticks
 
 SCENARIO = build_case("noise", "dropout", "low_pass", "disturbance", max_duration_s=1.5)
@@ -112,7 +112,7 @@ def test_rerun_shows_what_was_sensed_shaped_and_lost(tmp_path: Path) -> None:
     run, path = simulate(), tmp_path / "a.rrd"
     tl.write_run_rrd(run, path)
     assert list_entities(path) >= {*SENSED, *DROPPED, *SHAPED}
-    lost = find_drop_outs(run)
+    lost = np.flatnonzero(run.poses.dropped_out)
     assert 0 < len(lost) < len(run.poses)
     assert len(read_times(path, "/heading_deg/dropped_out")) == len(lost)
     assert len(read_times(path, "/heading_deg/sensed")) == len(run.poses) - len(lost)

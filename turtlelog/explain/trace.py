@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.errors import ExplainError
+from turtlelog.loops import PLANT_KEYS, read_number
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 
@@ -159,10 +160,8 @@ def trace_run(run: Run, phases: tuple[str, str] | None = None) -> Trace:
         time_ns=samples.time_ns,
         xy_m=poses.xy_m[read],
         heading_rad=poses.heading_rad[read],
-        read_xy_m=(poses.xy_m if poses.sensed_xy_m is None else poses.sensed_xy_m)[read],
-        read_heading_rad=(
-            poses.heading_rad if poses.sensed_heading_rad is None else poses.sensed_heading_rad
-        )[read],
+        read_xy_m=poses.read_xy_m[read],
+        read_heading_rad=poses.read_heading_rad[read],
         speed_m_s=samples.speed_m_s,
         turn_rate_rad_s=samples.turn_rate_rad_s,
         rotating=rotating,
@@ -340,10 +339,13 @@ def _find_fastest(trace: Trace) -> tuple[float, float]:
     speed, turn_rate = (float(np.abs(v).max()) for v in (trace.speed_m_s, trace.turn_rate_rad_s))
     if find_plant(run).name != LAGGED:
         return speed, turn_rate
-    gains = [run.parameters.get(f"plant.{axis}_gain") for axis in ("speed", "turn")]
+    gains = [
+        read_number(run.parameters, f"{PLANT_KEYS[name]}gain", 1.0)
+        for name in ("speed", "turn_rate")
+    ]
     shown = [run.poses.speed_m_s, run.poses.turn_rate_rad_s]
     fastest = [
-        max(rate * abs(gain) if isinstance(gain, int | float) else rate, _find_largest(values))
+        max(rate * abs(gain), _find_largest(values))
         for rate, gain, values in zip((speed, turn_rate), gains, shown, strict=True)
     ]
     return fastest[0], fastest[1]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.loops import ControlLoop
+from turtlelog.loops import PLANT_KEYS, ControlLoop, read_number
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
@@ -123,11 +123,11 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
 
 def _compute_pushed(run: Run, loop: ControlLoop, rows: NDArray[np.int64]) -> Values:
     """Return what the pushes of the recorded scenario move in each step [rad or m]."""
-    rate = _read_number(run, f"disturbance.{_UNITS[loop.command]}", 0.0)
+    rate = read_number(run.parameters, f"disturbance.{_UNITS[loop.command]}", 0.0)
     if not rate:
         return np.zeros(len(rows))
-    from_ns = 1e9 * _read_number(run, "disturbance.from_s", 0.0)
-    to_ns = 1e9 * _read_number(run, "disturbance.to_s", np.inf)
+    from_ns = 1e9 * read_number(run.parameters, "disturbance.from_s", 0.0)
+    to_ns = 1e9 * read_number(run.parameters, "disturbance.to_s", np.inf)
     start_ns, end_ns = run.poses.time_ns[rows], run.poses.time_ns[rows + 1]
     if find_plant(run).name == LAGGED:
         pushed_ns = np.minimum(end_ns, to_ns) - np.maximum(start_ns, from_ns)
@@ -148,11 +148,8 @@ def read_lag_s(run: Run, loop: ControlLoop) -> float:
 
 def name_lag(loop: ControlLoop) -> str:
     """Return the key of that time constant in a scenario."""
-    return f"plant.{_AXES[loop.command]}_lag_s"
+    return f"{PLANT_KEYS[loop.command]}lag_s"
 
-
-_AXES: Final = {"turn_rate": "turn", "speed": "speed"}
-"""How the keys of a lagged plant begin, by command."""
 
 _UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
 """How the keys of a push end, by command."""
@@ -160,18 +157,13 @@ _UNITS: Final = {"turn_rate": "turn_rate_rad_s", "speed": "speed_m_s"}
 
 def pushes_at_random(run: Run, loop: ControlLoop) -> bool:
     """Return whether the scenario has noise that moves what a loop's command moves."""
-    return _read_number(run, f"disturbance.noise_{loop.command}", 0.0) > 0.0
+    return read_number(run.parameters, f"disturbance.noise_{loop.command}", 0.0) > 0.0
 
 
 def _read_plant(run: Run, loop: ControlLoop, name: str, default: float) -> float:
     if find_plant(run).name != LAGGED:
         return default
-    return _read_number(run, f"plant.{_AXES[loop.command]}_{name}", default)
-
-
-def _read_number(run: Run, key: str, default: float) -> float:
-    value = run.parameters.get(key)
-    return float(value) if isinstance(value, int | float) else default
+    return read_number(run.parameters, f"{PLANT_KEYS[loop.command]}{name}", default)
 
 
 def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.int64], int, float]:

@@ -130,17 +130,9 @@ def _read_heading(run: Run) -> Values:
     return np.unwrap(heading_rad) if jumps.any() else heading_rad
 
 
-def _find_sensed(run: Run) -> NDArray[np.bool_]:
-    """Return which poses did not drop out; none where there is no sensor."""
-    xy_m, heading_rad = run.poses.sensed_xy_m, run.poses.sensed_heading_rad
-    if xy_m is None or heading_rad is None:
-        return np.zeros(len(run.poses), dtype=bool)
-    return ~(np.isnan(heading_rad) | np.isnan(xy_m).any(axis=1))
-
-
 def _read_sensed(run: Run, axis: int) -> Values | None:
     xy_m = run.poses.sensed_xy_m
-    return None if xy_m is None else xy_m[_find_sensed(run), axis]
+    return None if xy_m is None else xy_m[~run.poses.dropped_out, axis]
 
 
 def _read_sensed_heading(run: Run) -> Values | None:
@@ -148,7 +140,7 @@ def _read_sensed_heading(run: Run) -> Values | None:
     sensed_rad, heading_rad = run.poses.sensed_heading_rad, _read_heading(run)
     if sensed_rad is None:
         return None
-    rows = _find_sensed(run)
+    rows = ~run.poses.dropped_out
     return heading_rad[rows] + subtract_headings(sensed_rad[rows], heading_rad[rows])
 
 
@@ -161,7 +153,7 @@ _TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyTy
     {
         "pose": lambda run: run.poses.time_ns,
         "sample": lambda run: run.samples.time_ns,
-        "sensed pose": lambda run: run.poses.time_ns[_find_sensed(run)],
+        "sensed pose": lambda run: run.poses.time_ns[~run.poses.dropped_out],
     }
 )
 """Times of the values of a signal by its source."""

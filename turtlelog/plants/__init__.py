@@ -7,6 +7,7 @@ from turtlelog.plants.lagged import (
     LaggedRobot,
     build_lagged_plant,
     find_plant,
+    read_plant,
 )
 from turtlelog.plants.turtlesim import TURTLESIM, Plant, Turtle, round_to_float32
 
@@ -20,5 +21,6 @@ __all__ = [
     "Turtle",
     "build_lagged_plant",
     "find_plant",
+    "read_plant",
     "round_to_float32",
 ]

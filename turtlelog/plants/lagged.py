@@ -7,12 +7,14 @@ heading, by quadrature.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from math import cos, exp, expm1, inf, sin
 from typing import Final, Protocol
 
 import numpy as np
 
 from turtlelog.angles import wrap_angle
+from turtlelog.loops import read_number
 from turtlelog.plants.turtlesim import TURTLESIM, Plant
 from turtlelog.run import Run
 
@@ -53,12 +55,14 @@ def build_lagged_plant(period_ns: int) -> Plant:
 
 
 def find_plant(run: Run) -> Plant:
-    """Return the plant that a run is of, as its parameters tell.
+    """Return the plant that a run is of; of a robot's own recordings no plant is known."""
+    return read_plant(run.parameters)
 
-    turtlesim where they do not: of a robot's own recordings no plant is known.
-    """
-    period_s = run.parameters.get("plant.period_s")
-    if run.parameters.get("plant.kind") != LAGGED or not isinstance(period_s, int | float):
+
+def read_plant(parameters: Mapping[str, object]) -> Plant:
+    """Return the plant of a run's or a scenario's parameters; turtlesim where they tell none."""
+    period_s = read_number(parameters, "plant.period_s")
+    if parameters.get("plant.kind") != LAGGED or not period_s:
         return TURTLESIM
     return build_lagged_plant(max(round(period_s * 1e9), 1))
 

@@ -164,8 +164,8 @@ def _answer_poses(
 ) -> tuple[Answers, NDArray[np.int64], Sample]:
     """Return the samples up to the law's end, the ticks that each blocks for, and the last."""
     driver, read = build_driver(scenario, law), run.samples.pose_sequence
-    xy_m, heading_rad = _read_poses(run)
-    columns = (run.samples.time_ns, read, *xy_m[read].T, heading_rad[read])
+    poses = run.poses
+    columns = (run.samples.time_ns, read, *poses.read_xy_m[read].T, poses.read_heading_rad[read])
     rows, blocks_ticks = SampleRows(driver.declaration, has_shaping=scenario.shaping.acts), []
     for time_ns, row, x, y, heading in zip(*(column.tolist() for column in columns), strict=True):
         sample = driver.answer(time_ns, row, Pose(x, y, heading))
@@ -175,14 +175,6 @@ def _answer_poses(
             break
     answers = Answers(rows.build_columns(), driver.declaration)
     return answers, np.array(blocks_ticks, dtype=np.int64), sample
-
-
-def _read_poses(run: Run) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return position and heading of every pose as the law reads them."""
-    xy_m, heading_rad = run.poses.sensed_xy_m, run.poses.sensed_heading_rad
-    if xy_m is None or heading_rad is None:
-        return run.poses.xy_m, run.poses.heading_rad
-    return xy_m, heading_rad
 
 
 def _count_published(run: Run) -> Difference | None:

@@ -73,6 +73,22 @@ class PoseColumns:
             found = self.heading_rad[row]
             raise RunError(f"pose.heading_rad[{row}]: expected -pi to pi, found {found}")
 
+    @property
+    def read_xy_m(self) -> NDArray[np.float64]:
+        """Position that the controller reads [m], shape (n, 2): as sensed, or the pose's own."""
+        return self.xy_m if self.sensed_xy_m is None else self.sensed_xy_m
+
+    @property
+    def read_heading_rad(self) -> NDArray[np.float64]:
+        """Heading that the controller reads [rad], shape (n,)."""
+        return self.heading_rad if self.sensed_heading_rad is None else self.sensed_heading_rad
+
+    @property
+    def dropped_out(self) -> NDArray[np.bool_]:
+        """Whether a pose never reached the controller, shape (n,)."""
+        rows = np.isnan(self.read_xy_m).any(axis=1) | np.isnan(self.read_heading_rad)
+        return np.asarray(rows)
+
     def __len__(self) -> int:
         return len(self.time_ns)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop
+from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop, read_number
 from turtlelog.measure import find_first_stretch, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
@@ -165,23 +165,12 @@ def read_sensed(run: Run, signal: str) -> Curve | None:
     return read_curve(run, f"sensed_{signal}") if signal in SENSED_SIGNALS else None
 
 
-def find_drop_outs(run: Run) -> NDArray[np.int64]:
-    """Return the rows of the poses that dropped out on their way to the controller."""
-    heading_rad = run.poses.sensed_heading_rad
-    return np.flatnonzero(np.isnan(heading_rad) if heading_rad is not None else [])
-
-
 def find_disturbance(run: Run) -> tuple[float, float] | None:
     """Return from when to when a disturbance pushes the plant, within the run [s]; None without."""
-    found = {key: run.parameters.get(f"disturbance.{key}", 0.0) for key in _PUSHES}
-    if not any(found.values()):
+    if not any(read_number(run.parameters, f"disturbance.{key}") for key in _PUSHES):
         return None
-    edges = (("from_s", 0.0), ("to_s", np.inf))
-    from_s, to_s = (
-        float(value)
-        for value in (run.parameters.get(f"disturbance.{key}", usual) for key, usual in edges)
-        if isinstance(value, int | float)
-    )
+    from_s = read_number(run.parameters, "disturbance.from_s")
+    to_s = read_number(run.parameters, "disturbance.to_s", np.inf)
     zero_s, end_s = run.start_ns / 1e9, run.end_ns / 1e9
     first_s = max(from_s, float(run.poses.time_ns[0]) / 1e9)
     return (first_s - zero_s, min(to_s, end_s) - zero_s) if first_s < min(to_s, end_s) else None

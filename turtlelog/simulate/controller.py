@@ -10,8 +10,6 @@ from turtlelog.scenario import Scenario
 from turtlelog.simulate.law_driver import LawDriver, Sample, Samples
 from turtlelog.simulate.random_streams import RandomStream
 
-_NS: Final = 1e9
-
 _NEVER_NS: Final = 2**63
 """Later than any time of a run."""
 
@@ -117,11 +115,11 @@ class TimedController(Controller):
         super().__init__(scenario, driver, block=scenario.plant.facts.period_ns)
         sensing = scenario.sensing
         self._period_ns = plant.period_ns
-        self._delay_ns, self._jitter_ns = round(sensing.delay_s * _NS), sensing.jitter_s * _NS
+        self._delay_ns, self._jitter_ns = round(sensing.delay_s * 1e9), sensing.jitter_s * 1e9
         self._jitter = RandomStream(scenario.seed, "sensing_jitter", kind="uniform")
         self._arrivals: deque[tuple[int, int, Pose]] = deque()
         self._arrived_ns = 0
-        self._end_ns = round(scenario.max_duration_s * _NS) + 1
+        self._end_ns = round(scenario.max_duration_s * 1e9) + 1
 
     def receive(self, tick: int, pose: Pose) -> None:
         """Send the pose of a tick on its way."""
@@ -210,7 +208,7 @@ class TimerController(TimedController):
 def build_controller(scenario: Scenario, driver: LawDriver, plant: Plant) -> Controller:
     """Return the controller of a scenario: by ticks, or by nanoseconds where need be."""
     if scenario.loop.period_s is not None:
-        timer_ns = round(scenario.loop.period_s * _NS)
+        timer_ns = round(scenario.loop.period_s * 1e9)
         return TimerController(scenario, driver, plant, timer_ns=timer_ns)
     if scenario.sensing.delays_poses:
         return TimedController(scenario, driver, plant)

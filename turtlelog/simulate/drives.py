@@ -13,8 +13,6 @@ from turtlelog.simulate.law_driver import LARGEST_FLOAT
 from turtlelog.simulate.random_streams import RandomStream
 from turtlelog.simulate.transport import CommandQueue, TimedCommands
 
-_NS: Final = 1e9
-
 State = tuple[float, float, float, float, float]
 """x, y [m], heading [rad], magnitude of the velocity [m/s], turn rate [rad/s]."""
 
@@ -136,7 +134,7 @@ class LaggedDrive:
         state = robot.state
         if not max(map(abs, state)) < LARGEST_FLOAT:
             raise SimulationError(
-                f"the robot runs away: at {time_ns / _NS:g} s x = {state[0]:g} m,"
+                f"the robot runs away: at {time_ns / 1e9:g} s x = {state[0]:g} m,"
                 f" y = {state[1]:g} m, speed {state[3]:g} m/s, turn rate {state[4]:g} rad/s;"
                 f" a pose holds numbers below {LARGEST_FLOAT:g}"
             )
@@ -150,11 +148,11 @@ class _Disturbed:
 
     def __init__(self, scenario: Scenario, period_ns: int) -> None:
         found = scenario.disturbance
-        self._from_ns = round(found.from_s * _NS)
-        self._to_ns = found.to_s if math.isinf(found.to_s) else round(found.to_s * _NS)
+        self._from_ns = round(found.from_s * 1e9)
+        self._to_ns = found.to_s if math.isinf(found.to_s) else round(found.to_s * 1e9)
         self._push = found.speed_m_s, found.turn_rate_rad_s
         # A velocity held for a step moves by its standard deviation times the step.
-        root = math.sqrt(period_ns / _NS)
+        root = math.sqrt(period_ns / 1e9)
         self._scales = found.noise_speed / root, found.noise_turn_rate / root
         self._noise = RandomStream(scenario.seed, "disturbance", width=2, kind="normal")
 

@@ -5,9 +5,8 @@ from collections.abc import Iterator, Mapping
 from turtlelog.run import Event
 from turtlelog.simulate.controller import Controller
 from turtlelog.simulate.drives import Drive
-from turtlelog.simulate.loss_count import LossCount
 from turtlelog.simulate.sensing import Sensor
-from turtlelog.simulate.transport import CommandQueue, TimedCommands
+from turtlelog.simulate.transport import CommandQueue, LossCount, TimedCommands
 
 
 class EventWatch:

@@ -8,8 +8,8 @@ from typing import Final
 from turtlelog.angles import wrap_angle
 from turtlelog.laws import Pose
 from turtlelog.scenario import Scenario
-from turtlelog.simulate.loss_count import LossCount
 from turtlelog.simulate.random_streams import RandomStream
+from turtlelog.simulate.transport import LossCount
 
 _FLOATS: Final = Struct("<3f")
 """A pose as a message holds it: 32-bit floats."""

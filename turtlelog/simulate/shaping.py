@@ -1,7 +1,7 @@
 """What becomes of the commands that a law wants: shaping, then limits of speed and its rates."""
 
 import math
-from typing import Final, Protocol
+from typing import Protocol
 
 import msgspec
 
@@ -9,8 +9,6 @@ from turtlelog.laws import Law, Pose
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.law_driver import LawDriver, Sample
 from turtlelog.simulate.sensing import round_to_step
-
-_NS: Final = 1e9
 
 
 class Limiter(Protocol):
@@ -157,7 +155,7 @@ class ShapingDriver(LawDriver):
             SimulationError: Where the law fails or answers with something that is no number.
         """
         sample = super().answer(time_ns, pose_sequence, pose)
-        dt_s = self._first_s if self._last_ns < 0 else (time_ns - self._last_ns) / _NS
+        dt_s = self._first_s if self._last_ns < 0 else (time_ns - self._last_ns) / 1e9
         self._last_ns = time_ns
         shaper, limiter = self._speed
         speed = shaper.shape(sample.decision.speed_m_s, dt_s)
@@ -202,5 +200,5 @@ def build_driver(
     if not scenario.shaping.acts and all(map(math.isinf, (*rates, *jerks))):
         return LawDriver(scenario, law, step_budget_s=step_budget_s)
     period_ns = scenario.plant.facts.period_ns if period_ns is None else period_ns
-    period_s = loop.period_s or loop.period_ticks * period_ns / _NS
+    period_s = loop.period_s or loop.period_ticks * period_ns / 1e9
     return ShapingDriver(scenario, law, period_s=period_s, step_budget_s=step_budget_s)

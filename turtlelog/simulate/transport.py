@@ -2,15 +2,39 @@
 
 from collections import deque
 from collections.abc import Iterator
-from typing import Final
 
 from turtlelog.plants import Plant
 from turtlelog.scenario import Scenario
 from turtlelog.simulate.law_driver import Sample
-from turtlelog.simulate.loss_count import LossCount
 from turtlelog.simulate.random_streams import RandomStream
 
-_NS: Final = 1e9
+
+class LossCount:
+    """Counts what is lost by stretches, for an event each would fill a log."""
+
+    __slots__ = ("_count", "_finished", "_since_ns")
+
+    def __init__(self) -> None:
+        self._since_ns = self._count = 0
+        self._finished: tuple[int, int] | None = None
+
+    def add(self, time_ns: int) -> None:
+        """Count one that is lost at a time [ns]."""
+        self._since_ns = self._since_ns if self._count else time_ns
+        self._count += 1
+
+    def end_stretch(self) -> None:
+        """Note that something came through."""
+        if not self._count:
+            return
+        since_ns, count = self._finished or (self._since_ns, 0)
+        self._finished = since_ns, count + self._count
+        self._count = 0
+
+    def take_finished(self) -> tuple[int, int] | None:
+        """Return since when [ns] and how many were lost, once a stretch is over, else None."""
+        finished, self._finished = self._finished, None
+        return finished
 
 
 class CommandQueue:
@@ -100,8 +124,8 @@ class TimedCommands(CommandQueue):
         # takes for a period has arrived by its begin.
         self._causal_ns = 0 if scenario.plant.kind == "turtlesim" else 1 - plant.period_ns
         self._delay_ns = loop.transport_delay_ticks * plant.period_ns
-        self._delay_ns += round(loop.transport_delay_s * _NS)
-        self._jitter_ns, self._late_ns = loop.jitter_s * _NS, round(loop.late_s * _NS)
+        self._delay_ns += round(loop.transport_delay_s * 1e9)
+        self._jitter_ns, self._late_ns = loop.jitter_s * 1e9, round(loop.late_s * 1e9)
         self._loss_probability = loop.loss_probability
         self._repeat_probability = loop.repeat_probability
         self._late_probability = loop.late_probability

@@ -23,7 +23,6 @@ from turtlelog.theory.continuous_loop import (
 )
 from turtlelog.theory.declared_loops import (
     LoopTiming,
-    find_plant_period,
     find_timing,
     hides_stability,
     list_left_out,
@@ -97,7 +96,6 @@ __all__ = [
     "expand_transfer_function",
     "find_final_value",
     "find_plant_final_value",
-    "find_plant_period",
     "find_stable_gains",
     "find_timing",
     "hides_stability",

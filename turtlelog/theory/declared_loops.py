@@ -9,8 +9,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import TheoryError
-from turtlelog.loops import COMMAND_WORDS, LIMIT_KEYS, SIGNAL_WORDS, ControlLoop
-from turtlelog.plants.turtlesim import TURTLESIM, WATCHDOG_NS
+from turtlelog.loops import (
+    COMMAND_WORDS,
+    LIMIT_KEYS,
+    PLANT_KEYS,
+    SIGNAL_WORDS,
+    ControlLoop,
+    read_number,
+)
+from turtlelog.plants import LAGGED, TURTLESIM, read_plant
+from turtlelog.plants.turtlesim import WATCHDOG_NS
 from turtlelog.run import Parameter
 from turtlelog.scenario import Scenario, flatten_scenario
 from turtlelog.theory.pid_gains import PidGains
@@ -24,10 +32,10 @@ _LONGEST_HOLD_TICKS: Final = WATCHDOG_NS // TURTLESIM.period_ns + 1
 _WHOLE: Final = 1e-6
 """Of a period: times in whole nanoseconds that are meant as its multiple are nearer than that."""
 
-_AXES: Final = {"turn_rate": "turn", "speed": "speed"}
-
 _OF_SPEED: Final = ("speed_m_s", "noise_speed", "acceleration_m_s2", "jerk_m_s3")
 """How keys end that concern the speed alone."""
+
+_OF_PLANT: Final = ("gain", "dead_time_s", "lag_s")
 
 _DEFAULTS: Final = flatten_scenario(Scenario())
 
@@ -37,8 +45,7 @@ _MODELLED: Final = frozenset(
         *("goal.heading_rad", "start.precision", "loop.trigger", "loop.period_s"),
         *("loop.transport_delay_s", "sensing.delay_s", "shaping.low_pass_s"),
         *("plant.kind", "plant.period_s"),
-        *(f"plant.{axis}_{name}" for axis in _AXES.values() for name in ("gain", "lag_s")),
-        *(f"plant.{axis}_dead_time_s" for axis in _AXES.values()),
+        *(f"{key}{name}" for key in PLANT_KEYS.values() for name in _OF_PLANT),
     }
 )
 """Keys whose part in the loop theory knows, or that have none."""
@@ -54,7 +61,7 @@ _ADDED: Final = frozenset(
 """Keys that theory leaves out, and that make no unstable loop stable: pushes and offsets move where
 it rests, limits bound how far it swings."""
 
-_KINDS: Final = ("turtlesim", "lagged")
+_KINDS: Final = (TURTLESIM.name, LAGGED)
 
 _BESIDE: Final = ("law.", "path.", "name", "max_duration_s", "seed", "format")
 """What adds nothing to a loop but its gains and its reference."""
@@ -108,14 +115,14 @@ def read_process(loop: ControlLoop, parameters: Parameters, dead_time_s: float) 
         parameters: Of a run or a scenario.
         dead_time_s: Beside that of the plant [s].
     """
-    axis = _AXES[loop.command]
-    own_s = _read(parameters, f"plant.{axis}_dead_time_s")
+    key = PLANT_KEYS[loop.command]
+    own_s = read_number(parameters, f"{key}dead_time_s")
     try:
         return Process(
-            gain=_read(parameters, f"plant.{axis}_gain", 1.0),
-            lag_s=_read(parameters, f"plant.{axis}_lag_s"),
+            gain=read_number(parameters, f"{key}gain", 1.0),
+            lag_s=read_number(parameters, f"{key}lag_s"),
             dead_time_s=dead_time_s + own_s,
-            low_pass_s=_read(parameters, "shaping.low_pass_s"),
+            low_pass_s=read_number(parameters, "shaping.low_pass_s"),
         )
     except TheoryError as err:
         return f"plant: {err}"
@@ -123,14 +130,14 @@ def read_process(loop: ControlLoop, parameters: Parameters, dead_time_s: float) 
 
 def find_timing(parameters: Parameters) -> LoopTiming | str:
     """Return when the loops of a scenario act, or why theory does not have that timing."""
-    kind, step_s = parameters.get("plant.kind", "turtlesim"), find_plant_period(parameters)
+    kind, step_s = parameters.get("plant.kind", TURTLESIM.name), read_plant(parameters).period_s
     if kind not in _KINDS:
         return f"theory knows no plant of the kind {kind}"
-    is_turtlesim = kind == "turtlesim"
-    every = int(_read(parameters, "loop.period_ticks", 1.0))
-    period_s, delay_s = every * step_s, _read(parameters, "sensing.delay_s")
+    is_turtlesim = kind == TURTLESIM.name
+    every = int(read_number(parameters, "loop.period_ticks", 1.0))
+    period_s, delay_s = every * step_s, read_number(parameters, "sensing.delay_s")
     if parameters.get("loop.trigger") == "timer":
-        period_s = _read(parameters, "loop.period_s")
+        period_s = read_number(parameters, "loop.period_s")
         if not _is_multiple(period_s, step_s):  # it begins when a pose comes: their ages are alike
             return (
                 "the age of the pose that is read changes from sample to sample, where the timer's"
@@ -138,8 +145,8 @@ def find_timing(parameters: Parameters) -> LoopTiming | str:
             )
     if is_turtlesim and period_s > (_LONGEST_HOLD_TICKS + _WHOLE) * step_s:
         return "turtlesim stops by itself between two samples, 1 s after a command"
-    delay_s += _read(parameters, "loop.transport_delay_s")
-    delay_s += _read(parameters, "loop.transport_delay_ticks") * step_s
+    delay_s += read_number(parameters, "loop.transport_delay_s")
+    delay_s += read_number(parameters, "loop.transport_delay_ticks") * step_s
     queued = parameters.get("loop.queue_policy") == "one-per-tick"
     if is_turtlesim:  # a command acts on the whole tick in which it arrives
         delay_s = step_s * math.floor(delay_s / step_s + _WHOLE)
@@ -150,15 +157,10 @@ def find_timing(parameters: Parameters) -> LoopTiming | str:
         # One command leaves and one comes in each tick, so what waits first waits for good. No
         # pause makes it less: it drains commands while as many poses pile up, or a full queue.
         keys = ("start_backlog", "pose_queue", "command_queue")
-        queues = [_read(parameters, f"loop.{key}", 1.0) for key in keys]
+        queues = [read_number(parameters, f"loop.{key}", 1.0) for key in keys]
         least_s += (min(queues) - 1.0) * step_s
         most_s += (queues[2] - 1.0) * step_s
     return LoopTiming(period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s)
-
-
-def find_plant_period(parameters: Parameters) -> float:
-    """Return the time from pose to pose [s]."""
-    return _read(parameters, "plant.period_s", TURTLESIM.period_ns / 1e9)
 
 
 def list_left_out(loop: ControlLoop, parameters: Parameters) -> tuple[str, ...]:
@@ -183,11 +185,6 @@ def hides_stability(parameters: Parameters) -> bool:
     """Return whether something that theory leaves out may steady a loop that it calls unstable."""
     known = _MODELLED | _ADDED
     return any(key not in known and not key.startswith(_BESIDE) for key in parameters)
-
-
-def _read(parameters: Parameters, key: str, default: float = 0.0) -> float:
-    value = parameters.get(key, default)
-    return float(value) if isinstance(value, int | float) else default
 
 
 def _is_multiple(time_s: float, step_s: float) -> bool:

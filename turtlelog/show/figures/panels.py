@@ -51,7 +51,6 @@ from turtlelog.show.shared_curves import (
     Command,
     Curve,
     find_disturbance,
-    find_drop_outs,
     find_limits,
     find_parameters,
     list_aims,
@@ -283,7 +282,7 @@ def _draw_sensed(axes: Axes, run: Run, signal: str) -> None:
     if curve is None:
         return
     draw_points(axes, curve.time_s, curve.values, **SENSED)
-    lost_s = (run.poses.time_ns[find_drop_outs(run)] - run.start_ns) / 1e9
+    lost_s = (run.poses.time_ns[run.poses.dropped_out] - run.start_ns) / 1e9
     if len(lost_s):
         edge = np.full(len(lost_s), 0.02)
         axes.plot(lost_s, edge, transform=axes.get_xaxis_transform(), **DROPPED_OUT)

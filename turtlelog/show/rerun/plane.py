@@ -15,7 +15,6 @@ from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.timelines import RunStream, Values, choose_trace_rows
 from turtlelog.show.rerun.world import UPWARD
-from turtlelog.show.shared_curves import find_drop_outs
 from turtlelog.show.tracked_path import has_own_way, read_way_to_reference
 
 _SPEED_LEVELS: Final = 16
@@ -127,7 +126,7 @@ def draw_reference_path(run_stream: RunStream, run: Run) -> None:
 
 def draw_sensed(run_stream: RunStream, run: Run) -> None:
     """Draw where the controller read that the turtle is, and where it is when it read nothing."""
-    xy_m, lost = run.poses.sensed_xy_m, find_drop_outs(run)
+    xy_m, lost = run.poses.sensed_xy_m, np.flatnonzero(run.poses.dropped_out)
     if xy_m is None:
         return
     kept = choose_trace_rows(run)

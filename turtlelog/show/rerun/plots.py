@@ -16,7 +16,6 @@ from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.timelines import RunStream, Times, Values, build_index
 from turtlelog.show.shared_curves import (
     Command,
-    find_drop_outs,
     find_limits,
     list_aims,
     list_levels,
@@ -345,7 +344,7 @@ def _list_aims(run: Run) -> Iterable[Series]:
 
 def _list_sensed(run: Run) -> Iterable[Series]:
     """Yield what the controller read, and where it read nothing the pose itself, as points."""
-    lost = find_drop_outs(run)
+    lost = run.poses.dropped_out
     for plot, signals in ((entities.POSITION, ("x", "y")), (entities.HEADING, ("heading",))):
         found = [read_sensed(run, signal) for signal in signals]
         own = [read_curve(run, signal) for signal in signals]
