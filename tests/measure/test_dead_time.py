@@ -139,7 +139,9 @@ def test_a_robot_that_does_not_obey_is_not_explained() -> None:
     assert "no dead time up to 40 ticks explains the motion" in found.reason
 
 
-@pytest.mark.parametrize(("share", "reason"), [(0.049, "noise: "), (0.051, "no dead time up to")])
+@pytest.mark.parametrize(
+    ("share", "reason"), [(0.049, "dead times of "), (0.051, "no dead time up to")]
+)
 def test_a_dead_time_may_leave_a_twentieth_of_the_way_unexplained(
     share: float, reason: str
 ) -> None:
