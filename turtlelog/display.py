@@ -18,6 +18,11 @@ def describe_count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def join_words(words: Sequence[str], last: str = "and") -> str:
+    """Return words as a list in a sentence."""
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
 def format_number(number: float | None, unit: str = "") -> str:
     """Return a number with its unit in five digits, an angle in degrees; `-` for none."""
     if number is None:

@@ -22,7 +22,8 @@ from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import count_lost_commands
 from turtlelog.explain.search import Fits
 from turtlelog.explain.stop_reason import RULE_KEYS, find_stop_rule
-from turtlelog.explain.trace import find_grain, mark_breaks, trace_run
+from turtlelog.explain.trace import find_grain, trace_run
+from turtlelog.explain.trace_breaks import mark_breaks
 from turtlelog.laws import SequentialPParameters
 from turtlelog.scenario import get_preset, override_scenario
 

@@ -145,12 +145,22 @@ def strip(run: Run) -> Run:
     return replace(run, parameters={}, scenario_is_complete=False, stop_reason=None, events=())
 
 
-# The other two are looked at for half a minute.
+NEAR = {
+    "law.kp_angular": 2.0,
+    "start.heading_rad": 2.0,
+    "goal.x_m": 5.2,
+    "goal.y_m": 5.9,
+    "max_duration_s": 3.0,
+}
+"""A small turn and a short way, so that both gains act below the limits."""
+
+TELL_BOTH_GAINS = {"noise", "sensing_delay", "transport_delay", "dead_zone"}
+
+
+# The others are looked at for half a minute.
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name not in SLOW])
 def test_of_a_log_without_scenario_nothing_false_is_claimed(name: str) -> None:
-    scenario = override_scenario(
-        get_preset("textbook"), {"law.kp_angular": 2.0, "max_duration_s": 5.0, **EFFECTS[name]}
-    )
+    scenario = override_scenario(get_preset("textbook"), {**NEAR, **EFFECTS[name]})
     found = identify_run(strip(simulate_run(scenario))).findings
     said: dict[str, Any] = {
         "law.kp_angular": 2.0,
@@ -165,6 +175,7 @@ def test_of_a_log_without_scenario_nothing_false_is_claimed(name: str) -> None:
             low, high = finding.interval
             holds = low <= value <= high
         assert holds or finding.value is None, (key, finding)
+    assert (found["law.kp_linear"].value is not None) == (name in TELL_BOTH_GAINS)
     delay = found["loop.transport_delay_ticks"]
     delay_s = scenario.loop.transport_delay_s + scenario.sensing.delay_s
     if delay.value is not None:

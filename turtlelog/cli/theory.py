@@ -38,7 +38,6 @@ _WIDTH: Final = 96
 """Of notes that stand without a table [characters]."""
 _MOST_COLUMNS: Final = 4
 """Gains beside each other: more would be wider than 100 characters."""
-_TURTLE_TICK_S: Final = 0.016
 
 
 @Parameter(name="*")
@@ -136,7 +135,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     if assignments:
         raise UsageError("--set: expected SCENARIO beside it, found none")
     gains = _parse_gains(_GAINS if kp is None else kp)
-    period_s = _TURTLE_TICK_S if period is None else period
+    period_s = tl.plants.TURTLESIM.period_s if period is None else period
     if terms.list_given():
         _answer_terms(gains, terms, period_s, dead_time or 0, json=json)
         return

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.cli.theory_tables import tell_pole
+from turtlelog.display import join_words
 from turtlelog.loops import SIGNAL_WORDS
 
 if TYPE_CHECKING:
@@ -145,10 +147,7 @@ def _tell_sources(model: "LoopModel") -> str:
     found: dict[str, list[str]] = {}
     for key, words in model.sources.items():
         found.setdefault(words, []).append(_NAMES[key])
-    return "; ".join(
-        f"{' and '.join([', '.join(names[:-1]), names[-1]] if names[1:] else names)} {words}"
-        for words, names in found.items()
-    )
+    return "; ".join(f"{join_words(names)} {words}" for words, names in found.items())
 
 
 _NAMES: Final = {
@@ -175,13 +174,6 @@ def _tell_overshoot(loop: "PidLoop") -> str:
     if loop.overshoot_percent is None:
         return "-"
     return f"by {loop.overshoot_percent:.2f} %" if _overshoots(loop) else "no"
-
-
-def _tell_pole(loop: "PidLoop") -> str:
-    pole = complex(loop.poles[0])
-    if pole.imag == 0.0:
-        return f"{pole.real:.4f}"
-    return f"{pole.real:.4f} +- {abs(pole.imag):.4f}j"
 
 
 def _tell_range(loop: "PidLoop") -> str:
@@ -219,7 +211,7 @@ _ROWS: "Final[tuple[tuple[str, bool, Callable[[PidLoop], str]], ...]]" = (
     ("dead time [ms]", False, lambda loop: _tell_number(1e3 * loop.dead_time_s)),
     ("stable", False, lambda loop: "yes" if loop.stable else "no"),
     ("stable for Kp [1/s]", False, _tell_range),
-    ("slowest pole", False, _tell_pole),
+    ("slowest pole", False, lambda loop: tell_pole(loop.poles)),
     ("overshoots", False, _tell_overshoot),
     ("settles in [s]", False, lambda loop: _tell_number(loop.settling_time_s, ".3f")),
     ("gain margin", False, _tell_margin(lambda found: found.gain_margin, ".2f")),

@@ -5,6 +5,9 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from turtlelog.compare import Table
     from turtlelog.theory import SampledLoop
 
@@ -156,7 +159,7 @@ def _tabulate_loops(loops: "list[SampledLoop]") -> "Table":
         rows=tuple(
             (
                 loop.kp,
-                _tell_pole(complex(loop.poles[0])),
+                tell_pole(loop.poles),
                 loop.damping_ratio,
                 _tell_overshoot(loop),
                 loop.settling_time_s,
@@ -218,7 +221,9 @@ def _tell_dead_time(loop: "SampledLoop") -> str:
     return f"{ticks} tick{'' if ticks == 1 else 's'} ({1e3 * ticks * loop.period_s:.6g} ms)"
 
 
-def _tell_pole(pole: complex) -> str:
+def tell_pole(poles: "NDArray[np.complex128]") -> str:
+    """Return the first pole, the slowest, with its conjugate."""
+    pole = complex(poles[0])
     if pole.imag == 0.0:
         return f"{pole.real:.4f}"
     return f"{pole.real:.4f} +- {abs(pole.imag):.4f}j"

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.explain.gain_fit import find_quantile, widen_for_runs
 from turtlelog.explain.resimulation import number_poses
-from turtlelog.explain.trace import OFF_GRID, Trace, Values, list_breaks
+from turtlelog.explain.trace import OFF_GRID, Trace, Values
+from turtlelog.explain.trace_breaks import list_breaks
 from turtlelog.laws import Decision, Goal, Pose
 from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import TICK_S, WORLD_SIZE_M

@@ -38,11 +38,9 @@ from turtlelog.explain.search import Fits, drive_loop, search_loop
 from turtlelog.explain.trace import (
     Trace,
     Values,
-    describe_breaks,
-    mark_breaks,
-    space_out,
     trace_run,
 )
+from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.unseen import take_seconds
 from turtlelog.laws import LAWS
 from turtlelog.loops import PAUSE, RESERVED, ControlLoop

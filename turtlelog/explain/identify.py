@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from turtlelog.display import join_words
 from turtlelog.errors import ScenarioError, SimulationError
 from turtlelog.explain.gain_fit import CommandFit
 from turtlelog.explain.hypothesis import (
@@ -41,8 +42,9 @@ from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
 from turtlelog.explain.stop_reason import Ending, find_pause, find_stop_rule
-from turtlelog.explain.trace import Trace, describe_breaks, mark_breaks, space_out, trace_run
-from turtlelog.explain.unseen import join_words, list_unseen, take_findings
+from turtlelog.explain.trace import Trace, trace_run
+from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
+from turtlelog.explain.unseen import list_unseen, take_findings
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run

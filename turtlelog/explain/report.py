@@ -3,6 +3,7 @@
 import math
 from typing import Final
 
+from turtlelog.display import join_words
 from turtlelog.explain.attribution import Attribution, Share, Together, ValueSet, is_clear
 
 _NAMED: Final = 0.1
@@ -28,7 +29,7 @@ def write_sentences(found: Attribution) -> tuple[str, ...]:
         sentences += [_write_unclear(found), _write_this_seed(found)]
         sentences += [*found.doubts, *(_write_alone(found, other) for other in found.others)]
     if found.left:
-        sentences += [f"{_capitalise(_join(found.left))} {_be(found.left)} left as built."]
+        sentences += [f"{_capitalise(join_words(found.left))} {_be(found.left)} left as built."]
     sentences += found.remarks
     return tuple(filter(None, sentences))
 
@@ -63,7 +64,9 @@ def _write_withheld(found: Attribution) -> str:
 def _write_missing(found: Attribution) -> str:
     if not found.with_value and found.without_all is None:
         return (
-            f"Nor has it one without {_join(found.mechanisms, 'or')}." if found.mechanisms else ""
+            f"Nor has it one without {join_words(found.mechanisms, 'or')}."
+            if found.mechanisms
+            else ""
         )
     parts = [
         f"{_name_set(found, case)} it has no value: {case.reason}" for case in found.without_value
@@ -74,30 +77,30 @@ def _write_missing(found: Attribution) -> str:
 
 def _name_set(found: Attribution, case: ValueSet) -> str:
     if not case.mechanisms:
-        return f"without {_join(found.mechanisms)}"
+        return f"without {join_words(found.mechanisms)}"
     alone = " alone" if len(found.mechanisms) > len(case.mechanisms) else ""
-    return f"with {_join(case.mechanisms)}{alone}"
+    return f"with {join_words(case.mechanisms)}{alone}"
 
 
 def _write_cause(found: Attribution) -> str:
     if not found.mechanisms:
-        return f"None of the effects is in this run: {_join(found.effects)}."
+        return f"None of the effects is in this run: {join_words(found.effects)}."
     if not found.acting:
-        return f"Without {_join(found.mechanisms, 'or')} it is the same."
+        return f"Without {join_words(found.mechanisms, 'or')} it is the same."
     largest = max(abs(share.share or 0.0) for share in found.shares)
     added = found.divided - (found.without_all or 0.0)
     if max(largest, abs(added)) <= found.grain.size:
         together = " together change" if len(found.mechanisms) > 1 else " changes"
         return (
-            f"{_capitalise(_join(found.mechanisms))}{together} it by {_format(found, added)}:"
+            f"{_capitalise(join_words(found.mechanisms))}{together} it by {_format(found, added)}:"
             f" next to nothing, no more than {_describe_grain(found)}."
         )
     parts = [_write_part(found, share) for share in _choose_named(found) if share.is_clear]
     parts = parts or ["no effect is told from chance"]
     nothing = ", next to nothing together" if abs(added) <= found.grain.size else ""
     return (
-        f"{_capitalise(_join(parts))}{_write_together(found)}{nothing};"
-        f" without {_join(found.acting)} it would be {_format(found, found.without_all)}"
+        f"{_capitalise(join_words(parts))}{_write_together(found)}{nothing};"
+        f" without {join_words(found.acting)} it would be {_format(found, found.without_all)}"
         f"{_write_remainder(found)}."
     )
 
@@ -137,7 +140,7 @@ def _write_together(found: Attribution) -> str:
 
 def _write_case(found: Attribution, case: Together) -> str:
     size = _format(found, abs(case.value), case.standard_error)
-    names = _join(case.mechanisms)
+    names = join_words(case.mechanisms)
     if case.value > 0.0:
         both = "both" if len(case.mechanisms) == 2 else "all"
         return f"{size} of this arises only when {names} {both} act"
@@ -169,7 +172,7 @@ def _write_unclear(found: Attribution) -> str:
         f"{share.mechanism} ({_format(found, share.share, share.standard_error)})"
         for share in unclear
     ]
-    return f"Chance alone may make the share of {_join(parts)}."
+    return f"Chance alone may make the share of {join_words(parts)}."
 
 
 def _write_this_seed(found: Attribution) -> str:
@@ -192,8 +195,9 @@ def _write_starts(found: Attribution) -> str:
     if not starts.is_wide:
         span = f"is {low}" if low == high else f"is between {low} and {high}"
         return f"{_capitalise(where)} it {span}{missing}."
+    all_of_them = join_words([*starts.parts])
     parts = [
-        f"{name}'s part of what {_join([*starts.parts])} add is between {low:.2g} and {high:.2g}"
+        f"{name}'s part of what {all_of_them} add is between {low:.2g} and {high:.2g}"
         for name, (low, high) in [*starts.parts.items()][: len(starts.parts) - 1]
     ]
     return (
@@ -229,10 +233,6 @@ def _write_alone(found: Attribution, other: Share) -> str:
 def _format(found: Attribution, value: float | None, standard_error: float | None = None) -> str:
     spread = "" if standard_error is None else f" +- {standard_error:.2g}"
     return f"{value or 0.0:.4g}{spread} {found.unit}".removesuffix(" 1")
-
-
-def _join(words: "list[str] | tuple[str, ...]", last: str = "and") -> str:
-    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _be(words: "tuple[str, ...]") -> str:

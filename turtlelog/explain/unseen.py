@@ -5,7 +5,7 @@ or like the settings that are looked for. The recorded scenario tells them, wher
 reproduces the run.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 from turtlelog.explain.identification import (
@@ -80,8 +80,3 @@ def _agrees(finding: Finding, value: object) -> bool:
         low, high = finding.interval
         return bool(low <= value <= high)
     return bool(finding.value == value)
-
-
-def join_words(words: Sequence[str]) -> str:
-    """Return words as a list in a sentence."""
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
