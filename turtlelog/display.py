@@ -20,7 +20,7 @@ def describe_count(number: int, noun: str) -> str:
 
 def join_words(words: Sequence[str], last: str = "and") -> str:
     """Return words as a list in a sentence."""
-    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def format_number(number: float | None, unit: str = "") -> str:

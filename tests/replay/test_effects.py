@@ -13,7 +13,7 @@ from tests.log.recording.ticks import assert_same_columns, record_ticks
 from tests.log.runs import assert_same
 from turtlelog.log import read_recording, write_recording
 from turtlelog.replay import LawReplay, LoopReplay, replay_law, replay_loop, replay_plant
-from turtlelog.scenario import Scenario
+from turtlelog.scenario import Scenario, get_preset, override_scenario
 from turtlelog.simulate import collect_run, iterate_ticks, simulate_run
 
 SENSED_SIGNALS = {"sensed_x", "sensed_y", "sensed_heading"}
@@ -120,3 +120,14 @@ def test_commands_that_never_arrive_are_counted() -> None:
     assert found.commands.never_arrived > 10
     assert found.commands.taken > len(run.commands) - found.commands.never_arrived
     assert (found.commands.disturbed_ticks, found.commands.unexplained_ticks) == (0, 0)
+
+
+def test_velocities_of_32_bits_that_stand_for_commands_differ_by_no_more_than_they_round() -> None:
+    push = {"disturbance.turn_rate_rad_s": 0.0313, "disturbance.noise_speed": 0.01}
+    run = simulate_run(override_scenario(get_preset("textbook"), push))
+    found = replay_plant(run)
+    assert found.commands.disturbed_ticks == len(run.poses)
+    assert found.first_difference is None
+    # Within what the sum of the rounded velocities may be off, and beyond that of a first pose.
+    (stretch,) = found.stretches
+    assert stretch.max_abs_error.x_m < stretch.rounding_m < 1e-4

@@ -35,13 +35,14 @@ class ExplainOptions:
         scenario: Write the identified scenario to this .toml file.
         rrd: Write a Rerun recording of the run beside itself without each effect.
         trust_law: Run the code of the law that the recording names, where it is not built in.
-        jobs: Processes to simulate in; a law that is not built in takes one.
+        jobs: Processes to simulate in; as many as cores where that is quicker. A law that is not
+            built in takes one.
     """
 
     scenario: Path | None = None
     rrd: Path | None = None
     trust_law: bool = False
-    jobs: Annotated[Whole, Parameter(metavar="COUNT")] = 1
+    jobs: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
 
 
 def explain(

@@ -59,12 +59,14 @@ def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
 def format_plant(run: "Run", found: "PlantReplay") -> str:
     """Return the stretches as a table, and what lies between them."""
     use = found.commands
+    and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
     notes = [
         f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
         f" the plant stopped by itself {use.stops} times.",
         "Rounding: one step of the 32 bits of a pose, for other platforms."
         if tl.plants.find_plant(run).name == tl.plants.LAGGED
-        else "Rounding: what 32 bits of a stretch's first pose may grow to, along the way driven.",
+        else f"Rounding: what 32 bits of a stretch's first pose{and_of_velocities} may grow to,"
+        " along the way driven.",
     ]
     if use.never_arrived:
         notes.append(

@@ -5,6 +5,8 @@ simulated with every one of `SEEDS`, and the same seeds with and without a mecha
 """
 
 import multiprocessing
+import os
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -40,6 +42,9 @@ _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation
 _AT_ONCE: Final = 4
 """Simulations that a process takes at a time: some 40 ms of work."""
 
+_LONG_S: Final = 6.0
+"""Work for more than one process [s]: to start one takes one or two."""
+
 Coalition = frozenset[str]
 """The mechanisms that are in."""
 
@@ -52,17 +57,17 @@ class Work:
     """How to simulate.
 
     Attributes:
-        jobs: Processes, at least 1. They import the module that runs: a script that asks for more
-            than one keeps its own work under `if __name__ == "__main__":`. A law that is not built
-            in is simulated in one.
+        jobs: Processes, at least 1; None: as many as cores where that is quicker. They import the
+            module that runs: a script that asks for more than one keeps its own work under
+            `if __name__ == "__main__":`. A law that is not built in is simulated in one.
         report: Called with the simulations that are done and those that are known to be needed.
     """
 
-    jobs: int = 1
+    jobs: int | None = 1
     report: Callable[[int, int], None] | None = None
 
     def __post_init__(self) -> None:
-        if self.jobs < 1:
+        if self.jobs is not None and self.jobs < 1:
             raise ExplainError(f"jobs: expected at least 1 process, found {self.jobs}")
 
 
@@ -162,12 +167,18 @@ class Game:
         simulate = partial(_simulate, self._metric)
         plays = [(self._take_out(out), SAMPLING in out, seed) for out, seed in missing]
         jobs = self._work.jobs if self._scenario.law.kind in LAWS else 1
-        if jobs == 1 or len(plays) <= _AT_ONCE:
+        if jobs is None and plays:
+            began_s = time.perf_counter()
+            yield simulate(plays[0])
+            del plays[0]
+            is_long = len(plays) * (time.perf_counter() - began_s) > _LONG_S
+            jobs = (os.cpu_count() or 1) if is_long else 1
+        if jobs in {None, 1} or len(plays) <= _AT_ONCE:
             yield from map(simulate, plays)
             return
         # Spawned and not forked: the same everywhere, and safe beside threads.
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(jobs, len(plays)), mp_context=context)
+        pool = ProcessPoolExecutor(min(jobs or 1, len(plays)), mp_context=context)
         try:
             yield from pool.map(simulate, plays, chunksize=_AT_ONCE)
         finally:

@@ -37,6 +37,9 @@ _HALF_STEP_M: Final = 2.0**-21
 _HALF_STEP_RAD: Final = 2.0**-23
 """Half a 32-bit step of a heading between 2 and 4 rad [rad]."""
 
+_HALF_SHARE: Final = 2.0**-24
+"""Half a 32-bit step of a velocity, as a share of it."""
+
 _RIGHT: Final = 1e-9
 """How exactly a lagged robot's position is known [m]."""
 
@@ -60,9 +63,10 @@ class PlantStretch:
         ticks: Steps replayed.
         max_abs_error: Over all its poses.
         signals: x, y [m] and heading [rad], with what rounding explains as their limit.
-        rounding_m: What 32-bit rounding of the first pose may grow to, along the way driven [m];
-            the plant's own state is in double precision, and not recorded. Of a lagged robot, whose
-            start is known, one step of 32 bits at the largest coordinate.
+        rounding_m: What 32-bit rounding of the first pose, and of velocities that stand for
+            commands, may grow to along the way driven [m]; the plant's own state is in double
+            precision, and not recorded. Of a lagged robot, whose start is known, one step of 32
+            bits at the largest coordinate.
         rounding_rad: The same for the heading [rad].
     """
 
@@ -137,7 +141,10 @@ def replay_plant(run: Run) -> PlantReplay:
     jumps, gaps, starts = find_breaks(motion)
     velocities, use = place_commands(motion, run, frozenset(starts))
     bounds = zip([0, *starts], [*starts, len(motion.time_ns)], strict=True)
-    stretches = tuple(_replay_stretch(motion, velocities, first, after) for first, after in bounds)
+    stretches = tuple(
+        _replay_stretch(motion, velocities, first, after, rounded_ticks=use.unexplained_ticks)
+        for first, after in bounds
+    )
     return PlantReplay(
         name=run.name,
         samples=len(motion.time_ns),
@@ -153,8 +160,14 @@ def replay_plant(run: Run) -> PlantReplay:
 
 
 def _replay_stretch(
-    motion: RecordedMotion, velocities: tuple[Velocity, ...], first: int, after: int
+    motion: RecordedMotion,
+    velocities: tuple[Velocity, ...],
+    first: int,
+    after: int,
+    *,
+    rounded_ticks: int,
 ) -> PlantStretch:
+    """Replay a stretch; in some ticks of the run the recorded velocity stands for a command."""
     x_m, y_m = motion.xy_m[first].tolist()
     turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=float(motion.heading_rad[first]))
     states = [turtle.state[:3]]
@@ -166,12 +179,17 @@ def _replay_stretch(
         turtle.step()
         states.append(turtle.state[:3])
         driven_m += hypot(forward, left) * TICK_S
+    # A recorded velocity is off by half a 32-bit step, which adds up over the ticks that use it.
+    half_steps = _HALF_SHARE * TICK_S * min(rounded_ticks, after - first - 1)
+    within = motion.speed_m_s[first:after], np.abs(motion.turn_rate_rad_s[first:after])
+    off_m, off_rad = (half_steps * float(values.max()) for values in within)
+    rounding_rad = 2.0 * _HALF_STEP_RAD + off_rad
     return _compare_stretch(
         motion.time_ns[first:after],
         recorded=np.column_stack([motion.xy_m, motion.heading_rad])[first:after],
         states=np.array(states),
-        rounding_m=3.0 * _HALF_STEP_M + driven_m * _HALF_STEP_RAD,
-        rounding_rad=2.0 * _HALF_STEP_RAD,
+        rounding_m=3.0 * _HALF_STEP_M + off_m + driven_m * (rounding_rad - _HALF_STEP_RAD),
+        rounding_rad=rounding_rad,
     )
 
 
