@@ -8,7 +8,8 @@ from turtlelog.libraries import load_library
 
 load_library("matplotlib")
 
-from turtlelog.show.figures.figure_kinds import FIGURES, FigureKind, list_left_out
+from turtlelog.show.figures.figure_kinds import FIGURES, FigureKind
+from turtlelog.show.figures.left_out import list_left_out
 from turtlelog.show.figures.page import Page
 from turtlelog.show.figures.writing import FIGURE_FORMATS, draw_figure, write_figures, write_tables
 

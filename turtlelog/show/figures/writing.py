@@ -25,9 +25,9 @@ from turtlelog.show.documents import choose_essentials
 from turtlelog.show.figures.figure_kinds import (
     FIGURES,
     FigureKind,
-    has_table1,
     list_usual_figures,
 )
+from turtlelog.show.figures.left_out import has_table1
 from turtlelog.show.figures.page import LOOKS, Page, add_legend
 from turtlelog.show.output_files import replace_together
 from turtlelog.show.table_formats import format_latex

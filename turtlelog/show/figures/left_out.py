@@ -1,0 +1,89 @@
+"""What figures and tables do not show of some runs, and why."""
+
+import sys
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from turtlelog.compare import order_by_gain, tabulate_table1
+from turtlelog.run import Run
+from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
+from turtlelog.show.figures.figure_kinds import (
+    FIGURES,
+    MOST_STATES,
+    list_state_panels,
+    list_usual_figures,
+)
+from turtlelog.show.figures.needs import GOAL, SAMPLES, find_lacks
+from turtlelog.show.figures.page import label_runs
+from turtlelog.show.tracked_path import ON_PATH_M, find_worst_place, list_paths
+
+_MOST_NAMED: Final = 3
+"""So many runs are named that a figure does not show; of more it is said how many."""
+
+_ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
+
+_DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
+
+
+def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tuple[str, ...]:
+    """Return what figures do not show of some runs, and why, one line for each reason.
+
+    Args:
+        runs: What is drawn; in these lines they have the names of legends.
+        names: Of the figures that were asked for; all, and the tables, where None.
+    """
+    runs = order_by_gain(runs)
+    left_out: dict[tuple[str, tuple[int, ...]], list[str]] = {}
+    shown = list_usual_figures() if names is None else tuple(dict.fromkeys(names))
+    for name in shown:
+        for part, lacks in _list_parts(name, runs):
+            for words in dict.fromkeys(filter(None, lacks)):
+                lacking = tuple(number for number, lack in enumerate(lacks) if lack == words)
+                left_out.setdefault((words, lacking), []).append(part)
+    lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
+    if names is None and not has_table1(runs):
+        needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
+        lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
+    states = list_state_panels(runs, most=sys.maxsize)
+    if "states" in shown and len(states) > MOST_STATES:
+        lines.append(
+            f"left out states (from {states[MOST_STATES].name} on):"
+            f" expected at most {MOST_STATES} panels, found {len(states)}"
+        )
+    if "plane" in shown and find_close_up(runs) is None and find_worst_place(runs) is None:
+        part, expected = ("how each run ends", _ARRIVAL)
+        if list_paths(runs):
+            part, expected = ("furthest off the path", _DEPARTURE)
+        lines.append(f"left out plane ({part}): expected {expected}, found none")
+    return tuple(lines)
+
+
+def has_table1(runs: Sequence[Run]) -> bool:
+    """Whether Table 1 of these runs holds anything but their names."""
+    return any(value is not None for row in tabulate_table1(runs).rows for value in row[1:])
+
+
+def _list_parts(name: str, runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return a figure, or its panels where they need different things, and what each run lacks."""
+    kind = FIGURES[name]
+    if kind.draw is not None:
+        return [(name, find_lacks(runs, kind.needs))]
+    chosen = kind.choose_panels(runs)
+    if not kind.is_usual and not chosen:
+        return []
+    if not kind.panels:
+        return [(name, find_lacks(runs, kind.needs))]
+    parts = [panel for panel in kind.panels if panel.is_usual or panel in chosen]
+    if not chosen or len({(panel.needs, panel.loop) for panel in parts}) == 1:
+        return [(name, parts[0].find_lacks(runs))]
+    return [(f"{name} ({panel.name})", panel.find_lacks(runs)) for panel in parts]
+
+
+def _describe(words: str, lacking: Sequence[int], parts: Sequence[str], runs: Sequence[Run]) -> str:
+    listed = ", ".join(parts)
+    if len(lacking) == len(runs):
+        return f"left out {listed}: expected {words}, found none"
+    labels = label_runs(runs)
+    named = ", ".join(labels[number] for number in lacking[:_MOST_NAMED])
+    more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
+    return f"left {named}{more} out of {listed}: expected {words}, found none"
