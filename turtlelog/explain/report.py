@@ -195,10 +195,10 @@ def _write_starts(found: Attribution) -> str:
     if not starts.is_wide:
         span = f"is {low}" if low == high else f"is between {low} and {high}"
         return f"{_capitalise(where)} it {span}{missing}."
-    all_of_them = join_words([*starts.parts])
+    names = [*starts.parts]
     parts = [
-        f"{name}'s part of what {all_of_them} add is between {low:.2g} and {high:.2g}"
-        for name, (low, high) in [*starts.parts.items()][: len(starts.parts) - 1]
+        f"{name}'s part of what {join_words(names)} add is between {low:.2g} and {high:.2g}"
+        for name, (low, high) in [*starts.parts.items()][: len(names) - 1]
     ]
     return (
         f"It hangs on single samples: {where} it is between {low} and {high}"
