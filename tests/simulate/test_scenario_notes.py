@@ -198,7 +198,6 @@ def test_lag_timers_and_seconds_of_delay_get_their_own_limit(
         {"disturbance__noise_turn_rate": 0.1},
         {"limits__turn_acceleration_rad_s2": 1.0},
         {"loop__trigger": "timer", "loop__period_s": 0.05},  # no multiple of 16 ms
-        {**LAGGED, "plant__turn_gain": -1.0},
     ],
 )
 def test_nothing_is_said_of_what_is_random_or_not_linear(changes: dict[str, Any]) -> None:
@@ -403,3 +402,41 @@ def test_a_law_that_names_no_key_as_unused_is_told_so(unused: list[Any]) -> None
 def test_a_law_that_cannot_say_what_it_does_not_use_is_named() -> None:
     with pytest.raises(LawError, match=r"^PidLaw.list_unused: .*pid_law.py, line \d+: TypeError"):
         list_scenario_notes(build(law__unused=5))
+
+
+def test_a_plant_that_turns_the_feedback_around_is_named_and_drives_away() -> None:
+    turned = change("lagged", plant__turn_gain=-0.5, max_duration_s=20.0)
+    assert list_scenario_notes(turned) == (
+        "rotate: plant.turn_gain = -0.5 feeds the error back with the wrong sign: theory's loop is"
+        " unstable at any law.kp_angular above 0",
+    )
+    error_rad = tl.simulate_run(turned).samples.heading_error_rad
+    assert error_rad is not None
+    assert abs(error_rad[-1]) > abs(error_rad[0])
+    assert list_scenario_notes(change("lagged", plant__turn_gain=0.5)) == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "note"),
+    [
+        ({"loop.late_s": 0.1}, "loop.late_s has no effect, for loop.late_probability is 0"),
+        (
+            {"sensing.outlier_m": 0.1, "sensing.outlier_rad": 0.1},
+            "sensing.outlier_m and sensing.outlier_rad have no effect,"
+            " for sensing.outlier_probability is 0",
+        ),
+        ({"disturbance.from_s": 2}, "disturbance.from_s: there is no push and no noise to begin"),
+    ],
+)
+def test_what_has_no_effect_alone_is_named(values: dict[str, Any], note: str) -> None:
+    (found,) = list_scenario_notes(tl.override_scenario(tl.load_scenario("textbook"), values))
+    assert found.startswith(note)
+    partners = {"loop.late_probability": 0.1, "disturbance.speed_m_s": 0.1}
+    partners["sensing.outlier_probability"] = 0.1
+    partner = {
+        key: value
+        for key, value in partners.items()
+        if key.partition(".")[0] == next(iter(values)).partition(".")[0]
+    }
+    acting = tl.override_scenario(tl.load_scenario("textbook"), values | partner)
+    assert list_scenario_notes(acting) == ()

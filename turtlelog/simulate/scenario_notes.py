@@ -1,15 +1,15 @@
 """Notes on a scenario before it is run.
 
-They name gains that theory calls unstable, and parts of the scenario that its law does not use.
+They name gains that theory calls unstable, and settings that nothing uses.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
 from turtlelog.errors import TheoryError
 from turtlelog.laws import find_law, list_unused_keys
-from turtlelog.loops import ControlLoop, Declaration
+from turtlelog.loops import PLANT_KEYS, ControlLoop, Declaration, read_number
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.run import Parameter
 from turtlelog.scenario import Scenario, flatten_scenario, resolve_scenario
@@ -53,7 +53,46 @@ def list_scenario_notes(scenario: Scenario, *, given: Collection[str] = ()) -> t
     declaration = declare_scenario(scenario)
     parameters = flatten_scenario(scenario)
     unused = _describe_unused(scenario, declaration, parameters, given)
-    return (*_describe_unstable(declaration, parameters), *unused)
+    unstable = [*_describe_wrong_signs(declaration, parameters)]
+    unstable += _describe_unstable(declaration, parameters)
+    return (*unstable, *unused, *_describe_idle(scenario, parameters))
+
+
+def _describe_wrong_signs(
+    declaration: Declaration, parameters: Mapping[str, Parameter]
+) -> Iterator[str]:
+    """Yield the loops whose plant turns the feedback around.
+
+    Their open loop is real and negative for real z > 1, from minus infinity at 1 up to 0: whatever
+    the gains, delays and lags, one pole of the closed loop lies there.
+    """
+    for loop in declaration.loops:
+        key = f"{PLANT_KEYS[loop.command]}gain"
+        gain = read_number(parameters, key)
+        if gain < 0.0 and not isinstance(read_gains(loop, parameters), str):
+            yield (
+                f"{loop.name}: {key} = {_write(gain)} feeds the error back with the wrong sign:"
+                f" theory's loop is unstable at any {loop.gain} above 0"
+            )
+
+
+_SIZES: Final = {
+    "loop.late_probability": ("loop.late_s",),
+    "sensing.outlier_probability": ("sensing.outlier_m", "sensing.outlier_rad"),
+}
+"""What something that may happen is like, by its probability."""
+
+
+def _describe_idle(scenario: Scenario, parameters: Mapping[str, Parameter]) -> Iterator[str]:
+    """Yield settings that have no effect, for another one is 0."""
+    for chance, sizes in _SIZES.items():
+        idle = [key for key in sizes if parameters.get(key)]
+        if idle and not parameters.get(chance):
+            verb = "has" if len(idle) == 1 else "have"
+            yield f"{' and '.join(idle)} {verb} no effect, for {chance} is 0"
+    idle = [key for key in ("disturbance.from_s", "disturbance.to_s") if key in parameters]
+    if idle and not scenario.disturbance.acts:
+        yield f"{' and '.join(idle)}: there is no push and no noise to begin or end"
 
 
 def _describe_unstable(declaration: Declaration, parameters: Mapping[str, Parameter]) -> list[str]:
