@@ -53,27 +53,27 @@ EFFECTS: dict[str, tuple[str, dict[str, Any]]] = {
 """By mechanism: a metric that it changes, and the only effect of a run."""
 
 PROPERTIES: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "saturation": ("rotate.iae", "smaller", {}),
-    "acceleration": ("rotate.delay_time", "smaller", {"limits.turn_acceleration_rad_s2": 1.0}),
-    "jerk": ("rotate.delay_time", "smaller", {"limits.turn_jerk_rad_s3": 2.0}),
-    "shaping": ("rotate.iae", "smaller", {"shaping.low_pass_s": 0.3}),
+    "saturation": ("rotate.iae", "lower", {}),
+    "acceleration": ("rotate.delay_time", "lower", {"limits.turn_acceleration_rad_s2": 1.0}),
+    "jerk": ("rotate.delay_time", "lower", {"limits.turn_jerk_rad_s3": 2.0}),
+    "shaping": ("rotate.iae", "lower", {"shaping.low_pass_s": 0.3}),
     "sampling": (
         "rotate.overshoot",
-        "smaller",
+        "lower",
         {"law.kp_angular": 110.0, "limits.turn_rate_rad_s": 100.0},
     ),
     "sampling, timer": (
         "rotate.overshoot",
-        "smaller",
+        "lower",
         {"loop.trigger": "timer", "loop.period_s": 0.15},
     ),
     "projection": (
         "final.position_error",
-        "smaller",
+        "lower",
         {"law.projection": "bearing", "max_duration_s": 12.0, "law.pause_ticks": 100,
          "disturbance.turn_rate_rad_s": 1.0, "disturbance.from_s": 2.0, "disturbance.to_s": 3.0},
     ),
-    "tolerance": ("rotate.duration", "larger", {"law.heading_tolerance_rad": 0.1}),
+    "tolerance": ("rotate.duration", "higher", {"law.heading_tolerance_rad": 0.1}),
 }  # fmt: skip
 """The same of properties."""
 
@@ -135,9 +135,10 @@ def test_a_property_is_named_beside_with_its_direction(case: str) -> None:
     assert other.alone is not None
     assert found.as_built is not None
     assert abs(other.alone - found.as_built) > 0.3 * abs(found.as_built)
-    assert ("larger" if other.alone > found.as_built else "smaller") == way
+    assert ("higher" if other.alone > found.as_built else "lower") == way
     (named,) = [text for text in write_sentences(found) if f"without {name} alone" in text]
-    assert (other.ending or f"it would be {other.alone:.4g}") in named
+    mean = "" if found.seeds is None else " in the mean"
+    assert (other.ending or f"it would be {way}{mean}: {other.alone:.4g}") in named
 
 
 def test_float32_is_named_where_no_pose_of_32_bits_is_within_the_tolerance() -> None:

@@ -61,10 +61,11 @@ def test_the_gain_of_ten_in_words() -> None:
         " way) it is between 0.03943 m and 0.4734 m, and queue's part of what queue and pause add"
         " is between 0.16 and 0.62.",
         "Re-simulated without saturation alone (no limit of speed and turn rate) it would be"
-        " 0.8506 m.",
+        " higher: 0.8506 m.",
         "Re-simulated without sampling alone (a clock 8 times finer, each pose answered, delays"
-        " unchanged) it would be 0.1361 m.",
-        "Re-simulated without tolerance alone (tolerances of 1e-06) it would be 0.0009877 m.",
+        " unchanged) it would be higher: 0.1361 m.",
+        "Re-simulated without tolerance alone (tolerances of 1e-06) it would be lower:"
+        " 0.0009877 m.",
     )
 
 
@@ -166,7 +167,9 @@ def test_what_makes_less_together_is_told_too() -> None:
 )
 def test_a_property_is_named_from_a_tenth_of_the_value_on(alone: float, *, is_named: bool) -> None:
     sentences = write_sentences(describe(queue=0.5, **take_out("float32", alone)))
-    named = f"Re-simulated without float32 alone (poses of 64 bits) it would be {alone:.4g} m."
+    way = "higher" if alone > 1.0 else "lower"
+    without = "Re-simulated without float32 alone (poses of 64 bits)"
+    named = f"{without} it would be {way}: {alone:.4g} m."
     assert (named in sentences) == is_named
 
 

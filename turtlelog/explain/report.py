@@ -227,7 +227,8 @@ def _write_alone(found: Attribution, other: Share) -> str:
     if other.ending:
         return f"{without} {other.ending}."
     mean = "" if found.seeds is None else " in the mean"
-    return f"{without} it would be {_format(found, other.alone)}{mean}."
+    direction = "higher" if other.alone > built else "lower"
+    return f"{without} it would be {direction}{mean}: {_format(found, other.alone)}."
 
 
 def _format(found: Attribution, value: float | None, standard_error: float | None = None) -> str:
