@@ -22,6 +22,7 @@ def draw_scenario(seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     changes: dict[str, Any] = {
         "law.kind": "sequential-pid",
+        "law.ki_angular": 0.3 if seed % 3 == 0 else 0.0,
         "law.kd_angular": float(rng.choice([0.0, 0.2])),
         "law.derivative_filter_s": float(rng.choice([0.0, 0.1])),
         "loop.transport_delay_s": float(rng.choice([0.0, 0.013, 0.06])),
@@ -52,6 +53,7 @@ def build(changes: dict[str, Any], kp: float, period_s: float) -> tl.Scenario:
     scenario = tl.override_scenario(tl.load_scenario("textbook"), {"law.kind": "sequential-pid"})
     bearing = float(np.arctan2(4.0, -3.0))
     free = {
+        "law.anti_windup": "none",
         "goal.x_m": 2.5,
         "goal.y_m": 9.5,
         "start.x_m": 5.5,
