@@ -29,7 +29,7 @@ from turtlelog.expressions import (
     format_expression,
     parse_expression,
 )
-from turtlelog.log import TopicChoice
+from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.run import slice_run
 
 Truth = bool | None
@@ -252,7 +252,7 @@ def test_a_recording_of_which_the_summary_alone_is_lost_is_whole(tmp_path: Path)
     cut, recovered = tmp_path / "cut.mcap", tmp_path / "recovered.mcap"
     cut.write_bytes((tmp_path / "whole.mcap").read_bytes()[:-2000])
     tl.recover_recording(cut, recovered)
-    runs = [TopicChoice(allow_partial=True).read(path) for path in (cut, recovered)]
+    runs = [read_as_chosen(path, ReadChoice(allow_partial=True)) for path in (cut, recovered)]
     assert [*map(set, (run.notes for run in runs))] == [{"partial"}, {"recovered"}]
     for run in runs:
         assert find_ending(run) is RunEnding.SETTLED

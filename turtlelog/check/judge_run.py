@@ -11,7 +11,7 @@ from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import require_reference
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
-from turtlelog.log import TopicChoice, read_info
+from turtlelog.log import ReadChoice, read_as_chosen, read_info
 from turtlelog.log.ros2 import list_bag_files
 from turtlelog.measure import SIGNALS, find_metric_kind
 from turtlelog.run import Run
@@ -41,7 +41,7 @@ def check_runs(
         raise CheckError(f"{spec.source}: expected at least one recording to check, found none")
 
 
-def read_reference_run(spec: Spec, topics: TopicChoice | None = None) -> Run | None:
+def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | None:
     """Return the run that tolerances are taken from, None where there are none.
 
     Args:
@@ -56,10 +56,11 @@ def read_reference_run(spec: Spec, topics: TopicChoice | None = None) -> Run | N
     require_reference(spec)
     if not spec.tolerances or spec.reference is None:
         return None
-    return _restrict(topics or TopicChoice(), spec.reference).read(spec.reference)
+    choice = _restrict(topics or ReadChoice(), spec.reference)
+    return read_as_chosen(spec.reference, choice)
 
 
-def _restrict(topics: TopicChoice, path: Path) -> TopicChoice:
+def _restrict(topics: ReadChoice, path: Path) -> ReadChoice:
     """Return the choice without the topics that a file does not hold."""
     try:
         infos = [read_info(file) for file in list_bag_files(path)]
@@ -69,7 +70,7 @@ def _restrict(topics: TopicChoice, path: Path) -> TopicChoice:
     pose_topic, command_topic = (
         name if name in held else None for name in (topics.pose_topic, topics.command_topic)
     )
-    return TopicChoice(pose_topic=pose_topic, command_topic=command_topic)
+    return replace(topics, pose_topic=pose_topic, command_topic=command_topic, allow_partial=False)
 
 
 def judge_run(

@@ -21,7 +21,7 @@ from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
-from turtlelog.log import TopicChoice, write_recording
+from turtlelog.log import ReadChoice, read_as_chosen, write_recording
 from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
@@ -95,7 +95,7 @@ class Recording:
     @cached_property
     def _run(self) -> Run:
         # What is lost is told by the note, which decides.
-        return TopicChoice(allow_partial=True).read(self.path)
+        return read_as_chosen(self.path, ReadChoice(allow_partial=True))
 
     def metric(self, name: str, **settings: Any) -> MetricValue:
         """Return a metric by its id, as measured with settings of `MeasureSettings`.

@@ -187,7 +187,7 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
 
 def _read(path: Path, topics: TopicOptions) -> "Run":
     # A recording that is not whole fails its check, which says so.
-    return replace(topics.build_choice(), allow_partial=True).read(path)
+    return tl.log.read_as_chosen(path, replace(topics.build_choice(), allow_partial=True))
 
 
 def _write_artifacts(

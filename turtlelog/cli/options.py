@@ -16,7 +16,7 @@ from turtlelog.errors import TurtlelogError, UsageError
 if TYPE_CHECKING:
     from turtlelog import Declaration, Run, Scenario
     from turtlelog.compare import RunSummary
-    from turtlelog.log import TopicChoice
+    from turtlelog.log import ReadChoice
 
 
 def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -104,9 +104,9 @@ class TopicOptions:
     command_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     partial: Partial = False
 
-    def build_choice(self) -> "TopicChoice":
+    def build_choice(self) -> "ReadChoice":
         """Return what is asked for as a choice."""
-        return tl.log.TopicChoice(
+        return tl.log.ReadChoice(
             pose_topic=self.pose_topic,
             command_topic=self.command_topic,
             allow_partial=self.partial,
@@ -264,7 +264,7 @@ def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
 
 
 def _read_run(path: Path, topics: TopicOptions) -> "Run":
-    run = topics.build_choice().read(path)
+    run = tl.log.read_as_chosen(path, topics.build_choice())
     print_run_notes(path, run.notes)
     return run
 

@@ -15,7 +15,7 @@ from turtlelog.errors import CompareError, TurtlelogError, suggest_names
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import evaluate_expression, parse_expression
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
-from turtlelog.log import TopicChoice
+from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
     MeasureSettings,
@@ -318,7 +318,7 @@ def summarise_files(
     settings: MeasureSettings | None = None,
     *,
     only: Choice = None,
-    topics: TopicChoice | None = None,
+    topics: ReadChoice | None = None,
     jobs: int = 1,
 ) -> Iterator[RunSummary | TurtlelogError]:
     """Yield the summary of every file in the order given, or the error where one cannot be read.
@@ -343,7 +343,7 @@ def summarise_files(
     if only is not None and not callable(only):
         choose_metrics(only, Declaration())  # refuses what names no metric of any law
         only = (only,) if isinstance(only, str) else tuple(only)
-    measure = partial(_measure_file, settings=settings, only=only, topics=topics or TopicChoice())
+    measure = partial(_measure_file, settings=settings, only=only, topics=topics or ReadChoice())
     return _iterate(measure, [str(path) for path in paths], jobs)
 
 
@@ -352,10 +352,10 @@ def _measure_file(
     *,
     settings: MeasureSettings | None,
     only: Choice,
-    topics: TopicChoice,
+    topics: ReadChoice,
 ) -> RunSummary | TurtlelogError:
     try:
-        run = topics.read(path)
+        run = read_as_chosen(path, topics)
     except TurtlelogError as err:
         return err
     chosen = only(run.declaration) if callable(only) else only

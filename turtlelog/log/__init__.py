@@ -1,6 +1,6 @@
 """Run <-> files: topics and schemas, writers, readers, columns of any file, importers, recovery."""
 
-from turtlelog.log.any_file import TopicChoice, read_file_info, read_run
+from turtlelog.log.any_file import read_as_chosen, read_file_info, read_run
 from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.container import write_columns
 from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
@@ -8,6 +8,7 @@ from turtlelog.log.engine.walk import Loss
 from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
 from turtlelog.log.importers import import_log
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
+from turtlelog.log.read_choice import ReadChoice, ReadOptions
 from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import RecordingTail, read_recording
 from turtlelog.log.recording.recorder import Recorder
@@ -18,11 +19,12 @@ from turtlelog.log.ros2 import read_bag, read_bag_info
 __all__ = [
     "Loss",
     "PartialRecordingWarning",
+    "ReadChoice",
+    "ReadOptions",
     "Recorder",
     "RecordingInfo",
     "RecordingTail",
     "RecoveryReport",
-    "TopicChoice",
     "TopicColumns",
     "TopicInfo",
     "export_csv",
@@ -30,6 +32,7 @@ __all__ = [
     "export_rosbag2",
     "import_log",
     "iter_columns",
+    "read_as_chosen",
     "read_bag",
     "read_bag_info",
     "read_columns",

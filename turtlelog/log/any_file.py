@@ -1,8 +1,8 @@
 """Any file -> Run: the kind is told by what is in it."""
 
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, Unpack
 
 from mcap.writer import MCAP0_MAGIC
 
@@ -11,6 +11,7 @@ from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import LOG_SUFFIXES, import_log
 from turtlelog.log.importers.exported_tables import holds_tables, import_tables
 from turtlelog.log.info import RecordingInfo, read_info
+from turtlelog.log.read_choice import ReadChoice, ReadOptions
 from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_if_own
 from turtlelog.log.recording.topics import COMMAND, POSE
@@ -18,48 +19,18 @@ from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
 from turtlelog.run import Run
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TopicChoice:
-    """Which topics of somebody else's bags to read, and whether recordings may be unfinished.
-
-    Topics are None where but one can be meant.
-    """
-
-    pose_topic: str | None = None
-    command_topic: str | None = None
-    allow_partial: bool = False
-
-    def read(self, path: str | Path) -> Run:
-        """Return the run in a file as `read_run` does; its notes alone tell what is lost."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PartialRecordingWarning)
-            return read_run(
-                path,
-                pose_topic=self.pose_topic,
-                command_topic=self.command_topic,
-                allow_partial=self.allow_partial,
-            )
-
-
-def read_run(
-    path: str | Path,
-    *,
-    pose_topic: str | None = None,
-    command_topic: str | None = None,
-    allow_partial: bool = False,
-) -> Run:
+def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     """Return the run in a recording, somebody's bag or .mcap, a paper's log, or exported tables.
 
     Args:
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
-        pose_topic: As in `read_bag`; turtlelog's own recordings have but one.
-        command_topic: The same.
-        allow_partial: As in `read_recording`; other people's files must be whole.
+        options: Fields of a `ReadChoice`: which topics of somebody else's files to read, and
+            whether an unfinished recording may be read, with a `PartialRecordingWarning`.
 
     Raises:
         LogError: One line with the file and the place.
     """
-    path = Path(path)
+    path, choice = Path(path), ReadChoice(**options)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
         has_tables = holds_tables(path)
@@ -68,13 +39,24 @@ def read_run(
     if path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_mcap(path):
         return import_log(path)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
-    is_usual = pose_topic in {None, POSE.name} and command_topic in {None, COMMAND.name}
+    asked = choice.pose_topic, choice.command_topic
+    is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
     # What should be a recording, and is no MCAP file, is told so.
     if is_usual or not (is_folder or _is_mcap(path)):
-        own = _read_own(path, allow_partial=allow_partial)
+        own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return own
-    return read_bag(path, pose_topic=pose_topic, command_topic=command_topic)
+    return read_bag(path, **options)
+
+
+def read_as_chosen(path: str | Path, choice: ReadChoice) -> Run:
+    """Return the run in a file as `read_run` does; its notes alone tell what is lost."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PartialRecordingWarning)
+        return read_run(path, **{name: getattr(choice, name) for name in _OPTIONS})
+
+
+_OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
 def read_file_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:

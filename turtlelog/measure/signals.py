@@ -144,11 +144,6 @@ def _read_sensed_heading(run: Run) -> Values | None:
     return heading_rad[rows] + subtract_headings(sensed_rad[rows], heading_rad[rows])
 
 
-def _read_applied(run: Run, values: Values | None) -> Values | None:
-    """Return what the plant applied; a robot's odometry tells what it measures."""
-    return None if "nav_msgs/msg/Odometry" in run.notes.get("pose_topic", "") else values
-
-
 _TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyType(
     {
         "pose": lambda run: run.poses.time_ns,
@@ -241,12 +236,22 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
         "applied_speed": _applied(
             "m/s",
             "Magnitude of the speed that the plant integrated, a disturbance included.",
-            lambda run: _read_applied(run, run.poses.speed_m_s),
+            lambda run: run.poses.speed_m_s,
         ),
         "applied_turn_rate": _applied(
             "rad/s",
             "Turn rate that the plant integrated, a disturbance included.",
-            lambda run: _read_applied(run, run.poses.turn_rate_rad_s),
+            lambda run: run.poses.turn_rate_rad_s,
+        ),
+        "measured_speed": _applied(
+            "m/s",
+            "Forward speed that the robot reports, backward negative.",
+            lambda run: run.poses.measured_speed_m_s,
+        ),
+        "measured_turn_rate": _applied(
+            "rad/s",
+            "Turn rate that the robot reports.",
+            lambda run: run.poses.measured_turn_rate_rad_s,
         ),
         "sensed_x": _sensed(
             "m", "Position that the controller reads.", lambda run: _read_sensed(run, 0)

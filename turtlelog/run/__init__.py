@@ -1,5 +1,6 @@
 """Run: the columns that every stage hands on."""
 
+from turtlelog.run.clock import Clock
 from turtlelog.run.columns import CommandColumns, PoseColumns, SampleColumns, take_rows
 from turtlelog.run.run import CUT_SHORT, Event, GoalLine, Parameter, PhaseSpan, Run
 from turtlelog.run.slicing import slice_run
@@ -8,6 +9,7 @@ from turtlelog.run.tables import TABLES, tabulate_run
 __all__ = [
     "CUT_SHORT",
     "TABLES",
+    "Clock",
     "CommandColumns",
     "Event",
     "GoalLine",

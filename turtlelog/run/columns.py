@@ -50,6 +50,9 @@ class PoseColumns:
             shape (n,).
         speed_m_s: Magnitude of the applied velocity [m/s], shape (n,); None where not recorded.
         turn_rate_rad_s: Applied turn rate [rad/s], shape (n,); None where not recorded.
+        measured_speed_m_s: Forward speed as the robot reports it, backward negative [m/s], shape
+            (n,); None where it reports none.
+        measured_turn_rate_rad_s: Turn rate likewise [rad/s], shape (n,).
         sensed_xy_m: Position as it was sensed, which is what the controller reads [m], shape
             (n, 2); NaN where a pose dropped out, None where the pose itself is read.
         sensed_heading_rad: Heading likewise [rad], shape (n,).
@@ -60,6 +63,8 @@ class PoseColumns:
     heading_rad: NDArray[np.float64]
     speed_m_s: NDArray[np.float64] | None = None
     turn_rate_rad_s: NDArray[np.float64] | None = None
+    measured_speed_m_s: NDArray[np.float64] | None = None
+    measured_turn_rate_rad_s: NDArray[np.float64] | None = None
     sensed_xy_m: NDArray[np.float64] | None = None
     sensed_heading_rad: NDArray[np.float64] | None = None
 

@@ -13,6 +13,7 @@ from turtlelog.errors import PathError, RunError
 from turtlelog.escapes import escape_controls
 from turtlelog.loops import PAUSE, Declaration
 from turtlelog.paths import Path, restore_path
+from turtlelog.run.clock import Clock
 from turtlelog.run.columns import (
     CommandColumns,
     PoseColumns,
@@ -93,6 +94,7 @@ class Run:
             known.
         parameters: What is known of the scenario, by dotted key (`law.kp_linear`).
         scenario_is_complete: Whether the parameters determine the run.
+        clock: What times its poses, of a bag; None where there is but one clock.
         stop_reason: Why it ended, in the law's word, or one of `CUT_SHORT`; None where not
             recorded.
         events: In order of time.
@@ -110,6 +112,7 @@ class Run:
     declaration: Declaration = field(default_factory=Declaration)
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     scenario_is_complete: bool = False
+    clock: Clock | None = None
     stop_reason: str | None = None
     events: tuple[Event, ...] = ()
     absent: tuple[str, ...] = ()
@@ -201,8 +204,12 @@ class Run:
 
     @property
     def path(self) -> Path | None:
-        """The path that its law tracks; None where it tracks none, or it is not recorded."""
-        return restore_path(self.parameters) if self.declaration.follows_path else None
+        """The path that it is to follow; None where it follows none, or it is not recorded.
+
+        Of a run without samples nothing is known of a law: a path that is recorded counts.
+        """
+        is_followed = self.declaration.follows_path or not len(self.samples)
+        return restore_path(self.parameters) if is_followed else None
 
     @property
     def start_ns(self) -> int:

@@ -70,9 +70,11 @@ def test_odometry_gives_heading_and_speeds(file: Path) -> None:
     run = read_messages(file, make_odometry(yaw_rad=-3.0, speed=(-3.0, 4.0), turn_rate=0.7))
     assert run.poses.xy_m.tolist() == [[3.0, 4.0]]
     assert run.poses.heading_rad[0] == pytest.approx(-3.0, abs=1e-15)
-    assert run.poses.speed_m_s is not None
-    assert run.poses.turn_rate_rad_s is not None
-    assert (run.poses.speed_m_s[0], run.poses.turn_rate_rad_s[0]) == (5.0, 0.7)
+    assert run.poses.measured_speed_m_s is not None
+    assert run.poses.measured_turn_rate_rad_s is not None
+    assert run.poses.measured_speed_m_s.tolist() == [-3.0]
+    assert run.poses.measured_turn_rate_rad_s.tolist() == [0.7]
+    assert run.poses.speed_m_s is None
 
 
 def test_a_stamped_pose_lacks_speeds(file: Path) -> None:

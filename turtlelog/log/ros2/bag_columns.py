@@ -16,7 +16,9 @@ Values = NDArray[np.float64]
 
 
 def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
-    """Return x, y [m] and heading [rad]; speed [m/s] and turn rate [rad/s] where the type has them.
+    """Return x, y [m] and heading [rad], speed [m/s] and turn rate [rad/s] where the type has them.
+
+    turtlesim publishes what it applied, a robot's odometry what it measured.
 
     Raises:
         LogError: Where a quaternion is no rotation.
@@ -38,8 +40,8 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     }
     if kind == "nav_msgs/msg/Odometry":
         twist = "twist.twist"
-        columns["speed"] = np.hypot(fields[f"{twist}.linear.x"], fields[f"{twist}.linear.y"])
-        columns["turn_rate"] = _widen(fields[f"{twist}.angular.z"])
+        columns["measured_speed"] = _widen(fields[f"{twist}.linear.x"])
+        columns["measured_turn_rate"] = _widen(fields[f"{twist}.angular.z"])
     return columns
 
 

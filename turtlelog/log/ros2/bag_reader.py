@@ -1,19 +1,19 @@
 """Bag -> Run: which of its topics, and what they hold."""
 
-import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Final, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns, read_flat_columns
+from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
-from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
+from turtlelog.log.info import RecordingInfo, TopicInfo
+from turtlelog.log.read_choice import ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
     GOAL,
@@ -22,8 +22,8 @@ from turtlelog.log.recording.topics import (
     REFERENCE64,
     SENSED,
     SHAPED,
-    VELOCITY64,
 )
+from turtlelog.log.ros2.bag import open_bag
 from turtlelog.log.ros2.bag_columns import (
     Fields,
     OrderedRows,
@@ -34,7 +34,7 @@ from turtlelog.log.ros2.bag_columns import (
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.ros2.bag_folder import list_bag_files
+from turtlelog.log.ros2.bag_topics import choose_command_topic, choose_pose_topic
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -47,26 +47,10 @@ _NEVER_IN_BAGS: Final = (
 _Found = Sequence[Mapping[str, TopicColumns]]
 """The columns of each file, by topic."""
 
-POSE_TYPES: Final = (
-    "turtlesim/msg/Pose",
-    "turtlesim_msgs/msg/Pose",
-    "nav_msgs/msg/Odometry",
-    "geometry_msgs/msg/PoseStamped",
-)
-COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-
-_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name})
-"""Topics of a recording of ours with the type of commands that nobody published as one."""
-
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
-_TURTLE: Final = re.compile(r"/turtle\d+/pose")
-_TURTLE_COMMANDS: Final = re.compile(r"/turtle\d+/cmd_vel")
 
-
-def read_bag(
-    path: str | Path, *, pose_topic: str | None = None, command_topic: str | None = None
-) -> Run:
+def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
 
     Times count from the first pose or command. Rows are sorted by time and exact duplicates
@@ -74,42 +58,26 @@ def read_bag(
     all of it.
 
     Args:
-        path: A folder with `metadata.yaml`, or a lone .mcap file.
-        pose_topic: Poses (turtlesim's, Odometry, PoseStamped); otherwise the only such topic,
-            `/turtle1/pose` and its like before others.
-        command_topic: Commands (Twist, TwistStamped); otherwise `cmd_vel` beside the poses, or the
-            only such topic.
+        path: A folder with `metadata.yaml`, or a lone file.
+        options: Fields of a `ReadChoice`: which topics to read, where more than one can be meant.
 
     Raises:
         LogError: One line with the file and the place, where it cannot be read, holds no poses, or
             more than one topic can be meant.
     """
-    path = Path(path)
-    files = list_bag_files(path)
-    infos = {file: read_info(file) for file in files}
-    for file, info in infos.items():
-        if not info.complete:
-            raise LogError(
-                f"{file}: expected the end of an MCAP file, found none: cut short, or never"
-                f" finished: {info.notes['partial']}"
-            )
-    distinct = merge_topics(topic for info in infos.values() for topic in info.topics)
-    with name_file(path, expected="a bag"):
-        poses = choose_pose_topic(distinct, pose_topic)
-        commands = choose_command_topic(distinct, command_topic, pose_topic=poses.topic)
-    names = {choice.topic for choice in (poses, commands) if choice}
+    choice, bag = ReadChoice(**options), open_bag(path)
+    distinct = bag.topics
+    with name_file(bag.path, expected="a bag"):
+        poses = choose_pose_topic(distinct, choice.pose_topic)
+        commands = choose_command_topic(distinct, choice.command_topic, pose_topic=poses.topic)
+    names = {topic.topic for topic in (poses, commands) if topic}
     if poses.topic == POSE.name:
         names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
-    found = [
-        read_flat_columns(
-            file, names & {topic.topic for topic in infos[file].topics if topic.count}
-        )
-        for file in files
-    ]
-    with name_file(path, expected="a bag"):
-        run = _build_run(path, found, poses, commands)
+    found = bag.read(names)
+    with name_file(bag.path, expected="a bag"):
+        run = _build_run(bag.path, found, poses, commands)
     rest = _note_rest(distinct, run)
-    return replace(run, notes={**run.notes, **rest, **_join_notes(infos.values())})
+    return replace(run, notes={**run.notes, **rest, **_join_notes(bag.infos.values())})
 
 
 def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
@@ -139,7 +107,8 @@ def _build_run(
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
     name = path.resolve().name
-    absent = () if "speed" in poses.columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
+    columns = poses.columns
+    absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, poses.time_ns, moved)
     notes = {
         "original_timestamp": _format_time(start_ns),
@@ -158,8 +127,10 @@ def _build_run(
             time_ns=time_ns,
             xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
             heading_rad=heading_rad,
-            speed_m_s=poses.columns.get("speed"),
-            turn_rate_rad_s=poses.columns.get("turn_rate"),
+            speed_m_s=columns.get("speed"),
+            turn_rate_rad_s=columns.get("turn_rate"),
+            measured_speed_m_s=columns.get("measured_speed"),
+            measured_turn_rate_rad_s=columns.get("measured_turn_rate"),
             sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
             sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
         ),
@@ -240,75 +211,3 @@ def _format_time(time_ns: int) -> str:
         return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
     except (OverflowError, OSError, ValueError):
         return f"{time_ns} ns"
-
-
-def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
-    """Return the topic that was asked for, or else the one that can be meant.
-
-    Raises:
-        LogError: Where there is none, or several.
-    """
-    present = [topic for topic in topics if topic.count]
-    if asked is not None:
-        return _find_asked(present, asked, POSE_TYPES, "pose_topic")
-    fitting = _list_fitting(present, POSE_TYPES)
-    turtles = [topic for topic in fitting if _TURTLE.fullmatch(topic.topic)]
-    chosen = turtles or fitting
-    if not chosen:
-        found = ", ".join(f"{topic.topic} ({topic.type})" for topic in present) or "no messages"
-        raise LogError(f"expected poses ({', '.join(POSE_TYPES)}), found {_shorten(found)}")
-    return _require_one(chosen, "pose_topic", "--pose-topic")
-
-
-def choose_command_topic(
-    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
-) -> TopicInfo | None:
-    """Return the topic that was asked for, or the one that can be meant; None where there is none.
-
-    The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others.
-
-    Raises:
-        LogError: Where there are several.
-    """
-    present = [topic for topic in topics if topic.count]
-    if asked is not None:
-        return _find_asked(present, asked, COMMAND_TYPES, "command_topic")
-    fitting = [
-        topic for topic in _list_fitting(present, COMMAND_TYPES) if topic.topic not in _NO_COMMANDS
-    ]
-    neighbour = f"{pose_topic.rpartition('/')[0]}/cmd_vel"
-    if _TURTLE.fullmatch(pose_topic):
-        # The commands of another turtle drove another turtle.
-        fitting = [topic for topic in fitting if not _TURTLE_COMMANDS.fullmatch(topic.topic)] + [
-            topic for topic in fitting if topic.topic == neighbour
-        ]
-    chosen = [topic for topic in fitting if topic.topic == neighbour] or fitting
-    return _require_one(chosen, "command_topic", "--command-topic") if chosen else None
-
-
-def _find_asked(
-    present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
-) -> TopicInfo:
-    for topic in present:
-        if topic.topic == asked and topic.type in types:
-            return topic
-    found = next((f"{topic.type}" for topic in present if topic.topic == asked), None)
-    if found is None:
-        names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
-        raise LogError(f"{name}: expected a topic with messages, found {asked} among {names}")
-    raise LogError(f"{name} {asked}: expected {' or '.join(types)}, found {found}")
-
-
-def _list_fitting(present: Collection[TopicInfo], types: tuple[str, ...]) -> list[TopicInfo]:
-    return [topic for topic in present if topic.type in types]
-
-
-def _require_one(chosen: list[TopicInfo], name: str, option: str) -> TopicInfo:
-    if len(chosen) > 1:
-        names = ", ".join(topic.topic for topic in chosen)
-        raise LogError(f"{name}: expected one topic, found {names}: choose with {option}")
-    return chosen[0]
-
-
-def _shorten(text: str) -> str:
-    return text if len(text) <= 300 else f"{text[:297]}..."

@@ -1,0 +1,60 @@
+"""A bag that is open for reading: what its files hold, and the messages of its topics."""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.topic_columns import TopicColumns, read_columns, read_flat_columns
+from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
+from turtlelog.log.ros2.bag_folder import list_bag_files
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bag:
+    """The files of a bag and what is in each, whatever their storage.
+
+    Attributes:
+        path: The folder, or the lone file.
+        infos: What each file holds, in order of time.
+    """
+
+    path: Path
+    infos: Mapping[Path, RecordingInfo]
+
+    @property
+    def topics(self) -> list[TopicInfo]:
+        """The topics of all files, each name and type once."""
+        return merge_topics(topic for info in self.infos.values() for topic in info.topics)
+
+    def read(
+        self, names: Collection[str], *, is_flat: bool = True
+    ) -> tuple[Mapping[str, TopicColumns], ...]:
+        """Return the messages of some topics, by topic, for each file; those without any left out.
+
+        Args:
+            names: Of the topics.
+            is_flat: Whether their types have no sequences of texts or messages.
+        """
+        read = read_flat_columns if is_flat else read_columns
+        return tuple(
+            read(file, {*names} & {topic.topic for topic in info.topics if topic.count})
+            for file, info in self.infos.items()
+        )
+
+
+def open_bag(path: str | Path) -> Bag:
+    """Return a bag of ROS 2: a folder, or a lone file.
+
+    Raises:
+        LogError: Where it is no bag, or one of its files cannot be read, is cut or is damaged.
+    """
+    path = Path(path)
+    infos = {file: read_info(file) for file in list_bag_files(path)}
+    for file, info in infos.items():
+        if not info.complete:
+            raise LogError(
+                f"{file}: expected the end of an MCAP file, found none: cut short, or never"
+                f" finished: {info.notes['partial']}"
+            )
+    return Bag(path=path, infos=infos)
