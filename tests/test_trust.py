@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
+from tests.fresh_process import Answer, run_command
 from turtlelog.errors import ScenarioError
 from turtlelog.log.recording.head import HEAD
 
@@ -87,10 +88,9 @@ def write_law(folder: Path, place: Path) -> str:
     return f"{path.as_posix()}:Law"
 
 
-def call(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
-    """Run a command in a fresh process that can import what lies in the folder."""
-    command = [sys.executable, "-m", "turtlelog", *words]
-    return run_process(folder, command)
+def call(folder: Path, *words: str) -> Answer:
+    """Run a command in a process of its own that can import what lies in the folder."""
+    return run_command(*words, folder=folder, paths=[folder])
 
 
 def run_process(folder: Path, command: list[str]) -> "subprocess.CompletedProcess[str]":

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import turtlelog as tl
+from tests.fresh_process import run_code, run_command
 from turtlelog.cli.app import main
 
 ROOT = Path(__file__).parents[2]
@@ -74,8 +75,9 @@ def run_python(*words: str, folder: Path) -> str:
 @pytest.mark.parametrize(("code", "files"), find_blocks("python"))
 def test_python_blocks_run_as_they_stand(code: str, files: dict[str, str], tmp_path: Path) -> None:
     write_files(files, tmp_path)
-    printed = run_python("-W", "error", "-c", code, folder=tmp_path)
-    promised = re.findall(r"print\(.*\)  # (.*)$", code, re.M)
+    answer = run_code(code, folder=tmp_path)
+    assert answer.returncode == 0, answer.stderr
+    printed, promised = answer.stdout, re.findall(r"print\(.*\)  # (.*)$", code, re.M)
     lines = printed.splitlines()
     assert len(lines) == len(promised)
     # What stands behind a colon may be a remark.
@@ -109,13 +111,15 @@ def test_console_blocks_print_what_they_show(
     block: str, files: dict[str, str], page: Path, tmp_path: Path, run_here: Command
 ) -> None:
     def run_apart(*words: str) -> str:
-        return run_python("-m", "turtlelog", *words, folder=tmp_path)
+        answer = run_command(*words, folder=tmp_path)
+        assert "Traceback" not in answer.stderr
+        return answer.stdout if answer.returncode == 0 else answer.stdout + answer.stderr
 
-    run_command = run_apart if page == COMMANDS else run_here
+    run = run_apart if page == COMMANDS else run_here
     write_files(files, tmp_path)
     for command, shown in re.findall(r"^\$ turtlelog (.*)\n((?:(?!\$ ).*\n)*)", block, re.M):
         assert shown.strip() != "...", f"{command}: expected some of its output, found none"
-        printed = run_command(*shlex.split(command))
+        printed = run(*shlex.split(command))
         pattern = "".join(
             r"(?:.*\n)*?" if line == "..." else re.escape(line) + "\n"
             for line in shown.splitlines()
