@@ -153,6 +153,7 @@ BOMBS: Final[dict[str, Callable[[], bytes]]] = {
     "lz4 900 MB": lambda: _claim_zeros("lz4", 900 * MIB, 1),
     "zstd 60 MB x 1000": lambda: _claim_zeros("zstd", 60 * MIB, 1000),
     "lz4 60 MB x 30": lambda: _claim_zeros("lz4", 60 * MIB, 30),
+    "lz4 60 MB x 6": lambda: _claim_zeros("lz4", 60 * MIB, 6),
     "zstd 900 MB finished": lambda: whole(_some() + chunk(_zeros(900 * MIB))),
     "zstd unchecked": lambda: whole(_some() + chunk(_zeros(900 * MIB), checked=False)),
     "tiny messages 900 MB": lambda: _tiny(900, 1),
