@@ -39,12 +39,16 @@ class TopicPlan:
 
 
 class Catalogue:
-    """The schemas and channels of a file, in the order in which they are found."""
+    """The schemas and channels of a file, in the order in which they are found.
+
+    Attributes:
+        allowance: What the file may still ask for.
+    """
 
     def __init__(self, allowance: Allowance) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self._allowance = allowance
+        self.allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
         self._types: dict[int, MessageType | str] = {}
@@ -119,7 +123,7 @@ class Catalogue:
     def _take(self, record: Schema | Channel, byte: int) -> None:
         """Note what is new."""
         try:
-            self._allowance.spend_description(record)
+            self.allowance.spend_description(record)
         except LogError as err:
             raise DamageError(f"byte {byte}: {err}") from err
         if isinstance(record, Channel):
@@ -144,6 +148,8 @@ class Catalogue:
             reason = f"messages in cdr expected, found {encoding!r}"
         elif schema is None:
             reason = "a schema expected, found none"
+        elif not schema.encoding and not schema.data:
+            reason = f"its type {kind} is not known and the file holds no definition"
         elif schema.encoding != SchemaEncoding.ROS2:
             reason = f"a schema in ros2msg expected, found {schema.encoding!r}"
         elif isinstance(found := self._read_type(schema), MessageType):
@@ -157,7 +163,7 @@ class Catalogue:
         """Return the type, or why there is none."""
         if schema.id not in self._types:
             try:
-                self._types[schema.id] = _parse(schema, self._allowance)
+                self._types[schema.id] = _parse(schema, self.allowance)
             except (LogError, UnicodeDecodeError) as err:
                 self._types[schema.id] = str(err)
         return self._types[schema.id]
