@@ -194,8 +194,8 @@ def test_own_definition_goes_before_the_known_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("encoding", "reason"),
     [
-        ("", "schema other/msg/Kind: expected its definition, found none"),
-        ("ros2idl", "schema other/msg/Kind: expected its definition, found none"),
+        ("", "its type other/msg/Kind is not known and the file holds no definition"),
+        ("ros2idl", "its type other/msg/Kind is not known and the file holds no definition"),
         ("flatbuffer", "a schema in ros2msg or ros2idl expected, found 'flatbuffer'"),
     ],
 )

@@ -44,12 +44,16 @@ class TopicPlan:
 
 
 class Catalogue:
-    """The schemas and channels of a file, in the order in which they are found."""
+    """The schemas and channels of a file, in the order in which they are found.
+
+    Attributes:
+        allowance: What the file may still ask for.
+    """
 
     def __init__(self, allowance: Allowance) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self._allowance = allowance
+        self.allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
         self._types: dict[int, MessageType | str] = {}
@@ -124,7 +128,7 @@ class Catalogue:
     def _take(self, record: Schema | Channel, byte: int) -> None:
         """Note what is new."""
         try:
-            self._allowance.spend_description(record)
+            self.allowance.spend_description(record)
         except LogError as err:
             raise DamageError(f"byte {byte}: {err}") from err
         if isinstance(record, Channel):
@@ -162,7 +166,7 @@ class Catalogue:
         """Return the type, or why there is none."""
         if schema.id not in self._types:
             try:
-                self._types[schema.id] = _parse(schema, self._allowance)
+                self._types[schema.id] = _parse(schema, self.allowance)
             except (LogError, UnicodeDecodeError) as err:
                 self._types[schema.id] = str(err)
         return self._types[schema.id]
@@ -186,10 +190,10 @@ def _read_text(schema: Schema, known: str | None) -> str:
     size = len(schema.data)
     if size > LONGEST_TEXT:
         raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")
-    # A type without fields has an empty text; who has no text at all says no encoding either.
-    if not size and (known is not None or not schema.encoding):
+    # In ros2msg a type without fields has an empty text.
+    if not size and (known is not None or schema.encoding != SchemaEncoding.ROS2):
         if known is None:
-            raise LogError(f"schema {schema.name}: expected its definition, found none")
+            raise LogError(f"its type {schema.name} is not known and the file holds no definition")
         return known
     text = schema.data.decode()
     return text if schema.encoding == SchemaEncoding.ROS2 else convert_idl(schema.name, text)
