@@ -22,6 +22,7 @@ from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
 from turtlelog.measure.run_loops import model_run_loops
 from turtlelog.measure.signals import (
+    COMMANDED,
     SIGNALS,
     Signal,
     SignalKind,
@@ -35,6 +36,7 @@ from turtlelog.measure.table.end import PAPER_WINDOW_S
 
 __all__ = [
     "ANY_LOOP",
+    "COMMANDED",
     "METRICS",
     "PAPER_WINDOW_S",
     "SIGNALS",
