@@ -16,6 +16,12 @@ from turtlelog.measure.metrics import (
     miss_metric,
     suggest_metrics,
 )
+from turtlelog.measure.outliers import (
+    Outlier,
+    describe_outliers,
+    find_outliers,
+    list_outliers,
+)
 from turtlelog.measure.path import read_reference_path
 from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import MetricKind
@@ -47,20 +53,24 @@ __all__ = [
     "MetricKind",
     "Metrics",
     "Missing",
+    "Outlier",
     "Signal",
     "SignalKind",
     "Status",
     "choose_metrics",
     "could_be_signal",
+    "describe_outliers",
     "find_dead_time",
     "find_first_stretch",
     "find_metric_kind",
+    "find_outliers",
     "find_overshoot",
     "find_settling_time",
     "is_metric_pattern",
     "list_essential_metrics",
     "list_ids_like",
     "list_metrics",
+    "list_outliers",
     "list_signal_units",
     "list_signals",
     "measure_run",
