@@ -28,6 +28,7 @@ from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
 from turtlelog.measure.run_loops import model_run_loops
 from turtlelog.measure.signals import (
+    COMMANDED,
     SIGNALS,
     Signal,
     SignalKind,
@@ -41,6 +42,7 @@ from turtlelog.measure.table.end import PAPER_WINDOW_S
 
 __all__ = [
     "ANY_LOOP",
+    "COMMANDED",
     "METRICS",
     "PAPER_WINDOW_S",
     "SIGNALS",
