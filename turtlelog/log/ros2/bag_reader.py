@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
@@ -121,8 +122,8 @@ def _build_run(
     if command_topic is not None:
         notes["command_topic"] = f"{command_topic.topic} ({command_topic.type})"
     return Run(
-        name=name if path.is_dir() else path.stem,
-        source=f"{'rosbag2' if path.is_dir() else 'mcap'}: {name}",
+        name=name if path.is_dir() else strip_suffixes(path),
+        source=f"{'mcap' if path.suffix == '.mcap' else 'rosbag2'}: {name}",
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
