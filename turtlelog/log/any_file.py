@@ -7,7 +7,8 @@ from typing import Final, Unpack
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.opening import is_sqlite
+from turtlelog.log.engine.chunks import ZSTD_MAGIC
+from turtlelog.log.engine.sqlite_source import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import LOG_SUFFIXES, import_log
 from turtlelog.log.importers.exported_tables import holds_tables, import_tables
@@ -37,13 +38,13 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         has_tables = holds_tables(path)
     if has_tables:
         return import_tables(path)
-    if path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_mcap(path):
+    if path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path):
         return import_log(path)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     asked = choice.pose_topic, choice.command_topic
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
     # What should be a recording, and is no MCAP file, is told so.
-    if is_usual or not (is_folder or _is_mcap(path)):
+    if is_usual or not (is_folder or _is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return own
@@ -57,6 +58,7 @@ def read_as_chosen(path: str | Path, choice: ReadChoice) -> Run:
         return read_run(path, **{name: getattr(choice, name) for name in _OPTIONS})
 
 
+_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
@@ -77,7 +79,7 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
     if is_folder and not has_tables:
         return read_bag_info(path)
     is_log = path.suffix.lower() in LOG_SUFFIXES
-    if not has_tables and (not is_log or _is_mcap(path)):
+    if not has_tables and (not is_log or _is_bag_file(path)):
         return read_info(path, allow_partial=allow_partial)
     run = import_tables(path) if has_tables else import_log(path)
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
@@ -96,9 +98,10 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
     )
 
 
-def _is_mcap(path: Path) -> bool:
+def _is_bag_file(path: Path) -> bool:
+    """Return whether a file begins as one of MCAP or SQLite, or as one that is compressed."""
     with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
-        return stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        return stream.read(len(SQLITE_MAGIC)).startswith(_MAGICS)
 
 
 def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
@@ -108,12 +111,12 @@ def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
         LogError: Also where the file is too damaged to say who did.
     """
     files = list_bag_files(path) if path.is_dir() else (path,)
-    if len(files) != 1 or is_sqlite(files[0]):
+    if len(files) != 1:
         return None
     try:
         return read_if_own(files[0], allow_partial=allow_partial)
     except LogError:
-        if _is_mcap(files[0]) and _is_foreign(files[0]):
+        if _is_bag_file(files[0]) and _is_foreign(files[0]):
             return None
         raise
 

@@ -116,7 +116,11 @@ def test_what_yaml_allows_is_read_as_a_library_reads_it(old: str, new: str) -> N
         ("\n    - a.mcap", " a.mcap", "expected a list of files, found a.mcap"),
         ("\n    - a.mcap", " []", "relative_file_paths: expected a list of files, found none"),
         ("mcap\n", "\n    - mcap\n", "storage_identifier: expected text, found 'mcap'"),
-        ("  storage_identifier: mcap\n", "", "storage_identifier: expected mcap, found none"),
+        (
+            "  storage_identifier: mcap\n",
+            "",
+            "storage_identifier: expected mcap or sqlite3",
+        ),
         ('""', "\n    a: b", "compression_mode: expected text, found 'a: b'"),
         ("32000000", "9" * 5000, "duration: expected whole nanoseconds below 2^63, found 999"),
         ("32000000", str(2**63), "duration: expected whole nanoseconds below 2^63, found 922"),

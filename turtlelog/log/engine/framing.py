@@ -91,7 +91,7 @@ def find_wrong_start(start: bytes) -> str | None:
         return None
     found = f"0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "an empty file"
     if start.startswith(_SQLITE):
-        found = "a bag in SQLite: ros2 bag convert makes MCAP of it"
+        found = "a bag in SQLite"
     elif start.startswith(_RERUN):
         found = "a Rerun recording: turtlelog view shows it"
     elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):

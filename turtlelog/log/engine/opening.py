@@ -25,6 +25,10 @@ _LONGEST_MAGIC: Final = 16
 _STEP: Final = 2**11  # bytes unpacked at a time: up to 64 MiB come of them
 
 
+class NoMcapError(LogError):
+    """A file that is sound as far as can be told, and in SQLite."""
+
+
 @contextmanager
 def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
     """Open a file to read: a stream of MCAP, of whatever is in it, or a bag in SQLite.
@@ -49,7 +53,7 @@ def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
     """Open a file that must not be SQLite; what goes wrong does not name it yet."""
     with _open_content(Path(path)) as (stream, _):
         if _read_head(stream) == SQLITE_MAGIC:
-            raise LogError("expected an MCAP file, found a bag in SQLite")
+            raise NoMcapError("expected an MCAP file, found a bag in SQLite")
         yield stream
 
 
@@ -58,12 +62,6 @@ def open_source(path: str | Path) -> Iterator[Source | SqliteSource]:
     """Open a file of messages, as `open_storage` does, to read by topic."""
     with open_storage(path) as opened:
         yield opened if isinstance(opened, SqliteSource) else Source(opened)
-
-
-def is_sqlite(path: Path) -> bool:
-    """Return whether a file is in SQLite, as its first bytes say."""
-    with name_file(path, expected=_describe_expected(path)), open_file(path) as stream:
-        return _read_head(stream) == SQLITE_MAGIC
 
 
 def strip_suffixes(path: Path) -> str:

@@ -48,14 +48,15 @@ _TOPIC_NOTES: Final = {
 _MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
 _DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
 
+_PAGE_SIZE: Final = 16  # byte of the file at which it stands, u16
 _SIDES: Final = ("-wal", "-journal")
 _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
 """Ends a journal that names another file, which SQLite would delete."""
 
 _MOST_CHANNELS: Final = 2**16 - 1  # their numbers have 16 bits in a block
-_FIRST_ROWS: Final = 256
-_MOST_ROWS: Final = 2**16
-_BLOCK_BYTES: Final = 2**24
+_LEAST_ROWS: Final = 16
+_MOST_ROWS: Final = 2**9
+_BLOCK_BYTES: Final = 2**22
 
 _ROW_BYTES: Final = 4
 """What a row takes at least of its page beside its blob [bytes]; in truth some 12."""
@@ -158,36 +159,39 @@ class SqliteSource:
         yield from map(work, self._iterate_blocks(cursor))
 
     def _iterate_blocks(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
-        first, rows, left = 1, _FIRST_ROWS, self._size
-        while found := cursor.fetchmany(rows):
-            block = self.build_block(found, first)
-            size = len(block.data)
-            left -= size - (MESSAGE_HEAD - _ROW_BYTES) * len(found)
+        first, count, left = 1, _LEAST_ROWS, self._size
+        rows = _Rows()
+        while found := cursor.fetchmany(count):
+            try:
+                size = rows.take(found)
+            except TypeError as err:
+                raise self._find_fault() from err
+            left -= size + _ROW_BYTES * len(found)
             if left < 0:
                 raise DamageError(
                     f"expected messages of up to {self._size} bytes in all, the size of the file,"
                     " found more"
                 )
-            yield block
-            first += len(found)
-            rows = min(2 * rows, max(_BLOCK_BYTES * len(found) // max(size, 1), 1), _MOST_ROWS)
+            if rows.size >= _BLOCK_BYTES:
+                yield self._build_block(rows, first)
+                first, rows = first + len(rows.times), _Rows()
+            count = min(2 * count, _BLOCK_BYTES * len(found) // (size + 1) + 1, _MOST_ROWS)
+        if rows.times:
+            yield self._build_block(rows, first)
 
-    def build_block(self, rows: list[Row], first: int) -> Block:
-        """Return rows of `topic_id`, `timestamp` and `data` as a block; `first` counts from 1.
+    def _build_block(self, rows: "_Rows", first: int) -> Block:
+        """Return rows as a block; `first` is the number of the first one, from 1 on.
 
         Raises:
-            DamageError: Where one holds something else, or has no topic.
+            DamageError: Where one has no topic, or a time below 0.
         """
-        ids, times, blobs = zip(*rows, strict=True)
-        try:
-            lengths = np.fromiter(map(len, blobs), np.int64, len(blobs))
-            data = _GAP.join((b"", *blobs))
-            time_ns = np.frombuffer(array("q", times), np.int64)
-            numbers = np.fromiter(map(self._numbers.__getitem__, ids), np.int64, len(ids))
-        except (TypeError, KeyError) as err:
-            raise self._find_fault() from err
-        if time_ns.min() < 0:
+        time_ns, ids = np.frombuffer(rows.times, np.int64), np.frombuffer(rows.ids, np.int64)
+        known = np.array(sorted(self._numbers), np.int64)
+        places = np.minimum(np.searchsorted(known, ids), len(known) - 1)
+        if time_ns.min() < 0 or not len(known) or (known[places] != ids).any():
             raise self._find_fault()
+        numbers = np.array([self._numbers[number] for number in known.tolist()])[places]
+        data, lengths = rows.join(), np.frombuffer(rows.lengths, np.int64)
         ends = np.cumsum(lengths + MESSAGE_HEAD)
         starts = ends - lengths - MESSAGE_HEAD
         _scatter_heads(data, starts, lengths, numbers, time_ns)
@@ -268,6 +272,10 @@ class SqliteSource:
         for row in self.execute(query):
             allowance.spend(DESCRIPTIONS)
             topic_id, name, kind, encoding, *texts = row
+            if not isinstance(topic_id, int):
+                raise LogError(
+                    f"topics: {name}: id: expected a whole number, found {topic_id!r:.60}"
+                )
             for column, value in zip(_TOPIC_COLUMNS[1:], (name, kind, encoding), strict=True):
                 if not isinstance(value, str):
                     found = "NULL" if value is None else repr(value)[:60]
@@ -310,6 +318,39 @@ class SqliteSource:
         return definitions
 
 
+class _Rows:
+    """Rows of `topic_id`, `timestamp` and `data`, column by column.
+
+    Few are taken at a time: then SQLite and Python fill the same memory again and again, which
+    stays in the processor's cache; a million rows take half as long.
+    """
+
+    def __init__(self) -> None:
+        self.ids, self.times, self.lengths = array("q"), array("q"), array("q")
+        self.size = 0
+        self._parts: list[bytearray] = []
+
+    def take(self, rows: list[Row]) -> int:
+        """Add some rows; return the bytes of their blobs.
+
+        Raises:
+            TypeError: Where a column holds something else than it should.
+        """
+        ids, times, blobs = zip(*rows, strict=True)
+        self.ids.extend(ids)
+        self.times.extend(times)
+        self.lengths.extend(map(len, blobs))
+        part = _GAP.join(blobs)
+        self._parts.append(part)
+        size = len(part) - MESSAGE_HEAD * (len(rows) - 1)
+        self.size += size
+        return size
+
+    def join(self) -> bytearray:
+        """Return the blobs with a gap before each."""
+        return _GAP.join((b"", *self._parts))
+
+
 @contextmanager
 def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSource]:
     """Open a bag in SQLite to read; where it was not closed, a copy of it in a temporary folder.
@@ -332,6 +373,8 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
             place, mode = folder / "bag.db3", "mode=rw"
             _copy_with_sides(path, place, present)
+        if not is_damaged:
+            _require_whole_pages(place)
         try:
             connection = sqlite3.connect(
                 f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
@@ -342,6 +385,18 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             yield SqliteSource(connection)
         except sqlite3.Error as err:
             raise DamageError(describe_sqlite_error(err)) from err
+
+
+def _require_whole_pages(path: Path) -> None:
+    """Refuse a file that ends within a page: SQLite would take zeros for the rest of it."""
+    with path.open("rb") as stream:
+        head = stream.read(_PAGE_SIZE + 2)
+        size = int.from_bytes(head[_PAGE_SIZE:], "big")
+        size = 2**16 if size == 1 else size
+        if size and stream.seek(0, 2) % size:
+            raise DamageError(
+                f"expected a sound SQLite file, found: it ends within a page of {size} bytes"
+            )
 
 
 def describe_sqlite_error(err: sqlite3.Error) -> str:

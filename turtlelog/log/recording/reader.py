@@ -21,7 +21,7 @@ from turtlelog.log.engine.decode import Rows
 from turtlelog.log.engine.framing import check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
-from turtlelog.log.engine.opening import open_mcap
+from turtlelog.log.engine.opening import NoMcapError, open_mcap
 from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
@@ -85,7 +85,7 @@ def read_if_own(path: str | Path, *, allow_partial: bool = False) -> Run | None:
     try:
         return _read_file(path, allow_partial=allow_partial, may_be_foreign=True)
     except LogError as err:
-        if isinstance(err.__cause__, ForeignFileError):
+        if isinstance(err.__cause__, ForeignFileError | NoMcapError):
             return None
         raise
 

@@ -33,8 +33,10 @@ _ENTRY: Final = re.compile(r"^(?P<key>[\w.]+):(?: +(?P<value>.*))?$")
 _QUOTED: Final = re.compile(
     r"""^(?:"(?P<double>[^"\\]*)"|'(?P<single>(?:[^']|'')*)')(?:\s+#.*)?$"""
 )
-_FLOW_ITEM: Final = re.compile(r"""\s*("[^"\\]*"|'(?:[^']|'')*'|[^,'"\[\]{}]+)\s*(?:,|$)""")
-_FLOW_LIST: Final = re.compile(rf"^\[(?P<items>(?:{_FLOW_ITEM.pattern})*)\s*\](?:\s+#.*)?$")
+_FLOW_ITEM: Final = re.compile(
+    r"""\s*(?:(?P<quoted>"[^"\\]*"|'(?:[^']|'')*')\s*|(?P<plain>[^\s,'"\[\]{}][^,'"\[\]{}]*))(?:,|$)"""
+)
+_FLOW_LIST: Final = re.compile(r"^\[(?P<items>[^\[\]]*)\](?:\s+#.*)?$")
 _FLOW_DURATION: Final = re.compile(r"^\{\s*nanoseconds:\s+(?P<value>[^\s{},]+)\s*\}")
 _COMMENT: Final = re.compile(r"(?:^|\s)#.*$")
 
@@ -274,6 +276,8 @@ def parse_bag_metadata(text: str) -> BagMetadata:
             files += _read_flow_list(number, value)
         if key:
             under = key
+            flow = _FLOW_DURATION.match(value) if key == _DURATION else None
+            value = flow["value"] if flow else value
             values[key] = _unquote(number, key, value) if key in (*_TEXTS, _DURATION) else value
         elif under == _FILES:
             files.append(_read_file_name(number, value))
@@ -330,13 +334,21 @@ def _quote(value: str) -> str:
 
 
 def _read_flow_list(number: int, value: str) -> list[str]:
-    """Return the names of a list within brackets, on one line; none of another value."""
+    """Return the names of a list within brackets, on one line; none of another value.
+
+    Raises:
+        LogError: Where an item is neither plain text nor in quotes.
+    """
     found = _FLOW_LIST.match(value)
-    if found is None or not found["items"].strip():
-        return []
-    return [
-        _read_file_name(number, item[0].strip()) for item in _FLOW_ITEM.finditer(found["items"])
-    ]
+    items = found["items"].strip() if found else ""
+    names, place = [], 0
+    while place < len(items):
+        item = _FLOW_ITEM.match(items, place)
+        if item is None:
+            raise LogError(f"line {number}: {_FILES}: expected names, found {items[place:][:60]!r}")
+        names.append(_read_file_name(number, item["quoted"] or item["plain"].strip()))
+        place = item.end()
+    return names
 
 
 def _read_file_name(number: int, value: str) -> str:
@@ -365,7 +377,7 @@ def _require_entries(values: Mapping[str, str], files: Sequence[str]) -> None:
         found = values.get(_FILES, "")[:60].replace("[]", "")
         raise LogError(f"{_FILES}: expected a list of files, found {found or 'none'}")
     if "storage_identifier" not in values:
-        raise LogError("storage_identifier: expected mcap, found none")
+        raise LogError("storage_identifier: expected mcap or sqlite3, found none")
 
 
 def _parse_duration(text: str) -> int | None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
+from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
@@ -158,8 +159,8 @@ def _build_run(
         notes |= note_pick("command_topic", command_pick)
     xy_m = np.column_stack([columns["x"], columns["y"]])
     run = Run(
-        name=name if path.is_dir() else path.stem,
-        source=f"{'rosbag2' if path.is_dir() else 'mcap'}: {name}",
+        name=name if path.is_dir() else strip_suffixes(path),
+        source=f"{'mcap' if path.suffix == '.mcap' else 'rosbag2'}: {name}",
         poses=PoseColumns(
             time_ns=time_ns,
             xy_m=xy_m,
