@@ -63,7 +63,7 @@ class FirstSpecOptions:
     schema: bool = False
 
 
-def check(
+def check(  # noqa: PLR0913 (each is an option of the command)
     words: Words | None = None,
     /,
     *,
