@@ -28,6 +28,7 @@ from turtlelog.errors import LogError, UsageError
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Run, Spec
     from turtlelog.check import ArtifactWriter
+    from turtlelog.log import ReadChoice
 
 
 Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
@@ -146,7 +147,8 @@ def _check(
     from turtlelog.check.judge_run import fail_recording, judge_run, read_reference_run
     from turtlelog.check.junit import CheckedFile, format_junit
 
-    reference = read_reference_run(spec, topics.build_choice())
+    choice = spec.read.override(topics.build_choice())
+    reference = read_reference_run(spec, choice)
     checked: list[CheckedFile] = []
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(
@@ -155,7 +157,7 @@ def _check(
         for path in iterate_files(files):
             started, clock = datetime.now(UTC), _Clock()
             try:
-                run = _read(path, topics)
+                run = _read(path, choice)
             except LogError as err:
                 reason = str(err).removeprefix(f"{path}: ")
                 failed = (fail_recording(str(path), reason),)
@@ -207,9 +209,9 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
     return {"metrics": tl.measure_run(run), "details": details}
 
 
-def _read(path: Path, topics: ReadingOptions) -> "Run":
+def _read(path: Path, choice: "ReadChoice") -> "Run":
     # A recording that is not whole fails its check, which says so.
-    run = tl.log.read_as_chosen(path, replace(topics.build_choice(), allow_partial=True))
+    run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True))
     told = {name: text for name, text in run.notes.items() if name not in {"partial", "recovered"}}
     print_run_notes(path, told)
     return run
@@ -234,7 +236,7 @@ def _write_first(
     if words:
         raise UsageError(f"--init: expected one good run and no other file, found {words[0]}")
     require_new_target(output, [path], suffix=".toml")
-    run = _read(path, topics)
+    run = _read(path, topics.build_choice())
     text = format_first_spec(run, reference=name_reference(path, output))
     if output is None:
         print_text(text)
