@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs, watch_summaries
+from turtlelog.cli.options import Files, ReadingOptions, iterate_runs, read_runs, watch_summaries
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -85,7 +85,7 @@ def compare(
     choice: ChoiceOptions | None = None,
     formats: FormatOptions | None = None,
     rrd: Annotated[Path | None, Parameter(name="--rrd")] = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
 ) -> int:
     """Compare runs: which is best at what; with --reference, how far each is from it.
 
@@ -134,7 +134,7 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             raise UsageError(f"--{name}: expected no --reference beside it, found one")
 
 
-def _draw(paths: Sequence[Path], rrd: Path, topics: TopicOptions | None) -> "list[Run]":
+def _draw(paths: Sequence[Path], rrd: Path, topics: ReadingOptions | None) -> "list[Run]":
     """Write a picture of all runs, which needs all of them at once, and return them."""
     runs = read_runs(paths, topics)
     with show_progress("drawing"):
@@ -146,7 +146,7 @@ def _draw(paths: Sequence[Path], rrd: Path, topics: TopicOptions | None) -> "lis
 def _summarise(
     paths: Sequence[Path],
     held: "Sequence[Run] | None",
-    topics: TopicOptions | None,
+    topics: ReadingOptions | None,
     *,
     only: Sequence[str] | None,
 ) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
@@ -159,7 +159,7 @@ def _summarise(
         ), []
     errors: list[TurtlelogError] = []
     found = tl.compare.summarise_files(
-        paths, only=only, topics=(topics or TopicOptions()).build_choice()
+        paths, only=only, topics=(topics or ReadingOptions()).build_choice()
     )
     return tuple(watch_summaries(found, len(paths), errors)), errors
 

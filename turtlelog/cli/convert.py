@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json, TopicOptions, read_runs
+from turtlelog.cli.options import File, Json, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
@@ -61,7 +61,7 @@ def convert(
     *,
     output: Annotated[list[Path], Parameter(name=("--output", "-o"), metavar="OUT")],
     tables: TableOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
     """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, or to a folder for ROS 2.
@@ -97,7 +97,8 @@ def convert(
         for path in written:  # what stands, though another does not
             print_note(f"wrote {path}")
         raise
-    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in run.notes.items()]
+    kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
+    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
     notes += [
         f"{path} holds the poses alone: --table chooses another table, a folder holds all"
         for path, kind in kinds.items()
@@ -139,7 +140,7 @@ def _require_targets(
     require_apart(outputs)
 
 
-def _read(file: Path, tables: TableOptions, topics: TopicOptions | None) -> "Run":
+def _read(file: Path, tables: TableOptions, topics: ReadingOptions | None) -> "Run":
     if tables.sort:
         return tl.log.import_log(file, sort=True)
     (run,) = read_runs([file], topics)

@@ -13,7 +13,7 @@ from turtlelog.cli.explain_answer import (
     format_identification,
 )
 from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
-from turtlelog.cli.options import File, Json, TopicOptions, Whole, read_runs
+from turtlelog.cli.options import File, Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -54,7 +54,7 @@ def explain(
         str | None, Parameter(metavar="NAMES", completer=complete_mechanisms)
     ] = None,
     options: ExplainOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
     """Say what made a run what it is, and which effect caused which part of a metric.

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import Files, TopicOptions, Whole, require_files, watch_summaries
+from turtlelog.cli.options import Files, ReadingOptions, Whole, require_files, watch_summaries
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -83,7 +83,7 @@ def metrics(
     all_: Annotated[bool, Parameter(name="--all")] = False,
     jobs: Annotated[Whole, Parameter(metavar="COUNT")] = 1,
     formats: FormatOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
 ) -> int:
     """Measure recordings: the essential metrics as a table, a status where there is no value.
 
@@ -103,7 +103,7 @@ def metrics(
         jobs: Processes to read and measure in.
     """
     require_files(files)
-    measuring, topics = measuring or MeasureOptions(), topics or TopicOptions()
+    measuring, topics = measuring or MeasureOptions(), topics or ReadingOptions()
     kind = (formats or FormatOptions()).choose()
     patterns = measuring.list_patterns()
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}

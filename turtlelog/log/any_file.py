@@ -1,8 +1,9 @@
 """Any file -> Run: the kind is told by what is in it."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, Unpack
+from typing import Final, Unpack, cast
 
 from mcap.writer import MCAP0_MAGIC
 
@@ -13,7 +14,13 @@ from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import LOG_SUFFIXES, import_log
 from turtlelog.log.importers.exported_tables import holds_tables, import_tables
 from turtlelog.log.info import RecordingInfo, read_info
-from turtlelog.log.read_choice import ReadChoice, ReadOptions
+from turtlelog.log.read_choice import (
+    CHOSEN,
+    ReadChoice,
+    ReadOptions,
+    parse_goal,
+    split_topic,
+)
 from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_if_own
 from turtlelog.log.recording.topics import COMMAND, POSE
@@ -26,36 +33,74 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
 
     Args:
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
+            FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of that topic, and the run's name then
+            ends in it.
         options: Fields of a `ReadChoice`: which topics of somebody else's files to read, and
             whether an unfinished recording may be read, with a `PartialRecordingWarning`.
 
     Raises:
         LogError: One line with the file and the place.
     """
-    path, choice = Path(path), ReadChoice(**options)
+    (path, topic), choice = split_topic(path), ReadChoice(**options)
+    if topic is None:
+        return _read(path, choice)
+    choice = replace(choice, pose_topic=topic)
+    run = _read(path, choice, names_topic=True)
+    # Two topics of one bag are told apart by their names; one of ours is called as ever.
+    return replace(run, name=f"{run.name}:{topic}") if CHOSEN in run.notes else run
+
+
+def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> Run:
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
         has_tables = holds_tables(path)
+    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
+    if names_topic and (has_tables or is_log):
+        found = "tables" if has_tables else "a log"
+        raise LogError(
+            f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
+        )
     if has_tables:
-        return import_tables(path)
-    if path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path):
-        return import_log(path)
+        return _aim(path, import_tables(path), choice)
+    if is_log:
+        return _aim(path, import_log(path), choice)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     asked = choice.pose_topic, choice.command_topic
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
+    others = choice.path_topic, choice.pose_frame, choice.world_frame
     # What should be a recording, and is no MCAP file, is told so.
-    if is_usual or not (is_folder or _is_bag_file(path)):
+    if (is_usual and others == (None, None, None)) or not (is_folder or _is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
-            return own
-    return read_bag(path, **options)
+            return _aim(path, own, choice)
+    return read_bag(path, **_list_options(choice))
+
+
+def _aim(path: Path, run: Run, choice: ReadChoice) -> Run:
+    """Return a run with the goal that is asked for; one that holds samples had its own.
+
+    Raises:
+        LogError: Where it had.
+    """
+    if choice.goal is None:
+        return run
+    if len(run.samples):
+        raise LogError(f"{path}: goal: expected none beside the samples of a controller, found one")
+    goal_xy_m, heading_rad = parse_goal(choice.goal)
+    names = {"goal_xy_m"} | (set() if heading_rad is None else {"goal_heading_rad"})
+    absent = tuple(name for name in run.absent if name not in names)
+    return replace(run, goal_xy_m=goal_xy_m, goal_heading_rad=heading_rad, absent=absent)
 
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> Run:
     """Return the run in a file as `read_run` does; its notes alone tell what is lost."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PartialRecordingWarning)
-        return read_run(path, **{name: getattr(choice, name) for name in _OPTIONS})
+        return read_run(path, **_list_options(choice))
+
+
+def _list_options(choice: ReadChoice) -> ReadOptions:
+    return cast("ReadOptions", {name: getattr(choice, name) for name in _OPTIONS})
 
 
 _MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC)
@@ -72,7 +117,9 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
     Raises:
         LogError: One line with the file and the place.
     """
-    path = Path(path)
+    path, topic = split_topic(path)
+    if topic is not None:
+        return _require_topic(read_file_info(path, allow_partial=allow_partial), topic)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
         has_tables = holds_tables(path)
@@ -96,6 +143,13 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
         absent=run.absent,
         notes={"rows": rows, **run.notes},
     )
+
+
+def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
+    if all(found.topic != topic for found in info.topics):
+        names = ", ".join(found.topic for found in info.topics)[:300] or "none"
+        raise LogError(f"{info.file}: expected a topic {topic}, found {names}")
+    return info
 
 
 def _is_bag_file(path: Path) -> bool:

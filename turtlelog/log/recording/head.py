@@ -10,6 +10,7 @@ import msgspec
 from turtlelog.declaration_json import format_declaration, parse_declaration
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
+from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.recording.topics import SENSED, SHAPED
 from turtlelog.loops import Declaration
 from turtlelog.run import Run
@@ -94,7 +95,7 @@ def describe_run(run: Run) -> Head:
         nan_columns=frozenset(_list_nan_columns(run)),
         more_topics=frozenset(_list_more_topics(run)),
         declaration=run.declaration,
-        notes=run.notes,
+        notes={name: text for name, text in run.notes.items() if name != CHOSEN},
     )
 
 

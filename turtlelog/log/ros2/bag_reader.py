@@ -15,7 +15,7 @@ from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
-from turtlelog.log.read_choice import ReadChoice, ReadOptions
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,
@@ -80,10 +80,6 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         run = add_references(run, bag, source, track, choice)
     notes = {**run.notes, **_note_rest(distinct, run), **_join_notes(bag.infos.values())}
     return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
-
-
-CHOSEN: Final = "chosen"
-"""Note in one line on the topics that were chosen, for who asked; it goes into no recording."""
 
 
 def describe_chosen(notes: Mapping[str, str]) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.read_choice import ReadChoice, parse_goal
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics
@@ -85,10 +85,8 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
 
 
 def _take_given(given: tuple[float, ...]) -> "FoundGoal":
-    if len(given) not in (2, 3) or not all(map(math.isfinite, given)):
-        raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {given!r:.60}")
-    x_m, y_m, *heading_rad = map(float, given)
-    return FoundGoal(xy_m=(x_m, y_m), heading_rad=[*heading_rad, None][0], note="as asked")
+    xy_m, heading_rad = parse_goal(given)
+    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as asked")
 
 
 def _collect(bag: Bag, topic: str) -> list[TopicColumns]:
