@@ -183,8 +183,8 @@ def print_note(text: str) -> None:
 
 
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
-    """Print what one must know of a recording that is not whole."""
-    for name in ("recovered", "partial"):
+    """Print what one must know: what of a recording is lost, what times the poses of a bag."""
+    for name in ("recovered", "partial", "clock"):
         if name in notes:
             print_note(f"{path}: {name}: {notes[name]}")
 

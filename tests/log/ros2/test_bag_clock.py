@@ -1,11 +1,16 @@
 """Times of poses and commands against truths in closed form: what a clock and a transport make."""
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.log.ros2.bags import START_NS, make_odometry, write_mcap
+from tests.log.runs import find_shared
+from turtlelog import read_run
 from turtlelog.errors import LogError
 from turtlelog.log.ros2.bag_clock import CLOCK, CLOSE_ROWS, BagTimes, time_rows
 from turtlelog.log.ros2.stamps import Stamps, read_stamp_clock
@@ -15,7 +20,6 @@ TimesNs = NDArray[np.int64]
 
 EPOCH_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
-NO_COMMANDS = Stamps(log_ns=np.empty(0, dtype=np.int64))
 
 
 def make_times(count: int = 1200, step_ms: float = 50.0) -> TimesNs:
@@ -40,7 +44,7 @@ def make_stamps(
     return Stamps(log_ns=log_ns[order], stamp_ns=stamp_ns[order])
 
 
-def time_poses(poses: Stamps, time: Any = "auto", commands: Stamps = NO_COMMANDS) -> BagTimes:
+def time_poses(poses: Stamps, time: Any = "auto", commands: Stamps | None = None) -> BagTimes:
     return time_rows(poses, commands, time)
 
 
@@ -293,3 +297,56 @@ def test_few_poses_are_timed_too(count: int) -> None:
     times = time_poses(poses)
     assert len(times.poses.time_ns) == count
     assert read_clock(times).used == ("stamp" if count > 1 else "log")
+
+
+def test_a_real_robots_clock_is_found_and_taken_out() -> None:
+    path = find_shared("robots", "tb3")
+    run, as_logged = read_run(path), read_run(path, time="log")
+    clock = run.clock
+    assert clock is not None
+    assert clock.used == "stamp"
+    assert clock.offset_s == pytest.approx(-0.779, abs=0.001)
+    assert clock.ratio == pytest.approx(1.0, abs=2e-5)
+    assert clock.jitter_s == pytest.approx(0.0051, abs=0.0003)
+    assert len(run.poses) == 1254
+    assert np.diff(run.poses.time_ns).min() > 37 * MS
+    # The recorder received some poses in bursts; two of them 0.126 ms apart.
+    assert (len(as_logged.poses), as_logged.notes[CLOSE_ROWS]) == (1244, "10")
+    assert "as asked" in as_logged.notes[CLOCK]
+
+
+def test_a_real_simulation_keeps_its_seconds() -> None:
+    path = find_shared("robots", "sim_time")
+    run = read_run(path, pose_topic="/odom")
+    as_logged = read_run(path, pose_topic="/odom", time="log")
+    spans_s = [np.ptp(found.poses.time_ns) / 1e9 for found in (run, as_logged)]
+    assert spans_s == pytest.approx([43.76, 196.47], abs=0.01)
+    assert run.clock is not None
+    assert run.clock.ratio == pytest.approx(0.2227, abs=1e-4)
+    assert "43.8 s in 196.5 s of the recorder's clock, ratio 0.223" in run.notes[CLOCK]
+
+
+def test_a_real_turtlesim_has_no_stamps_and_stays_as_it_is() -> None:
+    path = find_shared("ros2", "turtlesim_jazzy")
+    run, as_logged = read_run(path), read_run(path, time="log")
+    assert (run.clock, CLOCK in run.notes) == (None, False)
+    assert run.poses.time_ns.tobytes() == as_logged.poses.time_ns.tobytes()
+    with pytest.raises(LogError, match=r"turtlesim_jazzy: time: expected poses with stamps"):
+        read_run(path, time="stamp")
+
+
+def test_a_bag_of_the_same_clock_reads_as_it_was_stamped(tmp_path: Path) -> None:
+    true_ns = START_NS + np.arange(50) * 50 * MS
+    odometry = make_odometry(yaw_rad=0.5, speed=(1.0, 0.0), turn_rate=0.0)
+    messages = []
+    for row, time_ns in enumerate(true_ns.tolist()):
+        stamp = {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9}
+        values = odometry.values | {"header": {"stamp": stamp, "frame_id": "odom"}}
+        messages.append(replace(odometry, values=values, time_ns=time_ns + 3 * MS + row % 7 * MS))
+    run = read_run(write_mcap(tmp_path / "bag.mcap", messages))
+    assert (run.poses.time_ns == true_ns - START_NS).all()
+    assert run.clock == Clock(used="stamp", ratio=1.0, offset_s=0.003, jitter_s=0.003)
+    none = [replace(said, values=odometry.values) for said in messages]
+    run = read_run(write_mcap(tmp_path / "bag.mcap", none))
+    assert run.clock == Clock(used="log")
+    assert run.notes[CLOCK] == "poses are timed by the recorder's clock, as all stamps are 0"

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.read_choice import TimeSource
 from turtlelog.log.ros2.stamps import (
     StampClock,
@@ -78,16 +77,7 @@ class BagTimes:
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_stamps(columns: TopicColumns) -> TimesNs | None:
-    """Return the stamps in the headers of messages [ns]; None where their type has none."""
-    fields = columns.fields
-    if "header.stamp.sec" not in fields:
-        return None
-    seconds = fields["header.stamp.sec"].astype(np.int64)
-    return seconds * 1_000_000_000 + fields["header.stamp.nanosec"].astype(np.int64)
-
-
-def time_rows(poses: Stamps, commands: Stamps, time: TimeSource) -> BagTimes:
+def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTimes:
     """Return when poses and commands happened, on one timeline.
 
     That is the recorder's clock. Where the stamps' seconds are others than its own, as in
@@ -96,12 +86,13 @@ def time_rows(poses: Stamps, commands: Stamps, time: TimeSource) -> BagTimes:
 
     Args:
         poses: Of the pose topic, in order of log time.
-        commands: Of the command topic likewise; no rows where there is none.
+        commands: Of the command topic likewise; None where there is none.
         time: `auto`: poses by their stamps where these are usable, otherwise by the log.
 
     Raises:
         LogError: Where stamps are asked for, and no pose has a usable one.
     """
+    commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
     if poses.stamp_ns is None:
         if time == "stamp":
             raise LogError("time: expected poses with stamps, found a type without: take log")

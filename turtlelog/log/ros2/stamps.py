@@ -8,10 +8,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
+from turtlelog.log.engine.topic_columns import TopicColumns
 
 TimesNs = NDArray[np.int64]
 Rows = NDArray[np.int64]
 Values = NDArray[np.float64]
+
+_FIELDS: Final = tuple(
+    (f"{place}.sec", f"{place}.{rest}")
+    for place in ("header.stamp", "stamp", "timestamp")
+    for rest in ("nanosec", "nsec")
+)
+"""Where stamps stand: in headers of ROS 2, in types of one's own, in messages of Foxglove."""
 
 _MOST_DRIFT: Final = 2e-3
 """Two clocks of computers differ by less: quartz by some 1e-4, set straight by at most 5e-4 each
@@ -102,6 +110,16 @@ class StampClock:
     odd: int = 0
     disordered: int = 0
     known: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+
+def read_stamps(columns: TopicColumns) -> TimesNs | None:
+    """Return the stamps in the headers of messages [ns]; None where their type has none."""
+    fields = columns.fields
+    for seconds, rest in _FIELDS:
+        if seconds in fields and rest in fields:
+            whole, part = (fields[name].astype(np.int64) for name in (seconds, rest))
+            return np.asarray(whole * 1_000_000_000 + part)
+    return None
 
 
 def read_stamp_clock(stamps: Stamps) -> StampClock:
