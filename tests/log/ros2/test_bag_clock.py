@@ -101,6 +101,40 @@ def test_in_a_short_recording_clocks_part_by_too_little_to_tell(
     assert read_stamp_clock(poses).is_other_pace == is_other
 
 
+@pytest.mark.parametrize(("apart_s", "is_other"), [(0.28, False), (0.32, True), (1.05, True)])
+def test_clocks_that_part_by_no_more_than_transport_varies_are_one(
+    apart_s: float, *, is_other: bool
+) -> None:
+    # A tenth of the messages takes 0.1 s more, three times of which may be transport.
+    true_ns = make_times(200)
+    passed_s = (true_ns - true_ns[0]) / 1e9
+    late_ns = np.where(np.arange(200) % 8 == 4, 100 * MS, 0)
+    stamp_ns = true_ns + np.rint(apart_s * 1e9 * passed_s / passed_s[-1]).astype(np.int64)
+    clock = read_stamp_clock(Stamps(log_ns=true_ns + late_ns, stamp_ns=stamp_ns))
+    assert clock.is_other_pace == is_other
+
+
+@pytest.mark.parametrize(("apart_s", "is_other"), [(0.95, False), (1.05, True)])
+def test_clocks_that_part_by_a_second_are_two(apart_s: float, *, is_other: bool) -> None:
+    true_ns = make_times(200)
+    passed_s = (true_ns - true_ns[0]) / 1e9
+    late_ns = np.where(np.arange(200) % 8 == 4, 900 * MS, 0)
+    stamp_ns = true_ns + np.rint(apart_s * 1e9 * passed_s / passed_s[-1]).astype(np.int64)
+    clock = read_stamp_clock(Stamps(log_ns=true_ns + late_ns, stamp_ns=stamp_ns))
+    assert clock.is_other_pace == is_other
+
+
+@pytest.mark.parametrize(("pause_ms", "is_other"), [(1900, False), (2100, True)])
+def test_a_pause_that_leaves_a_second_for_good_is_a_simulations(
+    pause_ms: int, *, is_other: bool
+) -> None:
+    # Half of a pause in the middle passes for a drift, which is small in so long a recording.
+    true_ns = make_times(4800, step_ms=1000.0)
+    late_ns = np.where(np.arange(4800) >= 2400, pause_ms * MS, 0)
+    clock = read_stamp_clock(Stamps(log_ns=true_ns + late_ns, stamp_ns=true_ns))
+    assert clock.is_other_pace == is_other
+
+
 @pytest.mark.parametrize("pace", [0.05, 0.22, 3.0])
 def test_simulated_times_keep_their_seconds_and_commands_follow(pace: float) -> None:
     true_ns = make_times()
@@ -165,9 +199,12 @@ def test_by_the_log_all_stays_as_it_was_received() -> None:
     ("stamp_ns", "reason"),
     [
         (np.zeros(100, dtype=np.int64), "all stamps are 0"),
-        (np.where(np.arange(100) < 51, 0, make_times(100)), "51 of 100 stamps are 0"),
-        (np.full(100, EPOCH_NS), "100 poses have 1 stamp"),
-        (EPOCH_NS + np.arange(100) // 5 * 250 * MS, "100 poses have 20 stamps"),
+        (
+            np.where(np.arange(100) < 51, 0, make_times(100)),
+            "51 of 100 stamps are 0 or make no sense",
+        ),
+        (np.full(100, EPOCH_NS), "100 poses share 1 stamp"),
+        (EPOCH_NS + np.arange(100) // 5 * 250 * MS, "100 poses share 20 stamps"),
         (make_times(100) - np.arange(100) // 10 * 9_000 * MS, "the stamps' clock jumps to and fro"),
     ],
 )
@@ -232,6 +269,30 @@ def test_less_than_half_a_second_forward_is_transport(set_by_s: float, jumps: in
     assert poses.stamp_ns is not None
     poses.stamp_ns[600:] += round(set_by_s * 1e9)
     assert read_stamp_clock(poses).jumps == jumps
+
+
+@pytest.mark.parametrize(("steps", "jumps"), [(3.1, 1), (2.9, 0)])
+def test_of_slow_poses_some_may_be_lost(steps: float, jumps: int) -> None:
+    stamp_ns = make_times(200, step_ms=1000.0)
+    stamp_ns[100:] += round(steps * 1000 * MS)
+    log_ns = make_times(200, step_ms=1000.0)
+    assert read_stamp_clock(Stamps(log_ns=log_ns, stamp_ns=stamp_ns)).jumps == jumps
+
+
+@pytest.mark.parametrize(("rows", "is_usable"), [(21, True), (19, False)])
+def test_a_clock_that_is_set_often_tells_no_time(rows: int, *, is_usable: bool) -> None:
+    true_ns = make_times(437)
+    stamp_ns = true_ns - np.arange(437) // rows * 5_000 * MS
+    clock = read_stamp_clock(Stamps(log_ns=true_ns, stamp_ns=stamp_ns))
+    assert clock.reason == ("" if is_usable else "the stamps' clock jumps to and fro")
+
+
+@pytest.mark.parametrize(("rows", "odd"), [(3, 3), (4, 0)])
+def test_up_to_three_stamps_that_make_no_sense_are_left_out(rows: int, odd: int) -> None:
+    true_ns = make_times(200)
+    stamp_ns = true_ns.copy()
+    stamp_ns[100 : 100 + rows] -= 3_600_000 * MS
+    assert read_stamp_clock(Stamps(log_ns=true_ns, stamp_ns=stamp_ns)).odd == odd
 
 
 def test_a_simulation_that_starts_again_goes_on() -> None:

@@ -132,7 +132,7 @@ def read_stamp_clock(stamps: Stamps) -> StampClock:
     starts = _find_jumps(log_ns[rows], stamp_ns[rows])
     reason = _judge(stamp_ns, rows, len(starts))
     stretches = np.split(rows, starts)
-    if np.ptp(stamp_ns[rows]) if len(rows) else False:
+    if len(rows) and np.ptp(stamp_ns[rows]):
         return _place(log_ns, stamp_ns, stretches, reason)
     return StampClock(reason=reason, time_ns=log_ns, odd=len(log_ns) - len(rows))
 
@@ -142,11 +142,13 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int) -> str:
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
         return "all stamps are 0"
+    if count == 1:
+        return "one pose tells no clock"
     if len(rows) < _LEAST_STAMPED * count:
-        return f"{zeros} of {count} stamps are 0"
-    distinct = len(np.unique(stamp_ns[rows]))
+        return f"{count - len(rows)} of {count} stamps are 0 or make no sense"
+    distinct = int(np.count_nonzero(np.diff(np.sort(stamp_ns[rows])))) + 1
     if distinct < max(_LEAST_ADVANCES * count, 2):
-        return f"{count} poses have {describe_count(distinct, 'stamp')}"
+        return f"{count} poses share {describe_count(distinct, 'stamp')}"
     if jumps > len(rows) / _STRETCH_ROWS:
         return "the stamps' clock jumps to and fro"
     return ""
@@ -226,7 +228,8 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
         disordered=sum(_count_disordered(stamp_ns[stretch]) for stretch in stretches),
         known=rows,
     )
-    odd = np.setdiff1d(np.arange(len(log_ns)), rows)
+    odd = np.ones(len(log_ns), dtype=bool)
+    odd[rows] = False
     if is_other:
         time_ns[odd] = place_log_times(clock, log_ns, log_ns[odd])
     else:
