@@ -1,6 +1,6 @@
 """`turtlelog compare`: runs beside each other, or against a reference."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -110,7 +110,7 @@ def compare(
         runs = iterate_runs(paths, topics) if held is None else iter(held)
         _compare_against(runs, paths, against, kind)
         return EXIT_FINE
-    summaries, errors = _summarise(paths, held, topics, only=_list_needed(choice, kind))
+    summaries, errors = _summarise(paths, held, topics, only=_choose_needed(choice, kind))
     for err in errors:
         print_error(str(err))
     # One run alone is beside no other.
@@ -148,30 +148,38 @@ def _summarise(
     held: "Sequence[Run] | None",
     topics: TopicOptions | None,
     *,
-    only: Sequence[str] | None,
+    only: "Callable[[Run], Sequence[str]] | None",
 ) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
     """Return the runs in short, read one by one unless they are held, and what cannot be read."""
     if held is not None:
         pairs = zip(held, paths, strict=True)
         return tuple(
-            tl.summarise_run(run, file=str(path), metrics=tl.measure_run(run, only=only))
+            tl.summarise_run(
+                run, file=str(path), metrics=tl.measure_run(run, only=only and only(run))
+            )
             for run, path in pairs
         ), []
     errors: list[TurtlelogError] = []
-    found = tl.compare.summarise_files(
-        paths, only=only, topics=(topics or TopicOptions()).build_choice()
-    )
-    return tuple(watch_summaries(found, len(paths), errors)), errors
+    chosen = (topics or TopicOptions()).build_choice()
+    found = tl.compare.summarise_files(paths, only=only, topics=chosen)
+    summaries = tuple(watch_summaries(found, len(paths), errors))
+    return tl.compare.complete_summaries(summaries, topics=chosen), errors
 
 
-def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...] | None:
-    """Return the metrics to compute, None for all: of thousands of runs no others are kept."""
+def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequence[str]] | None":
+    """Return what says which metrics to compute, None for all: of thousands no others are kept."""
     columns = choice.list_columns()
     if not columns and kind == "json":
         return None
-    return tl.compare.list_needed_metrics(
+    needed = tl.compare.list_needed_metrics(
         columns, where=choice.where, sort=choice.sort, source="--where"
     )
+
+    def choose(run: "Run") -> tuple[str, ...]:
+        # Which ones are usual of a bag of somebody else's shows when it is read.
+        return needed if columns else (*needed, *tl.compare.list_usual_of_run(run))
+
+    return choose
 
 
 def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
@@ -207,7 +215,9 @@ def _compare_against(
     summaries: list[RunSummary] = []
 
     def summarise(run: "Run") -> "Run":
-        usual = tl.measure_run(run, only=tl.compare.list_usual_metrics(run.declaration))
+        names = [name for one in {reference, run} for name in tl.compare.list_usual_of_run(one)]
+        known = tl.measure.list_metrics(run.declaration)
+        usual = tl.measure_run(run, only=[name for name in names if name in known])
         file = str(paths[len(summaries)])
         summaries.append(tl.summarise_run(run, file=file, metrics=usual))
         return run
