@@ -18,7 +18,7 @@ from turtlelog.display import format_number, show_angle
 from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording
-from turtlelog.measure import list_signals, read_signal
+from turtlelog.measure import is_lawless, list_signals, read_signal
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
@@ -84,8 +84,12 @@ def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
     keys = dict.fromkeys(loop.gain for loop in run.declaration.loops if loop.gain is not None)
     gains = [f"{name} = {parameters[name]}" for name in keys if name in parameters]
     gains = gains or [f"{n} = {v}" for n, v in parameters.items() if n.startswith("law.")]
-    yield f"  gains           {', '.join(gains) or 'not recorded'}"
+    if gains or not is_lawless(run):
+        yield f"  gains           {', '.join(gains) or 'not recorded'}"
     others = [f"{n} = {v}" for n, v in parameters.items() if n not in (*keys, "name")]
+    if is_lawless(run) and not others:
+        yield f"  source          {run.source}"
+        return
     text = ", ".join([run.name, *others]) if others else f"{run.name}, nothing else recorded"
     wrapped = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
     yield f"  scenario        {wrapped[0]}"
@@ -123,8 +127,9 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
 
 
 def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
-    """Return the signals that a run holds; where it holds none of them, where the robot is."""
-    return [name for name in names if read_signal(run, name) is not None] or ["x", "y", "heading"]
+    """Return the signals that a run holds; where it holds less than named, where the robot is."""
+    held = [name for name in names if read_signal(run, name) is not None]
+    return held if held == [*names] and held else ["x", "y", *(n for n in held if n not in "xy")]
 
 
 def _read_value(run: Run, name: str, time_ns: int) -> str:

@@ -3,11 +3,13 @@
 from turtlelog.compare.alignment import ALIGNMENTS
 from turtlelog.compare.difference import (
     MetricDifference,
+    PathError,
     RunComparison,
     compare_metrics,
     compare_runs,
     compare_signals,
     iter_comparisons,
+    measure_path_error,
     tabulate_differences,
 )
 from turtlelog.compare.like_loops import order_ids
@@ -48,6 +50,7 @@ __all__ = [
     "Column",
     "Mark",
     "MetricDifference",
+    "PathError",
     "RunComparison",
     "RunSummary",
     "SignalDifference",
@@ -67,6 +70,7 @@ __all__ = [
     "list_usual_metrics",
     "list_usual_of_run",
     "mark_metric",
+    "measure_path_error",
     "name_runs",
     "order_by_gain",
     "order_ids",

@@ -42,7 +42,8 @@ HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
         "samples": lambda run: len(run.samples) > 0,
         "commands": lambda run: len(run.commands) > 0,
         "goal": lambda run: run.goal_xy_m is not None,
-        "rates": lambda run: run.poses.measured_speed_m_s is not None,
+        "rates": lambda run: {run.poses.measured_speed_m_s is None, run.poses.speed_m_s is None}
+        != {True},
     }
 )
 """What metrics need besides poses: samples of a controller, commands, a goal, reported rates."""
@@ -327,7 +328,7 @@ _USUAL_OF_RUN: Final = ("final.heading_error", "final.position_error", "run.dura
 _USUAL_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.turn_rate_effort")
 USUAL_OF_MOTION: Final = (
     *("final.position_error", "run.duration", "run.path_length", "run.measured_speed_max"),
-    *("run.measured_turn_rate_max", "run.speed_lag", "run.turn_rate_lag"),
+    *("run.speed_lag", "run.turn_rate_lag"),
 )
 """Of runs of which no law is known."""
 _USUAL_PATTERNS: Final = (*(f"*.{name}" for name in _USUAL_OF_LOOP), *_USUAL_OF_RUN)

@@ -1,11 +1,12 @@
 """How fast a robot moved, and what it was asked to do meanwhile: one axis at a time.
 
-Rates are those that the robot reports. Where it reports none they are differences of its poses: the
-forward speed is the way along the mean heading over the time that it took. A difference of poses
-that are close in time is noise: 1 mm over 1 ms is 1 m/s. So of fast poses every n-th is taken.
+Rates are those that the robot reports; turtlesim reports what it applied, the speed without a sign,
+which the poses give. Where none are reported they are differences of poses: the forward speed is
+the way along the mean heading over the time that it took. A difference of poses that are close in
+time is noise: 1 mm over 1 ms is 1 m/s. So of fast poses every n-th is taken.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -35,7 +36,7 @@ class Rates:
         time_s: When each value holds [s], shape (n,), strictly increasing.
         values: Rate [m/s or rad/s], shape (n,); backward and clockwise negative.
         edges_s: Ends of the intervals that `means` belong to [s], shape (m + 1,).
-        means: Mean rate of each interval, shape (m,).
+        means: Mean rate of each interval, shape (m,); of reported rates the line between them.
         outliers: How many values were left out.
     """
 
@@ -54,7 +55,12 @@ def read_rates(run: Run, axis: Axis) -> Rates | None:
     if len(poses) < 2:
         return None
     if reported is None:
-        return _difference_poses(run, axis)
+        applied = _read_applied(run, axis)
+        rates = _difference_poses(run, axis)
+        if applied is None:
+            return rates
+        time_s = (poses.time_ns - run.start_ns) / 1e9
+        return replace(rates, is_reported=True, time_s=time_s, values=applied, outliers=0)
     kept = np.delete(np.arange(len(poses)), find_outliers(poses.time_ns, reported))
     time_s, values = (poses.time_ns[kept] - run.start_ns) / 1e9, reported[kept]
     return Rates(
@@ -65,6 +71,17 @@ def read_rates(run: Run, axis: Axis) -> Rates | None:
         means=(values[:-1] + values[1:]) / 2.0,
         outliers=len(poses) - len(kept),
     )
+
+
+def _read_applied(run: Run, axis: Axis) -> Values | None:
+    """Return what the plant applied on the way to each pose, None where that is not recorded."""
+    poses = run.poses
+    if axis == "turn_rate" or poses.speed_m_s is None:
+        return poses.turn_rate_rad_s if axis == "turn_rate" else None
+    ways_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1])
+    heading_rad = poses.heading_rad
+    forward_m = ways_m[:, 0] * np.cos(heading_rad) + ways_m[:, 1] * np.sin(heading_rad)
+    return np.asarray(poses.speed_m_s * np.sign(forward_m))
 
 
 def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
