@@ -107,23 +107,37 @@ def describe_clock(run: Run) -> str:
 
 
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
-    """Return lines: the signals at the poses around a time, `>` before the one that holds there."""
-    time_ns = run.poses.time_ns
-    row = int(np.searchsorted(time_ns, run.start_ns + round(at_s * 1e9), side="right")) - 1
-    row = max(row, 0)
-    rows = list(range(max(row - _ROWS, 0), min(row + _ROWS + 1, len(time_ns))))
-    columns = [["", *(">" if found == row else "" for found in rows)]]
-    columns.append(["t [s]", *(f"{(time_ns[found] - run.start_ns) / 1e9:.3f}" for found in rows)])
+    """Return lines: the signals at the poses around a time, `>` before the one that holds there.
+
+    A command that was published between two poses has a line of its own.
+    """
+    time_ns, at_ns = run.poses.time_ns, run.start_ns + round(at_s * 1e9)
+    row = max(int(np.searchsorted(time_ns, at_ns, side="right")) - 1, 0)
+    times_ns = time_ns[max(row - _ROWS, 0) : row + _ROWS + 1].tolist()
     kinds = list_signals(run.declaration)
-    for name in _choose_held(run, [name for name in names if name in kinds]):
+    held = _choose_held(run, [name for name in names if name in kinds])
+    marked_ns = int(time_ns[row])
+    if at_ns != marked_ns and any(_is_published(run, name, at_ns) for name in held):
+        times_ns, marked_ns = sorted({*times_ns, at_ns}), at_ns
+    columns = [["", *(">" if found == marked_ns else "" for found in times_ns)]]
+    columns.append(["t [s]", *(f"{(found - run.start_ns) / 1e9:.3f}" for found in times_ns)])
+    for name in held:
         unit = kinds[name].unit
         title = name if unit == "1" else f"{name} [{show_angle(0.0, unit)[1]}]"
-        columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
+        cells = [_read_value(run, name, found) for found in times_ns]
+        if set(cells) != {"-"}:
+            columns.append([title, *cells])
     widths = [max(map(len, column)) for column in columns]
     return [
         "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
         for cells in zip(*columns, strict=True)
     ]
+
+
+def _is_published(run: Run, name: str, time_ns: int) -> bool:
+    """Whether a signal is of commands, and one was published at that very time."""
+    signal = read_signal(run, name)
+    return signal is not None and signal.kind.source == "command" and time_ns in signal.time_ns
 
 
 def _choose_held(run: Run, names: Sequence[str]) -> list[str]:

@@ -187,7 +187,7 @@ def choose_bound(
     spare = abs(value) * _SHARE
     grain = tick_s if unit == "s" else _GRAIN.get(unit, 0.0)
     if spare < grain:
-        words = f"{grain:g}" if unit == "1" else f"{grain:g} {unit}"
+        words = f"{grain:.3g}" if unit == "1" else f"{grain:.3g} {unit}"
         return _round(value + grain if up else value - grain, digits=3, up=up), words
     bound = value
     for digits in (2, 3):
