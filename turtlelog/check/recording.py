@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, Unpack
+from typing import Any, Literal, Protocol, TypeAlias, Unpack
 
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_loss
@@ -16,7 +16,12 @@ from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.reference import ReferenceFile
 from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
 from turtlelog.check.spec import Check
-from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
+from turtlelog.check.vocabulary import (
+    describe_nearest,
+    names_metrics_alone,
+    require_known_names,
+    require_phase,
+)
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
@@ -141,7 +146,9 @@ class Recording:
         if phase is not None:
             require_phase(phase, self.run)
         require_known_names(parsed, over_time=True, run=self.run)
-        check = Check(name="", kind="holds", formula=parsed, phase=phase)
+        is_measured = phase is None and names_metrics_alone(parsed)
+        kind: Literal["expect", "holds"] = "expect" if is_measured else "holds"
+        check = Check(name="", kind=kind, formula=parsed, phase=phase)
         result = judge_check(check, self.run, file=self.file)
         return self._conclude([replace(result, check=result.expected)])
 

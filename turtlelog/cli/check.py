@@ -129,14 +129,13 @@ def check(  # noqa: PLR0913 (each is an option of the command)
 def build_spec(formulas: "Sequence[str]") -> "Spec":
     """Return what --expect asks for; what names metrics alone is judged as they are."""
     from turtlelog.check.spec import Check
-    from turtlelog.check.vocabulary import require_known_names
+    from turtlelog.check.vocabulary import names_metrics_alone, require_known_names
 
     checks = []
     for text in formulas:
         formula = tl.expressions.parse_expression(text, source="--expect")
         require_known_names(formula, over_time=True)
-        of_metrics = all(tl.measure.find_metric_kind(name) is not None for name in formula.names)
-        kind: Literal["expect", "holds"] = "expect" if of_metrics else "holds"
+        kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
         checks.append(Check(name=text, kind=kind, formula=formula))
     return tl.Spec(checks=tuple(checks), source="--expect")
 

@@ -23,7 +23,7 @@ from turtlelog.cli.output import (
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Declaration, MeasureSettings
+    from turtlelog import MeasureSettings, Run
     from turtlelog.compare import RunSummary
 
 _MOST_COLUMNS: Final = 6
@@ -107,11 +107,12 @@ def metrics(
     kind = (formats or FormatOptions()).choose()
     patterns = measuring.list_patterns()
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
-    essential = tl.measure.list_essential_metrics
+    settings = measuring.build_settings()
+    essential = _list_with_path if measuring.reference_path else tl.measure.list_essential_metrics
     found = tl.compare.summarise_files(
         files,
-        measuring.build_settings(),
-        only=(_list_with_path if measuring.reference_path else essential) if is_short else patterns,
+        settings,
+        only=essential if is_short else patterns,
         topics=topics.build_choice(),
         jobs=jobs,
     )
@@ -124,16 +125,20 @@ def metrics(
         _require_some(held, patterns)
         if kind == "csv":
             _print_csv(held)
+        elif is_short:
+            choice = topics.build_choice()
+            held = list(tl.compare.complete_summaries(held, settings, topics=choice))
+            _print_tables(held, kind, is_short=True)
         else:
-            _print_tables(held, kind, tell_more=kind == "txt" and is_short)
+            _print_tables(held, kind, is_short=False)
     for err in errors:
         print_error(str(err))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
-def _list_with_path(declaration: "Declaration") -> tuple[str, ...]:
+def _list_with_path(run: "Run") -> tuple[str, ...]:
     """Return the essential metrics, and how far from the path that was given, goal or none."""
-    essential = tl.measure.list_essential_metrics(declaration)
+    essential = tl.measure.list_essential_metrics(run)
     return tuple(dict.fromkeys([*essential, "run.cross_track_max"]))
 
 
@@ -146,24 +151,41 @@ def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | N
     raise UsageError(f"metric {patterns[0]!r}: expected {near}")
 
 
-def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, tell_more: bool) -> None:
+def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, is_short: bool) -> None:
     if not summaries:
         return
     declarations = [found.declaration for found in summaries]
     ids = (name for found in summaries for name in found.metrics)
     chosen = tl.compare.order_ids(ids, declarations)
+    if is_short:
+        chosen = tl.compare.drop_absent(summaries, chosen)
     summaries = tl.compare.order_by_gain(summaries)
     if len(summaries) > _MOST_COLUMNS:
         table = tl.tabulate_runs(summaries, only=chosen)
     else:
         names = tl.compare.name_runs(summaries)
-        measured = [summary.metrics for summary in summaries]
+        measured = [
+            {name: found for name, found in summary.metrics.items() if name in chosen}
+            for summary in summaries
+        ]
         table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
-    if tell_more:
+    if is_short and kind == "txt":
         count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
         more = f"{len(chosen)} of {count} metrics: --all shows every one, --only chooses."
-        table = replace(table, notes=(more, *table.notes))
+        unlocks = tl.compare.list_unlocks(summaries)
+        table = replace(table, notes=(more, *_tell_rates(summaries), *table.notes, *unlocks))
     print_tables([table], kind)
+
+
+def _tell_rates(summaries: "Sequence[RunSummary]") -> "Iterator[str]":
+    """Yield where the measured rates of bags come from."""
+    lawless = [found for found in summaries if found.is_lawless]
+    reporting = sum("rates" not in found.lacks for found in lawless)
+    if reporting and reporting == len(lawless):
+        yield "Measured rates are those that the robot reports."
+    elif lawless:
+        which = "" if not reporting else " where the robot reports none"
+        yield f"Measured rates are differences of poses{which}."
 
 
 def _print_csv(summaries: "Sequence[RunSummary]") -> None:
