@@ -12,6 +12,7 @@ from turtlelog.cli.explain_answer import (
     format_attribution,
     format_identification,
 )
+from turtlelog.cli.explain_motion import describe_motion, format_motion
 from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
 from turtlelog.cli.options import File, Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
@@ -120,8 +121,12 @@ def explain(
                 trust_law=options.trust_law,
                 work=tl.explain.Work(jobs=options.jobs, report=report),
             )
+    motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     if json:
-        print_json(describe_explanation(file, found, attribution))
+        motions = {"motion": None if motion is None else describe_motion(run, motion)}
+        print_json(describe_explanation(file, found, attribution) | motions)
+    elif motion is not None:
+        print_text(format_motion(run, motion))
     else:
         print_text(format_identification(found))
         print_text(_NOTHING if attribution is None else format_attribution(attribution))

@@ -221,18 +221,7 @@ def place_commands(
     """
     commands = run.commands
     placer = _Placer(motion, commands)
-    bodies = _compute_body_velocities(motion, starts)
-    rows = zip(
-        motion.time_ns.tolist(),
-        _round(motion.speed_m_s),
-        _round(motion.turn_rate_rad_s),
-        bodies,
-        strict=True,
-    )
-    velocities, is_unexplained = [], []
-    for row in rows:
-        velocities.append(placer.place(*row))
-        is_unexplained.append(placer.is_recorded)
+    velocities, is_unexplained = _place_all(placer, motion, starts)
     is_disturbed = _find_disturbed(run, motion.time_ns)
     use = CommandUse(
         taken=placer.taken,
@@ -243,6 +232,42 @@ def place_commands(
         never_arrived=_count_lost(run),
     )
     return tuple(velocities), use
+
+
+def _place_all(
+    placer: "_Placer", motion: RecordedMotion, starts: frozenset[int]
+) -> tuple[list[Velocity], list[bool]]:
+    """Return what the plant held in each tick, and whether it is a recorded velocity."""
+    bodies = _compute_body_velocities(motion, starts)
+    rows = zip(
+        motion.time_ns.tolist(),
+        _round(motion.speed_m_s),
+        _round(motion.turn_rate_rad_s),
+        bodies,
+        strict=True,
+    )
+    velocities, is_unexplained = [], []
+    for number, row in enumerate(rows):
+        velocities.append(placer.place(number, *row))
+        is_unexplained.append(placer.is_recorded)
+    return velocities, is_unexplained
+
+
+def follow_commands(run: Run) -> NDArray[np.int64]:
+    """Return which pose first shows which command: rows of both, shape (n, 2).
+
+    Of the commands that were taken those that changed what the plant held: no pose tells when one
+    was taken that equals the one before. Nor does a pose behind a jump or gap.
+
+    Raises:
+        ReplayError: As `read_motion` does.
+    """
+    motion = read_motion(run)
+    _, _, starts = find_breaks(motion)
+    placer = _Placer(motion, run.commands)
+    _place_all(placer, motion, frozenset(starts))
+    shown = np.array(placer.shown, dtype=np.int64).reshape(-1, 2)
+    return shown[~np.isin(shown[:, 1], starts)]
 
 
 def _find_disturbed(run: Run, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -276,6 +301,7 @@ class _Placer:
         is_recorded: Whether what the plant holds is a recorded velocity, and no command.
         taken: As in `CommandUse`, so far.
         stops: Likewise.
+        shown: Rows of the commands that changed what the plant held, and of the poses that show it.
     """
 
     def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:
@@ -298,9 +324,15 @@ class _Placer:
         self._held_applied = (0.0, 0.0)
         self.is_recorded = False
         self.taken = self.stops = 0
+        self.shown: list[tuple[int, int]] = []
 
     def place(
-        self, time_ns: int, speed: float, turn_rate: float, body: tuple[float, float] | None
+        self,
+        row: int,
+        time_ns: int,
+        speed: float,
+        turn_rate: float,
+        body: tuple[float, float] | None,
     ) -> Velocity:
         """Return what the tick applied that published this pose."""
         while self._published < len(self._times_ns) and self._times_ns[self._published] < time_ns:
@@ -310,6 +342,8 @@ class _Placer:
         if found is not None:
             self._next = found + 1
             self.taken += 1
+            if row and applied != self._held_applied:
+                self.shown.append((found, row))
             self._hold(self._commands[found], applied)
         elif not (applied == self._held_applied and _agrees(self._held, body)):
             if applied == (0.0, 0.0):
