@@ -1,8 +1,9 @@
 """Run -> files for other programs: rosbag2 folders, CSV and Parquet tables."""
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +13,7 @@ from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.info import survey_file
 from turtlelog.log.recording.run_writer import write_recording
-from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
+from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
 from turtlelog.run import TABLES, Run, tabulate_run
 
 _LONGEST_NAME: Final = 255  # bytes; what file systems take
@@ -45,28 +46,41 @@ def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
         except LogError as err:
             # The temporary folder's name would mean nothing to anybody.
             raise LogError(f"{path}: {str(err).removeprefix(f'{folder / name}: ')}") from err
-        text = _describe(folder / name)
+        text = describe_bag([folder / name])
         (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
     return path / name, path / METADATA_FILE
 
 
-def _describe(recording: Path) -> str:
-    with recording.open("rb") as stream:
-        survey = survey_file(stream)
-    schemas, channels = survey.catalogue.schemas, survey.catalogue.channels
-    topics = [
-        BagTopic(
-            name=channel.topic,
-            type=schemas[channel.schema_id].name,
-            type_hash=channel.metadata["topic_type_hash"],
-            count=survey.counts.get(number, 0),
+def describe_bag(files: Sequence[Path], compression: str = "") -> str:
+    """Return the metadata.yaml of a bag of complete MCAP files.
+
+    Args:
+        files: In order of time.
+        compression: As in `format_bag_metadata`.
+    """
+    topics: dict[tuple[str, str], BagTopic] = {}
+    parts = []
+    for file in files:
+        with file.open("rb") as stream:
+            survey = survey_file(stream)
+        schemas = survey.catalogue.schemas
+        for number, channel in sorted(survey.catalogue.channels.items()):
+            schema = schemas.get(channel.schema_id)
+            topic = BagTopic(
+                name=channel.topic,
+                type=schema.name if schema else "",
+                type_hash=channel.metadata.get("topic_type_hash", ""),
+                count=survey.counts.get(number, 0),
+            )
+            known = topics.setdefault((topic.name, topic.type), topic)
+            if known is not topic:
+                topics[topic.name, topic.type] = replace(known, count=known.count + topic.count)
+        start_ns, end_ns = survey.span_ns or (0, 0)
+        count = sum(survey.counts.values())
+        parts.append(
+            BagPart(name=file.name, start_ns=start_ns, duration_ns=end_ns - start_ns, count=count)
         )
-        for number, channel in sorted(channels.items())
-    ]
-    start_ns, end_ns = survey.span_ns or (0, 0)
-    return format_bag_metadata(
-        recording.name, topics, start_ns=start_ns, duration_ns=end_ns - start_ns
-    )
+    return format_bag_metadata(parts, [*topics.values()], compression=compression)
 
 
 def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:

@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log.ros2 import BagTopic, format_bag_metadata, parse_bag_metadata
+from turtlelog.log.ros2 import BagPart, BagTopic, format_bag_metadata, parse_bag_metadata
 
 NAMES = st.text(
     st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=("C", "Zl", "Zp")),
@@ -23,7 +23,8 @@ def load(text: str) -> Any:
 
 def format_one(file: str) -> str:
     topic = BagTopic(name="/a", type="std_msgs/msg/String", type_hash="RIHS01_0", count=3)
-    return format_bag_metadata(file, [topic], start_ns=5, duration_ns=7)
+    part = BagPart(name=file, start_ns=5, duration_ns=7, count=3)
+    return format_bag_metadata([part], [topic])
 
 
 @settings(deadline=None)  # the library takes as long as it takes

@@ -8,6 +8,7 @@ tables are read, never views, no function of the schema is called, and a file wh
 circles is left after a bounded number of steps.
 """
 
+import os
 import shutil
 import sqlite3
 from array import array
@@ -72,6 +73,39 @@ _FUNCTIONS: Final = frozenset({"count", "min", "max", "typeof"})
 _GAP: Final = bytearray(MESSAGE_HEAD)
 
 
+class SqliteRows:
+    """Rows of `topic_id`, `timestamp` and `data`, column by column.
+
+    Few are taken at a time: then SQLite and Python fill the same memory again and again, which
+    stays in the processor's cache; a million rows take half as long.
+    """
+
+    def __init__(self) -> None:
+        self.ids, self.times, self.lengths = array("q"), array("q"), array("q")
+        self.size = 0
+        self._parts: list[bytearray] = []
+
+    def take(self, rows: list[Row]) -> int:
+        """Add some rows; return the bytes of their blobs.
+
+        Raises:
+            TypeError: Where a column holds something else than it should.
+        """
+        ids, times, blobs = zip(*rows, strict=True)
+        self.ids.extend(ids)
+        self.times.extend(times)
+        self.lengths.extend(map(len, blobs))
+        part = _GAP.join(blobs)
+        self._parts.append(part)
+        size = len(part) - MESSAGE_HEAD * (len(rows) - 1)
+        self.size += size
+        return size
+
+    def join(self) -> bytearray:
+        """Return the blobs with a gap before each."""
+        return _GAP.join((b"", *self._parts))
+
+
 class SqliteSource:
     """An open bag in SQLite, its tables checked.
 
@@ -79,6 +113,7 @@ class SqliteSource:
         catalogue: Its topics as channels, their types as schemas.
         is_indexed: Always: the catalogue is complete before the first message is read.
         statistics: None; `count_messages` counts.
+        size: Of all its pages [bytes].
     """
 
     is_indexed = True
@@ -91,18 +126,18 @@ class SqliteSource:
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA cell_size_check = ON")
-        self._size = _read_number(connection, "page_count") * _read_number(connection, "page_size")
+        self.size = _read_number(connection, "page_count") * _read_number(connection, "page_size")
         self._steps_left = 0
         connection.set_progress_handler(self._count_steps, _STEPS)
         columns = self._list_columns()
         connection.set_authorizer(_authorize)
-        self.catalogue = Catalogue(allowance := Allowance(self._size))
+        self.catalogue = Catalogue(allowance := Allowance(self.size))
         self._numbers: dict[int, int] = {}
         self._describe(columns, allowance)
 
     def execute(self, query: str, *values: object) -> sqlite3.Cursor:
         """Run a query; it may take a number of steps that the size of the file bounds."""
-        self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self._size
+        self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self.size
         return self._connection.execute(query, values)
 
     def count_messages(self) -> tuple[Counter[int], tuple[int, int] | None]:
@@ -159,8 +194,8 @@ class SqliteSource:
         yield from map(work, self._iterate_blocks(cursor))
 
     def _iterate_blocks(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
-        first, count, left = 1, _LEAST_ROWS, self._size
-        rows = _Rows()
+        first, count, left = 1, _LEAST_ROWS, self.size
+        rows = SqliteRows()
         while found := cursor.fetchmany(count):
             try:
                 size = rows.take(found)
@@ -169,17 +204,17 @@ class SqliteSource:
             left -= size + _ROW_BYTES * len(found)
             if left < 0:
                 raise DamageError(
-                    f"expected messages of up to {self._size} bytes in all, the size of the file,"
+                    f"expected messages of up to {self.size} bytes in all, the size of the file,"
                     " found more"
                 )
             if rows.size >= _BLOCK_BYTES:
-                yield self._build_block(rows, first)
-                first, rows = first + len(rows.times), _Rows()
+                yield self.build_block(rows, first)
+                first, rows = first + len(rows.times), SqliteRows()
             count = min(2 * count, _BLOCK_BYTES * len(found) // (size + 1) + 1, _MOST_ROWS)
         if rows.times:
-            yield self._build_block(rows, first)
+            yield self.build_block(rows, first)
 
-    def _build_block(self, rows: "_Rows", first: int) -> Block:
+    def build_block(self, rows: SqliteRows, first: int) -> Block:
         """Return rows as a block; `first` is the number of the first one, from 1 on.
 
         Raises:
@@ -199,6 +234,17 @@ class SqliteSource:
         present, firsts = np.unique(numbers[order], return_index=True)
         offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
         return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
+
+    def find_fault_of(self, row: Row) -> str | None:
+        """Return what is wrong with a topic, a time and data; None where they are sound."""
+        topic_id, timestamp, data = row
+        if topic_id not in self._numbers:
+            return f"expected a row in topics of topic_id {topic_id}, found none"
+        if not isinstance(timestamp, int) or timestamp < 0:
+            return f"timestamp: expected nanoseconds from 0 on, found {timestamp!r:.40}"
+        if not isinstance(data, bytes):
+            return f"data: expected a blob, found {data!r:.40}"
+        return None
 
     def _find_fault(self) -> DamageError:
         """Return what is wrong with the first row of `messages` that is not sound."""
@@ -318,39 +364,6 @@ class SqliteSource:
         return definitions
 
 
-class _Rows:
-    """Rows of `topic_id`, `timestamp` and `data`, column by column.
-
-    Few are taken at a time: then SQLite and Python fill the same memory again and again, which
-    stays in the processor's cache; a million rows take half as long.
-    """
-
-    def __init__(self) -> None:
-        self.ids, self.times, self.lengths = array("q"), array("q"), array("q")
-        self.size = 0
-        self._parts: list[bytearray] = []
-
-    def take(self, rows: list[Row]) -> int:
-        """Add some rows; return the bytes of their blobs.
-
-        Raises:
-            TypeError: Where a column holds something else than it should.
-        """
-        ids, times, blobs = zip(*rows, strict=True)
-        self.ids.extend(ids)
-        self.times.extend(times)
-        self.lengths.extend(map(len, blobs))
-        part = _GAP.join(blobs)
-        self._parts.append(part)
-        size = len(part) - MESSAGE_HEAD * (len(rows) - 1)
-        self.size += size
-        return size
-
-    def join(self) -> bytearray:
-        """Return the blobs with a gap before each."""
-        return _GAP.join((b"", *self._parts))
-
-
 @contextmanager
 def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSource]:
     """Open a bag in SQLite to read; where it was not closed, a copy of it in a temporary folder.
@@ -373,8 +386,14 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
             place, mode = folder / "bag.db3", "mode=rw"
             _copy_with_sides(path, place, present)
-        if not is_damaged:
-            _require_whole_pages(place)
+        if tail := _measure_tail(place):
+            if not is_damaged:
+                raise DamageError(f"expected a sound SQLite file, found: {tail} bytes of a page")
+            if place == path:
+                folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
+                place = folder / "bag.db3"
+                shutil.copyfile(path, place)
+            os.truncate(place, place.stat().st_size - tail)
         try:
             connection = sqlite3.connect(
                 f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
@@ -387,16 +406,12 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             raise DamageError(describe_sqlite_error(err)) from err
 
 
-def _require_whole_pages(path: Path) -> None:
-    """Refuse a file that ends within a page: SQLite would take zeros for the rest of it."""
+def _measure_tail(path: Path) -> int:
+    """Return the bytes behind the last whole page; SQLite would take zeros for what they lack."""
     with path.open("rb") as stream:
         head = stream.read(_PAGE_SIZE + 2)
         size = int.from_bytes(head[_PAGE_SIZE:], "big")
-        size = 2**16 if size == 1 else size
-        if size and stream.seek(0, 2) % size:
-            raise DamageError(
-                f"expected a sound SQLite file, found: it ends within a page of {size} bytes"
-            )
+        return stream.seek(0, 2) % (2**16 if size == 1 else size or 2**16)
 
 
 def describe_sqlite_error(err: sqlite3.Error) -> str:
