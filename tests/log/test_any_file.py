@@ -51,7 +51,7 @@ def test_a_log_of_the_papers_is_imported() -> None:
         (
             "a.db3",
             b"SQLite format 3\0" + bytes(100),
-            "expected a sound SQLite file, found: file is not a database",
+            "expected a SQLite file of pages of 65536 bytes, found 116 bytes: cut short",
         ),
         ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
         ("a.txt", b"timestamp,time", ".* found text: a log is read where its name ends"),

@@ -67,19 +67,21 @@ def test_a_bag_whose_metadata_is_broken_is_read_and_says_so(text: str, tmp_path:
 def test_a_file_that_was_renamed_is_read_and_named(tmp_path: Path) -> None:
     write_split(tmp_path, "z.db3", "b.db3", "c.db3")
     write_metadata(tmp_path, ["a.db3", "b.db3", "c.db3"], storage="sqlite3")
-    assert note(tmp_path) == "metadata.yaml names a.db3, found none; read instead: z.db3"
+    assert note(tmp_path) == "metadata.yaml names a.db3, not in the folder; read instead: z.db3"
 
 
 def test_a_robots_bag_with_a_renamed_file_says_so() -> None:
     [info] = open_bag(find_shared("robots", "amcl_pose")).infos.values()
-    expected = "names rosbag2_2024_12_16-11_24_20_0.db3, found none; read instead: rosbag.db3"
+    expected = (
+        "names rosbag2_2024_12_16-11_24_20_0.db3, not in the folder; read instead: rosbag.db3"
+    )
     assert info.notes["bag_files"] == f"metadata.yaml {expected}"
 
 
 def test_files_that_were_all_renamed_are_read_in_order(tmp_path: Path) -> None:
     write_split(tmp_path, "new_9.db3", "new_10.db3")
     write_metadata(tmp_path, ["old_0.db3", "old_1.db3"], storage="sqlite3")
-    expected = "names old_0.db3, old_1.db3, found none; read instead: new_9.db3, new_10.db3"
+    expected = "names old_0.db3, old_1.db3, not in the folder; read instead: new_9.db3, new_10.db3"
     assert note(tmp_path) == f"metadata.yaml {expected}"
 
 
@@ -103,6 +105,7 @@ def test_what_is_read_lies_in_the_folder(name: str, tmp_path: Path) -> None:
         list_bag_files(folder)
     write_split(folder, "a.db3")
     assert list_bag_files(folder) == (folder / "a.db3",)
+    assert note(folder) == f"metadata.yaml names {name}, not in the folder; read instead: a.db3"
 
 
 def test_a_bag_of_two_storages_is_refused(tmp_path: Path) -> None:

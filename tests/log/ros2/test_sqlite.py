@@ -1,10 +1,12 @@
 import shutil
 import sqlite3
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -21,7 +23,14 @@ from tests.log.ros2.bags import (
 )
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log import TopicColumns, iter_columns, read_columns, read_info, read_run
+from turtlelog.log import (
+    TopicColumns,
+    iter_columns,
+    read_columns,
+    read_info,
+    read_run,
+    recover_recording,
+)
 from turtlelog.log.engine import read_raw, sqlite_source
 from turtlelog.log.ros2.bag import open_bag
 
@@ -330,13 +339,14 @@ def test_a_view_within_the_schema_calls_nothing(tmp_path: Path) -> None:
         read_columns(file)
 
 
-@pytest.mark.parametrize("part", [0.3, 0.999])
+@pytest.mark.parametrize("part", [0.3, 0.5, 0.999])
 def test_a_file_that_is_cut_is_one_line(part: float, tmp_path: Path) -> None:
     file = write_sqlite(tmp_path / "a.db3", make_poses(500))
     content = file.read_bytes()
-    file.write_bytes(content[: int(part * len(content))])
+    file.write_bytes(content[: 4096 * round(part * len(content) / 4096 - 0.5) + int(part == 0.999)])
     for read in (read_columns, read_info, open_bag):
-        with pytest.raises(LogError, match=r"a\.db3: expected a sound SQLite file, found: "):
+        line = f"expected a SQLite file of {len(content)} bytes, found {file.stat().st_size} bytes: cut"
+        with pytest.raises(LogError, match=rf"a\.db3: {line} short; turtlelog recover reads"):
             read(file)
 
 
@@ -346,13 +356,37 @@ def test_what_is_no_bag_in_sqlite_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"a\.db3: expected a bag in SQLite, found an empty file"):
         read_info(empty)
     empty.write_bytes(b"SQLite format 3\x00")
-    with pytest.raises(LogError, match=r"a\.db3: expected a sound SQLite file, found: "):
+    with pytest.raises(
+        LogError, match=r"a\.db3: expected a SQLite file of pages of 65536 bytes, found 16"
+    ):
         read_info(empty)
     with pytest.raises(LogError, match=r"b\.db3: expected a bag in SQLite, found: No such file"):
         read_info(tmp_path / "b.db3")
     (tmp_path / "c.db3").mkdir()
     with pytest.raises(LogError, match=r"c\.db3: expected a bag in SQLite, found: Is a directory"):
         read_info(tmp_path / "c.db3")
+
+
+def test_flipped_bytes_are_one_line_or_what_was_written(tmp_path: Path) -> None:
+    file, output = write_sqlite(tmp_path / "a.db3", make_poses(200)), tmp_path / "out.mcap"
+    sound, random = file.read_bytes(), np.random.default_rng(7)
+    outcomes = Counter[bool]()
+    for _ in range(60):
+        content = bytearray(sound)
+        # Where the trees are, rather than within messages.
+        page, byte = random.integers(len(sound) // 4096), random.integers(120)
+        content[4096 * page + byte] ^= 1 << random.integers(8)
+        file.write_bytes(content)
+        for read in (read_columns, read_info, lambda path: recover_recording(path, output)):
+            try:
+                read(file)
+            except LogError as err:
+                assert str(err).count("\n") == 0
+                assert str(err).startswith(str(file))
+                outcomes[False] += 1
+            else:
+                outcomes[True] += 1
+    assert min(outcomes.values()) > 20
 
 
 def test_a_table_that_leads_in_circles_ends(

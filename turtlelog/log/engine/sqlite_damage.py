@@ -16,6 +16,7 @@ from turtlelog.log.engine.sqlite_source import (
     SqliteRows,
     SqliteSource,
     describe_sqlite_error,
+    measure_pages,
 )
 from turtlelog.log.engine.walk import Loss, Section
 
@@ -26,7 +27,6 @@ _LEAST, _MOST = -(2**63), 2**63 - 1  # numbers of rows
 _QUERY: Final = (
     "SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid > ? ORDER BY rowid"
 )
-_COUNTED_PAGES: Final = slice(28, 32)  # bytes of the file
 
 
 def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
@@ -36,10 +36,7 @@ def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
         source: The bag, opened as damaged.
         path: The file, for its size.
     """
-    with path.open("rb") as stream:
-        head = stream.read(100)
-    size, page_size = path.stat().st_size, int.from_bytes(head[16:18], "big")
-    claimed = int.from_bytes(head[_COUNTED_PAGES], "big") * (2**16 if page_size == 1 else page_size)
+    size, claimed, _ = measure_pages(path)
     rows, held, left = SqliteRows(), 0, source.size
     for found in _walk_rows(source):
         if isinstance(found, str):

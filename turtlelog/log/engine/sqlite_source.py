@@ -49,7 +49,13 @@ _TOPIC_NOTES: Final = {
 _MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
 _DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
 
-_PAGE_SIZE: Final = 16  # byte of the file at which it stands, u16
+_HEADER: Final = 100  # bytes
+_PAGE_SIZE: Final = slice(16, 18)
+_CHANGES: Final = slice(24, 28)
+_PAGES: Final = slice(28, 32)
+_COUNTED_AT: Final = slice(92, 96)
+"""Where in the header stand the size of a page, how many there are, and at which change."""
+
 _SIDES: Final = ("-wal", "-journal")
 _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
 """Ends a journal that names another file, which SQLite would delete."""
@@ -386,14 +392,20 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
             place, mode = folder / "bag.db3", "mode=rw"
             _copy_with_sides(path, place, present)
-        if tail := _measure_tail(place):
-            if not is_damaged:
-                raise DamageError(f"expected a sound SQLite file, found: {tail} bytes of a page")
+        size, claimed, page = measure_pages(place)
+        is_short = size % page or (size < claimed and not present)
+        if is_short and not is_damaged:
+            expected = f"{claimed} bytes" if claimed > size else f"pages of {page} bytes"
+            raise DamageError(
+                f"expected a SQLite file of {expected}, found {size} bytes: cut short;"
+                " turtlelog recover reads what is left"
+            )
+        if size % page:  # SQLite would take zeros for what the last page lacks
             if place == path:
                 folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
                 place = folder / "bag.db3"
                 shutil.copyfile(path, place)
-            os.truncate(place, place.stat().st_size - tail)
+            os.truncate(place, size - size % page)
         try:
             connection = sqlite3.connect(
                 f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
@@ -406,12 +418,17 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             raise DamageError(describe_sqlite_error(err)) from err
 
 
-def _measure_tail(path: Path) -> int:
-    """Return the bytes behind the last whole page; SQLite would take zeros for what they lack."""
+def measure_pages(path: Path) -> tuple[int, int, int]:
+    """Return a file's size, what its header says of that, and the size of a page [bytes]."""
     with path.open("rb") as stream:
-        head = stream.read(_PAGE_SIZE + 2)
-        size = int.from_bytes(head[_PAGE_SIZE:], "big")
-        return stream.seek(0, 2) % (2**16 if size == 1 else size or 2**16)
+        head = stream.read(_HEADER)
+        size = stream.seek(0, os.SEEK_END)
+    page = int.from_bytes(head[_PAGE_SIZE], "big")
+    page = 2**16 if page == 1 else page or 2**16
+    # Before version 3.7 SQLite did not keep the number of pages, and left another number there.
+    is_kept = head[_CHANGES] == head[_COUNTED_AT]
+    pages = int.from_bytes(head[_PAGES], "big") if is_kept else 0
+    return size, pages * page, page
 
 
 def describe_sqlite_error(err: sqlite3.Error) -> str:

@@ -138,21 +138,24 @@ def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) 
     names = ", ".join(file.name for file in others) or "none"
     if len(missing) != len(others) or (files and len(others) > 1):
         raise LogError(f"relative_file_paths: expected the file {missing[0]}, found {names[:200]}")
-    for lost, other in zip(missing, others, strict=True):
-        files.insert(metadata.files.index(lost), other)
-    note = f"{METADATA_FILE} names {', '.join(missing)}, found none; read instead: {names}"
+    for name, other in zip(missing, others, strict=True):
+        files.insert(metadata.files.index(name), other)
+    lost = ", ".join(missing)
+    note = f"{METADATA_FILE} names {lost}, not in the folder; read instead: {names}"
     return BagFiles(files=tuple(files), duration_ns=duration_ns, notes={"bag_files": note})
 
 
 def _find_file(folder: Path, name: str) -> Path | None:
-    """Return a file of a bag; early versions put the folder's name in front, or a whole path.
+    """Return a file of a bag; early versions put the folder's name in front.
 
-    Whatever path is named, what is read lies in the folder.
+    What is named elsewhere is not read: a recording does not choose what is opened.
     """
-    place = PurePosixPath(name.replace("\\", "/"))
-    is_inside = not (place.is_absolute() or PureWindowsPath(name).drive or ".." in place.parts)
-    for file in (*([folder / place] if is_inside else []), folder / place.name):
-        if place.name not in {"", ".."} and file.is_file():
+    place, base = PurePosixPath(name.replace("\\", "/")), folder.resolve().as_posix()
+    within = place.relative_to(base) if place.is_relative_to(base) else place
+    if within.is_absolute() or PureWindowsPath(name).drive or ".." in within.parts:
+        return None
+    for file in (folder / within, folder / within.name):
+        if within.name and file.is_file():
             return file
     return None
 
