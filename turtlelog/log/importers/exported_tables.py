@@ -15,6 +15,7 @@ from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
 from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.importers.table_text import read_header
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import (
     TABLES,
@@ -61,8 +62,13 @@ def holds_tables(path: Path) -> bool:
     """Return whether a folder or a file holds tables that turtlelog wrote, by its first line."""
     if path.is_dir():
         return bool(list_table_files(path))
+    if path.suffix.lower() == ".parquet":
+        try:
+            return find_table(read_header(path)) is not None
+        except ValueError:  # no Parquet file, whatever it is called
+            return True
     if path.suffix.lower() != ".csv":
-        return path.suffix.lower() == ".parquet"
+        return False
     with open_file(path) as stream:
         head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
     return find_table(head.strip().split(",")) is not None
