@@ -1,6 +1,7 @@
 """Tables that other people's programs write, as runs."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import pytest
 
 from tests.log.runs import assert_same, simulate_short_run
 from turtlelog.errors import LogError
-from turtlelog.log import export_csv
+from turtlelog.log import export_csv, export_tum
 from turtlelog.log.any_file import read_file_info, read_run
+from turtlelog.log.importers.exported_tables import require_same_poses
 
 ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
 
@@ -288,3 +290,58 @@ def test_goal_and_info_of_a_table(tmp_path: Path) -> None:
     assert (run.goal_xy_m, run.goal_heading_rad) == ((3.0, 4.0), 0.5)
     assert "goal_xy_m" not in run.absent
     assert read_file_info(path).notes["rows"] == "3 poses, 0 commands, 0 samples"
+
+
+def test_a_tum_trajectory_is_read(tmp_path: Path) -> None:
+    rows = ["1700000000.5 1 2 0 0 0 0 1", "1700000001.5 1.5 2 0.2 0 0 1 1"]
+    for suffix in ("tum", "txt"):
+        run = read_run(write(tmp_path, "# made by hand", *rows, suffix=suffix))
+        assert run.source == f"tum: drive.{suffix}"
+        assert run.poses.time_ns.tolist() == [0, 1_000_000_000]
+        assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.0]]
+        assert run.poses.heading_rad.tolist() == [0.0, math.pi / 2]
+        assert run.notes["columns"].startswith("t from timestamp [s], x from tx [m], y from ty [m]")
+        assert "height varies by 0.2 m" in run.notes["plane"]
+        assert run.notes["original_timestamp"] == "2023-11-14T22:13:20.500000000Z"
+
+
+def test_a_tum_trajectory_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    run = simulate_short_run()
+    (path,) = export_tum(run, tmp_path / "kp4.tum")
+    lines = path.read_text(encoding="ascii").splitlines()
+    assert {len(line.split(" ")) for line in lines} == {8}
+    assert lines[1].startswith("0.016000000 ")
+    found = read_run(path).poses
+    assert found.time_ns.tolist() == run.poses.time_ns.tolist()
+    assert found.xy_m.tolist() == run.poses.xy_m.tolist()
+    assert np.abs(found.heading_rad - run.poses.heading_rad).max() < 1e-15
+    require_same_poses(path, run, read_run(path))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "column"),
+    [("0.016000000", "0.016000001", "time_ns"), (" 5.5", " 5.6", "xy_m"), ("1.0\n", "0.9\n", "")],
+)
+def test_a_trajectory_that_is_not_what_was_written_is_refused(
+    old: str, new: str, column: str, tmp_path: Path
+) -> None:
+    run = simulate_short_run()
+    (path,) = export_tum(run, tmp_path / "kp4.tum")
+    path.write_text(path.read_text().replace(old, new))
+    if not column:  # a quaternion of another length is the same rotation
+        require_same_poses(path, run, read_run(path))
+        return
+    with pytest.raises(LogError, match=rf"kp4\.tum: .* found other values in {column}"):
+        require_same_poses(path, run, read_run(path))
+
+
+@pytest.mark.parametrize("turned", [1.5e-15, 3e-15])
+def test_headings_may_be_rounded_but_no_more(turned: float, tmp_path: Path) -> None:
+    run = simulate_short_run()
+    poses = replace(run.poses, heading_rad=np.full(len(run.poses), 1.5))
+    other = replace(run, poses=replace(poses, heading_rad=poses.heading_rad + turned))
+    if turned < 2e-15:
+        require_same_poses(tmp_path, replace(run, poses=poses), other)
+    else:
+        with pytest.raises(LogError, match="other values in heading_rad"):
+            require_same_poses(tmp_path, replace(run, poses=poses), other)

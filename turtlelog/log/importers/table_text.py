@@ -32,7 +32,7 @@ class PlainTable:
         lines: Number of each row in its file, from 1.
         word: What that number counts: `line` or `row`.
         has_header: Whether the file names its columns; a TUM trajectory does not.
-        units: Of columns whose kind tells it: times of Parquet are in ns.
+        units: Of columns whose kind tells it: times of Parquet are in ns, those of TUM in s.
     """
 
     names: tuple[str, ...]
@@ -88,7 +88,12 @@ def _parse_text(text: str) -> PlainTable:
         rows = [[_replace_comma(cell) for cell in row] for row in rows]
     columns = tuple(zip(*rows, strict=True))
     return PlainTable(
-        names=tuple(header), columns=columns, lines=lines, word="line", has_header=has_header
+        names=tuple(header),
+        columns=columns,
+        lines=lines,
+        word="line",
+        has_header=has_header,
+        units={} if has_header else {"timestamp": "s", "tx": "m", "ty": "m", "tz": "m"},
     )
 
 
