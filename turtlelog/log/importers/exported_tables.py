@@ -20,6 +20,7 @@ from turtlelog.log.importers.table_text import read_header
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import (
     TABLES,
+    Clock,
     CommandColumns,
     Event,
     PoseColumns,
@@ -243,6 +244,7 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
         parameters=json.loads(facts.get("scenario", "{}")),
         scenario_is_complete=json.loads(facts.get("scenario_is_complete", "false")),
         stop_reason=json.loads(facts.get("stop_reason", "null")),
+        clock=Clock(**json.loads(facts["clock"])) if "clock" in facts else None,
         events=tuple(
             Event(time_ns=int(time_ns), kind=kind, text=text)
             for time_ns, kind, text in zip(*events.values(), strict=True)
