@@ -54,7 +54,7 @@ def test_a_log_of_the_papers_is_imported() -> None:
             "expected a SQLite file of pages of 65536 bytes, found 116 bytes: cut short",
         ),
         ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
-        ("a.txt", b"timestamp,time", ".* found text: a log is read where its name ends"),
+        ("a.log", b"timestamp,time", ".* found text: logs and tables are read where the name"),
         ("a.json", b"{", r"expected JSON, found"),
     ],
 )

@@ -11,7 +11,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.sqlite_source import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.importers import LOG_SUFFIXES, import_log
+from turtlelog.log.importers import LOG_SUFFIXES, import_other
 from turtlelog.log.importers.exported_tables import holds_tables, import_tables
 from turtlelog.log.info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
@@ -29,7 +29,7 @@ from turtlelog.run import Run
 
 
 def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
-    """Return the run in a recording, somebody's bag or .mcap, a paper's log, or exported tables.
+    """Return the run in a recording, somebody's bag or .mcap, a paper's log, or a table.
 
     Args:
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
@@ -60,10 +60,10 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> Run:
         raise LogError(
             f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
         )
-    if has_tables:
+    if has_tables and not (is_log and choice.columns):
         return _aim(path, import_tables(path), choice)
     if is_log:
-        return _aim(path, import_log(path), choice)
+        return _aim(path, import_other(path, choice.columns), choice)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     asked = choice.pose_topic, choice.command_topic
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
@@ -128,7 +128,7 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
     is_log = path.suffix.lower() in LOG_SUFFIXES
     if not has_tables and (not is_log or _is_bag_file(path)):
         return read_info(path, allow_partial=allow_partial)
-    run = import_tables(path) if has_tables else import_log(path)
+    run = import_tables(path) if has_tables else import_other(path, {})
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),

@@ -1,4 +1,4 @@
-"""Run -> files for other programs: rosbag2 folders, CSV and Parquet tables."""
+"""Run -> files for other programs: rosbag2 folders, CSV and Parquet tables, TUM trajectories."""
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
@@ -109,6 +111,31 @@ def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> t
         LogError: Where the place cannot be written, a folder exists, or there is no such table.
     """
     return _export(run, Path(path), ".parquet", table, _write_parquet)
+
+
+def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
+    """Write the poses of a run as a TUM trajectory and return the file, which it replaces.
+
+    A line per pose, for evo and its like: time [s], x y z [m], and the quaternion x y z w of the
+    heading. Position and time read back to the last bit, the heading to some 1e-15 rad.
+
+    Raises:
+        LogError: Where the place cannot be written.
+    """
+    path = Path(path)
+    with replace_when_complete(path) as temporary:
+        temporary.write_text(_format_tum(run), encoding="ascii", newline="\n")
+    return (path,)
+
+
+def _format_tum(run: Run) -> str:
+    poses, lines = run.poses, []
+    half_rad = poses.heading_rad / 2.0
+    columns = (poses.time_ns, *poses.xy_m.T, np.sin(half_rad), np.cos(half_rad))
+    for time_ns, x, y, qz, qw in zip(*(column.tolist() for column in columns), strict=True):
+        sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 1_000_000_000)
+        lines.append(f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n")
+    return "".join(lines)
 
 
 def _export(

@@ -39,6 +39,7 @@ from turtlelog.log.ros2.bag_columns import (
 )
 from turtlelog.log.ros2.bag_poses import Found, PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
+from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
@@ -81,6 +82,8 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
         found = [*source.found, *bag.read(names)]
         run, track = _build_run(bag.path, found, source, commands, choice.time)
         run = add_references(run, bag, source, track, choice)
+        if source.topic.topic == POSE.name:
+            run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
     notes = {**run.notes, **_note_rest(distinct, run), **_join_notes(bag.infos.values())}
     return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
 
@@ -110,7 +113,8 @@ _OPTIONS: Final = {
 def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
     """Return a note on the topics of a recording of ours, which only one of ours is read with."""
     sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
-    own = {topic.name: topic.schema for topic in (CONTROL, REFERENCE64, SHAPED, *sensed)}
+    control = () if len(run.samples) else (CONTROL,)
+    own = {topic.name: topic.schema for topic in (*control, REFERENCE64, SHAPED, *sensed)}
     rest = [
         f"{topic.count} of {topic.topic}"
         for topic in topics

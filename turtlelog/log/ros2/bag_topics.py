@@ -8,7 +8,7 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.info import TopicInfo
-from turtlelog.log.recording.topics import POSE64, SHAPED, VELOCITY64
+from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 PATH: Final = "nav_msgs/msg/Path"
@@ -42,7 +42,7 @@ _TIERS: Final = {
 
 _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
 
-_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name})
+_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
 """Topics of a recording of ours with the type of commands that nobody published as one."""
 
 _NO_POSES: Final = frozenset({POSE64.name})
