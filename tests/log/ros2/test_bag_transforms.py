@@ -65,9 +65,7 @@ def test_frames_that_are_asked_for_are_joined_up_and_down(tmp_path: Path) -> Non
     run = read_run(file, pose_frame="camera", world_frame="beacon")
     assert run.poses.xy_m.tolist() == [[-4.5, -1.0], [-3.5, -1.0], [-2.5, -1.0]]
     assert read_run(file, pose_frame="camera").poses.xy_m[0].tolist() == [0.5, 0.0]
-    with pytest.raises(
-        LogError, match=r"pose_frame: .* found arm among base_link"
-    ):
+    with pytest.raises(LogError, match=r"pose_frame: .* found arm among base_link"):
         read_run(file, pose_frame="arm")
     with pytest.raises(LogError, match=r"odom -> beacon: expected transforms .* static ones alone"):
         read_run(file, pose_frame="beacon", world_frame="odom")
