@@ -20,10 +20,11 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_what_is_read_is_one_line(call: Call, robot: Path) -> None:
-    assert call("metrics", robot).err == (
+    line, *_ = call("metrics", robot).err.splitlines()
+    assert line == (
         "robot.mcap: poses from /odom (nav_msgs/msg/Odometry), commands from /cmd_vel"
         " (geometry_msgs/msg/Twist); also there: /odom_kf: --pose-topic; also there: /cmd_vel_nav:"
-        " --command-topic\n"
+        " --command-topic"
     )
 
 
