@@ -1,8 +1,10 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from tests.log.ros2.bags import START_NS
 from tests.log.ros2.robots import (
     say_goal,
     say_odometry,
@@ -121,6 +123,18 @@ def test_paths_that_are_no_reference_say_why(tmp_path: Path) -> None:
         tmp_path, say_odometry(), say_path(*PLAN, topic="/local_plan"), path_topic="/local_plan"
     )
     assert asked.path is not None
+
+
+@pytest.mark.parametrize("count", [1000, 1001])
+def test_very_many_paths_are_read_only_where_they_are_asked_for(count: int, tmp_path: Path) -> None:
+    paths = [replace(say_path(PLAN[0], PLAN[3]), time_ns=START_NS + k) for k in range(count)]
+    file = write_robot(tmp_path, say_odometry(), paths)
+    run = read_run(file)
+    assert (run.path is None) == (count > 1000)
+    if count > 1000:
+        expected = "/plan: left out: 1001 messages, more than 1000: --path-topic reads them"
+        assert run.notes["path"] == expected
+        assert read_run(file, path_topic="/plan").path is not None
 
 
 def test_goal_and_path_stay_in_a_recording_made_of_a_bag(tmp_path: Path) -> None:

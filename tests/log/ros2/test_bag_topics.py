@@ -1,7 +1,10 @@
+import json
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
 from tests.log.ros2.bags import (
     START_NS,
@@ -230,6 +233,72 @@ def test_speeds_that_are_never_numbers_are_absent(tmp_path: Path) -> None:
 def test_other_peoples_robots_are_read(name: str, poses: str, commands: str | None) -> None:
     notes = read_run(find_shared("robots", name)).notes
     assert (notes["pose_topic"], notes.get("command_topic")) == (poses, commands)
+
+
+ANGLE = {"type": "number"}
+TURN = {"type": "object", "properties": dict.fromkeys("xyzw", ANGLE)}
+PLACED = {"type": "object", "properties": dict.fromkeys("xyz", ANGLE)}
+
+
+@pytest.mark.parametrize(
+    ("fields", "values"),
+    [
+        (
+            {"pose": {"type": "object", "properties": {"position": PLACED, "orientation": TURN}}},
+            {"pose": PLACE},
+        ),
+        (
+            {"translation": PLACED, "rotation": TURN},
+            {"translation": {"x": 3, "y": 4, "z": 0}, "rotation": PLACE["orientation"]},
+        ),
+        (dict.fromkeys(("x", "y", "theta"), ANGLE), {"x": 3, "y": 4, "theta": 2.5}),
+        (
+            {
+                "state": {
+                    "type": "object",
+                    "properties": dict.fromkeys(("x", "y", "yaw_deg"), ANGLE),
+                }
+            },
+            {"state": {"x": 3, "y": 4, "yaw_deg": math.degrees(2.5)}},
+        ),
+    ],
+    ids=["pose", "transform", "flat", "degrees"],
+)
+def test_poses_in_json_are_known_by_their_fields(
+    fields: dict[str, Any], values: dict[str, Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "a.mcap"
+    with file.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("", "test")
+        other = writer.register_schema(
+            "other", "jsonschema", b'{"type":"object","properties":{"k":{}}}'
+        )
+        schema = json.dumps({"type": "object", "properties": fields}).encode()
+        kinds = {"/a": other, "/where": writer.register_schema("mine", "jsonschema", schema)}
+        for topic, kind in kinds.items():
+            channel = writer.register_channel(topic, "json", kind)
+            writer.add_message(channel, 10, json.dumps(values).encode(), 10)
+        writer.finish()  # type: ignore[no-untyped-call]
+    for run in (read_run(file), read_run(f"{file}:/where")):
+        assert run.poses.xy_m.tolist() == [[3.0, 4.0]]
+        assert run.poses.heading_rad[0] == pytest.approx(2.5)
+        assert run.notes["pose_topic"] == "/where (mine)"
+    with pytest.raises(LogError, match=r"topic /a: expected other with a field pose\.orientation"):
+        read_run(f"{file}:/a")
+
+
+def test_a_file_is_named_once(tmp_path: Path) -> None:
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("", "test")
+        channel = writer.register_channel("/a", "json", 0)
+        writer.add_message(channel, 10, b"{}", 10)
+        writer.finish()  # type: ignore[no-untyped-call]
+    bag = write_metadata(tmp_path, ["a.mcap"])
+    with pytest.raises(LogError, match="topic /a: ") as caught:
+        read_run(f"{bag}:/a")
+    assert str(caught.value).startswith(f"{bag / 'a.mcap'}: topic /a: ")
 
 
 def test_a_goal_beside_transforms_is_no_pose(tmp_path: Path) -> None:
