@@ -160,15 +160,18 @@ def test_a_reference_is_read_with_the_topics_that_the_runs_are(
 ) -> None:
     words = ("tol.toml", two_robots, "--pose-topic", topic, "--reference")
     answer = call("check", *words, two_robots)
-    assert (answer.code, answer.err) == (0, "")
+    line = f"{two_robots}: poses from {topic} (turtlesim/msg/Pose), no commands\n"
+    assert (answer.code, answer.err) == (0, line)
     other = write_mcap(two_robots.with_name("one.mcap"), make_poses(x=7.0))
     assert call("check", *words, other).code == (1 if topic == "/turtle1/pose" else 0)
 
 
 def test_a_reference_that_is_read_wrongly_is_bad_input(call: Call, two_robots: Path) -> None:
-    answer = call("check", "tol.toml", two_robots, "--reference", two_robots)
+    poses = [row for side in ("left", "right") for row in make_poses(topic=f"/{side}/pose")]
+    unclear = write_mcap(two_robots.with_name("unclear.mcap"), poses)
+    answer = call("check", "tol.toml", two_robots, "--reference", unclear)
     assert (answer.code, answer.out) == (2, "")
-    assert "two.mcap: pose_topic: expected one topic" in answer.err
+    assert "unclear.mcap: pose_topic: expected one topic" in answer.err
     answer = call("check", "tol.toml", two_robots, "--reference", "tol.toml")
     assert (answer.code, answer.out) == (2, "")
 

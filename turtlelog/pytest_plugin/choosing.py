@@ -31,7 +31,7 @@ def choose_recordings(
     place = f"{metafunc.definition.nodeid}: recordings"
     unknown = sorted(marker.kwargs.keys() - {*_SETTINGS})
     if unknown:
-        _refuse(f"{place}: expected {' or '.join(_SETTINGS)}, found {unknown[0]}")
+        _refuse(f"{place}: expected one of {', '.join(_SETTINGS)}, found {unknown[0]}")
     _require_settings(marker.kwargs, place)
     if not marker.args:
         _refuse(f'{place}: expected a pattern such as "runs/*.mcap", found none')

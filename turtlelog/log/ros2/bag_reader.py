@@ -1,6 +1,7 @@
 """Bag -> Run: which of its topics, and what they hold."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,7 +25,7 @@ from turtlelog.log.recording.topics import (
     SENSED,
     SHAPED,
 )
-from turtlelog.log.ros2.bag import open_bag
+from turtlelog.log.ros2.bag import Bag, open_bag
 from turtlelog.log.ros2.bag_clock import time_rows
 from turtlelog.log.ros2.bag_columns import (
     Fields,
@@ -73,7 +74,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     """
     choice, bag = ReadChoice(**options), open_bag(path)
     distinct = bag.topics
-    with name_file(bag.path, expected="a bag"):
+    with _name_once(bag):
         source = find_poses(bag, distinct, choice)
         commands = choose_command_topic(distinct, choice.command_topic, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
@@ -86,6 +87,19 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
             run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
     notes = {**run.notes, **_note_rest(distinct, run), **_join_notes(bag.infos.values())}
     return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
+
+
+@contextmanager
+def _name_once(bag: Bag) -> Iterator[None]:
+    """Name the bag in errors, but in those that name one of its files."""
+    try:
+        with name_file(bag.path, expected="a bag"):
+            yield
+    except LogError as err:
+        text = str(err).removeprefix(f"{bag.path}: ")
+        if not any(text.startswith(f"{file}: ") for file in bag.infos):
+            raise
+        raise LogError(text) from err
 
 
 def describe_chosen(notes: Mapping[str, str]) -> str:
