@@ -55,7 +55,7 @@ def test_the_step_back_of_a_real_robot_is_found() -> None:
     # It is where its odometry reports a turn rate of -143.6 rad/s.
     assert run.poses.measured_turn_rate_rad_s is not None
     assert jump.row == int(np.abs(run.poses.measured_turn_rate_rad_s).argmax())
-    assert describe_breaks(run)["jumps"].startswith("1 jump, of -0.00726 m ahead")
+    assert describe_breaks(run)["jumps"].startswith("1 jump, 0.00726 m back and +0.709 deg at 31.")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, join_words
 from turtlelog.measure.motion import GAP_STEPS
 from turtlelog.measure.outliers import (
     GRAINS,
@@ -156,11 +156,17 @@ def _format_s(gap: PoseGap) -> str:
 def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int) -> str:
     largest = max(jumps, key=lambda jump: abs(jump.moved_m) + abs(jump.aside_m))
     which = "" if len(jumps) == 1 else "the largest "
-    return (
-        f"{describe_count(len(jumps), 'jump')}, {which}of {largest.moved_m:+.3g} m ahead,"
-        f" {largest.aside_m:+.3g} m to the left and {np.degrees(largest.turned_rad):+.3g} deg"
-        f" at {(largest.time_ns - start_ns) / 1e9:.1f} s"
-    )
+    ways = {
+        "m ahead": largest.moved_m,
+        "m back": -largest.moved_m,
+        "m to the left": largest.aside_m,
+        "m to the right": -largest.aside_m,
+    }
+    parts = [f"{way:.3g} {unit}" for unit, way in ways.items() if way > _ROUNDING]
+    if abs(largest.turned_rad) > _ROUNDING:
+        parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
+    at_s = (largest.time_ns - start_ns) / 1e9
+    return f"{describe_count(len(jumps), 'jump')}, {which}{join_words(parts)} at {at_s:.1f} s"
 
 
 def _measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
