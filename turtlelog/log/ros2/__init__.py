@@ -10,12 +10,16 @@ from turtlelog.log.ros2.bag_metadata import (
     parse_bag_metadata,
 )
 from turtlelog.log.ros2.bag_reader import read_bag
+from turtlelog.log.ros2.bag_topics import COMMAND_TYPES, POSE_TYPES, choose_pose_topic
 
 __all__ = [
+    "COMMAND_TYPES",
     "METADATA_FILE",
+    "POSE_TYPES",
     "BagMetadata",
     "BagPart",
     "BagTopic",
+    "choose_pose_topic",
     "format_bag_metadata",
     "list_bag_files",
     "parse_bag_metadata",
