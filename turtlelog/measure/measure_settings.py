@@ -34,6 +34,8 @@ class MeasureSettings:
         reference_path_xy_m: The path that cross-track errors are taken from, as a line through
             points in the world frame [m], shape (n, 2), n >= 2; None for the line from start to
             goal.
+        goal_tolerance_m: How near the goal counts as there [m], > 0; None for `band` of the first
+            distance.
         dead_time_ticks: Dead time of the delayed ideal loop, in samples of its period, 0 to 1000;
             None for that found in the recording.
 
@@ -46,10 +48,14 @@ class MeasureSettings:
     final: Target | Mapping[str, Target] = "reference"
     reference_path_xy_m: NDArray[np.float64] | None = None
     dead_time_ticks: int | None = None
+    goal_tolerance_m: float | None = None
 
     def __post_init__(self) -> None:
         if not (_is_number(self.band) and self.band > 0.0):
             raise MeasureError(f"band: expected a share of the step > 0, found {self.band!r}")
+        near_m = self.goal_tolerance_m
+        if near_m is not None and not (_is_number(near_m) and near_m > 0.0):
+            raise MeasureError(f"goal_tolerance_m: expected metres > 0, found {near_m!r}")
         for value in _list_values(self.initial):
             if value is not None and not _is_number(value):
                 raise MeasureError(f"initial: expected a number, found {value!r}")
