@@ -241,7 +241,7 @@ def test_metrics_of_a_bag_are_asked_for_in_tests(robot: Path) -> None:
     assert lag == pytest.approx(0.1 * math.log(2.0), abs=0.02)
     with pytest.raises(tl.check.MissingValueError, match="the goal is not known"):
         assert recording.metric("final.position_error") <= 1.0
-    with pytest.raises(tl.TurtlelogError, match="expected run.path_length"):
+    with pytest.raises(tl.TurtlelogError, match=r"expected run\.path_length"):
         recording.metric("run.path_lenght")
 
 

@@ -73,7 +73,7 @@ def test_an_arc_is_as_long_as_it_is_and_turns_as_far() -> None:
 
 
 @pytest.mark.parametrize("reports", [True, False])
-def test_a_sinusoidal_speed_has_its_peak_and_mean(reports: bool) -> None:
+def test_a_sinusoidal_speed_has_its_peak_and_mean(*, reports: bool) -> None:
     phase = 2.0 * np.pi * AT_20_HZ / 4.0
     way = 0.5 * 4.0 / (2.0 * np.pi) * (1.0 - np.cos(phase))
     run = make_driven_run(AT_20_HZ, speed=(0.5 * np.sin(phase), way), reports=reports)
@@ -109,7 +109,7 @@ def test_turtlesim_reports_what_it_applied_with_the_sign_of_the_motion() -> None
 @pytest.mark.parametrize("axis", ["speed", "turn_rate"])
 @pytest.mark.parametrize("hz", [5.0, 20.0, 62.5, 1000.0])
 @pytest.mark.parametrize("reports", [True, False])
-def test_a_first_order_lag_is_found(axis: str, hz: float, reports: bool) -> None:
+def test_a_first_order_lag_is_found(axis: str, hz: float, *, reports: bool) -> None:
     run = drive(np.arange(0.0, 20.0, 1.0 / hz), axis=axis, lag_s=0.2, dead_s=0.1, reports=reports)
     period_s = max(1.0 / hz, 0.05 if not reports else 0.0)
     lag_s, tau_s = 0.1 + 0.2 * math.log(2.0), 0.2
@@ -245,7 +245,7 @@ def test_a_robot_that_stands_answers_no_step() -> None:
 
 
 @pytest.mark.parametrize(("hz", "is_seen"), [(5.0, True), (4.0, False)])
-def test_a_rise_takes_five_poses_a_second(hz: float, is_seen: bool) -> None:
+def test_a_rise_takes_five_poses_a_second(hz: float, *, is_seen: bool) -> None:
     run = drive(np.arange(0.0, 20.0, 1.0 / hz), lag_s=0.3)
     metric = measure(run, "run.speed_rise_time")
     assert (metric.value is not None) == is_seen

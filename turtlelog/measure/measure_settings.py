@@ -51,11 +51,9 @@ class MeasureSettings:
     goal_tolerance_m: float | None = None
 
     def __post_init__(self) -> None:
-        if not (_is_number(self.band) and self.band > 0.0):
-            raise MeasureError(f"band: expected a share of the step > 0, found {self.band!r}")
-        near_m = self.goal_tolerance_m
-        if near_m is not None and not (_is_number(near_m) and near_m > 0.0):
-            raise MeasureError(f"goal_tolerance_m: expected metres > 0, found {near_m!r}")
+        _require_positive("band", "a share of the step", self.band)
+        if self.goal_tolerance_m is not None:
+            _require_positive("goal_tolerance_m", "metres", self.goal_tolerance_m)
         for value in _list_values(self.initial):
             if value is not None and not _is_number(value):
                 raise MeasureError(f"initial: expected a number, found {value!r}")
@@ -95,6 +93,11 @@ class MeasureSettings:
                 if loop not in known:
                     listed = " or ".join(known) or "no loop, for the run declares none"
                     raise MeasureError(f"{name}: expected a loop {listed}, found {loop!r}")
+
+
+def _require_positive(name: str, what: str, value: object) -> None:
+    if not (_is_number(value) and cast("float", value) > 0.0):
+        raise MeasureError(f"{name}: expected {what} > 0, found {value!r}")
 
 
 def _is_number(value: object) -> bool:
