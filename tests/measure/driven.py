@@ -1,4 +1,4 @@
-"""Runs of a robot with a dead time and a lag, in closed form, as a bag of somebody else holds them."""
+"""Runs of a robot with a dead time and a lag, in closed form, as bags hold them."""
 
 from typing import Any
 

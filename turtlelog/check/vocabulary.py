@@ -80,7 +80,7 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
 
 
 def names_metrics_alone(formula: Expression) -> bool:
-    """Return whether a formula is one of metrics: a bound on them is judged by when they pass it."""
+    """Return whether a formula names metrics and nothing that changes with time."""
     is_temporal = any(isinstance(node, Temporal | Until) for node in iterate_nodes(formula.root))
     names = formula.names
     return not is_temporal and all(find_metric_kind(name) is not None for name in names)

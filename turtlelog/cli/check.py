@@ -54,11 +54,13 @@ class FirstSpecOptions:
     """Other things to ask for.
 
     Attributes:
+        expect: Hold recordings to this formula instead of a specification; may be repeated.
         init: Write a first specification from this good run; see -o.
         output: The .toml file that --init writes; otherwise it is printed.
         schema: Print the JSON Schema of specification files, for editors.
     """
 
+    expect: Annotated[list[str] | None, Parameter(metavar="FORMULA", negative=())] = None
     init: Path | None = None
     output: Output = None
     schema: bool = False
@@ -68,7 +70,6 @@ def check(  # noqa: PLR0913 (each is an option of the command)
     words: Words | None = None,
     /,
     *,
-    expect: Annotated[list[str] | None, Parameter(metavar="FORMULA", negative=())] = None,
     reference: Path | None = None,
     reports: ReportOptions | None = None,
     first: FirstSpecOptions | None = None,
@@ -93,7 +94,6 @@ def check(  # noqa: PLR0913 (each is an option of the command)
 
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
-        expect: What is to hold, instead of a specification; may be given several times.
         reference: Take tolerances from this recording, not from the file's own.
     """
     kind = (formats or FormatOptions()).choose()
@@ -107,6 +107,7 @@ def check(  # noqa: PLR0913 (each is an option of the command)
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
     if first.output is not None:
         raise UsageError("--output: expected --init beside it, found none")
+    expect = first.expect
     if expect and reference is not None:
         raise UsageError("--reference: expected no --expect beside it, found one")
     if not words:

@@ -250,7 +250,7 @@ def _measure_usual(run: "Run", other: "Run") -> "Mapping[str, Metric]":
 
 def _tell_path(name: str, reference: str, error: "PathError") -> str:
     def show(value_m: float) -> str:
-        return format_number(value_m, "m")
+        return format_number(round(value_m, 9), "m")  # less is rounding
 
     return (
         f"{name}: up to {show(error.largest_m)} from the path of {reference} at"

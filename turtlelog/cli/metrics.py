@@ -41,6 +41,8 @@ class MeasureOptions:
         final: Where they lead [rad or m]: reference, last, NUMBER, or LOOP=VALUE; otherwise
             reference.
         reference_path: CSV of x,y [m], for cross-track errors; otherwise the line to the goal.
+        goal_tolerance: How near the goal counts as there, for run.time_to_goal [m]; otherwise the
+            band.
         dead_time: Dead time of the delayed ideal loop [samples]; otherwise as found.
     """
 
@@ -49,6 +51,7 @@ class MeasureOptions:
     initial: Annotated[str | None, Parameter(metavar="VALUE")] = None
     final: Annotated[str | None, Parameter(metavar="VALUE")] = None
     reference_path: Path | None = None
+    goal_tolerance: Annotated[float | None, Parameter(metavar="METRES")] = None
     dead_time: Whole | None = None
 
     def list_patterns(self) -> list[str] | None:
@@ -69,6 +72,7 @@ class MeasureOptions:
             "final": None if self.final is None else _parse_values("--final", self.final),
             "reference_path_xy_m": None if path is None else tl.measure.read_reference_path(path),
             "dead_time_ticks": self.dead_time,
+            "goal_tolerance_m": self.goal_tolerance,
         }
         return tl.MeasureSettings(
             **{name: value for name, value in asked.items() if value is not None}

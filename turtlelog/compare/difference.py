@@ -171,7 +171,8 @@ def measure_path_error(reference: Run, run: Run, *, alignment: str = "first_samp
     columns = []
     for name in ("x", "y"):
         theirs, ours = (read_signal(who, name) for who in (reference, run))
-        assert theirs is not None and ours is not None
+        assert theirs is not None
+        assert ours is not None
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
         grid = lay_grid(placed[0].time_ns, placed[1].time_ns, clock.span)
         columns.append([read_rows(one, grid).values for one in placed])

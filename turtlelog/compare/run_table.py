@@ -234,8 +234,8 @@ _UNLOCKS: Final = MappingProxyType(
     {
         "goal": "No goal: --goal X,Y adds final.position_error and run.time_to_goal.",
         "commands": "No commands: --command-topic TOPIC adds lags, tracking errors and steps.",
-        "samples": "No samples of a controller, which metrics of loops need: a recording of turtlelog"
-        " holds them, and so does a topic of ControlSample messages.",
+        "samples": "No samples of a controller, which metrics of loops need: recordings of"
+        " turtlelog hold them, and topics of ControlSample messages.",
     }
 )
 """What a bag may lack, and what would add the metrics that need it."""

@@ -19,8 +19,8 @@ Values = NDArray[np.float64]
 Axis = Literal["speed", "turn_rate"]
 
 SHORTEST_S: Final = 0.05
-"""Time over which poses are differenced, about [s]: odometry at 20 Hz, the most usual, is taken pose
-by pose."""
+"""Time over which poses are differenced, about [s]: odometry at 20 Hz, the most usual, is taken
+pose by pose."""
 
 _LEAST_STEP: Final = 0.5
 """A pose nearer to the one before than this share of the usual time between two is left out: pairs
@@ -94,7 +94,8 @@ def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     if len(rows) < 2:
         return np.array([0, len(time_ns) - 1])
     step_ns = np.diff(time_ns[rows])
-    return rows[np.concatenate([[True], step_ns >= _LEAST_STEP * np.median(step_ns)])]
+    is_far = np.concatenate([[True], step_ns >= _LEAST_STEP * np.median(step_ns)])
+    return np.asarray(rows[is_far])
 
 
 def _difference_poses(run: Run, axis: Axis) -> Rates:
@@ -131,7 +132,7 @@ class HeldCommands:
 
     Attributes:
         time_s: When each value begins to hold, from time zero of the run [s], shape (n,); equal
-            values in a row are one.
+            values in a row are one, and of several at one time the last.
         values: Rate [m/s or rad/s], shape (n,).
         end_s: When the last command was published: how long that one holds nobody knows [s].
         before: What is taken to hold before the first: 0 where the robot stood still, else the
@@ -149,7 +150,7 @@ class HeldCommands:
         last_s = max(float(time_s.max()), self.end_s) + 1.0
         knots_s = np.concatenate([[first_s], self.time_s, [last_s]])
         ways = np.diff(knots_s) * np.concatenate([[self.before], self.values])
-        return np.interp(time_s, knots_s, np.concatenate([[0.0], np.cumsum(ways)]))
+        return np.asarray(np.interp(time_s, knots_s, np.concatenate([[0.0], np.cumsum(ways)])))
 
 
 SAME: Final = 1e-6
@@ -168,7 +169,7 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates) -> HeldCommands | Non
     is_last = np.append(np.diff(time_s) > 0.0, True)
     time_s, values = time_s[is_last], values[is_last]
     end_s = float(time_s[-1])
-    is_new = np.concatenate([[True], np.abs(np.diff(values)) > SAME])
+    is_new = np.concatenate([[True], np.diff(values) != 0.0])
     time_s, values = time_s[is_new], values[is_new]
     first = float(values[0])
     row = min(max(int(np.searchsorted(rates.edges_s, time_s[0])) - 1, 0), len(rates.means) - 1)

@@ -14,7 +14,7 @@ import numpy as np
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.rates import Axis, HeldCommands, Rates
+from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.registry import run_metric
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
 
@@ -32,7 +32,7 @@ _LONGEST_S: Final = 5.0
 something else."""
 
 _ANSWERED: Final = 0.5
-"""Share of the step that the robot does at least: else something holds it, or it does not listen."""
+"""Share of a step that the robot does at least: else something holds it, or nobody listens."""
 
 _FEWEST: Final = 5
 """Measured rates in the second after a step that it takes to see its response."""
@@ -92,11 +92,12 @@ def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> 
     end_s = min(end_s, commands.end_s)
     starts_s = np.concatenate([[min(begin_s, commands.time_s[0])], commands.time_s])
     values = np.concatenate([[commands.before], commands.values])
-    starts_s, values = starts_s[starts_s <= end_s], values[starts_s <= end_s]
+    is_new = (np.abs(np.diff(values, prepend=np.inf)) > SAME) & (starts_s <= end_s)
+    starts_s, values = starts_s[is_new], values[is_new]
     held_s = np.diff(np.append(starts_s, end_s))
     least = LEAST_STEP * float(np.abs(values).max(initial=0.0))
     is_step = (held_s[:-1] >= HELD_BEFORE_S - _GRAIN_S) & (held_s[1:] >= HELD_AFTER_S - _GRAIN_S)
-    is_step &= (np.abs(np.diff(values)) >= max(least, _GRAIN_S)) & (starts_s[1:] >= begin_s)
+    is_step &= (np.abs(np.diff(values)) >= max(least, SAME)) & (starts_s[1:] >= begin_s)
     return [
         CommandStep(
             time_s=float(starts_s[row + 1]),
@@ -109,7 +110,7 @@ def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> 
 
 
 _GRAIN_S: Final = 1e-6
-"""Rounding of times [s], and of commands."""
+"""Rounding of times [s]: a command that holds for half a second holds for 499,999,999 ns, too."""
 
 
 def measure_steps(rates: Rates, steps: list[CommandStep], band: float) -> Iterator[StepFigures]:
@@ -232,7 +233,7 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.{_axis}_overshoot",
         "%",
-        "Furthest measured rate beyond where it comes to, of the answer; 0 within its scatter; their"
+        "Furthest measured rate beyond where it comes to, of the answer; 0 within the band; their"
         " median.",
         floor=0.0,
     )(_take_median(_name, "overshoot", 100.0))

@@ -11,7 +11,7 @@ import numpy as np
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
-from turtlelog.measure.rates import Axis, HeldCommands, Rates, Values
+from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates, Values
 from turtlelog.measure.registry import run_metric
 
 _ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
@@ -26,13 +26,13 @@ _FEWEST: Final = 20
 """Intervals between poses that tell a lag."""
 
 _FOLLOWS: Final = 0.5
-"""Correlation of commands, shifted, and measured rate from which on the robot follows [1]: a quarter
+"""Correlation of shifted commands and measured rate from which on the robot follows [1]: a quarter
 of its motion is explained by them. Of 100 unrelated values 0.3 is reached once in 400 times."""
 
 _ALIKE: Final = 0.95
 _VALLEY: Final = 0.9
-"""A second shift fits alike where its correlation is this share of the best, and in between it falls
-below that share: commands repeat themselves."""
+"""A second shift fits alike where its correlation is the first share of the best, and in between
+falls below the second: commands repeat themselves."""
 
 _MOST_INTERVALS: Final = 20_000
 """As much of a run as its lag is looked for in: a quarter of an hour at 20 Hz."""
@@ -108,8 +108,10 @@ def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:
 
 def _has_change(commands: HeldCommands, begin_s: float, end_s: float) -> bool:
     """Whether the command changes with some time before and after."""
-    changes_s = commands.time_s if commands.before != commands.values[0] else commands.time_s[1:]
-    return bool(((changes_s >= begin_s + _INSIDE_S) & (changes_s <= end_s - _INSIDE_S)).any())
+    inside_s = np.array([begin_s + _INSIDE_S, end_s - _INSIDE_S])
+    first, last = np.searchsorted(commands.time_s, inside_s, side="right")
+    held = np.concatenate([[commands.before], commands.values])[first : last + 1]
+    return len(held) > 0 and float(np.ptp(held)) > SAME
 
 
 def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:

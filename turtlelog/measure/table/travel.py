@@ -1,4 +1,4 @@
-"""Metrics of how a robot moved, of poses alone: how far, how fast, how smoothly, how long at rest."""
+"""Metrics of how a robot moved, of poses alone: how far, how fast, how smoothly, and at rest."""
 
 from collections.abc import Callable
 from math import degrees
@@ -56,8 +56,8 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
     run_metric(
         f"run.measured_{_axis}_max",
         _unit,
-        f"Largest magnitude of the {_words} that the robot reports, or else of differences of poses;"
-        " outliers left out.",
+        f"Largest magnitude of the {_words} that the robot reports, or else of differences of"
+        " poses; outliers left out.",
         better=None,
     )(_on_rates(_name, _find_largest))
     run_metric(
@@ -123,7 +123,7 @@ def _compute_rest_share(context: RunContext) -> Result:
 _HIGHEST_HZ: Final = 10.0
 _LEAST_AMPLITUDE: Final = 0.05
 _PADDING: Final = 4
-"""Cut-off frequency [Hz], amplitude threshold [1] and zero padding (powers of two) of the source."""
+"""Cut-off frequency [Hz], amplitude threshold [1] and zero padding [powers of 2] of the source."""
 
 _LEAST_HZ: Final = 5.0
 """Poses that come less often than this do not show how smoothly a robot moves [Hz]: one that takes
