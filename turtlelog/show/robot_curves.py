@@ -56,7 +56,7 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
 
 
 def part_path(run: Run) -> Values:
-    """Return the positions of a run [m], shape (n, 2), a row of NaN before each jump of turtlesim's.
+    """Return the positions of a run [m], shape (n, 2), with NaN before each jump of turtlesim's.
 
     Nobody drove from the pose before a reset or teleport to the one after it.
     """
