@@ -183,19 +183,22 @@ def _build(poses: TimedRows, commands: TimedRows, clock: Clock, text: str) -> Ba
     close = int(len(kept) - kept.sum())
     if close:
         notes[CLOSE_ROWS] = str(close)
-        notes[CLOCK] += f"; {describe_count(close, 'pose')} at most 1 ms behind another left out"
+        notes[CLOCK] += f"; {describe_count(close, 'pose')} less than 1 ms before another left out"
     poses = TimedRows(rows=poses.rows[kept], time_ns=poses.time_ns[kept])
     return BagTimes(poses=poses, commands=commands, clock=clock, notes=notes)
 
 
 def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
-    """Return which rows do not follow another one so closely that no rate can be told."""
+    """Return which rows no other one follows so closely that no rate can be told.
+
+    Of close ones the last stays: of poses that were held up, it is the one whose time is right.
+    """
     step_ns = np.diff(time_ns)
     moving_ns = step_ns[step_ns > 0]
     if not len(moving_ns):
         return np.ones(len(time_ns), dtype=bool)
     least_ns = min(_CLOSEST_NS, _CLOSEST_SHARE * float(np.median(moving_ns)))
-    return np.append(True, step_ns >= least_ns)
+    return np.append(step_ns >= least_ns, True)
 
 
 def _sort(time_ns: TimesNs) -> TimedRows:
