@@ -161,11 +161,14 @@ def test_explain_says_of_a_robot_its_rates_and_nothing_of_a_turtle(call: Call) -
         "634 commands, usually one every 101.",
         "Largest commands: speed 0.12 m/s at ",
         "The measured turn rate holds 1 outlier, -143.6 rad/s at ",
+        "1 jump, of -0.00726 m ahead, ",
     ):
         assert sentence in text
     assert not any(word in text for word in TURTLE_WORDS)
     motion = call("explain", bag, "--json").json["motion"]
-    assert (motion["replay"], motion["command_delays"]) == (None, None)
+    assert (motion["replay"], motion["command_delays"], motion["gaps"]) == (None, None, [])
+    [jump] = motion["jumps"]
+    assert jump["moved"] == pytest.approx(-0.00726, abs=1e-5)
     assert {found["signal"]: found["value"] for found in motion["largest_commands"]} == {
         "speed": pytest.approx(0.12),
         "turn_rate": pytest.approx(0.3),
