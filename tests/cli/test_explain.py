@@ -155,7 +155,7 @@ def test_explain_says_of_a_robot_its_rates_and_nothing_of_a_turtle(call: Call) -
     bag = find_shared("robots", "tb3")
     answer = call("explain", bag)
     text = " ".join(answer.out.split())
-    assert (answer.code, answer.err) == (0, "")
+    assert answer.code == 0
     for sentence in (
         "tb3: a robot, not turtlesim, ",
         "634 commands, usually one every 101.",
@@ -181,6 +181,9 @@ def test_explain_says_of_poses_alone_how_many_there_are(call: Call, tmp_path: Pa
     assert answer.code == 0
     assert "1 pose.\nNo commands.\n\nMore would need" in answer.out
     assert call("explain", path, "--json").json["motion"]["poses"]["period_s"] is None
+    asked = call("explain", path, "--metric", "run.duration").out
+    assert asked.endswith("No metric is explained: no scenario stands for this log.\n")
+    assert "No metric" not in answer.out
 
 
 @pytest.mark.parametrize(("last_ticks", "is_silence"), [(1.49, False), (1.51, True)])
