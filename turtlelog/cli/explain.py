@@ -70,6 +70,10 @@ def explain(
     law's own mechanisms share the metric. That runs the code that the recording names, and needs
     --trust-law unless the law is built in.
 
+    Of a recording without such samples, as most bags are, it says what poses and commands tell:
+    how often they come, jumps, gaps, the largest commands, and of turtlesim the dead time of its
+    commands, taken through its plant.
+
     Then it simulates that scenario without its effects, in every combination, and divides the
     metric among them: Shapley values, whose sum is the metric as built less that without all. They
     are given where the re-simulation has the log's own value; both stand side by side. Effects are
@@ -100,6 +104,7 @@ def explain(
 
     names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
     (run,) = read_runs([file], topics)
+    is_asked = metric is not None or names is not None
     metric = metric or tl.explain.choose_metric(run.declaration)
     tl.explain.require_mechanisms(run, metric, names)
     require_trust(run, trust_law=options.trust_law)
@@ -127,6 +132,8 @@ def explain(
         print_json(describe_explanation(file, found, attribution) | motions)
     elif motion is not None:
         print_text(format_motion(run, motion))
+        if is_asked:
+            print_text(_NOTHING)
     else:
         print_text(format_identification(found))
         print_text(_NOTHING if attribution is None else format_attribution(attribution))

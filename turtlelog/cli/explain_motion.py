@@ -61,6 +61,22 @@ def describe_motion(run: "Run", found: "MotionFacts") -> dict[str, Any]:
             }
             for outlier in found.outliers
         ],
+        "jumps": [
+            {
+                "at_s": tell_s(jump.time_ns - run.start_ns),
+                "moved": jump.moved_m,
+                "aside": jump.aside_m,
+                "turned": jump.turned_rad,
+            }
+            for jump in found.jumps
+        ],
+        "gaps": [
+            {
+                "start_s": tell_s(gap.start_ns - run.start_ns),
+                "end_s": tell_s(gap.end_ns - run.start_ns),
+            }
+            for gap in found.gaps
+        ],
         "command_delays": None
         if delays is None
         else {
@@ -82,6 +98,7 @@ def format_motion(run: "Run", found: "MotionFacts") -> str:
         _tell_rate(run, "command", len(run.commands), found.commands),
         _tell_largest(run, found.largest),
         *_tell_outliers(run, found),
+        *_tell_breaks(run, found),
         *_tell_plant(run, found),
     ]
     if found.replay is not None:
@@ -131,6 +148,15 @@ def _tell_outliers(run: "Run", found: "MotionFacts") -> list[str]:
         f"The {signal.replace('_', ' ')} holds {text}."
         for signal, text in describe_outliers(run).items()
     ]
+
+
+def _tell_breaks(run: "Run", found: "MotionFacts") -> list[str]:
+    """Return what no robot can have driven, and where poses are missing, in words."""
+    from turtlelog.measure.breaks import describe_breaks
+
+    if found.replay is not None:
+        return []
+    return [f"{text[0].upper()}{text[1:]}." for text in describe_breaks(run).values()]
 
 
 def _tell_plant(run: "Run", found: "MotionFacts") -> list[str]:

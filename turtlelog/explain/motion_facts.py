@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError
 from turtlelog.measure import Outlier, list_outliers
+from turtlelog.measure.breaks import PoseGap, PoseJump, find_gaps, find_jumps
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.replay import PlantReplay, follow_commands, replay_plant
 from turtlelog.run import Run
@@ -80,6 +81,8 @@ class MotionFacts:
         commands: Likewise.
         largest: Commands of the largest magnitude on each axis that is used.
         outliers: Measured rates that their neighbours contradict.
+        jumps: Steps that a robot cannot have driven; of turtlesim the replay has them.
+        gaps: Stretches without poses; likewise.
         replay: The commands through turtlesim's plant; None of another robot.
         refused: Why turtlesim's plant could not be replayed; empty where it was, or is another.
         delays: Of turtlesim; None where no pose shows a command.
@@ -91,6 +94,8 @@ class MotionFacts:
     commands: Periods | None
     largest: tuple[Largest, ...]
     outliers: tuple[Outlier, ...]
+    jumps: tuple[PoseJump, ...]
+    gaps: tuple[PoseGap, ...]
     replay: PlantReplay | None
     refused: str
     delays: Delays | None
@@ -113,6 +118,8 @@ def read_motion_facts(run: Run) -> MotionFacts:
         commands=_measure_periods(run.commands.time_ns),
         largest=_find_largest(run),
         outliers=list_outliers(run),
+        jumps=find_jumps(run) if replay is None else (),
+        gaps=find_gaps(run) if replay is None else (),
         replay=replay,
         refused=refused,
         delays=None if replay is None else _measure_delays(run),

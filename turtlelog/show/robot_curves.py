@@ -56,20 +56,50 @@ def read_measured(run: Run, command: Command) -> MeasuredRate | None:
 
 
 def part_path(run: Run) -> Values:
-    """Return the positions of a run [m], shape (n, 2), a row of NaN before each jump of turtlesim's.
+    """Return the positions of a run [m], shape (n, 2), with NaN before each jump of turtlesim's.
 
     Nobody drove from the pose before a reset or teleport to the one after it.
     """
-    xy_m = run.poses.xy_m
-    if len(run.samples) or run.poses.speed_m_s is None or find_plant(run).name == LAGGED:
-        return xy_m
+    return np.insert(run.poses.xy_m, find_jump_rows(run), np.nan, axis=0)
+
+
+def find_jump_rows(run: Run) -> NDArray[np.int64]:
+    """Return the rows of the poses that a jump leads to, of turtlesim's without samples."""
+    none = np.zeros(0, dtype=np.int64)
+    if len(run.samples) or not is_turtlesim(run):
+        return none
     try:
-        motion = read_motion(run)
+        jumps, _, _ = find_breaks(read_motion(run))
     except ReplayError:
-        return xy_m
-    jumps, _, _ = find_breaks(motion)
-    rows = np.searchsorted(run.poses.time_ns, [jump.at_ns for jump in jumps])
-    return np.insert(xy_m, rows, np.nan, axis=0)
+        return none
+    return np.asarray(np.searchsorted(run.poses.time_ns, [jump.at_ns for jump in jumps]))
+
+
+def is_turtlesim(run: Run) -> bool:
+    """Whether the poses are turtlesim's: it alone publishes the velocities that it applies.
+
+    A controller's samples are taken to be of a turtle.
+    """
+    publishes = run.poses.speed_m_s is not None or len(run.samples) > 0
+    return publishes and find_plant(run).name != LAGGED
+
+
+def read_pace(run: Run, rows: NDArray[np.int64]) -> Values:
+    """Return how fast a run is between some of its poses [m/s], shape (n - 1,).
+
+    Of runs without samples it is what the robot reports, as the times of their poses jitter; and
+    outliers are as fast as the fastest of all others.
+    """
+    poses = run.poses
+    way_m, time_ns = np.diff(poses.xy_m[rows], axis=0), poses.time_ns[rows]
+    pace = np.hypot(*way_m.T) / (np.diff(time_ns) / 1e9)
+    if len(run.samples) or not len(pace):
+        return np.asarray(pace)
+    reported = poses.measured_speed_m_s if poses.speed_m_s is None else poses.speed_m_s
+    if reported is not None:
+        pace = np.abs(reported[rows][1:])
+    rest = np.delete(pace, find_outliers(time_ns[1:], pace))
+    return np.asarray(np.minimum(pace, rest.max()))
 
 
 def lack_samples(runs: Sequence[Run]) -> bool:

@@ -237,6 +237,8 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
     for number, panel in enumerate(panels):
         shared = axes = figure.add_subplot(grid[number, 1], sharex=shared)
         panel(axes, runs)
+        # Low panels have no room for a unit beside its name.
+        axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
         if number + 1 < len(panels):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
