@@ -23,13 +23,12 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
-from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.well_known import MessageEncoding
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block
 from turtlelog.log.engine.channels import Catalogue
-from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.log.engine.limits import DESCRIPTIONS, Allowance
 from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
 from turtlelog.log.error_boundary import DamageError, open_file
@@ -338,7 +337,7 @@ class SqliteSource:
                 raise LogError(f"topics: expected up to {_MOST_CHANNELS}, found more")
             if kind not in schemas:
                 schemas[kind] = len(schemas) + 1
-                encoded, data = definitions.get(kind) or _find_known(kind)
+                encoded, data = definitions.get(kind, ("", ""))
                 schema = Schema(id=schemas[kind], name=kind, encoding=encoded, data=data.encode())
                 self.catalogue.add([schema], 0)
             self._numbers[topic_id] = number = len(self._numbers) + 1
@@ -452,12 +451,6 @@ def _copy_with_sides(path: Path, place: Path, sides: list[Path]) -> None:
                         f"{source.name}: expected the journal of one file, found one that names"
                         " another"
                     )
-
-
-def _find_known(kind: str) -> tuple[str, str]:
-    """Return encoding and text of a usual type; empty ones of a type that is not known."""
-    text = find_definition(kind)
-    return ("", "") if text is None else (SchemaEncoding.ROS2, text)
 
 
 def _read_number(connection: sqlite3.Connection, pragma: str) -> int:
