@@ -48,8 +48,19 @@ from turtlelog.theory.pid_loop import (
     is_pid_stable,
 )
 from turtlelog.theory.pid_margins import Margins
-from turtlelog.theory.pid_response import compute_pid_step_response, compute_steady_error
+from turtlelog.theory.pid_response import (
+    StepMotion,
+    compute_pid_step_response,
+    compute_steady_error,
+    measure_step_motion,
+)
 from turtlelog.theory.process import INTEGRATOR, Process
+from turtlelog.theory.recommended_gains import (
+    OVERSHOOT_PERCENT,
+    PHASE_MARGIN_RAD,
+    Recommendation,
+    recommend_gains,
+)
 from turtlelog.theory.sampled_loop import (
     SampledLoop,
     analyse_sampled_loop,
@@ -61,6 +72,8 @@ from turtlelog.theory.sampled_loop import (
 
 __all__ = [
     "INTEGRATOR",
+    "OVERSHOOT_PERCENT",
+    "PHASE_MARGIN_RAD",
     "PLANT",
     "PLANT_INPUTS",
     "BiboVerdict",
@@ -73,7 +86,9 @@ __all__ = [
     "PidGains",
     "PidLoop",
     "Process",
+    "Recommendation",
     "SampledLoop",
+    "StepMotion",
     "analyse_pid_loop",
     "analyse_sampled_loop",
     "compute_closed_loop_response",
@@ -103,8 +118,10 @@ __all__ = [
     "judge_bibo",
     "list_known",
     "list_left_out",
+    "measure_step_motion",
     "model_loop",
     "model_loops",
     "read_gains",
     "read_process",
+    "recommend_gains",
 ]
