@@ -54,7 +54,7 @@ _STEP: Final = 1.25
 _LARGEST_OVERSHOOT: Final = 1e3
 """In %, of a response that runs away: every wanted overshoot is below 100 %."""
 
-_PARTS: Final = 12
+_PARTS: Final = 8
 """Between the crossovers of P and of the PD that cancels the lag, at which PD is tried."""
 
 
@@ -145,15 +145,11 @@ def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     start = find_p_without_overshoot(design)
     if percent == 0.0:
         return PidGains(kp=start)
-    found = _find_first(
-        lambda kp: _rate(design, PidGains(kp=kp)),
-        (start, 0.0),
-        percent,
-        design.find_ultimate_gain(),
-    )
-    if found is None:
-        return f"P becomes unstable before it overshoots by {percent:g} %"
-    return PidGains(kp=found)
+
+    def measure(kp: float) -> float:
+        return _rate(design, PidGains(kp=kp))
+
+    return PidGains(kp=_find_first(measure, start, _STEP * start, percent))
 
 
 def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
@@ -172,8 +168,7 @@ def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
     def measure(ki: float) -> float:
         return _rate(design, PidGains(kp=kp, ki=ki))
 
-    found = _find_first(measure, (0.0, 0.0), percent, math.inf, first=start)
-    return "no Ki gives it" if found is None else PidGains(kp=kp, ki=found)
+    return PidGains(kp=kp, ki=_find_first(measure, 0.0, start, percent))
 
 
 def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) -> PidGains | str:
@@ -311,26 +306,16 @@ def _rate(design: LoopDesign, gains: PidGains) -> float:
 
 
 def _find_first(
-    measure: Callable[[float], float],
-    start: tuple[float, float],
-    target: float,
-    limit: float,
-    *,
-    first: float | None = None,
-) -> float | None:
-    """Return the first gain above one that is too small at which a measure reaches a target.
+    measure: Callable[[float], float], none: float, first: float, percent: float
+) -> float:
+    """Return the first gain with an overshoot, tried from one on, above another that has none.
 
-    None where it does not below the limit.
+    At the limit of stability a loop swings by 100 %, so every smaller overshoot is met below.
     """
-    low, below = start
-    high = _STEP * low if first is None else first
-    while low < limit:
-        high = min(high, limit)
-        value = measure(high)
-        if value >= target:
-            return _solve(measure, (low, below), (high, value), target)
+    low, below, high = none, 0.0, first
+    while (value := measure(high)) < percent:
         low, below, high = high, value, _STEP * high
-    return None
+    return _solve(measure, (low, below), (high, value), percent)
 
 
 def _solve(

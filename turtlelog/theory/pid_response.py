@@ -194,32 +194,37 @@ class _Motion:
         furthest: The furthest that it has been, at least 1.
     """
 
-    __slots__ = ("_decays", "_gain", "_lag_s", "_times_s", "_v", "_wait_s", "furthest", "y")
+    __slots__ = ("_gain", "_lag_s", "_pieces", "_v", "_wait_s", "furthest", "y")
 
     def __init__(self, process: Process, sampled: SampledProcess, period_s: float) -> None:
         self._gain = process.gain
-        self._lag_s = process.lag_s if sampled.lag_gap is not None else 0.0
-        self._times_s = sampled.part * period_s, (1.0 - sampled.part) * period_s
-        lag_s = self._lag_s
-        self._decays = tuple(-math.expm1(-h / lag_s) if lag_s else 1.0 for h in self._times_s)
-        self._wait_s = period_s + self._lag_s
+        self._lag_s = lag_s = process.lag_s if sampled.lag_gap is not None else 0.0
+        parts = enumerate((sampled.part, 1.0 - sampled.part))
+        times_s = ((number, part * period_s) for number, part in parts if part > 0.0)
+        self._pieces = tuple(
+            (number, time_s, -math.expm1(-time_s / lag_s) if lag_s else 1.0)
+            for number, time_s in times_s
+        )
+        self._wait_s = period_s + lag_s
         self._v, self.y, self.furthest = 0.0, 0.0, 1.0
 
     def is_at(self, level: float) -> bool:
         """Return whether it rests at a level, to less than any overshoot that counts."""
         return abs(self.y - level) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
 
-    def hold(self, first: float, second: float) -> None:
+    def hold(self, *commands: float) -> None:
         """Move by one sample, in which one command acts and then the next."""
-        for command, time_s, gap in zip((first, second), self._times_s, self._decays, strict=True):
-            w, v, lag_s = self._gain * command, self._v, self._lag_s
-            if v > 0.0 > w and self.y + lag_s * v > self.furthest:  # it may turn back on the way
+        y, v, furthest, lag_s = self.y, self._v, self.furthest, self._lag_s
+        for number, time_s, gap in self._pieces:
+            w = self._gain * commands[number]
+            if v > 0.0 > w and y + lag_s * v > furthest:  # it may turn back on the way
                 turn_s = lag_s * math.log1p(-v / w)
                 if turn_s < time_s:
-                    self.furthest = max(self.furthest, self.y + lag_s * v + w * turn_s)
-            self.y += w * time_s + lag_s * (v - w) * gap
-            self._v = v + gap * (w - v)
-            self.furthest = max(self.furthest, self.y)
+                    furthest = max(furthest, y + lag_s * v + w * turn_s)
+            y += w * time_s + lag_s * (v - w) * gap
+            v += gap * (w - v)
+            furthest = max(furthest, y)
+        self.y, self._v, self.furthest = y, v, furthest
 
 
 def compute_steady_error(gains: PidGains, push: float, *, process: Process = INTEGRATOR) -> float:
