@@ -157,7 +157,8 @@ def measure_step_motion(
     commands = [0.0] * (sampled.whole + 1)
     patience = 4 * (sampled.whole + 1)
     last = integral = derivative = filtered = 0.0
-    quiet = furthest_at = outside = 0
+    quiet = outside = 0
+    furthest_at = -1
     for k in range(_LONGEST_MOTION):
         error = 1.0 - motion.y
         outside = k if abs(error) > _BAND else outside
@@ -172,7 +173,7 @@ def measure_step_motion(
         motion.hold(commands[k], commands[k + 1])
         furthest_at = k if motion.furthest > before else furthest_at
         quiet = quiet + 1 if motion.is_at(1.0) else 0
-        is_known = furthest_at > 0 and k > 2 * furthest_at + patience
+        is_known = furthest_at >= 0 and k > 2 * furthest_at + patience
         if quiet > patience or (is_known and not to_rest):
             settling_time_s = (outside + 1) * period_s if quiet else None
             return StepMotion(
