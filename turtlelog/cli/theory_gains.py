@@ -154,7 +154,7 @@ def tabulate_recommended(recommended: Recommended, wishes: Wishes) -> "Table":
             tl.compare.Column(title="Ki", unit="1/s^2"),
             tl.compare.Column(title="Kd"),
             tl.compare.Column(title="overshoot", unit="%", digits=2),
-            tl.compare.Column(title="settles in", unit="s", digits=2),
+            tl.compare.Column(title="settles", unit="s", digits=2),
             tl.compare.Column(title="gain margin", digits=2),
             tl.compare.Column(title="phase margin", unit="deg", digits=1),
         ),
