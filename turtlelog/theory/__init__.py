@@ -25,7 +25,7 @@ from turtlelog.theory.declared_loops import (
     LoopTiming,
     find_timing,
     hides_stability,
-    list_left_out,
+    list_neglected,
     read_gains,
     read_process,
 )
@@ -117,7 +117,7 @@ __all__ = [
     "is_pid_stable",
     "judge_bibo",
     "list_known",
-    "list_left_out",
+    "list_neglected",
     "measure_step_motion",
     "model_loop",
     "model_loops",
