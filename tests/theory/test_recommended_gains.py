@@ -284,7 +284,14 @@ def test_motion_between_samples_passes_through_those_at_samples() -> None:
 
 def test_a_motion_that_runs_away_or_never_rests_is_none() -> None:
     assert measure_step_motion(PidGains(kp=130.0), period_s=0.016) is None
-    assert measure_step_motion(PidGains(kp=1e-9), period_s=0.016) is None
+    # What is left after k samples is (1 - Kp T)^k; 1e-9 of a step is rest.
+    rests, creeps = (
+        measure_step_motion(PidGains(kp=math.log(1e9) / count), period_s=1.0)
+        for count in (195_000, 205_000)
+    )
+    assert rests is not None
+    assert rests.settling_time_s == pytest.approx(195_000 * math.log(50) / math.log(1e9), abs=2.0)
+    assert creeps is None
     ringing = measure_step_motion(PidGains(kp=124.9999), period_s=0.016)
     assert ringing is not None
     assert ringing.settling_time_s is None
