@@ -122,7 +122,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
 
     Example: turtlelog theory --kp 2 --ki 1 --lag 0.1 --dead-time-s 0.08
 
-    Example: turtlelog theory --gain 0.9 --lag 0.2 --dead-time-s 0.08 --period 0.05 --overshoot 2
+    Example: turtlelog theory --lag 0.2 --dead-time-s 0.08 --overshoot 2
 
     Example: turtlelog theory kp10.mcap
 
