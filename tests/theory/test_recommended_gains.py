@@ -174,7 +174,9 @@ def respond(process: Process, period_s: float, gains: PidGains, angle: Array) ->
 
 
 def test_margins_are_those_of_matrix_exponentials() -> None:
-    for process, period_s, one in draw_cases():
+    cases = draw_cases()[::2]
+    assert len({process for process, *_ in cases}) == 40
+    for process, period_s, one in cases:
         margins, gains = one.margins, one.gains
         assert gains is not None
         assert margins is not None
