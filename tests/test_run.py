@@ -27,6 +27,8 @@ def make_poses(rows: int = 4, **changes: Any) -> PoseColumns:
         "heading_rad": np.zeros(rows),
         "speed_m_s": np.zeros(rows),
         "turn_rate_rad_s": np.zeros(rows),
+        "measured_speed_m_s": np.zeros(rows),
+        "measured_turn_rate_rad_s": np.zeros(rows),
         "sensed_xy_m": np.zeros((rows, 2)),
         "sensed_heading_rad": np.zeros(rows),
     }

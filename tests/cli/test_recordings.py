@@ -112,7 +112,7 @@ def test_convert_and_metrics_take_the_papers_logs(call: Call, tmp_path: Path) ->
         (["info", "zeros.mcap"], "zeros.mcap: byte 0: expected an MCAP file"),
         (["info", "empty.mcap"], "empty.mcap: byte 0: expected an MCAP file"),
         (["metrics", "cut.mcap"], "expected the end of an MCAP file, found none"),
-        (["metrics", "."], ".: expected a bag, found a folder without metadata.yaml"),
+        (["metrics", "folder"], "folder: expected a bag, found a folder without metadata.yaml"),
         (["metrics", "wrong.json"], "wrong.json: "),
         (["metrics"], "turtlelog metrics: expected at least one FILE, found none"),
         (["compare", "good.mcap"], "expected at least two runs to compare, found 1"),
@@ -150,6 +150,7 @@ def test_bad_input_is_one_line(
     Path("empty.mcap").touch()
     Path("wrong.json").write_text("{")
     Path("json.mcap").write_text("{")
+    Path("folder").mkdir()
     answer = call(*words)
     assert (answer.code, answer.out) == (2, "")
     assert line in answer.err

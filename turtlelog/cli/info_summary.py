@@ -66,11 +66,13 @@ def summarise(path: Path, info: "RecordingInfo", *, is_asked: bool = False) -> S
     """
     if info.format_version is not None:
         return Summary(text=_summarise_own(info))
+    if not info.complete:
+        return Summary(text=_summarise_topics(info, "it is not complete"))
     if not is_asked and (large := _find_large(path, info)):
         note = f"not looked at, {large}: info --clock does"
         return Summary(text=_summarise_topics(info, ""), notes={"clock": note})
     try:
-        run = tl.log.read_as_chosen(path, tl.log.ReadChoice(allow_partial=True))
+        run = tl.log.read_run(path)
     except TurtlelogError as err:
         reason = str(err).removeprefix(f"{path}: ")
         return Summary(text=_summarise_topics(info, reason), missing=_list_needs(info))

@@ -49,7 +49,7 @@ def write_mcap(path: Path, entries: dict[str, str], message: bytes | None = None
         if entries:
             writer.add_metadata("turtlelog", {**entries, "checksum": sum_up(entries)})
         if message is not None:
-            schema = writer.register_schema("turtlesim/msg/Pose", "ros2msg", b"")
+            schema = writer.register_schema("turtlesim/msg/Pose", "ros2msg", b"int32 x\n")
             channel = writer.register_channel("/turtle1/pose", "cdr", schema)
             writer.add_message(channel, 0, message, 0)
         writer.finish()  # type: ignore[no-untyped-call]

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -113,9 +113,8 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     fitting = _drop_two_types(usual, present)
     if not fitting:
         raise NoPosesError(f"expected poses ({_POSES_IN_SHORT}), found {_describe(present)}")
-    commands = [topic.topic for topic in present if topic.type in COMMAND_TYPES]
-    ranks = {topic: _rank_poses(topic, commands) for topic in fitting}
-    best = [topic for topic in fitting if ranks[topic] == min(ranks.values())]
+    homes = {_take_home(topic.topic) for topic in present if topic.type in COMMAND_TYPES}
+    best = _list_first(fitting, lambda topic: _rank_poses(topic, homes))
     if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
         # Robots that are told apart by number alone: the first.
         best = [min(best, key=lambda topic: _split_numbers(topic.topic))]
@@ -148,8 +147,7 @@ def choose_command_topic(
     ]
     if not fitting:
         return None
-    ranks = {topic: _rank_commands(topic.topic, pose_topic) for topic in fitting}
-    best = [topic for topic in fitting if ranks[topic] == min(ranks.values())]
+    best = _list_first(fitting, lambda topic: _rank_commands(topic.topic, pose_topic))
     chosen = _require_one(best, "command_topic", "--command-topic")
     return Pick(topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen))
 
@@ -214,10 +212,23 @@ _LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driv
 _GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
 
 
-def _rank_poses(topic: TopicInfo, commands: Sequence[str]) -> tuple[int, ...]:
-    """Return what orders topics of poses, the most likely first."""
-    home = _take_home(topic.topic)
-    has_neighbour = any(_take_home(command) == home for command in commands)
+def _list_first(
+    topics: Sequence[TopicInfo], rank: Callable[[TopicInfo], tuple[int, ...]]
+) -> list[TopicInfo]:
+    """Return the topics of the least rank."""
+    ranks = [rank(topic) for topic in topics]
+    least = min(ranks)
+    return [topic for topic, of_topic in zip(topics, ranks, strict=True) if of_topic == least]
+
+
+def _rank_poses(topic: TopicInfo, homes: Collection[str]) -> tuple[int, ...]:
+    """Return what orders topics of poses, the most likely first.
+
+    Args:
+        topic: One of them.
+        homes: Where there are commands.
+    """
+    has_neighbour = _take_home(topic.topic) in homes
     return (
         # One message is no motion.
         int(topic.count < 2),
