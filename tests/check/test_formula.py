@@ -274,7 +274,7 @@ def test_a_signal_that_a_run_does_not_hold_is_unknown() -> None:
         name="bare", source="test", poses=run.poses, commands=run.commands, samples=run.samples
     )
     found = check_run(bare, parse_expression("always(distance < 1)"))
-    assert (found.holds, found.reason) == (None, "no value: distance")
+    assert (found.holds, found.reason) == (None, "no value: distance (the goal is not known)")
 
 
 def test_a_metric_without_a_value_passes_nothing() -> None:

@@ -186,7 +186,10 @@ def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
     frequency_hz = frequency_hz[: len(spectrum)]
     if _FLOOR * float(np.median(spectrum[len(spectrum) // 2 :])) >= _LEAST_AMPLITUDE:
         return None
-    last = int(np.flatnonzero(spectrum >= _LEAST_AMPLITUDE)[-1])
+    high = np.flatnonzero(spectrum >= _LEAST_AMPLITUDE)
+    if not len(high):  # all of it lies above the highest frequency
+        return None
+    last = int(high[-1])
     if last == 0:
         return -0.0
     steps = np.diff(frequency_hz[: last + 1]) / frequency_hz[last]
