@@ -29,7 +29,7 @@ _STEADY: Final = 3.0
 
 _TOLD: Final = (
     *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("other_pose_topics", "other_frames", "other_command_topics"),
+    *("reported_rates", "other_pose_topics", "other_frames", "other_command_topics"),
 )
 """Notes of a run on the bag that it was read from."""
 

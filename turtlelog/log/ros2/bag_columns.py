@@ -21,8 +21,8 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     """Return x, y [m] and heading [rad], and speeds, height and tilt where the messages have them.
 
     turtlesim publishes what it applied (`speed`, `turn_rate`), a robot's odometry what it measured
-    (`measured_speed`, `measured_turn_rate`). `z` is the height [m], `tilt` the angle between the
-    robot's vertical axis and the world's [rad].
+    (`measured_speed`, `measured_lateral_speed`, `measured_turn_rate`). `z` is the height [m],
+    `tilt` the angle between the robot's vertical axis and the world's [rad].
 
     Raises:
         LogError: Where a quaternion is no rotation.
@@ -50,6 +50,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     if kind == "nav_msgs/msg/Odometry":
         twist = "twist.twist"
         columns["measured_speed"] = _widen(fields[f"{twist}.linear.x"])
+        columns["measured_lateral_speed"] = _widen(fields[f"{twist}.linear.y"])
         columns["measured_turn_rate"] = _widen(fields[f"{twist}.angular.z"])
     return columns
 

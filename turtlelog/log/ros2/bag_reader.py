@@ -42,6 +42,7 @@ from turtlelog.log.ros2.bag_poses import Found, PoseSource, find_poses, note_pic
 from turtlelog.log.ros2.bag_references import Track, add_references
 from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic
+from turtlelog.log.ros2.reported_rates import LATERAL, judge_rates
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -161,6 +162,7 @@ def _build_run(
     )
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
+    columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
     tables = [rows for rows in (poses, commands) if rows]
@@ -168,7 +170,6 @@ def _build_run(
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
     name = path.resolve().name
-    columns = poses.columns
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, track.time_ns, moved)
     notes = {
@@ -180,6 +181,7 @@ def _build_run(
         "wrapped_headings": str(wrapped),
         **_note_dropped(dropped, dropped_commands),
         **times.notes,
+        **rate_notes,
     }
     plane = describe_plane(columns.get("z"), columns.get("tilt"))
     notes |= {} if plane is None else {"plane": plane}
@@ -217,8 +219,8 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     speeds = [name for name in rows.columns if name.startswith("measured")]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
     columns = {name: column for name, column in rows.columns.items() if name not in unknown}
-    # How high it is and how it leans is only described.
-    needed = [name for name in columns if name not in {"z", "tilt"}]
+    # How high it is and how it leans is only described, and few robots move sideways.
+    needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
     kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
     if not len(kept.time_ns):
         raise LogError(
