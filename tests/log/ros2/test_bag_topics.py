@@ -304,3 +304,26 @@ def test_a_file_is_named_once(tmp_path: Path) -> None:
 def test_a_goal_beside_transforms_is_no_pose(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="expected poses"):
         read_run(write_robot(tmp_path, say_goal(1.0, 2.0)))
+
+
+@pytest.mark.parametrize(
+    ("poses", "topics", "expected"),
+    [
+        (
+            "/mavros/local_position/pose",
+            ["/mavros/local_position/velocity_local", "/mavros/setpoint_velocity/cmd_vel"],
+            "/mavros/setpoint_velocity/cmd_vel",
+        ),
+        ("/mavros/local_position/pose", ["/mavros/local_position/velocity_body"], None),
+        ("/vrpn/robot/pose", ["/vrpn/robot/twist"], None),
+        ("/robot/odom", ["/robot/drive", "/cmd_vel"], "/cmd_vel"),
+        ("/robot/odom", ["/drive"], "/drive"),
+    ],
+)
+def test_what_is_called_a_command_is_one_before_velocities_beside_the_poses(
+    poses: str, topics: list[str], expected: str | None
+) -> None:
+    found = choose_command_topic(
+        list_topics(*((topic, TWIST) for topic in topics)), None, pose_topic=poses
+    )
+    assert (found and found.topic.topic) == expected
