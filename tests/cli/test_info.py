@@ -14,6 +14,7 @@ from tests.log.ros2.bags import (
     make_poses,
     write_mcap,
 )
+from tests.log.ros2.robots import say_goal
 from tests.log.runs import find_shared
 from turtlelog.cli import info_summary
 
@@ -174,3 +175,9 @@ def test_an_empty_file_has_nothing_to_measure(call: Call, tmp_path: Path) -> Non
     assert answer["summary"] == "no poses, nothing to measure: there are no messages"
     (text,) = answer["missing"]
     assert text.startswith("to be measured it needs nav_msgs/msg/Odometry")
+
+
+def test_a_goal_that_cannot_be_taken_is_there_with_the_reason(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", [*make_drive(), say_goal(1.0, 2.0, frame="map")])
+    (answer,) = call("info", path, "--json").json
+    assert answer["notes"]["goal"].startswith("/goal_pose: left out: it is in map")

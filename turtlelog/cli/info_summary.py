@@ -29,9 +29,11 @@ _STEADY: Final = 3.0
 
 _TOLD: Final = (
     *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("reported_rates", "other_pose_topics", "other_frames", "other_command_topics"),
+    *("reported_rates", "leaps", "other_pose_topics", "other_frames", "other_command_topics"),
 )
 """Notes of a run on the bag that it was read from."""
+
+_LEFT_OUT: Final = ": left out: "
 
 _SHOWN_TOPICS: Final = 3
 
@@ -150,6 +152,10 @@ def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
 
 def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
+    # Of a goal and a path that are there and are not taken, the reason.
+    notes |= {
+        name: run.notes[name] for name in ("goal", "path") if _LEFT_OUT in run.notes.get(name, "")
+    }
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run)
     clock = run.clock

@@ -3,6 +3,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 
@@ -27,6 +28,7 @@ from tests.log.ros2.robots import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
+from turtlelog.log.ros2.bag_columns import describe_leaps
 from turtlelog.log.ros2.bag_topics import choose_command_topic, choose_pose_topic
 
 
@@ -327,3 +329,28 @@ def test_what_is_called_a_command_is_one_before_velocities_beside_the_poses(
         list_topics(*((topic, TWIST) for topic in topics)), None, pose_topic=poses
     )
     assert (found and found.topic.topic) == expected
+
+
+@pytest.mark.parametrize(("seldom", "is_said"), [(2, True), (4, True), (9, False)])
+def test_two_programs_on_one_topic_are_said(seldom: int, tmp_path: Path, *, is_said: bool) -> None:
+    rows = say_odometry(count=72, step_m=0.01)
+    for row in rows[::seldom]:
+        row.values["pose"]["pose"]["position"]["x"] += 3.0
+    notes = read_run(write_robot(tmp_path, rows)).notes
+    assert ("leaps" in notes) is is_said
+    assert not is_said or "leap to and fro by 3 m" in notes["leaps"] or "2.9" in notes["leaps"]
+
+
+@pytest.mark.parametrize(("size_m", "is_said"), [(0.11, True), (0.09, False)])
+def test_noise_of_a_filter_is_no_second_program(
+    size_m: float, tmp_path: Path, *, is_said: bool
+) -> None:
+    rows = say_odometry(count=40, step_m=0.0)
+    for row in rows[::2]:
+        row.values["pose"]["pose"]["position"]["x"] += size_m
+    assert ("leaps" in read_run(write_robot(tmp_path, rows)).notes) is is_said
+
+
+def test_large_noise_is_no_second_program() -> None:
+    noise_m = np.random.default_rng(1).normal(scale=5.0, size=(4000, 2))
+    assert describe_leaps(noise_m) is None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar import compute_tilt
@@ -234,6 +235,42 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     if kept.all():
         return rows, 0
     return rows.take(kept), int((~kept).sum())
+
+
+_LEAP_M: Final = 0.1
+"""Least step of a leap to and fro [m]; the noise of a filter is less from pose to pose."""
+
+_LEAP_BACK: Final = 0.2
+"""Share of a leap within which one of the next poses is back."""
+
+_LEAP_SHARE: Final = 0.2
+"""Share of poses that leap and come back where two programs publish them, one as seldom as every
+fourth; noise of any size leaps and comes back in a tenth of them."""
+
+_LEAP_ROWS: Final = 4
+
+
+def describe_leaps(xy_m: Values) -> str | None:
+    """Return one sentence on poses that go to and fro between two places, None of those that don't.
+
+    Args:
+        xy_m: Positions in the order in which they were received [m], shape (n, 2).
+    """
+    rows = len(xy_m) - _LEAP_ROWS
+    if rows < _LEAP_ROWS:
+        return None
+    far_m = [
+        np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T)
+        for later in range(1, _LEAP_ROWS + 1)
+    ]
+    leaps = (far_m[0] > _LEAP_M) & (np.min(far_m[1:], axis=0) < _LEAP_BACK * far_m[0])
+    if leaps.mean() <= _LEAP_SHARE:
+        return None
+    size_m = float(np.median(far_m[0][leaps]))
+    return (
+        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
+        " programs seem to publish them, and no motion can be told"
+    )
 
 
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

@@ -31,6 +31,7 @@ from turtlelog.log.ros2.bag_columns import (
     Fields,
     OrderedRows,
     Values,
+    describe_leaps,
     drop_not_finite,
     extract_commands,
     extract_poses,
@@ -119,7 +120,7 @@ def describe_chosen(notes: Mapping[str, str]) -> str:
 
 _OPTIONS: Final = {
     "other_pose_topics": "--pose-topic",
-    "other_frames": "--pose-frame",
+    "other_frames": "--pose-frame and --world-frame",
     "other_command_topics": "--command-topic",
     "other_path_topics": "--path-topic",
 }
@@ -160,6 +161,7 @@ def _build_run(
         frame=source.frame,
         tree=source.tree,
     )
+    leaps = describe_leaps(track.xy_m)
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
     columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
@@ -185,6 +187,7 @@ def _build_run(
     }
     plane = describe_plane(columns.get("z"), columns.get("tilt"))
     notes |= {} if plane is None else {"plane": plane}
+    notes |= {} if leaps is None else {"leaps": leaps}
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
     run = Run(
