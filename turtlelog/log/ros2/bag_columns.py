@@ -26,7 +26,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     `tilt` the angle between the robot's vertical axis and the world's [rad].
 
     Raises:
-        LogError: Where a quaternion is no rotation.
+        LogError: Where no quaternion is a rotation.
         KeyError: Where a field is missing.
     """
     if kind.startswith("turtlesim"):
@@ -136,7 +136,7 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
-    """Return heading and tilt [rad] of quaternions of any length.
+    """Return heading and tilt [rad] of quaternions of any length; NaN for those of length 0.
 
     The heading is that of the robot's forward axis, seen from above, however it leans.
     """
@@ -149,11 +149,11 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
             f"{name}: expected rotations, found all zeros in each of {len(empty)} messages:"
             " it was never set, and there is no heading"
         )
-    if empty.any():
-        raise LogError(
-            f"message {int(empty.argmax())}: {name}: expected a rotation, found all zeros"
-        )
+    if len(empty) and empty.all():
+        raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
     yaw_rad = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    # Of a program that sets them from its second message on, or of a camera that lost its robot.
+    yaw_rad[empty] = np.nan
     return {"heading": yaw_rad, "tilt": compute_tilt(x, y, z, w)}
 
 

@@ -149,6 +149,7 @@ def _build_run(
 ) -> tuple[Run, Track]:
     """Return the run, and where the robot was by the recorder's clock."""
     poses = _order(found, source.topic, extract_poses)
+    unturned = int((np.isnan(poses.columns["heading"]) & np.isfinite(poses.columns["x"])).sum())
     poses, dropped = _drop_nan(poses, source.topic.topic)
     commands, dropped_commands = None, 0
     if command_pick is not None:
@@ -181,7 +182,7 @@ def _build_run(
         "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
-        **_note_dropped(dropped, dropped_commands),
+        **_note_dropped(dropped, dropped_commands, unturned),
         **times.notes,
         **rate_notes,
     }
@@ -233,10 +234,13 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     return kept, dropped
 
 
-def _note_dropped(poses: int, commands: int) -> dict[str, str]:
+def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
     kinds = {"pose": poses, "command": commands}
     counts = [describe_count(count, kind) for kind, count in kinds.items() if count]
-    return {"dropped_nan": " and ".join(counts)} if counts else {}
+    text = " and ".join(counts)
+    if unturned:
+        text += f", {unturned} of the poses without a rotation"
+    return {"dropped_nan": text} if counts else {}
 
 
 def _match_sensed(found: Found, time_ns: NDArray[np.int64], moved: int) -> Values | None:
