@@ -14,6 +14,7 @@ from tests.log.ros2.bags import (
     make_poses,
     write_mcap,
 )
+from tests.log.ros2.robots import say_goal
 from tests.log.runs import find_shared
 from turtlelog.cli import info_summary
 
@@ -174,3 +175,38 @@ def test_an_empty_file_has_nothing_to_measure(call: Call, tmp_path: Path) -> Non
     assert answer["summary"] == "no poses, nothing to measure: there are no messages"
     (text,) = answer["missing"]
     assert text.startswith("to be measured it needs nav_msgs/msg/Odometry")
+
+
+def test_a_goal_that_cannot_be_taken_is_there_with_the_reason(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", [*make_drive(), say_goal(1.0, 2.0, frame="map")])
+    (answer,) = call("info", path, "--json").json
+    assert answer["notes"]["goal"].startswith("/goal_pose: left out: it is in map")
+
+
+def test_columns_and_topics_that_are_asked_for_are_looked_at(call: Call, tmp_path: Path) -> None:
+    table = tmp_path / "drive.csv"
+    table.write_text("Zeit,x,y,Winkel\n0,0,0,0\n1,1,0,90\n")
+    columns = ("--column", "t=Zeit", "--column", "heading=Winkel [deg]")
+    (answer,) = call("info", table, "--json", *columns).json
+    assert answer["notes"]["columns"].startswith("t from Zeit [s, assumed]")
+    bag = write_mcap(tmp_path / "bag.mcap", [*make_drive(), *make_poses(3)])
+    (answer,) = call("info", bag, "--json", "--pose-topic", "/odom", *columns).json
+    assert answer["summary"].startswith("a robot: /odom at 20 Hz")
+    assert answer["notes"]["columns"] == "this is no table: --column t, heading is not used"
+    failed = call("info", bag, "--pose-topic", "/odo")
+    assert failed.code == 2
+    assert "pose_topic: expected a topic with messages, found /odo" in failed.err
+
+
+def test_what_a_table_is_taken_for_is_said(call: Call, tmp_path: Path) -> None:
+    table = tmp_path / "drive.csv"
+    table.write_text("t,x,y,yaw\n0,0,0,0\n1,1,0,90\n")
+    answer = call("metrics", table, "--only", "run.path_length")
+    assert "heading from yaw [rad, assumed]; --column heading='yaw [UNIT]'" in answer.err
+    bag = write_mcap(tmp_path / "bag.mcap", make_drive())
+    answer = call(
+        "metrics", bag, table, "--only", "run.path_length", "--column", "heading=yaw [deg]"
+    )
+    assert answer.code == 0
+    assert "heading from yaw [deg]" in answer.err
+    assert "; this is no table: --column heading is not used" in answer.err

@@ -11,7 +11,7 @@ import turtlelog as tl
 from tests.measure.driven import Values, make_driven_run, publish, respond
 from turtlelog.angles import wrap_angle
 from turtlelog.measure import Status
-from turtlelog.measure.rates import read_rates
+from turtlelog.measure.rates import read_rates, thin_poses
 from turtlelog.measure.table.travel import compute_spectral_arc_length
 
 STEPS = [(2.0, 0.2), (5.0, 0.0), (8.0, 0.4), (11.0, 0.1), (14.0, -0.3), (17.0, 0.0)]
@@ -397,3 +397,10 @@ def test_turtlesim_stops_a_second_after_its_last_command() -> None:
     assert read(turtle, "run.speed_tracking_rms") == pytest.approx(0.0, abs=1e-6)
     assert read(turtle, "run.speed_lag") == pytest.approx(0.0, abs=1e-3)
     assert read(turtle, "run.speed_steps") == 3.0  # the last stop is held for no time
+
+
+def test_poses_that_had_one_time_in_their_file_are_not_differenced() -> None:
+    time_ns = np.arange(200) // 2 * 100_000_000
+    time_ns[1::2] += 1  # as they are moved on where they are read
+    rows = thin_poses(time_ns)
+    assert rows.tolist() == list(range(0, 200, 2))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.info_summary import Summary, summarise
-from turtlelog.cli.options import Files, Json, Partial, iterate_files, require_files
+from turtlelog.cli.options import Files, Json, TopicOptions, iterate_files, require_files
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -23,7 +23,7 @@ from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
     from turtlelog.compare import Table
-    from turtlelog.log import RecordingInfo
+    from turtlelog.log import ReadChoice, RecordingInfo
 
 _NARROWEST: Final = 20
 """Columns that a text has at least, however narrow the terminal."""
@@ -33,7 +33,12 @@ _MOST_ENTRIES: Final = 8
 
 
 def info(
-    files: Files, /, *, partial: Partial = False, clock: bool = False, json: Json = False
+    files: Files,
+    /,
+    *,
+    topics: TopicOptions | None = None,
+    clock: bool = False,
+    json: Json = False,
 ) -> int:
     """Say what recordings are and hold: a robot or turtlesim, source, length, topics, scenario.
 
@@ -46,12 +51,12 @@ def info(
     Args:
         files: Recordings (.mcap), turtlelog's or other people's, ROS 2 bags, or the paper's logs
             (.json, .csv).
-        partial: Say what a damaged recording still holds.
+        topics: What is looked at, where a bag does not tell or something else is meant.
         clock: Read the poses of large bags, too.
         json: Print one JSON list instead of text.
     """
     require_files(files)
-    found, errors = _read(files, partial=partial, is_asked=clock)
+    found, errors = _read(files, (topics or TopicOptions()).build_choice(), is_asked=clock)
     for err in errors:
         print_error(str(err))
     if json:
@@ -62,15 +67,15 @@ def info(
 
 
 def _read(
-    files: Sequence[Path], *, partial: bool, is_asked: bool
+    files: Sequence[Path], choice: "ReadChoice", *, is_asked: bool
 ) -> "tuple[list[tuple[Path, RecordingInfo, Summary]], list[TurtlelogError]]":
     """Return what is found and what is wrong."""
     found: list[tuple[Path, RecordingInfo, Summary]] = []
     errors: list[TurtlelogError] = []
     for path in iterate_files(files):
         try:
-            recording = tl.log.read_file_info(path, allow_partial=partial)
-            found.append((path, recording, summarise(path, recording, is_asked=is_asked)))
+            recording = tl.log.read_file_info(path, choice)
+            found.append((path, recording, summarise(path, recording, choice, is_asked=is_asked)))
         except TurtlelogError as err:
             errors.append(err)
     return found, errors

@@ -1,7 +1,7 @@
 """What a file is, in one sentence, and what would unlock what it lacks."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from turtlelog import Run
-    from turtlelog.log import RecordingInfo, TopicInfo
+    from turtlelog.log import ReadChoice, RecordingInfo, TopicInfo
 
 LARGEST_BYTES: Final = 64 * 2**20
 """Of a bag whose poses are read unasked [bytes]: of MCAP or SQLite that is less than a second."""
@@ -29,9 +29,11 @@ _STEADY: Final = 3.0
 
 _TOLD: Final = (
     *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
-    *("other_pose_topics", "other_frames", "other_command_topics"),
+    *("reported_rates", "leaps", "other_pose_topics", "other_frames", "other_command_topics"),
 )
 """Notes of a run on the bag that it was read from."""
+
+_LEFT_OUT: Final = ": left out: "
 
 _SHOWN_TOPICS: Final = 3
 
@@ -56,12 +58,15 @@ class Summary:
     notes: Mapping[str, str] = field(default_factory=dict)
 
 
-def summarise(path: Path, info: "RecordingInfo", *, is_asked: bool = False) -> Summary:
+def summarise(
+    path: Path, info: "RecordingInfo", choice: "ReadChoice", *, is_asked: bool = False
+) -> Summary:
     """Return what a file is: of a bag as its poses and commands tell, where it is not large.
 
     Args:
         path: The file.
         info: What is in it.
+        choice: What of it is looked at.
         is_asked: Read a large one, too.
     """
     if info.format_version is not None:
@@ -72,8 +77,10 @@ def summarise(path: Path, info: "RecordingInfo", *, is_asked: bool = False) -> S
         note = f"not looked at, {large}: info --clock does"
         return Summary(text=_summarise_topics(info, ""), notes={"clock": note})
     try:
-        run = tl.log.read_run(path)
+        run = tl.log.read_as_chosen(path, choice)
     except TurtlelogError as err:
+        if replace(choice, allow_partial=False) != tl.log.ReadChoice():
+            raise  # what was asked for is not there
         reason = str(err).removeprefix(f"{path}: ")
         return Summary(text=_summarise_topics(info, reason), missing=_list_needs(info))
     return _summarise_run(run, info)
@@ -150,6 +157,10 @@ def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
 
 def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
     notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
+    # Of a goal and a path that are there and are not taken, the reason.
+    notes |= {
+        name: run.notes[name] for name in ("goal", "path") if _LEFT_OUT in run.notes.get(name, "")
+    }
     notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
     notes |= tl.measure.describe_outliers(run)
     clock = run.clock

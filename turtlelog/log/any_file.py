@@ -72,8 +72,8 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> Run:
     if (is_usual and others == (None, None, None)) or not (is_folder or _is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
-            return _aim(path, own, choice)
-    return read_bag(path, **_list_options(choice))
+            return _note_unused(_aim(path, own, choice), choice)
+    return _note_unused(read_bag(path, **_list_options(choice)), choice)
 
 
 def _aim(path: Path, run: Run, choice: ReadChoice) -> Run:
@@ -107,28 +107,34 @@ _MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
-def read_file_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:
+def read_file_info(
+    path: str | Path, choice: ReadChoice | None = None, *, allow_partial: bool = False
+) -> RecordingInfo:
     """Return what is in any file that `read_run` takes: a recording, a bag's folder, a paper's log.
 
     Args:
         path: A log is read as a whole; of the others `read_info` and `read_bag_info` tell.
+        choice: What of it is meant, as for `read_run`: the columns of a table.
         allow_partial: As in `read_info`.
 
     Raises:
         LogError: One line with the file and the place.
     """
     path, topic = split_topic(path)
+    choice = choice or ReadChoice(allow_partial=allow_partial)
     if topic is not None:
-        return _require_topic(read_file_info(path, allow_partial=allow_partial), topic)
+        return _require_topic(read_file_info(path, choice), topic)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
         has_tables = holds_tables(path)
-    if is_folder and not has_tables:
-        return read_bag_info(path)
-    is_log = path.suffix.lower() in LOG_SUFFIXES
-    if not has_tables and (not is_log or _is_bag_file(path)):
-        return read_info(path, allow_partial=allow_partial)
-    run = import_tables(path) if has_tables else import_other(path, {})
+    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
+    if not has_tables and not is_log:
+        is_partial = choice.allow_partial
+        found = read_bag_info(path) if is_folder else read_info(path, allow_partial=is_partial)
+        unused = {"columns": _describe_unused(choice)} if choice.columns else {}
+        return replace(found, notes={**found.notes, **unused})
+    is_own = has_tables and not (is_log and choice.columns)
+    run = import_tables(path) if is_own else import_other(path, choice.columns)
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),
@@ -141,8 +147,20 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
         parameters=run.parameters,
         topics=(),
         absent=run.absent,
-        notes={"rows": rows, **run.notes},
+        notes={"rows": rows} | {name: text for name, text in run.notes.items() if name != CHOSEN},
     )
+
+
+def _note_unused(run: Run, choice: ReadChoice) -> Run:
+    """Return a run with a note on columns that were asked for of what is no table."""
+    if not choice.columns:
+        return run
+    told = [run.notes[CHOSEN]] if CHOSEN in run.notes else []
+    return replace(run, notes={**run.notes, CHOSEN: "; ".join([*told, _describe_unused(choice)])})
+
+
+def _describe_unused(choice: ReadChoice) -> str:
+    return f"this is no table: --column {', '.join(choice.columns)} is not used"
 
 
 def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:

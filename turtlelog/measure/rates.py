@@ -27,6 +27,10 @@ _LEAST_STEP: Final = 0.5
 """A pose nearer to the one before than this share of the usual time between two is left out: pairs
 that arrive 0.1 ms apart make a speed of any size."""
 
+_SAME_TIME_NS: Final = 1_000
+"""Poses closer than this [ns] had one time in their file, and were moved on by 1 ns each: of
+these the first is taken. No robot publishes at 1 MHz."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rates:
@@ -90,8 +94,11 @@ def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 
     The last row is left out where it does not come a whole stride after the one before.
     """
-    usual_s = float(np.median(np.diff(time_ns))) / 1e9
-    rows = np.arange(0, len(time_ns), max(round(SHORTEST_S / usual_s), 1))
+    apart = np.flatnonzero(np.append(True, np.diff(time_ns) >= _SAME_TIME_NS))
+    if len(apart) < 2:
+        return np.array([0, len(time_ns) - 1])
+    usual_s = float(np.median(np.diff(time_ns[apart]))) / 1e9
+    rows = apart[:: max(round(SHORTEST_S / usual_s), 1)]
     if len(rows) < 2:
         return np.array([0, len(time_ns) - 1])
     step_ns = np.diff(time_ns[rows])

@@ -411,3 +411,23 @@ def test_a_bag_of_the_same_clock_reads_as_it_was_stamped(tmp_path: Path) -> None
     run = read_run(write_mcap(tmp_path / "bag.mcap", none))
     assert run.clock == Clock(used="log")
     assert run.notes[CLOCK] == "poses are timed by the recorder's clock, as all stamps are 0"
+
+
+@pytest.mark.parametrize("row", [0, 1, 2, -1])
+def test_a_first_or_last_message_of_another_time_is_no_clock_that_was_set(row: int) -> None:
+    true_ns = make_times(200)
+    poses = make_stamps(true_ns, offset_s=5.0)
+    assert poses.stamp_ns is not None
+    poses.stamp_ns[row] -= 1000 * 1_000_000_000
+    clock = read_stamp_clock(poses)
+    assert (clock.odd, clock.jumps) == (1, 0)
+    assert clock.offset_ns == pytest.approx(5e9, abs=10 * MS)
+
+
+@pytest.mark.parametrize(
+    ("apart_s", "reason"), [(1.6, "the stamps' clock jumps to and fro"), (1.4, "")]
+)
+def test_stamps_of_two_clocks_in_turn_tell_no_time(apart_s: float, reason: str) -> None:
+    true_ns = make_times(200)
+    stamp_ns = true_ns - np.arange(200) % 2 * round(apart_s * 1e9)
+    assert read_stamp_clock(Stamps(log_ns=true_ns, stamp_ns=stamp_ns)).reason == reason

@@ -3,6 +3,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
 
@@ -27,6 +28,7 @@ from tests.log.ros2.robots import (
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicInfo, read_run
+from turtlelog.log.ros2.bag_columns import describe_leaps
 from turtlelog.log.ros2.bag_topics import choose_command_topic, choose_pose_topic
 
 
@@ -182,13 +184,14 @@ def test_commands_before_the_first_pose_stay(tmp_path: Path) -> None:
     assert (run.commands.time_ns.tolist(), run.poses.time_ns[0]) == ([0], 7)
 
 
-def test_quaternions_that_were_never_set_are_told_from_one_that_is_wrong(tmp_path: Path) -> None:
+def test_quaternions_that_were_never_set_leave_the_others(tmp_path: Path) -> None:
     none = (0.0, 0.0, 0.0, 0.0)
     with pytest.raises(LogError, match="found all zeros in each of 3 messages: it was never set"):
         read_run(write_robot(tmp_path, say_odometry(by=none)))
     right = say_odometry(count=2)
-    with pytest.raises(LogError, match=r"topic /odom: message 2: .* found all zeros"):
-        read_run(write_robot(tmp_path, right, say_odometry(count=3, by=none)[2:]))
+    run = read_run(write_robot(tmp_path, right, say_odometry(count=3, by=none)[2:]))
+    assert len(run.poses) == 2
+    assert run.notes["dropped_nan"] == "1 pose, 1 of the poses without a rotation"
 
 
 @pytest.mark.parametrize(("tilt_rad", "is_said"), [(0.09, False), (0.11, True), (math.pi, True)])
@@ -304,3 +307,51 @@ def test_a_file_is_named_once(tmp_path: Path) -> None:
 def test_a_goal_beside_transforms_is_no_pose(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="expected poses"):
         read_run(write_robot(tmp_path, say_goal(1.0, 2.0)))
+
+
+@pytest.mark.parametrize(
+    ("poses", "topics", "expected"),
+    [
+        (
+            "/mavros/local_position/pose",
+            ["/mavros/local_position/velocity_local", "/mavros/setpoint_velocity/cmd_vel"],
+            "/mavros/setpoint_velocity/cmd_vel",
+        ),
+        ("/mavros/local_position/pose", ["/mavros/local_position/velocity_body"], None),
+        ("/vrpn/robot/pose", ["/vrpn/robot/twist"], None),
+        ("/robot/odom", ["/robot/drive", "/cmd_vel"], "/cmd_vel"),
+        ("/robot/odom", ["/drive"], "/drive"),
+    ],
+)
+def test_what_is_called_a_command_is_one_before_velocities_beside_the_poses(
+    poses: str, topics: list[str], expected: str | None
+) -> None:
+    found = choose_command_topic(
+        list_topics(*((topic, TWIST) for topic in topics)), None, pose_topic=poses
+    )
+    assert (found and found.topic.topic) == expected
+
+
+@pytest.mark.parametrize(("seldom", "is_said"), [(2, True), (4, True), (9, False)])
+def test_two_programs_on_one_topic_are_said(seldom: int, tmp_path: Path, *, is_said: bool) -> None:
+    rows = say_odometry(count=72, step_m=0.01)
+    for row in rows[::seldom]:
+        row.values["pose"]["pose"]["position"]["x"] += 3.0
+    notes = read_run(write_robot(tmp_path, rows)).notes
+    assert ("leaps" in notes) is is_said
+    assert not is_said or "leap to and fro by 3 m" in notes["leaps"] or "2.9" in notes["leaps"]
+
+
+@pytest.mark.parametrize(("size_m", "is_said"), [(0.11, True), (0.09, False)])
+def test_noise_of_a_filter_is_no_second_program(
+    size_m: float, tmp_path: Path, *, is_said: bool
+) -> None:
+    rows = say_odometry(count=40, step_m=0.0)
+    for row in rows[::2]:
+        row.values["pose"]["pose"]["position"]["x"] += size_m
+    assert ("leaps" in read_run(write_robot(tmp_path, rows)).notes) is is_said
+
+
+def test_large_noise_is_no_second_program() -> None:
+    noise_m = np.random.default_rng(1).normal(scale=5.0, size=(4000, 2))
+    assert describe_leaps(noise_m) is None

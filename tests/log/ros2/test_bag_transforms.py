@@ -156,3 +156,15 @@ def test_many_transforms_take_seconds() -> None:
     # 100,000 take less than 2 s on one core; a row by row search of all frames took minutes.
     assert time.perf_counter() - began_s < 2.0
     assert len(link.time_ns) == count
+
+
+@pytest.mark.parametrize(("world", "other"), [(None, "odom"), ("odom", "vicon")])
+def test_a_second_parent_is_named_and_can_be_chosen(
+    world: str | None, other: str, tmp_path: Path
+) -> None:
+    moving = [*drive("odom", "base_link"), *drive("vicon", "base_link")]
+    run = read_run(write_robot(tmp_path, moving), world_frame=world)
+    assert run.notes["other_frames"] == f"{other} -> base_link"
+    assert (
+        f"also there: {other} -> base_link: --pose-frame and --world-frame" in run.notes["chosen"]
+    )

@@ -93,9 +93,8 @@ def test_a_robot_that_leans_keeps_its_heading(file: Path) -> None:
 
 
 def test_a_quaternion_that_was_never_set_is_named(file: Path) -> None:
-    messages = [make_stamped_pose(), replace(make_stamped_pose(length=0.0), time_ns=START_NS + 1)]
-    with pytest.raises(LogError, match=r"some\.mcap: topic /pose: message 1: .* found all zeros"):
-        read_messages(file, *messages)
+    with pytest.raises(LogError, match=r"some\.mcap: topic /pose: message 0: .* found all zeros"):
+        read_messages(file, make_stamped_pose(length=0.0))
 
 
 def test_commands_come_from_twists_with_and_without_a_stamp(file: Path) -> None:

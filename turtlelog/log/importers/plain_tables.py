@@ -16,6 +16,7 @@ from turtlelog.log.importers.table_cells import Cells, Times, Values
 from turtlelog.log.importers.table_columns import Choice, choose_columns
 from turtlelog.log.importers.table_text import PlainTable, read_plain_table
 from turtlelog.log.planar import compute_tilt, describe_plane
+from turtlelog.log.read_choice import CHOSEN
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 _NEVER: Final = (
@@ -90,6 +91,7 @@ def _build_run(path: Path, cells: Cells) -> Run:
     pose_time_ns, moved = _separate(time_ns[has_pose] - start_ns)
     far = np.abs(poses["heading"]) > _FARTHEST_RAD
     notes = {
+        CHOSEN: cells.describe(),
         "columns": cells.describe(),
         **_describe_start(start_ns),
         **notes,

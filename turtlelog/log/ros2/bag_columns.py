@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.angles import wrap_angle
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar import compute_tilt
@@ -21,11 +22,11 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     """Return x, y [m] and heading [rad], and speeds, height and tilt where the messages have them.
 
     turtlesim publishes what it applied (`speed`, `turn_rate`), a robot's odometry what it measured
-    (`measured_speed`, `measured_turn_rate`). `z` is the height [m], `tilt` the angle between the
-    robot's vertical axis and the world's [rad].
+    (`measured_speed`, `measured_lateral_speed`, `measured_turn_rate`). `z` is the height [m],
+    `tilt` the angle between the robot's vertical axis and the world's [rad].
 
     Raises:
-        LogError: Where a quaternion is no rotation.
+        LogError: Where no quaternion is a rotation.
         KeyError: Where a field is missing.
     """
     if kind.startswith("turtlesim"):
@@ -50,6 +51,7 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
     if kind == "nav_msgs/msg/Odometry":
         twist = "twist.twist"
         columns["measured_speed"] = _widen(fields[f"{twist}.linear.x"])
+        columns["measured_lateral_speed"] = _widen(fields[f"{twist}.linear.y"])
         columns["measured_turn_rate"] = _widen(fields[f"{twist}.angular.z"])
     return columns
 
@@ -134,7 +136,7 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
 
 
 def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
-    """Return heading and tilt [rad] of quaternions of any length.
+    """Return heading and tilt [rad] of quaternions of any length; NaN for those of length 0.
 
     The heading is that of the robot's forward axis, seen from above, however it leans.
     """
@@ -147,11 +149,11 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
             f"{name}: expected rotations, found all zeros in each of {len(empty)} messages:"
             " it was never set, and there is no heading"
         )
-    if empty.any():
-        raise LogError(
-            f"message {int(empty.argmax())}: {name}: expected a rotation, found all zeros"
-        )
+    if len(empty) and empty.all():
+        raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
     yaw_rad = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    # Of a program that sets them from its second message on, or of a camera that lost its robot.
+    yaw_rad[empty] = np.nan
     return {"heading": yaw_rad, "tilt": compute_tilt(x, y, z, w)}
 
 
@@ -233,6 +235,42 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     if kept.all():
         return rows, 0
     return rows.take(kept), int((~kept).sum())
+
+
+_LEAP_M: Final = 0.1
+"""Least step of a leap to and fro [m]; the noise of a filter is less from pose to pose."""
+
+_LEAP_BACK: Final = 0.2
+"""Share of a leap within which one of the next poses is back."""
+
+_LEAP_SHARE: Final = 0.2
+"""Share of poses that leap and come back where two programs publish them, one as seldom as every
+fourth; noise of any size leaps and comes back in a tenth of them."""
+
+_LEAP_ROWS: Final = 4
+
+
+def describe_leaps(xy_m: Values) -> str | None:
+    """Return one sentence on poses that go to and fro between two places, None of those that don't.
+
+    Args:
+        xy_m: Positions in the order in which they were received [m], shape (n, 2).
+    """
+    rows = len(xy_m) - _LEAP_ROWS
+    if rows < _LEAP_ROWS:
+        return None
+    far_m = [
+        np.hypot(*(xy_m[later : later + rows] - xy_m[:rows]).T)
+        for later in range(1, _LEAP_ROWS + 1)
+    ]
+    leaps = (far_m[0] > _LEAP_M) & (np.min(far_m[1:], axis=0) < _LEAP_BACK * far_m[0])
+    if leaps.mean() <= _LEAP_SHARE:
+        return None
+    size_m = float(np.median(far_m[0][leaps]))
+    return (
+        f"poses leap to and fro by {size_m:.3g} m, {describe_count(int(leaps.sum()), 'time')}: two"
+        " programs seem to publish them, and no motion can be told"
+    )
 
 
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

@@ -31,6 +31,7 @@ from turtlelog.log.ros2.bag_columns import (
     Fields,
     OrderedRows,
     Values,
+    describe_leaps,
     drop_not_finite,
     extract_commands,
     extract_poses,
@@ -42,6 +43,7 @@ from turtlelog.log.ros2.bag_poses import Found, PoseSource, find_poses, note_pic
 from turtlelog.log.ros2.bag_references import Track, add_references
 from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic
+from turtlelog.log.ros2.reported_rates import LATERAL, judge_rates
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -118,7 +120,7 @@ def describe_chosen(notes: Mapping[str, str]) -> str:
 
 _OPTIONS: Final = {
     "other_pose_topics": "--pose-topic",
-    "other_frames": "--pose-frame",
+    "other_frames": "--pose-frame and --world-frame",
     "other_command_topics": "--command-topic",
     "other_path_topics": "--path-topic",
 }
@@ -147,6 +149,7 @@ def _build_run(
 ) -> tuple[Run, Track]:
     """Return the run, and where the robot was by the recorder's clock."""
     poses = _order(found, source.topic, extract_poses)
+    unturned = int((np.isnan(poses.columns["heading"]) & np.isfinite(poses.columns["x"])).sum())
     poses, dropped = _drop_nan(poses, source.topic.topic)
     commands, dropped_commands = None, 0
     if command_pick is not None:
@@ -159,8 +162,10 @@ def _build_run(
         frame=source.frame,
         tree=source.tree,
     )
+    leaps = describe_leaps(track.xy_m)
     times = time_rows(poses.stamps, None if commands is None else commands.stamps, time)
     poses = poses.take(times.poses.rows, times.poses.time_ns)
+    columns, rate_notes = judge_rates(poses.time_ns, poses.columns)
     if commands is not None:
         commands = commands.take(times.commands.rows, times.commands.time_ns)
     tables = [rows for rows in (poses, commands) if rows]
@@ -168,7 +173,6 @@ def _build_run(
     time_ns, moved = separate_times(poses.time_ns - start_ns)
     heading_rad, wrapped = wrap_far_headings(poses.columns["heading"])
     name = path.resolve().name
-    columns = poses.columns
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, track.time_ns, moved)
     notes = {
@@ -178,11 +182,13 @@ def _build_run(
         "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
-        **_note_dropped(dropped, dropped_commands),
+        **_note_dropped(dropped, dropped_commands, unturned),
         **times.notes,
+        **rate_notes,
     }
     plane = describe_plane(columns.get("z"), columns.get("tilt"))
     notes |= {} if plane is None else {"plane": plane}
+    notes |= {} if leaps is None else {"leaps": leaps}
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
     run = Run(
@@ -217,8 +223,8 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     speeds = [name for name in rows.columns if name.startswith("measured")]
     unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
     columns = {name: column for name, column in rows.columns.items() if name not in unknown}
-    # How high it is and how it leans is only described.
-    needed = [name for name in columns if name not in {"z", "tilt"}]
+    # How high it is and how it leans is only described, and few robots move sideways.
+    needed = [name for name in columns if name not in {"z", "tilt", LATERAL}]
     kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
     if not len(kept.time_ns):
         raise LogError(
@@ -228,10 +234,13 @@ def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
     return kept, dropped
 
 
-def _note_dropped(poses: int, commands: int) -> dict[str, str]:
+def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
     kinds = {"pose": poses, "command": commands}
     counts = [describe_count(count, kind) for kind, count in kinds.items() if count]
-    return {"dropped_nan": " and ".join(counts)} if counts else {}
+    text = " and ".join(counts)
+    if unturned:
+        text += f", {unturned} of the poses without a rotation"
+    return {"dropped_nan": text} if counts else {}
 
 
 def _match_sensed(found: Found, time_ns: NDArray[np.int64], moved: int) -> Values | None:

@@ -62,6 +62,10 @@ _MEASURED: Final = re.compile(
 )
 """Words in names of velocities that were measured."""
 
+_VELOCITIES: Final = re.compile(r"vel|velocity(?:_(?:local|body|world|enu|ned))?|twist|speed|accel")
+"""Names beside which a pose of the same place makes them measured: /mavros/local_position/pose has
+velocity_local and velocity_body, a body of a motion capture has twist."""
+
 _COMMAND_NAMES: Final = (
     re.compile(r"cmd_vel"),
     re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
@@ -143,6 +147,7 @@ def choose_command_topic(
         for topic in known
         if topic.topic not in _NO_COMMANDS
         and not _MEASURED.search(_take_last(topic.topic))
+        and not _is_measured_beside(topic.topic, pose_topic)
         and not _is_another_robots(topic.topic, pose_topic)
     ]
     if not fitting:
@@ -242,7 +247,15 @@ def _rank_poses(topic: TopicInfo, homes: Collection[str]) -> tuple[int, ...]:
 
 def _rank_commands(topic: str, pose_topic: str) -> tuple[int, ...]:
     near, depth = _rank_place(topic, pose_topic)
-    return near, _rank_name(topic, _COMMAND_NAMES), depth
+    name = _rank_name(topic, _COMMAND_NAMES)
+    # A robot's own commands come before any others, and what is called a command before the rest.
+    return int(name == len(_COMMAND_NAMES)), near, name, depth
+
+
+def _is_measured_beside(topic: str, pose_topic: str) -> bool:
+    """Return whether a velocity stands beside the poses, and is called no command."""
+    home, last = _take_home(topic), _take_last(topic)
+    return bool(home) and home == _take_home(pose_topic) and bool(_VELOCITIES.fullmatch(last))
 
 
 def _rank_path(topic: str, pose_topic: str) -> tuple[int, ...]:

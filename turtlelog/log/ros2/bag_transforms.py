@@ -159,7 +159,8 @@ def choose_frames(tree: Tree, *, robot: str | None = None, world: str | None = N
                 f"{option}: expected a frame of the transforms, found {name} among {known}"
             )
     if robot is not None:
-        return FrameChoice(world=world or _find_world(tree, robot), robot=robot)
+        top = world or _find_world(tree, robot)
+        return FrameChoice(world=top, robot=robot, others=_list_other_parents(tree, robot, top))
     found = _list_robots(tree, world) or _list_lone(tree, world)
     if not found:
         links = ", ".join(link.describe() for link in tree.values() if link.moves) or "none"
@@ -175,7 +176,21 @@ def choose_frames(tree: Tree, *, robot: str | None = None, world: str | None = N
         )
     ordered = sorted(found, key=lambda pair: [int(one) for one in _NUMBER.findall("|".join(pair))])
     others = tuple(" -> ".join(pair) for pair in ordered[1:])
-    return FrameChoice(world=ordered[0][0], robot=ordered[0][1], others=others)
+    top, robot = ordered[0]
+    return FrameChoice(
+        world=top, robot=robot, others=(*_list_other_parents(tree, robot, top), *others)
+    )
+
+
+def _list_other_parents(tree: Tree, robot: str, world: str) -> tuple[str, ...]:
+    """Return the links from another parent to a robot or a frame above it: two programs differ."""
+    above = _climb(tree, robot)
+    below = above[: above.index(world)] if world in above else []
+    return tuple(
+        link.describe()
+        for (parent, child), link in sorted(tree.items(), key=lambda one: one[0])
+        if child in (robot, *below) and parent not in {robot, world, *below}
+    )
 
 
 def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:

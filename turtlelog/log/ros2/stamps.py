@@ -130,14 +130,15 @@ def read_stamp_clock(stamps: Stamps) -> StampClock:
     rows = np.flatnonzero(stamp_ns > 0)
     rows = rows[~_find_strays(log_ns[rows], stamp_ns[rows])]
     starts = _find_jumps(log_ns[rows], stamp_ns[rows])
-    reason = _judge(stamp_ns, rows, len(starts))
     stretches = np.split(rows, starts)
+    backward = sum(_count_backward(stamp_ns[stretch]) for stretch in stretches)
+    reason = _judge(stamp_ns, rows, len(starts), backward)
     if len(rows) and np.ptp(stamp_ns[rows]):
         return _place(log_ns, stamp_ns, stretches, reason)
     return StampClock(reason=reason, time_ns=log_ns, odd=len(log_ns) - len(rows))
 
 
-def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int) -> str:
+def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int, backward: int) -> str:
     """Return why stamps are not usable, empty where they are."""
     count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
     if zeros == count:
@@ -149,7 +150,7 @@ def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int) -> str:
     distinct = int(np.count_nonzero(np.diff(np.sort(stamp_ns[rows])))) + 1
     if distinct < max(_LEAST_ADVANCES * count, 2):
         return f"{count} poses share {describe_count(distinct, 'stamp')}"
-    if jumps > len(rows) / _STRETCH_ROWS:
+    if max(jumps, backward) > len(rows) / _STRETCH_ROWS:
         return "the stamps' clock jumps to and fro"
     return ""
 
@@ -159,8 +160,18 @@ def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
     late_ns = log_ns - stamp_ns
     if len(late_ns) <= 2 * _NEAR_ROWS:
         return np.zeros(len(late_ns), dtype=bool)
-    padded = np.pad(late_ns, _NEAR_ROWS, mode="reflect", reflect_type="odd")
-    usual_ns = np.median(sliding_window_view(padded, 2 * _NEAR_ROWS + 1), axis=1)
+    middle_ns = np.median(sliding_window_view(late_ns, 2 * _NEAR_ROWS + 1), axis=1)
+    # At either end the median goes on at its own pace, whatever the first and the last stamp are.
+    ends = late_ns[: 2 * _NEAR_ROWS + 1], late_ns[-2 * _NEAR_ROWS - 1 :]
+    first_ns, last_ns = (float(np.median(np.diff(end))) for end in ends)
+    rows = np.arange(_NEAR_ROWS)
+    usual_ns = np.concatenate(
+        [
+            middle_ns[0] + (rows - _NEAR_ROWS) * first_ns,
+            middle_ns,
+            middle_ns[-1] + (rows + 1) * last_ns,
+        ]
+    )
     return np.asarray(np.abs(late_ns - usual_ns) > _LATE_NS + _find_least_jump(stamp_ns))
 
 
@@ -219,7 +230,7 @@ def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: st
         time_ns=time_ns,
         pace=pace,
         is_other_pace=is_other,
-        offset_ns=int(times[0] - stamp_ns[rows[0]]),
+        offset_ns=int(time_ns[longest[0]] - stamp_ns[longest[0]]),
         jitter_ns=jitter_ns,
         stamps_span_ns=stamps_ns,
         log_span_ns=passed_ns,
@@ -317,6 +328,14 @@ def place_log_times(clock: StampClock, of_ns: TimesNs, log_ns: TimesNs) -> Times
     at = np.interp(inside - start_ns, known - start_ns, at_ns - at_ns[0])
     at += (clock.pace or 1.0) * (log_ns - inside)
     return np.asarray(at_ns[0] + np.rint(at).astype(np.int64))
+
+
+def _count_backward(stamp_ns: TimesNs) -> int:
+    """Return how many stamps lie far before one that came earlier: of another clock, in turn."""
+    if len(stamp_ns) < 2:
+        return 0
+    back_ns = np.maximum.accumulate(stamp_ns) - stamp_ns
+    return int((back_ns > _LATE_NS + _find_least_jump(np.sort(stamp_ns))).sum())
 
 
 def _count_disordered(stamp_ns: TimesNs) -> int:
