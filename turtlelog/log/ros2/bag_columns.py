@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.planar import compute_tilt
+from turtlelog.log.planar import compute_heading, compute_tilt
 from turtlelog.log.ros2.stamps import Stamps, read_stamps
 
 Fields = Mapping[str, NDArray[Any]]
@@ -151,8 +151,7 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
         raise LogError(
             f"message {int(empty.argmax())}: {name}: expected a rotation, found all zeros"
         )
-    yaw_rad = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
-    return {"heading": yaw_rad, "tilt": compute_tilt(x, y, z, w)}
+    return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
 
 
 def _widen(values: NDArray[Any]) -> Values:
