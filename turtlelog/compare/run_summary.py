@@ -393,7 +393,7 @@ def summarise_files(
     One run at a time is in memory, with `jobs` one in each process.
 
     Args:
-        paths: Recordings, bags or the paper's logs, as `read_run` takes them.
+        paths: Any files that `read_run` takes.
         settings: As in `measure_run`.
         only: The same, patterns stand for the metrics that each run has; or a function that says
             which, as `list_essential_metrics` does.

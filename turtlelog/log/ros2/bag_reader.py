@@ -63,7 +63,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     others.
 
     Args:
-        path: A folder with `metadata.yaml`, or a lone file.
+        path: A folder, with `metadata.yaml` or without, or a lone file of MCAP or SQLite.
         options: Fields of a `ReadChoice`: which topics and frames to read, and the goal, where the
             bag does not tell or something else is meant.
 
