@@ -1,6 +1,7 @@
 """How public values show themselves: one line in a console, a table in a notebook."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from html import escape
 from math import degrees
 from typing import Any, Final, TypeVar
@@ -123,3 +124,12 @@ class NamedValues(Mapping[str, Value]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._kind, self._values)
+
+
+def format_utc(time_ns: int) -> str:
+    """Return a time since 1970 [ns] as ISO 8601 in UTC, to the nanosecond."""
+    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+    try:
+        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
+    except (OverflowError, OSError, ValueError):  # beyond the year 9999
+        return f"{time_ns} ns"

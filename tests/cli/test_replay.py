@@ -83,8 +83,8 @@ def test_commands_take_a_run_of_bare_poses(call: Call, tmp_path: Path) -> None:
     (answer,) = call("metrics", path, "--json").json
     values = {metric["id"]: metric["value"] for metric in answer["metrics"]}
     known = {name: value for name, value in values.items() if value is not None}
-    names = ("duration", "path_length", "net_displacement", "total_turning")
-    names += ("duplicates", "disorder")
+    names = ["duration", "path_length", "net_displacement", "total_turning"]
+    names += ["duplicates", "disorder"]
     assert known == {f"run.{name}": 0.0 for name in names}
     assert call("view", path, "--save", tmp_path / "a.rrd").code == 0
     assert call("info", path).code == 0

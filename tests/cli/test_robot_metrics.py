@@ -72,7 +72,9 @@ def test_the_table_of_a_bag_without_commands_says_what_would_add_them(
 ) -> None:
     answer = call("metrics", silent)
     assert "run.speed_lag" not in answer.out
-    assert "No commands: --command-topic TOPIC adds" in answer.out
+    assert (
+        "No commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds" in answer.out
+    )
     assert "absent" in call("metrics", silent, "--all").out
 
 

@@ -99,7 +99,8 @@ def compare(
     Example: turtlelog compare --reference good.mcap new.mcap
 
     Args:
-        files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
+        files: Recordings (.mcap), ROS 2 bags, tables (.csv, .parquet, .tum), or the paper's logs
+            (.json, .csv).
         rrd: Write all runs into one Rerun recording.
     """
     against, choice = against or ReferenceOptions(), choice or ChoiceOptions()

@@ -88,7 +88,8 @@ def explain(
     Example: turtlelog explain kp10.mcap --metric final.heading_error
 
     Args:
-        file: A recording (.mcap), a ROS 2 bag, or one of the paper's logs (.json, .csv).
+        file: A recording (.mcap), a ROS 2 bag, a table (.csv, .parquet, .tum), or one of the
+            paper's logs (.json, .csv).
         metric: What to explain, by its id (turtlelog list metrics); by default the final position
             error, and without a goal the error of the last loop.
         mechanisms: Effects and properties that share it, separated by commas (turtlelog list

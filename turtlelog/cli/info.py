@@ -42,15 +42,18 @@ def info(
 ) -> int:
     """Say what recordings are and hold: a robot or turtlesim, source, length, topics, scenario.
 
-    Of a bag of up to 64 MiB, the poses and commands are read: what times them, and where poses
-    jump or are missing, and rates stand out. What would unlock what a file lacks is listed. Files
-    that cannot be read are reported on stderr; the others are described, and the exit code is 2.
+    Of a bag of up to 64 MiB the poses and commands are read: info says which clock times them,
+    where poses jump or are missing, and which rates stand out. It lists what a file lacks, and how
+    to add that. Files that cannot be read are reported on stderr; the others are described, and the
+    exit code is 2.
 
     Example: turtlelog info kp1.mcap
 
+    Example: turtlelog info my_bag
+
     Args:
-        files: Recordings (.mcap), turtlelog's or other people's, ROS 2 bags, or the paper's logs
-            (.json, .csv).
+        files: Recordings (.mcap), ROS 2 bags (folders, .mcap, .db3), tables (.csv, .parquet, .tum),
+            or the paper's logs (.json, .csv).
         topics: What is looked at, where a bag does not tell or something else is meant.
         clock: Read the poses of large bags, too.
         json: Print one JSON list instead of text.

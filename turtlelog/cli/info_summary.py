@@ -1,6 +1,6 @@
 """What a file is, in one sentence, and what would unlock what it lacks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,6 +10,8 @@ from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from turtlelog import Run
@@ -237,18 +239,10 @@ def _format_hz(rate: float) -> str:
     return f"{float(f'{rate:.3g}'):g} Hz"
 
 
-def _list_missing(run: "Run", info: "RecordingInfo") -> Sequence[str]:
+def _list_missing(run: "Run", info: "RecordingInfo") -> "Iterator[str]":
+    """Yield what a bag lacks; of a table that has no commands nothing can add them."""
     if len(run.samples):
-        return []
-    found = []
-    if not len(run.commands) and info.topics:
-        types = tl.log.ros2.COMMAND_TYPES
-        is_there = any(topic.count and topic.type in types for topic in info.topics)
-        what = "--command-topic TOPIC" if is_there else "a recorded Twist or TwistStamped"
-        found.append(f"no commands: {what} adds lags, tracking errors and steps")
-    if run.goal_xy_m is None:
-        found.append("no goal: --goal X,Y adds final.position_error and run.time_to_goal")
-    found.append(
-        "no samples of a controller: a recording of turtlelog's holds them, for metrics of loops"
-    )
-    return found
+        return
+    for lack in tl.compare.list_lacks(run):
+        if lack in tl.compare.UNLOCKS and (lack != "commands" or info.topics):
+            yield f"no {tl.compare.UNLOCKS[lack]}"

@@ -102,7 +102,8 @@ def metrics(
     Example: turtlelog metrics kp4.mcap --only "translate.*" --band 0.05
 
     Args:
-        files: Recordings (.mcap), ROS 2 bags, or the paper's logs (.json, .csv).
+        files: Recordings (.mcap), ROS 2 bags, tables (.csv, .parquet, .tum), or the paper's logs
+            (.json, .csv).
         all_: Show every metric, not only the essential ones.
         jobs: Processes to read and measure in.
     """

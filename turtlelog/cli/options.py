@@ -99,14 +99,14 @@ class TopicOptions:
     """What is read of bags and tables that turtlelog did not write, and damaged recordings.
 
     Attributes:
-        pose_topic: Poses; of one file alone FILE:TOPIC says the same. Otherwise types and names
-            tell, and a line on stderr says which was chosen.
+        pose_topic: Poses; FILE:TOPIC says the same for one file. Otherwise types and names decide,
+            and a line on stderr says what is read.
         command_topic: Commands: Twist or TwistStamped.
         path_topic: The path to be followed: nav_msgs/Path.
         pose_frame: The robot's frame, of poses from transforms (/tf).
         world_frame: The frame in which poses from transforms are given.
         time: What times poses: the recorder (log), their stamps mapped to its clock (stamp), or
-            what the bag suggests.
+            the stamps where they are usable (auto).
         column: The column of a table that holds t, x, y, heading or another quantity, as in
             "heading=yaw [deg]"; may stand several times.
         partial: Read what an unfinished or damaged recording still holds.

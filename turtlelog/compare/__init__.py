@@ -19,6 +19,7 @@ from turtlelog.compare.run_summary import (
     RunSummary,
     choose_columns,
     complete_summaries,
+    list_lacks,
     list_needed_metrics,
     list_usual_metrics,
     list_usual_of_run,
@@ -28,6 +29,7 @@ from turtlelog.compare.run_summary import (
     summarise_run,
 )
 from turtlelog.compare.run_table import (
+    UNLOCKS,
     Cell,
     Column,
     Mark,
@@ -46,6 +48,7 @@ from turtlelog.differences import SignalDifference
 
 __all__ = [
     "ALIGNMENTS",
+    "UNLOCKS",
     "Cell",
     "Column",
     "Mark",
@@ -64,6 +67,7 @@ __all__ = [
     "drop_absent",
     "format_cell",
     "iter_comparisons",
+    "list_lacks",
     "list_needed_metrics",
     "list_units",
     "list_unlocks",

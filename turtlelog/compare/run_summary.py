@@ -39,15 +39,21 @@ TEXTS: Final = ("name", "source", "stop_reason")
 
 HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
     {
-        "samples": lambda run: len(run.samples) > 0,
         "commands": lambda run: len(run.commands) > 0,
         "goal": lambda run: run.goal_xy_m is not None,
+        "samples": lambda run: len(run.samples) > 0,
         "rates": lambda run: (
             {run.poses.measured_speed_m_s is None, run.poses.speed_m_s is None} != {True}
         ),
     }
 )
 """What metrics need besides poses: samples of a controller, commands, a goal, reported rates."""
+
+
+def list_lacks(run: Run) -> tuple[str, ...]:
+    """Return which of `HOLDINGS` a run does not hold."""
+    return tuple(name for name, holds in HOLDINGS.items() if not holds(run))
+
 
 _MAPPINGS: Final = ("parameters", "metrics", "notes")
 
@@ -152,7 +158,7 @@ def summarise_run(
         file=file,
         notes=run.notes,
         declaration=run.declaration,
-        lacks=tuple(name for name, holds in HOLDINGS.items() if not holds(run)),
+        lacks=list_lacks(run),
     )
 
 
@@ -387,7 +393,7 @@ def summarise_files(
     One run at a time is in memory, with `jobs` one in each process.
 
     Args:
-        paths: Recordings, bags or the paper's logs, as `read_run` takes them.
+        paths: Any files that `read_run` takes.
         settings: As in `measure_run`.
         only: The same, patterns stand for the metrics that each run has; or a function that says
             which, as `list_essential_metrics` does.

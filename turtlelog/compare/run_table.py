@@ -227,18 +227,23 @@ def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
     """Return what would add metrics where all runs are bags of somebody else's that lack it."""
     if not summaries or not all(found.is_lawless for found in summaries):
         return []
-    return [line for lack, line in _UNLOCKS.items() if all(lack in one.lacks for one in summaries)]
+    return [
+        f"No {unlock}."
+        for lack, unlock in UNLOCKS.items()
+        if all(lack in one.lacks for one in summaries)
+    ]
 
 
-_UNLOCKS: Final = MappingProxyType(
+UNLOCKS: Final = MappingProxyType(
     {
-        "goal": "No goal: --goal X,Y adds final.position_error and run.time_to_goal.",
-        "commands": "No commands: --command-topic TOPIC adds lags, tracking errors and steps.",
-        "samples": "No samples of a controller, which metrics of loops need: recordings of"
-        " turtlelog hold them, and topics of ControlSample messages.",
+        "commands": "commands: a recorded Twist or TwistStamped (--command-topic TOPIC) adds lags,"
+        " tracking errors and steps",
+        "goal": "goal: --goal X,Y adds final.position_error and run.time_to_goal",
+        "samples": "samples of a controller: a recording of turtlelog's holds them, for metrics of"
+        " loops",
     }
 )
-"""What a bag may lack, and what would add the metrics that need it."""
+"""What a bag may lack, by `HOLDINGS`, and what would add the metrics that need it."""
 
 _MOST_DIFFERING: Final = 2
 _AT_GOAL: Final = ("final.heading_error", "final.position_error")

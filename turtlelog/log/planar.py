@@ -33,6 +33,18 @@ def describe_plane(z_m: Values | None, tilt_rad: Values | None) -> str | None:
     return f"the robot leaves the plane: {' and '.join(found)}; only x, y and heading are kept"
 
 
+def compute_heading(x: Values, y: Values, z: Values, w: Values) -> Values:
+    """Return the heading of the forward axis, seen from above, however the robot leans [rad].
+
+    Args:
+        x: Of quaternions of any length but 0, shape (n,), as the others.
+        y: Likewise.
+        z: Likewise.
+        w: Their scalar part.
+    """
+    return np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+
+
 def compute_tilt(x: Values, y: Values, z: Values, w: Values) -> Values:
     """Return the angle between the vertical axes before and after a rotation [rad], in [0, pi].
 

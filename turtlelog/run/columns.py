@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,6 +194,19 @@ class SampleColumns:
         _require_finite(self, "sample")
         _require_rising(self.time_ns, "sample.time_ns", strictly=False)
         _require_rising(self.sequence, "sample.sequence", strictly=True)
+
+    @classmethod
+    def build_empty(cls) -> Self:
+        """Return a table without rows, of a run in which no controller was recorded."""
+        none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return cls(
+            time_ns=whole,
+            sequence=whole,
+            pose_sequence=whole,
+            phase=whole,
+            speed_m_s=none,
+            turn_rate_rad_s=none,
+        )
 
     def __len__(self) -> int:
         return len(self.time_ns)

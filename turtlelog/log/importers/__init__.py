@@ -12,6 +12,7 @@ from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.paper_layouts import PAPER_MARKS, parse_paper_csv, parse_paper_json
 from turtlelog.log.importers.paper_log import PaperLog, build_paper_run
 from turtlelog.log.importers.plain_tables import import_plain_table
+from turtlelog.log.importers.table_text import read_header
 from turtlelog.run import Run
 
 __all__ = ["LOG_SUFFIXES", "import_log", "import_other", "import_plain_table"]
@@ -40,15 +41,7 @@ def import_other(path: Path, columns: Mapping[str, str]) -> Run:
 
 def _is_papers(path: Path) -> bool:
     """Return whether a CSV has the columns that only the paper's logs have."""
-    if path.suffix.lower() != ".csv":
-        return False
-    with open_file(path) as stream:
-        head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
-    return not PAPER_MARKS.isdisjoint(head.strip().split(","))
-
-
-_LONGEST_HEAD: Final = 64 * 1024
-"""Bytes of a first line that may name columns."""
+    return path.suffix.lower() == ".csv" and not PAPER_MARKS.isdisjoint(read_header(path))
 
 
 def import_log(path: str | Path, *, sort: bool = False) -> Run:

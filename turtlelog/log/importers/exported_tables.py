@@ -37,9 +37,6 @@ _TEXTS: Final = frozenset({"phase", "kind", "text"})
 _ROUNDED_RAD: Final = 2e-15
 """By how much sine, cosine and arctangent may turn a heading: 4 steps of 64-bit numbers at pi."""
 
-_LONGEST_HEAD: Final = 64 * 1024
-"""Bytes of a first line that may name columns: 250 states of 60 letters, and the rest, fit in."""
-
 _MARKS: Final[Mapping[str, frozenset[str]]] = {
     "events": frozenset({"time_ns", "kind", "text"}),
     "samples": frozenset({"time_ns", "sequence", "pose_sequence", "phase"}),
@@ -67,16 +64,12 @@ def holds_tables(path: Path) -> bool:
     """Return whether a folder or a file holds tables that turtlelog wrote, by its first line."""
     if path.is_dir():
         return bool(list_table_files(path))
-    if path.suffix.lower() == ".parquet":
-        try:
-            return find_table(read_header(path)) is not None
-        except ValueError:  # no Parquet file, whatever it is called
-            return True
-    if path.suffix.lower() != ".csv":
+    if path.suffix.lower() not in TABLE_SUFFIXES:
         return False
-    with open_file(path) as stream:
-        head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
-    return find_table(head.strip().split(",")) is not None
+    try:
+        return find_table(read_header(path)) is not None
+    except ValueError:  # no Parquet file, whatever it is called
+        return True
 
 
 def import_tables(path: str | Path) -> Run:
@@ -269,16 +262,7 @@ def _build_samples(
     table: Table | None, declaration: Declaration | None
 ) -> tuple[SampleColumns, Declaration]:
     if table is None:
-        none, nothing = np.array([], dtype=np.int64), np.array([], dtype=np.float64)
-        empty = SampleColumns(
-            time_ns=none,
-            sequence=none,
-            pose_sequence=none,
-            phase=none,
-            speed_m_s=nothing,
-            turn_rate_rad_s=nothing,
-        )
-        return empty, Declaration()
+        return SampleColumns.build_empty(), Declaration()
     values = _gather(table, SampleColumns)
     known = {*(name for pair in PAIRS.values() for name in pair), *values}
     states = {

@@ -2,21 +2,21 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.angles import wrap_angle
+from turtlelog.display import format_utc
 from turtlelog.errors import LogError, RunError
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.importers.table_cells import Cells, Times, Values
 from turtlelog.log.importers.table_columns import Choice, choose_columns
 from turtlelog.log.importers.table_text import PlainTable, read_plain_table
-from turtlelog.log.planar import compute_tilt, describe_plane
+from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane
 from turtlelog.log.read_choice import CHOSEN
+from turtlelog.log.ros2.bag_columns import separate_times, wrap_far_headings
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 _NEVER: Final = (
@@ -25,9 +25,6 @@ _NEVER: Final = (
 )
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
 _NEEDED: Final = ("t", "x", "y", "heading")
-
-_FARTHEST_RAD: Final = np.nextafter(np.float32(np.pi), np.float32(4.0))
-"""Within a float32 step of pi, as turtlesim's own headings are."""
 
 _OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
 
@@ -88,38 +85,31 @@ def _build_run(path: Path, cells: Cells) -> Run:
     start_ns = int(min([time_ns[has_pose][0], *commands.time_ns[:1]]))
     poses = {name: column[has_pose] for name, column in values.items()}
     absent = [*_NEVER, *(() if len(commands) else ("commands",))]
-    pose_time_ns, moved = _separate(time_ns[has_pose] - start_ns)
-    far = np.abs(poses["heading"]) > _FARTHEST_RAD
+    pose_time_ns, moved = separate_times(time_ns[has_pose] - start_ns)
+    heading_rad, wrapped = wrap_far_headings(poses["heading"])
+    plane = describe_plane(poses.get("z"), poses.get("tilt"))
     notes = {
         CHOSEN: cells.describe(),
         "columns": cells.describe(),
         **_describe_start(start_ns),
         **notes,
         "moved_rows": str(moved),
-        "wrapped_headings": str(int(far.sum())),
+        "wrapped_headings": str(wrapped),
         **_describe_gaps(values, has_pose, commands),
-        **_describe_plane(poses),
+        **({} if plane is None else {"plane": plane}),
     }
-    nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
     return Run(
         name=path.stem,
         source=f"{'table' if cells.table.has_header else 'tum'}: {path.name}",
         poses=PoseColumns(
             time_ns=pose_time_ns,
             xy_m=np.column_stack([poses["x"], poses["y"]]),
-            heading_rad=np.where(far, wrap_angle(poses["heading"]), poses["heading"]),
+            heading_rad=heading_rad,
             measured_speed_m_s=_keep_whole(poses.get("speed")),
             measured_turn_rate_rad_s=_keep_whole(poses.get("turn_rate")),
         ),
         commands=replace(commands, time_ns=commands.time_ns - start_ns),
-        samples=SampleColumns(
-            time_ns=none,
-            sequence=none,
-            pose_sequence=none,
-            phase=none,
-            speed_m_s=nothing,
-            turn_rate_rad_s=nothing,
-        ),
+        samples=SampleColumns.build_empty(),
         absent=tuple(absent),
         notes=notes,
     )
@@ -134,8 +124,7 @@ def _read_rotation(cells: Cells) -> dict[str, Values]:
     empty = x**2 + y**2 + z**2 + w**2 == 0.0
     if empty.any():
         cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
-    heading = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
-    return {"heading": heading, "tilt": compute_tilt(x, y, z, w)}
+    return {"heading": compute_heading(x, y, z, w), "tilt": compute_tilt(x, y, z, w)}
 
 
 def _order_rows(
@@ -150,13 +139,6 @@ def _order_rows(
     notes = {"sorted_rows": str(late), "dropped_duplicates": str(int((~kept).sum()))}
     ordered = {name: column[order][kept] for name, column in values.items()}
     return time_ns[order][kept], ordered, notes
-
-
-def _separate(time_ns: Times) -> tuple[Times, int]:
-    """Return times of which each is later than the one before, and how many moved."""
-    rows = np.arange(len(time_ns))
-    rising = np.maximum.accumulate(time_ns - rows) + rows
-    return rising, int((rising != time_ns).sum())
 
 
 def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColumns:
@@ -195,17 +177,10 @@ def _describe_gaps(
     return notes
 
 
-def _describe_plane(poses: Mapping[str, Values]) -> dict[str, str]:
-    told = describe_plane(poses.get("z"), poses.get("tilt"))
-    return {} if told is None else {"plane": told}
-
-
 def _describe_start(start_ns: int) -> dict[str, str]:
     """Return a note on when a table begins that does not count from 0."""
     if not start_ns:
         return {}
-    seconds, nanoseconds = divmod(start_ns, 1_000_000_000)
     if start_ns < 1e18:
         return {"original_timestamp": f"{start_ns / 1e9:.9f} s"}
-    text = f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
-    return {"original_timestamp": text}
+    return {"original_timestamp": format_utc(start_ns)}

@@ -18,6 +18,9 @@ TUM_COLUMNS: Final = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """The columns of a TUM trajectory, which has no header: time, position, quaternion."""
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)(e[+-]?\d+)?|[+-]?(nan|inf)|", re.I)
+_LONGEST_HEAD: Final = 64 * 1024
+"""Bytes of a first line that may name columns: 250 states of 60 letters, and the rest, fit in."""
+
 _BLANK: Final = " "
 """Stands for any number of spaces and tabs between cells."""
 
@@ -62,7 +65,15 @@ def read_plain_table(path: Path) -> PlainTable:
 
 
 def read_header(path: Path) -> tuple[str, ...]:
-    """Return the names of the columns of a Parquet file, without its rows."""
+    """Return the names of the columns without the rows: of text the cells of its first line.
+
+    Raises:
+        ValueError: Where a file that is called so is no Parquet file.
+    """
+    if path.suffix.lower() != ".parquet":
+        with open_file(path) as stream:
+            head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
+        return tuple(head.strip().split(","))
     parquet = load_library("pyarrow.parquet")
     with open_file(path) as stream:
         return tuple(parquet.read_schema(stream).names)

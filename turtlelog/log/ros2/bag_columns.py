@@ -11,7 +11,7 @@ from turtlelog.angles import wrap_angle
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.planar import compute_tilt
+from turtlelog.log.planar import compute_heading, compute_tilt
 from turtlelog.log.ros2.stamps import Stamps, read_stamps
 
 Fields = Mapping[str, NDArray[Any]]
@@ -151,7 +151,7 @@ def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
         )
     if len(empty) and empty.all():
         raise LogError(f"message 0: {name}: expected a rotation, found all zeros")
-    yaw_rad = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    yaw_rad = compute_heading(x, y, z, w)
     # Of a program that sets them from its second message on, or of a camera that lost its robot.
     yaw_rad[empty] = np.nan
     return {"heading": yaw_rad, "tilt": compute_tilt(x, y, z, w)}

@@ -3,14 +3,13 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.display import describe_count
+from turtlelog.display import describe_count, format_utc
 from turtlelog.errors import LogError
 from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.error_boundary import name_file
@@ -66,7 +65,7 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     others.
 
     Args:
-        path: A folder with `metadata.yaml`, or a lone file.
+        path: A folder, with `metadata.yaml` or without, or a lone file of MCAP or SQLite.
         options: Fields of a `ReadChoice`: which topics and frames to read, and the goal, where the
             bag does not tell or something else is meant.
 
@@ -176,7 +175,7 @@ def _build_run(
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
     sensed = _match_sensed(found, track.time_ns, moved)
     notes = {
-        "original_timestamp": _format_time(start_ns),
+        "original_timestamp": format_utc(start_ns),
         **source.notes,
         "sorted_rows": str(sum(rows.late for rows in tables)),
         "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
@@ -206,7 +205,7 @@ def _build_run(
             sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
         ),
         commands=_build_commands(commands, start_ns),
-        samples=_build_no_samples(),
+        samples=SampleColumns.build_empty(),
         clock=times.clock,
         absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
         notes=notes,
@@ -291,25 +290,3 @@ def _build_commands(rows: OrderedRows | None, start_ns: int) -> CommandColumns:
         lateral_speed_m_s=columns["lateral_speed"],
         turn_rate_rad_s=columns["turn_rate"],
     )
-
-
-def _build_no_samples() -> SampleColumns:
-    """Return a table without rows: what a controller computed stands in no bag."""
-    none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-    return SampleColumns(
-        time_ns=whole,
-        sequence=whole,
-        pose_sequence=whole,
-        phase=whole,
-        speed_m_s=none,
-        turn_rate_rad_s=none,
-    )
-
-
-def _format_time(time_ns: int) -> str:
-    """Return a time since the epoch as ISO 8601 in UTC, to the nanosecond."""
-    seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
-    try:
-        return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
-    except (OverflowError, OSError, ValueError):
-        return f"{time_ns} ns"

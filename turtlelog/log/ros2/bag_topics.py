@@ -14,22 +14,6 @@ TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 PATH: Final = "nav_msgs/msg/Path"
 GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
-POSE_TYPES: Final = (
-    "turtlesim/msg/Pose",
-    "turtlesim_msgs/msg/Pose",
-    "nav_msgs/msg/Odometry",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/Pose",
-    "geometry_msgs/msg/Pose2D",
-    "geometry_msgs/msg/TransformStamped",
-    TRANSFORMS,
-)
-_POSES_IN_SHORT: Final = (
-    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, or transforms on /tf"
-)
-COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-
 _TIERS: Final = {
     "turtlesim/msg/Pose": 0,
     "turtlesim_msgs/msg/Pose": 0,
@@ -41,7 +25,13 @@ _TIERS: Final = {
     "geometry_msgs/msg/TransformStamped": 4,
     TRANSFORMS: 5,
 }
-"""Which types come first: odometry tells rates, too; what has stamps comes before others."""
+"""Types of poses, and which come first: odometry tells rates, too; stamps come before none."""
+
+POSE_TYPES: Final = tuple(_TIERS)
+_POSES_IN_SHORT: Final = (
+    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, or transforms on /tf"
+)
+COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
 _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
 
