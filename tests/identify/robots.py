@@ -1,0 +1,165 @@
+"""Robots of known truth, that share no code with the fit: a sum of responses to single steps."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+Values = NDArray[np.float64]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """One axis: rate = gain exp(-dead_time s) / (lag s + 1) of the commands."""
+
+    gain: float = 1.0
+    dead_time_s: float = 0.1
+    lag_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Log:
+    """How a robot is driven and recorded."""
+
+    speed: Truth = field(default_factory=Truth)
+    turn_rate: Truth = field(default_factory=Truth)
+    duration_s: float = 60.0
+    poses_hz: float = 30.0
+    commands_hz: float = 20.0
+    noise_m: float = 2e-4
+    noise_rad: float = 5e-4
+    jitter_s: float = 2e-3
+    lost: float = 0.0
+    jumps: int = 0
+    quantum: float = 0.0
+    hold_s: tuple[float, float] = (0.5, 3.0)
+
+
+def draw_steps(rng: np.random.Generator, log: Log, largest: float) -> tuple[Values, Values]:
+    """Return times and values of commands, repeated at their rate; the robot stands first."""
+    time_s = np.arange(0.5, log.duration_s - 0.5, 1.0 / log.commands_hz)
+    time_s = time_s + rng.uniform(0.0, 0.3 / log.commands_hz, len(time_s))
+    value, changes_s = np.zeros(len(time_s)), 1.0
+    while changes_s < log.duration_s:
+        value[time_s >= changes_s] = rng.uniform(-largest, largest)
+        changes_s += rng.uniform(*log.hold_s)
+    if log.quantum:
+        value = np.rint(value / log.quantum) * log.quantum
+    return time_s, value
+
+
+def respond(truth: Truth, time_s: Values, changes: tuple[Values, Values]) -> tuple[Values, Values]:
+    """Return rate and way at some times: of each change of the command the response to a step."""
+    at_s, by = changes
+    since_s = time_s[:, None] - (at_s + truth.dead_time_s)
+    acts = since_s > 0.0
+    since_s = np.where(acts, since_s, 0.0)
+    if truth.lag_s > 0.0:
+        risen = -np.expm1(-since_s / truth.lag_s)
+        way = since_s - truth.lag_s * risen
+    else:
+        risen, way = acts.astype(float), since_s
+    return truth.gain * risen @ by, truth.gain * way @ by
+
+
+def find_changes(time_s: Values, value: Values) -> tuple[Values, Values]:
+    by = np.diff(value, prepend=0.0)
+    rows = np.flatnonzero(by)
+    return time_s[rows], by[rows]
+
+
+def drive(log: Log, time_s: Values, speed: tuple[Values, Values], turn: tuple[Values, Values]) -> (
+    tuple[Values, Values]
+):
+    """Return positions and headings at some times, from the origin on."""
+    speeds, turns = find_changes(*speed), find_changes(*turn)
+    breaks = np.concatenate([speeds[0] + log.speed.dead_time_s, turns[0] + log.turn_rate.dead_time_s])
+    inside = breaks[(breaks > 0.0) & (breaks < time_s[-1])]
+    bounds = np.unique(np.concatenate([[0.0], time_s, inside]))
+    length = np.diff(bounds)
+    nodes = bounds[:-1, None] + length[:, None] * (0.5 + 0.5 * _NODES)
+    rate = respond(log.speed, nodes.ravel(), speeds)[0].reshape(nodes.shape)
+    heading = respond(log.turn_rate, nodes.ravel(), turns)[1].reshape(nodes.shape)
+    weights = 0.5 * length[:, None] * _WEIGHTS
+    steps = [(weights * rate * way(heading)).sum(axis=1) for way in (np.cos, np.sin)]
+    xy_m = np.vstack([[0.0, 0.0], np.cumsum(np.column_stack(steps), axis=0)])
+    rows = np.searchsorted(bounds, time_s)
+    return xy_m[rows], respond(log.turn_rate, time_s, turns)[1]
+
+
+def make_run(
+    log: Log,
+    seed: int,
+    speed: tuple[Values, Values] | None = None,
+    turn: tuple[Values, Values] | None = None,
+    name: str = "robot",
+) -> Run:
+    """Return the run of a robot; commands are random steps where none are given."""
+    rng = np.random.default_rng(seed)
+    drawn = draw_steps(rng, log, 0.5), draw_steps(rng, log, 1.5)
+    time_s, speeds = drawn[0] if speed is None else speed
+    # Both axes are commanded by one message.
+    turns = drawn[1][1] if turn is None else turn[1]
+    true_s = np.arange(0.0, log.duration_s, 1.0 / log.poses_hz)
+    xy_m, heading_rad = drive(log, true_s, (time_s, speeds), (time_s, turns))
+    xy_m = xy_m + rng.normal(0.0, log.noise_m, xy_m.shape)
+    heading_rad = heading_rad + rng.normal(0.0, log.noise_rad, len(true_s))
+    for row in rng.integers(20, len(true_s) - 20, log.jumps):
+        # Odometry goes on from where it believes to be.
+        turn_rad = rng.normal(0.0, 0.5)
+        turned = np.array(
+            [[np.cos(turn_rad), np.sin(turn_rad)], [-np.sin(turn_rad), np.cos(turn_rad)]]
+        )
+        xy_m[row:] = xy_m[row] + rng.normal(0.0, 0.1, 2) + (xy_m[row:] - xy_m[row]) @ turned
+        heading_rad[row:] += turn_rad
+    stamp_s = true_s + rng.normal(0.0, log.jitter_s, len(true_s))
+    stamp_s = np.maximum(stamp_s, 0.0)
+    kept = np.flatnonzero(rng.uniform(size=len(true_s)) >= log.lost)
+    order = kept[np.argsort(stamp_s[kept], kind="stable")]
+    return build_run(
+        stamp_s[order], xy_m[order], heading_rad[order], (time_s, speeds, turns), name=name
+    )
+
+
+def build_run(
+    time_s: Values,
+    xy_m: Values,
+    heading_rad: Values,
+    commands: tuple[Values, Values, Values],
+    name: str = "robot",
+) -> Run:
+    pose_ns = np.rint(time_s * 1e9).astype(np.int64)
+    fresh = np.concatenate([[True], np.diff(pose_ns) > 0])
+    whole = np.zeros(0, dtype=np.int64)
+    none = np.zeros(0)
+    return Run(
+        name=name,
+        source="test",
+        poses=PoseColumns(
+            time_ns=pose_ns[fresh],
+            xy_m=xy_m[fresh],
+            heading_rad=np.mod(heading_rad[fresh] + np.pi, 2.0 * np.pi) - np.pi,
+        ),
+        commands=CommandColumns(
+            time_ns=np.rint(commands[0] * 1e9).astype(np.int64),
+            speed_m_s=np.asarray(commands[1], dtype=float),
+            lateral_speed_m_s=np.zeros(len(commands[0])),
+            turn_rate_rad_s=np.asarray(commands[2], dtype=float),
+        ),
+        samples=SampleColumns(
+            time_ns=whole,
+            sequence=whole,
+            pose_sequence=whole,
+            phase=whole,
+            speed_m_s=none,
+            turn_rate_rad_s=none,
+        ),
+    )
+
+
+STEPS: Final = Log()

@@ -1,0 +1,1 @@
+"""A robot's dynamics from commands and motion."""
