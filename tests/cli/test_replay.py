@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,8 @@ def test_replay_answers_in_json(call: Call) -> None:
     assert (answer["max_abs_error"], answer["first_difference"]) == (EXACT, None)
     first, second = answer["stretches"]
     assert (first["start_s"], first["ticks"], first["max_abs_error"]) == (0.0, 877, EXACT)
+    assert (answer["within_rounding"], answer["heading_bits"]) == (True, 64)
+    assert (first["within_rounding"], second["within_rounding"]) == (True, True)
     assert (second["end_s"], second["rounding"]["heading"]) == (42.066412176, 2.0**-22)
     assert [(gap["start_s"], gap["missing_ticks"]) for gap in answer["gaps"]] == [
         (14.032113878, 99)
@@ -29,6 +32,25 @@ def test_replay_prints_stretches_and_what_lies_between(call: Call) -> None:
     rows = [line.split()[:3] for line in answer.out.splitlines()]
     assert ["15.632", "42.066", "1622"] in rows
     assert "14.032 s: gap of 1.600 s: 99 ticks\n15.632 s: jump (spawn) to x = 5.544 m" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("off_m", "sentence"),
+    [
+        (0.0, "The plant reproduces every pose."),
+        (5e-7, "The largest difference is within what 32-bit poses can tell."),
+        (2e-6, "The largest difference is 1.42 times what 32-bit poses can tell."),
+    ],
+)
+def test_replay_says_whether_rounding_explains_the_differences(
+    call: Call, tmp_path: Path, off_m: float, sentence: str
+) -> None:
+    poses = make_poses(9, linear_velocity=0.0, angular_velocity=0.0)
+    poses[4] = replace(poses[4], values={**poses[4].values, "x": poses[4].values["x"] + off_m})
+    path = write_mcap(tmp_path / "a.mcap", poses)
+    assert sentence in call("replay", path, "--plant").out.splitlines()
+    answer = call("replay", path, "--plant", "--json").json
+    assert answer["within_rounding"] is answer["stretches"][0]["within_rounding"] is (off_m < 1e-6)
 
 
 def test_replay_counts_time_from_the_first_sample(call: Call, kp4: Path) -> None:

@@ -60,7 +60,8 @@ def read_values(run: Run, name: str) -> list[float]:
 
 def test_signals_have_the_names_that_every_stage_shares() -> None:
     commands = "speed turn_rate wanted_speed wanted_turn_rate shaped_speed shaped_turn_rate"
-    poses = "applied_speed applied_turn_rate sensed_x sensed_y sensed_heading"
+    rates = "applied_speed applied_turn_rate measured_speed measured_turn_rate"
+    poses = f"{rates} sensed_x sensed_y sensed_heading"
     names = f"x y heading {commands} {poses} error_x error_y distance"
     assert " ".join(SIGNALS) == f"{names} heading_error along_track cross_track phase"
 

@@ -1,5 +1,8 @@
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from math import cos, sin
+from struct import unpack_from
 from typing import Any
 
 import numpy as np
@@ -10,10 +13,13 @@ from turtlelog.log.ros2 import read_bag
 from turtlelog.plants import Turtle
 from turtlelog.plants.turtlesim import SPAWN_XY_M, TICK_NS, TICK_S
 from turtlelog.replay import PlantReplay, PoseError, ReplayError, replay_plant
+from turtlelog.replay.plant_ticks import place_commands, read_motion
 from turtlelog.run import CommandColumns, PoseColumns, Run
 from turtlelog.scenario import PAPER_RUNS
 
 EXACT = PoseError()
+POSE = "turtlesim/msg/Pose"
+TWIST = "geometry_msgs/msg/Twist"
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +65,99 @@ def test_a_real_turtlesim_is_reproduced_bit_for_bit(real: Run) -> None:
     assert [stretch.ticks for stretch in found.stretches] == [877, 1622]
     assert (found.commands.taken, found.commands.unseen, found.commands.stops) == (18, 0, 8)
     assert found.commands.unexplained_ticks == 0
+
+
+def read_old_turtlesim() -> Run:
+    """Return the poses and commands of a bag from before Humble, read with no code of ours."""
+    path = find_shared("ros2", "turtlesim_v4", "subset_0.db3")
+    query = (
+        "select timestamp, data from messages join topics on topics.id = topic_id where type = ?"
+    )
+    with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro&immutable=1", uri=True)) as file:
+        # Behind the 4 bytes of the encoding.
+        poses = [(at, *unpack_from("<5f", data, 4)) for at, data in file.execute(query, [POSE])]
+        twists = [(at, *unpack_from("<6d", data, 4)) for at, data in file.execute(query, [TWIST])]
+    pose, twist = (np.array(rows).T for rows in (poses, twists))
+    pose_ns, twist_ns = (np.array([row[0] for row in rows]) for rows in (poses, twists))
+    base = simulate_preset("paper-kp10")
+    return replace_commands(
+        replace_poses(
+            replace(base, name="v4"),
+            time_ns=pose_ns,
+            xy_m=pose[1:3].T.copy(),
+            heading_rad=pose[3].copy(),
+            speed_m_s=np.abs(pose[4]),
+            turn_rate_rad_s=pose[5].copy(),
+        ),
+        time_ns=twist_ns,
+        speed_m_s=twist[1].copy(),
+        lateral_speed_m_s=twist[2].copy(),
+        turn_rate_rad_s=twist[6].copy(),
+    )
+
+
+def test_a_turtlesim_from_before_humble_is_known_by_its_heading_of_32_bits() -> None:
+    run = read_old_turtlesim()
+    found = replay_plant(run)
+    assert (found.samples, found.commands.taken, found.heading_bits) == (987, 18, 32)
+    assert (found.max_abs_error.heading_rad, found.within_rounding) == (0.0, True)
+    # What is left of the position is the first pose's rounding: one start within half a 32-bit
+    # step of it, the same throughout, reproduces every pose to the last bit.
+    motion = read_motion(run)
+    velocities, _ = place_commands(motion, run, frozenset())
+    turtle = Turtle(x_m=0.0, y_m=0.0, heading_rad=motion.heading_rad[0], keeps_32_bits=True)
+    driven_m = np.zeros((len(motion.time_ns), 2))
+    way_m = np.zeros(2)
+    for row, (forward, left, turn_rate) in enumerate(velocities[1:], start=1):
+        turtle.take_command(0.0, turn_rate)
+        turtle.step()
+        heading = turtle.state[2]
+        assert left == 0.0
+        way_m = way_m + forward * TICK_S * np.array([cos(heading), sin(heading)])
+        driven_m[row] = way_m
+    half_step_m = np.spacing(motion.xy_m.astype(np.float32)).astype(float) / 2.0
+    lowest_m = (motion.xy_m - half_step_m - driven_m).max(axis=0)
+    highest_m = (motion.xy_m + half_step_m - driven_m).min(axis=0)
+    assert (highest_m - lowest_m > 1e-9).all()
+    assert (np.abs((lowest_m + highest_m) / 2.0 - motion.xy_m[0]) < half_step_m[0]).all()
+
+
+def keep_heading_in_32_bits(run: Run) -> Run:
+    """Return a run as turtlesim before Humble would have driven it."""
+    velocities, _ = place_commands(read_motion(run), run, frozenset())
+    (x_m, y_m), heading_rad = run.poses.xy_m[0], float(run.poses.heading_rad[0])
+    turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=heading_rad, keeps_32_bits=True)
+    states = [turtle.state[:3]]
+    for forward, left, turn_rate in velocities[1:]:
+        turtle.take_command(forward, turn_rate, left)
+        turtle.step()
+        states.append(turtle.state[:3])
+    published = np.array(states).astype(np.float32).astype(float)
+    return replace_poses(run, xy_m=published[:, :2].copy(), heading_rad=published[:, 2].copy())
+
+
+def test_only_what_64_bits_do_not_reproduce_is_tried_with_32(kp10: Run) -> None:
+    old = replay_plant(keep_heading_in_32_bits(kp10))
+    assert (old.heading_bits, old.max_abs_error) == (32, EXACT)
+    assert replay_plant(replace_poses(kp10)).heading_bits == 64
+    # Neither reproduces a pose that is off: the plant of today stands for it.
+    xy_m = kp10.poses.xy_m.copy()
+    xy_m[400, 1] += 8e-6
+    found = replay_plant(replace_poses(kp10, xy_m=xy_m))
+    assert (found.heading_bits, found.within_rounding) == (64, False)
+
+
+@pytest.mark.parametrize("steps_beyond", [0, 1])
+def test_within_rounding_ends_at_the_bound(kp10: Run, steps_beyond: int) -> None:
+    [stretch] = replay_plant(replace_poses(kp10)).stretches
+    step_m = float(np.spacing(np.float32(kp10.poses.xy_m[300, 0])))
+    steps = int(stretch.rounding_m / step_m) + steps_beyond
+    xy_m = kp10.poses.xy_m.copy()
+    xy_m[300, 0] += steps * step_m
+    found = replay_plant(replace_poses(kp10, xy_m=xy_m))
+    assert found.within_rounding is found.stretches[0].within_rounding is (not steps_beyond)
+    assert found.of_rounding == pytest.approx(steps * step_m / stretch.rounding_m)
+    assert (found.of_rounding <= 1.0) is (not steps_beyond)
 
 
 def test_the_reset_and_the_silence_of_a_real_turtlesim_are_found(real: Run) -> None:

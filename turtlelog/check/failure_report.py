@@ -99,7 +99,7 @@ def describe_clock(run: Run) -> str:
     """Return what times of a run mean."""
     is_simulated = run.source == "simulation" or run.source.startswith("replay of ")
     clock = "simulated time" if is_simulated else "the recording's clock"
-    return f"{clock}, from the first sample"
+    return f"{clock}, from the first {'sample' if len(run.samples) else 'pose'}"
 
 
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
@@ -111,7 +111,7 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
     columns = [["", *(">" if found == row else "" for found in rows)]]
     columns.append(["t [s]", *(f"{(time_ns[found] - run.start_ns) / 1e9:.3f}" for found in rows)])
     kinds = list_signals(run.declaration)
-    for name in (name for name in names if name in kinds):
+    for name in _choose_held(run, [name for name in names if name in kinds]):
         unit = kinds[name].unit
         title = name if unit == "1" else f"{name} [{show_angle(0.0, unit)[1]}]"
         columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
@@ -120,6 +120,11 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
         "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
         for cells in zip(*columns, strict=True)
     ]
+
+
+def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
+    """Return the signals that a run holds; where it holds none of them, where the robot is."""
+    return [name for name in names if read_signal(run, name) is not None] or ["x", "y", "heading"]
 
 
 def _read_value(run: Run, name: str, time_ns: int) -> str:

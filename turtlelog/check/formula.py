@@ -11,6 +11,7 @@ from turtlelog.check.formula_trace import (
     Signals,
     check_names,
     find_ending,
+    find_span,
     read_signals,
 )
 from turtlelog.check.result import UndecidedError
@@ -180,8 +181,9 @@ def check_run(
         run: Time zero is its first sample.
         expression: A formula, or its text, over the run's signals and states, its metrics and its
             parameters. A metric of a loop that its law does not declare has no value.
-        window_ns: First and last time [ns]; by default from time zero to the run's end. After one
-            that ends earlier, such as a phase, its last values hold.
+        window_ns: First and last time [ns]; by default from time zero to the run's end, of commands
+            without samples from the first one on. After one that ends earlier, such as a phase, its
+            last values hold.
 
     Raises:
         ExpressionError: Where a name is not there or the kinds do not go together.
@@ -192,7 +194,7 @@ def check_run(
     known = {**list_signals(run.declaration), **list_metrics(run.declaration), **others}
     check_names(expression, {**known, **run.parameters})
     signals = read_signals(run, expression.names)
-    window_ns = window_ns or (run.start_ns, run.end_ns)
+    window_ns = window_ns or find_span(run, expression.names)
     ending = find_ending(run) if window_ns[1] >= run.end_ns else RunEnding.SETTLED
     return check_formula(
         signals, expression, window_ns=window_ns, ending=ending, declaration=run.declaration

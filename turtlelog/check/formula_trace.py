@@ -21,11 +21,7 @@ from turtlelog.expressions import (
 )
 from turtlelog.log.recording.contents import LOSS_NOTES, NO_LOSS
 from turtlelog.loops import PAUSE
-from turtlelog.measure import (
-    list_signals,
-    measure_run,
-    read_signal,
-)
+from turtlelog.measure import COMMANDED, list_signals, measure_run, read_signal
 from turtlelog.run import Run
 
 
@@ -74,6 +70,21 @@ def find_window(run: Run, phase: str | None) -> tuple[int, int] | None:
         is_paused = bool(after) and after[0].phase == PAUSE
         return span.start_ns, after[0].end_ns if is_paused else span.end_ns
     return None
+
+
+def find_span(run: Run, names: Sequence[str]) -> tuple[int, int]:
+    """Return from when to when a formula over these names is judged on a whole run [ns].
+
+    From time zero. Of a run without samples, commands have no value before the first is published:
+    what names them is judged from there on, and what names no other signal on all commands.
+    """
+    signals = [name for name in names if name in list_signals(run.declaration)]
+    commanded = [name for name in signals if name in COMMANDED]
+    if not commanded or len(run.samples) or not len(run.commands):
+        return run.start_ns, run.end_ns
+    first_ns = int(run.commands.time_ns[0])
+    is_alone = len(commanded) == len(signals)
+    return first_ns if is_alone else max(first_ns, run.start_ns), run.end_ns
 
 
 Column = tuple[NDArray[np.int64], NDArray[Any]]

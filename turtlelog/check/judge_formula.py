@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from turtlelog.check.formula import FormulaResult, check_formula, check_run
-from turtlelog.check.formula_trace import find_window
+from turtlelog.check.formula_trace import find_span, find_window
 from turtlelog.check.result import CheckResult, Verdict, describe_status
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
@@ -21,6 +21,8 @@ from turtlelog.check.vocabulary import (
 )
 from turtlelog.expressions import Comparison, Expression, Name, iterate_nodes
 from turtlelog.measure import (
+    COMMANDED,
+    SIGNALS,
     MeasureSettings,
     Metric,
     find_first_stretch,
@@ -99,7 +101,8 @@ class _Judge:
 
     def _judge_over_time(self) -> CheckResult:
         check, run = self._check, self._run
-        window_ns = find_window(run, check.phase)
+        names = check.formula.names
+        window_ns = find_span(run, names) if not check.phase else find_window(run, check.phase)
         if window_ns is None:
             return self._leave_open(describe_no_phase(run, check.phase or ""))
         found = check_run(run, check.formula, window_ns=window_ns)
@@ -108,7 +111,10 @@ class _Judge:
             None if time_s is None else time_s + begun_s
             for time_s in (found.margin_s, found.first_violation_s)
         )
-        return replace(self._describe(found), value_s=value_s, first_violation_s=failed_s)
+        told = self._describe(found)
+        if begun_s > 0.0 and not told.reason and not check.phase and _names_others(names):
+            told = replace(told, reason=f"judged from the first command on, at {begun_s:.3f} s")
+        return replace(told, value_s=value_s, first_violation_s=failed_s)
 
     def _describe(self, found: FormulaResult) -> CheckResult:
         is_finite = found.margin is not None and math.isfinite(found.margin)
@@ -170,6 +176,11 @@ class _Judge:
             if isinstance(left, Name) and left.name == metric.id:
                 return find_metric_violation(self._run, metric, root.operators[0], limit)
         return metric.at_s
+
+
+def _names_others(names: Sequence[str]) -> bool:
+    """Whether some names are signals of something else than commands."""
+    return any(name in SIGNALS and name not in COMMANDED for name in names)
 
 
 def _has_several(formula: Expression) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -66,6 +66,7 @@ def check(
     words: Words | None = None,
     /,
     *,
+    expect: Annotated[list[str] | None, Parameter(metavar="FORMULA", negative=())] = None,
     reference: Path | None = None,
     reports: ReportOptions | None = None,
     first: FirstSpecOptions | None = None,
@@ -86,8 +87,11 @@ def check(
 
     Example: turtlelog check spec.toml runs/*.mcap --junit report.xml
 
+    Example: turtlelog check run.mcap --expect "always(abs(speed) <= 1.5)"
+
     Args:
-        words: A specification (.toml) and recordings.
+        words: A specification (.toml) and recordings; with --expect, recordings alone.
+        expect: What is to hold, instead of a specification; may be given several times.
         reference: Take tolerances from this recording, not from the file's own.
     """
     kind = (formats or FormatOptions()).choose()
@@ -101,14 +105,16 @@ def check(
         return _write_first(first.init, words or [], first.output, topics or TopicOptions())
     if first.output is not None:
         raise UsageError("--output: expected --init beside it, found none")
+    if expect and reference is not None:
+        raise UsageError("--reference: expected no --expect beside it, found one")
     if not words:
-        raise UsageError("SPEC: expected a specification and recordings, found none")
-    spec_path, *files = words
+        expected = "recordings" if expect else "a specification and recordings"
+        raise UsageError(f"{'FILE' if expect else 'SPEC'}: expected {expected}, found none")
+    files = words if expect else words[1:]
     require_files(files)
-    inputs = [spec_path, *files]
-    require_new_target(reports.junit, inputs, suffix=".xml")
+    require_new_target(reports.junit, words, suffix=".xml")
     require_apart([path for path in (reports.junit, reports.artifacts) if path is not None])
-    spec = tl.load_spec(spec_path, reference=reference)
+    spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
     results = _check(spec, files, reports, topics or TopicOptions())
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
@@ -116,6 +122,21 @@ def check(
     else:
         print_results(spec, results, files=len(files), kind=kind)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
+
+
+def build_spec(formulas: "Sequence[str]") -> "Spec":
+    """Return what --expect asks for; what names metrics alone is judged as they are."""
+    from turtlelog.check.spec import Check
+    from turtlelog.check.vocabulary import require_known_names
+
+    checks = []
+    for text in formulas:
+        formula = tl.expressions.parse_expression(text, source="--expect")
+        require_known_names(formula, over_time=True)
+        of_metrics = all(tl.measure.find_metric_kind(name) is not None for name in formula.names)
+        kind: Literal["expect", "holds"] = "expect" if of_metrics else "holds"
+        checks.append(Check(name=text, kind=kind, formula=formula))
+    return tl.Spec(checks=tuple(checks), source="--expect")
 
 
 def _check(

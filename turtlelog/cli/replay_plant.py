@@ -25,6 +25,8 @@ def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
         "samples": found.samples,
         "max_abs_error": describe_pose_error(found.max_abs_error),
         "first_difference": describe_difference(run, found.first_difference),
+        "within_rounding": found.within_rounding,
+        "heading_bits": found.heading_bits,
         "stretches": [
             {
                 "start_s": tell_time(stretch.start_ns),
@@ -32,6 +34,7 @@ def describe_plant(run: "Run", found: "PlantReplay") -> dict[str, Any]:
                 "ticks": stretch.ticks,
                 "max_abs_error": describe_pose_error(stretch.max_abs_error),
                 "rounding": {"position": stretch.rounding_m, "heading": stretch.rounding_rad},
+                "within_rounding": stretch.within_rounding,
             }
             for stretch in found.stretches
         ],
@@ -61,6 +64,7 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
     use = found.commands
     and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
     notes = [
+        *_judge_rounding(found),
         f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
         f" the plant stopped by itself {use.stops} times.",
         "Rounding: one step of the 32 bits of a pose, for other platforms."
@@ -109,6 +113,23 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
         notes=tuple(notes),
     )
     return "\n".join([format_table(stretches), *_list_breaks(run, found)])
+
+
+def _judge_rounding(found: "PlantReplay") -> list[str]:
+    """Return whether rounding explains what differs, and whose arithmetic it is."""
+    beyond = sum(not stretch.within_rounding for stretch in found.stretches)
+    if found.of_rounding == 0.0:
+        sentences = ["The plant reproduces every pose."]
+    elif not beyond:
+        sentences = ["The largest difference is within what 32-bit poses can tell."]
+    else:
+        count = len(found.stretches)
+        of_all = f", in {beyond} of {count} stretches" if count > 1 else ""
+        times = f"{found.of_rounding:.3g} times what 32-bit poses can tell"
+        sentences = [f"The largest difference is {times}{of_all}."]
+    if found.heading_bits == 32:
+        sentences.append("This turtlesim kept its heading in 32 bits: it is older than Humble.")
+    return sentences
 
 
 def _list_breaks(run: "Run", found: "PlantReplay") -> list[str]:

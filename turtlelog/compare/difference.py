@@ -172,6 +172,8 @@ def explain_lack(name: str, reference: Run, run: Run) -> str:
         return "the laws do not track one path"
     sides = zip((reference, run), _read_signals(name, reference, run), strict=True)
     lacking = [who for who, held in sides if held is None]
+    if not lacking:
+        return "there is no stretch in which both were commanded"
     reason = f"{' and '.join(who.name for who in lacking)} does not hold it"
     lawless = [who for who in lacking if name not in list_signals(who.declaration)]
     if not lawless:
@@ -254,12 +256,22 @@ def _compare_signals(
         if theirs is None or ours is None:
             continue
         placed = clock.place_signal(theirs, reference), clock.place_signal(ours, run)
-        times, source = (placed[0].time_ns, placed[1].time_ns), theirs.kind.source
+        source = f"{theirs.kind.source} {ours.kind.source}"
         if source not in grids:
-            grids[source] = lay_grid(*times, clock.span)
+            span = _find_span(placed, clock)
+            grids[source] = lay_grid(placed[0].time_ns, placed[1].time_ns, span)
+        if not len(grids[source].at):
+            continue
         rows = read_rows(placed[1], grids[source])
         found[name] = _measure_rows(placed[0], rows, tolerance, clock, phases)
     return found
+
+
+def _find_span(placed: tuple[Signal, Signal], clock: CommonClock) -> tuple[int, int]:
+    """Return where two signals are compared: commands only from the first that both published."""
+    start, end = clock.span
+    firsts = [int(one.time_ns[0]) for one in placed if one.kind.source == "command"]
+    return max([start, *firsts]), end
 
 
 def _share_track(reference: Run, run: Run) -> bool:

@@ -7,6 +7,7 @@ from typing import Final, Unpack
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.opening import is_sqlite
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import LOG_SUFFIXES, import_log
 from turtlelog.log.importers.exported_tables import holds_tables, import_tables
@@ -107,7 +108,7 @@ def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
         LogError: Also where the file is too damaged to say who did.
     """
     files = list_bag_files(path) if path.is_dir() else (path,)
-    if len(files) != 1:
+    if len(files) != 1 or is_sqlite(files[0]):
         return None
     try:
         return read_if_own(files[0], allow_partial=allow_partial)

@@ -17,10 +17,12 @@ from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block, parse_others, take_walked, walk_through
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import Allowance
+from turtlelog.log.engine.opening import open_storage, strip_suffixes
 from turtlelog.log.engine.parsing import gather_heads
 from turtlelog.log.engine.source import Source
+from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.walk import Loss, Section
-from turtlelog.log.error_boundary import DamageError, UnfinishedError, name_file, open_file
+from turtlelog.log.error_boundary import DamageError, UnfinishedError
 from turtlelog.log.recording.contents import describe_damages, describe_recovery
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
 from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
@@ -46,11 +48,12 @@ class RecordingInfo:
     Attributes:
         file: Its path, as given.
         format_version: Of the recording, None where turtlelog did not write it.
-        source: As in `Run`; `mcap` where turtlelog did not write it.
+        source: As in `Run`; `mcap` or `sqlite3` where turtlelog did not write it.
         name: As in `Run`; otherwise the file's name.
         complete: Whether the file was finished; of one that was not, what a walk finds is listed.
         stop_reason: As in `Run`.
         duration_s: First to last message [s], None where there is no message.
+        span_ns: Least and greatest log time [ns], None where there is no message.
         scenario: The tables of the whole scenario, None where it is not known.
         parameters: What is known of the scenario, by dotted key.
         topics: By name.
@@ -66,6 +69,7 @@ class RecordingInfo:
     complete: bool
     stop_reason: str | None = None
     duration_s: float | None
+    span_ns: tuple[int, int] | None = None
     scenario: Mapping[str, Any] | None = None
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     topics: tuple[TopicInfo, ...]
@@ -111,7 +115,7 @@ class Survey:
 
 
 def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo:
-    """Return what is in an MCAP file, whoever wrote it, from its summary where it has one.
+    """Return what is in a file, MCAP or SQLite, whoever wrote it; from its summary if it has one.
 
     Args:
         path: The file.
@@ -119,20 +123,25 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
             described in any case. The note `partial` says what is lost.
 
     Raises:
-        LogError: Where it cannot be read, is no MCAP file, or is damaged.
+        LogError: Where it cannot be read, is neither, or is damaged.
     """
-    with name_file(path, expected="an MCAP file"):
-        with open_file(path) as stream:
-            survey = survey_file(stream, allow_partial=allow_partial)
+    with open_storage(path) as opened:
+        is_sqlite = isinstance(opened, SqliteSource)
+        survey = (
+            _survey_sqlite(opened)
+            if isinstance(opened, SqliteSource)
+            else survey_file(opened, allow_partial=allow_partial)
+        )
         span_ns = survey.span_ns
         plans = survey.catalogue.iterate_plans()
         info = RecordingInfo(
             file=str(path),
             format_version=None,
-            source="mcap",
-            name=Path(path).stem,
+            source="sqlite3" if is_sqlite else "mcap",
+            name=strip_suffixes(Path(path)),
             complete=survey.is_finished,
             duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
+            span_ns=span_ns,
             topics=_list_topics(survey),
             not_understood=tuple(f"{plan.topic}: {plan.reason}" for plan in plans if plan.reason),
             notes=_describe_losses(survey),
@@ -231,6 +240,11 @@ def survey_file(stream: BinaryIO, *, allow_partial: bool = False) -> Survey:
         if not allow_partial:
             raise
         return _survey_damaged(stream)
+
+
+def _survey_sqlite(source: SqliteSource) -> Survey:
+    counts, span_ns = source.count_messages()
+    return Survey(catalogue=source.catalogue, is_finished=True, counts=counts, span_ns=span_ns)
 
 
 def _survey_damaged(stream: BinaryIO) -> Survey:

@@ -16,12 +16,19 @@ from turtlelog.measure.metrics import (
     miss_metric,
     suggest_metrics,
 )
+from turtlelog.measure.outliers import (
+    Outlier,
+    describe_outliers,
+    find_outliers,
+    list_outliers,
+)
 from turtlelog.measure.path import read_reference_path
 from turtlelog.measure.references import read_reference
 from turtlelog.measure.registry import MetricKind
 from turtlelog.measure.response import find_first_stretch
 from turtlelog.measure.run_loops import model_run_loops
 from turtlelog.measure.signals import (
+    COMMANDED,
     SIGNALS,
     Signal,
     SignalKind,
@@ -35,6 +42,7 @@ from turtlelog.measure.table.end import PAPER_WINDOW_S
 
 __all__ = [
     "ANY_LOOP",
+    "COMMANDED",
     "METRICS",
     "PAPER_WINDOW_S",
     "SIGNALS",
@@ -45,20 +53,24 @@ __all__ = [
     "MetricKind",
     "Metrics",
     "Missing",
+    "Outlier",
     "Signal",
     "SignalKind",
     "Status",
     "choose_metrics",
     "could_be_signal",
+    "describe_outliers",
     "find_dead_time",
     "find_first_stretch",
     "find_metric_kind",
+    "find_outliers",
     "find_overshoot",
     "find_settling_time",
     "is_metric_pattern",
     "list_essential_metrics",
     "list_ids_like",
     "list_metrics",
+    "list_outliers",
     "list_signal_units",
     "list_signals",
     "measure_run",

@@ -31,8 +31,9 @@ class SignalKind:
 
     Attributes:
         unit: `m`, `rad`, `m/s`, `rad/s` or `1`.
-        source: `pose`: one value per pose row; `sample`: one per sample; `sensed pose`: one per
-            pose that was sensed and did not drop out.
+        source: `pose`: one value per pose row; `sample`: one per sample; `command`: one per command
+            as published, of runs without samples; `sensed pose`: one per pose that was sensed and
+            did not drop out.
         resampling: `line` between values, or `hold` of the last one.
         compared_as: `number`; `angle`: differences in [-pi, pi); `label`: equal (0) or not (1).
         meaning: One sentence.
@@ -40,7 +41,7 @@ class SignalKind:
     """
 
     unit: str
-    source: Literal["pose", "sample", "sensed pose"]
+    source: Literal["pose", "sample", "command", "sensed pose"]
     resampling: Literal["line", "hold"]
     compared_as: Literal["number", "angle", "label"] = "number"
     meaning: str
@@ -94,6 +95,8 @@ def read_signal(run: Run, name: str) -> Signal | None:
     if name not in kinds:
         raise MeasureError(f"signal {name!r}: expected {suggest_names(name, kinds)}")
     kind = kinds[name]
+    if name in COMMANDED and not len(run.samples):
+        kind = COMMANDED[name]
     values = kind.read(run)
     if values is None or (kind.source != "pose" and not len(values)):
         return None
@@ -148,6 +151,7 @@ _TIMES: Final[Mapping[str, Callable[[Run], NDArray[np.int64]]]] = MappingProxyTy
     {
         "pose": lambda run: run.poses.time_ns,
         "sample": lambda run: run.samples.time_ns,
+        "command": lambda run: run.commands.time_ns,
         "sensed pose": lambda run: run.poses.time_ns[~run.poses.dropped_out],
     }
 )
@@ -299,3 +303,15 @@ SIGNALS: Final[Mapping[str, SignalKind]] = NamedValues(
     },
 )
 """Every signal by name."""
+
+COMMANDED: Final[Mapping[str, SignalKind]] = MappingProxyType(
+    {
+        "speed": replace(
+            SIGNALS["speed"], source="command", read=lambda run: run.commands.speed_m_s
+        ),
+        "turn_rate": replace(
+            SIGNALS["turn_rate"], source="command", read=lambda run: run.commands.turn_rate_rad_s
+        ),
+    }
+)
+"""What a run without samples is asked to do: its commands as published, from the first one on."""

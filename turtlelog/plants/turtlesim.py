@@ -87,6 +87,7 @@ class Turtle:
         "_down_m",
         "_heading_rad",
         "_idle_ns",
+        "_keeps_32_bits",
         "_period_ns",
         "_period_s",
         "_teleports",
@@ -105,13 +106,16 @@ class Turtle:
         y_m: float,
         heading_rad: float = 0.0,
         is_rounded: bool = True,
+        keeps_32_bits: bool = False,
         plant: Plant = TURTLESIM,
     ) -> None:
         """Spawn at a pose in the world frame [m, m, rad], rounded to 32 bits as spawning does.
 
         Unless `is_rounded`: then it stands there since it moved before. The `plant` says how long a
-        step is.
+        step is. With `keeps_32_bits` each step rounds the heading to 32 bits, before it is wrapped
+        and after: before Humble, `normalizeAngle` took and returned a `float`.
         """
+        self._keeps_32_bits = keeps_32_bits
         self._period_ns, self._period_s = plant.period_ns, plant.period_s
         self._watchdog_ns = plant.watchdog_ns
         self._x_m, self._down_m, self._heading_rad = x_m, WORLD_SIZE_M - y_m, heading_rad
@@ -151,7 +155,11 @@ class Turtle:
         if self._idle_ns > self._watchdog_ns:
             self.speed_m_s = self.lateral_speed_m_s = self.turn_rate_rad_s = 0.0
         heading_rad = self._heading_rad + self.turn_rate_rad_s * period_s
+        if self._keeps_32_bits:
+            heading_rad = round_to_float32(heading_rad)
         heading_rad -= _TWO_PI * floor((heading_rad + _PI) / _TWO_PI)
+        if self._keeps_32_bits:
+            heading_rad = round_to_float32(heading_rad)
         forward, left = self.speed_m_s, self.lateral_speed_m_s
         cosine, sine = cos(heading_rad), sin(heading_rad)
         x_m = self._x_m + (cosine * forward * period_s - sine * left * period_s)

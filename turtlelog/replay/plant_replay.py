@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, inf
 from typing import Final
 
 import numpy as np
@@ -83,6 +83,21 @@ class PlantStretch:
         """The first that rounding does not explain; None where it explains all of them."""
         return find_earliest(found.first_difference for found in self.signals)
 
+    @property
+    def within_rounding(self) -> bool:
+        """Whether rounding explains all differences."""
+        return self.first_difference is None
+
+    @property
+    def of_rounding(self) -> float:
+        """The largest difference as a multiple of what rounding explains [1]; inf of nothing."""
+        error = self.max_abs_error
+        pairs = (
+            (max(error.x_m, error.y_m), self.rounding_m),
+            (error.heading_rad, self.rounding_rad),
+        )
+        return max((found / bound if bound else inf for found, bound in pairs if found), default=0)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantReplay:
@@ -97,6 +112,8 @@ class PlantReplay:
         jumps: In order of time.
         gaps: In order of time.
         commands: What became of the recorded commands.
+        heading_bits: How exactly turtlesim kept its heading: 64 bits, or 32 before Humble, where
+            only that reproduces the poses to their rounding.
     """
 
     name: str
@@ -107,6 +124,17 @@ class PlantReplay:
     jumps: tuple[Jump, ...]
     gaps: tuple[Gap, ...]
     commands: CommandUse
+    heading_bits: int = 64
+
+    @property
+    def within_rounding(self) -> bool:
+        """Whether rounding explains all differences, in each stretch."""
+        return self.first_difference is None
+
+    @property
+    def of_rounding(self) -> float:
+        """The largest difference of all stretches as a multiple of its bound [1]."""
+        return max(stretch.of_rounding for stretch in self.stretches)
 
     @property
     def signals(self) -> tuple[SignalDifference, ...]:
@@ -140,11 +168,20 @@ def replay_plant(run: Run) -> PlantReplay:
     motion = read_motion(run)
     jumps, gaps, starts = find_breaks(motion)
     velocities, use = place_commands(motion, run, frozenset(starts))
-    bounds = zip([0, *starts], [*starts, len(motion.time_ns)], strict=True)
-    stretches = tuple(
-        _replay_stretch(motion, velocities, first, after, rounded_ticks=use.unexplained_ticks)
-        for first, after in bounds
-    )
+    bounds = [*map(slice, [0, *starts], [*starts, len(motion.time_ns)])]
+
+    def drive(*, keeps_32_bits: bool) -> tuple[PlantStretch, ...]:
+        ticks = use.unexplained_ticks
+        return tuple(
+            _replay_stretch(
+                motion, velocities, rows, rounded_ticks=ticks, keeps_32_bits=keeps_32_bits
+            )
+            for rows in bounds
+        )
+
+    stretches, heading_bits = drive(keeps_32_bits=False), 64
+    if not _explains(stretches) and _explains(old := drive(keeps_32_bits=True)):
+        stretches, heading_bits = old, 32
     return PlantReplay(
         name=run.name,
         samples=len(motion.time_ns),
@@ -156,20 +193,31 @@ def replay_plant(run: Run) -> PlantReplay:
         jumps=jumps,
         gaps=gaps,
         commands=use,
+        heading_bits=heading_bits,
     )
+
+
+def _explains(stretches: Iterable[PlantStretch]) -> bool:
+    return all(stretch.within_rounding for stretch in stretches)
 
 
 def _replay_stretch(
     motion: RecordedMotion,
     velocities: tuple[Velocity, ...],
-    first: int,
-    after: int,
+    rows: slice,
     *,
     rounded_ticks: int,
+    keeps_32_bits: bool,
 ) -> PlantStretch:
     """Replay a stretch; in some ticks of the run the recorded velocity stands for a command."""
+    first, after = rows.start, rows.stop
     x_m, y_m = motion.xy_m[first].tolist()
-    turtle = Turtle(x_m=x_m, y_m=y_m, heading_rad=float(motion.heading_rad[first]))
+    turtle = Turtle(
+        x_m=x_m,
+        y_m=y_m,
+        heading_rad=float(motion.heading_rad[first]),
+        keeps_32_bits=keeps_32_bits,
+    )
     states = [turtle.state[:3]]
     driven_m = 0.0
     for forward, left, turn_rate in velocities[first + 1 : after]:
@@ -180,15 +228,18 @@ def _replay_stretch(
         states.append(turtle.state[:3])
         driven_m += hypot(forward, left) * TICK_S
     # A recorded velocity is off by half a 32-bit step, which adds up over the ticks that use it.
-    half_steps = _HALF_SHARE * TICK_S * min(rounded_ticks, after - first - 1)
+    ticks = min(rounded_ticks, after - first - 1)
     within = motion.speed_m_s[first:after], np.abs(motion.turn_rate_rad_s[first:after])
-    off_m, off_rad = (half_steps * float(values.max()) for values in within)
-    rounding_rad = 2.0 * _HALF_STEP_RAD + off_rad
+    off_m, off_rad = (_HALF_SHARE * TICK_S * ticks * float(values.max()) for values in within)
+    # A heading of 32 bits is published whole, and nothing of it is lost.
+    lost_rad = 0.0 if keeps_32_bits and not ticks else 2.0 * _HALF_STEP_RAD
+    rounding_rad = lost_rad + off_rad
+    start_rad = max(rounding_rad - _HALF_STEP_RAD, 0.0)
     return _compare_stretch(
         motion.time_ns[first:after],
         recorded=np.column_stack([motion.xy_m, motion.heading_rad])[first:after],
         states=np.array(states),
-        rounding_m=3.0 * _HALF_STEP_M + off_m + driven_m * (rounding_rad - _HALF_STEP_RAD),
+        rounding_m=3.0 * _HALF_STEP_M + off_m + driven_m * start_rad,
         rounding_rad=rounding_rad,
     )
 

@@ -156,9 +156,17 @@ def test_headings_beyond_half_a_turn_are_wrapped_and_counted(file: Path) -> None
     assert run.notes["wrapped_headings"] == "2"
 
 
-def test_a_pose_that_is_no_number_is_named(file: Path) -> None:
-    with pytest.raises(LogError, match=r"some\.mcap: pose\.xy_m\[0\]: expected a number, found"):
-        read_messages(file, *make_poses(1, x=math.nan))
+def test_poses_that_are_no_numbers_are_dropped_and_counted(file: Path) -> None:
+    wrong = [make_poses(3, x=math.nan)[1], *make_poses(3, theta=math.inf)[2:]]
+    run = read_messages(file, *make_poses(1), *wrong, make_command(), make_command(math.nan))
+    assert (len(run.poses), len(run.commands)) == (1, 1)
+    assert run.notes["dropped_nan"] == "2 poses and 1 command"
+
+
+def test_poses_of_which_none_is_a_number_are_named(file: Path) -> None:
+    line = r"some\.mcap: topic /turtle1/pose: expected numbers .* in all 2 poses"
+    with pytest.raises(LogError, match=line):
+        read_messages(file, *make_poses(2, x=math.nan))
 
 
 def test_turtlesims_own_topic_comes_before_others(file: Path) -> None:
@@ -166,12 +174,11 @@ def test_turtlesims_own_topic_comes_before_others(file: Path) -> None:
     assert run.notes["pose_topic"].startswith("/turtle1/pose ")
 
 
-def test_two_turtles_are_a_question(file: Path) -> None:
-    write_mcap(file, [*make_poses(2), *make_poses(2, topic="/turtle2/pose", x=7.0)])
-    line = r"pose_topic: expected one topic, found /turtle1/pose, /turtle2/pose: .* --pose-topic"
-    with pytest.raises(LogError, match=line):
-        read_bag(file)
-    assert read_bag(file, pose_topic="/turtle2/pose").poses.xy_m[0, 0] == 7.0
+def test_of_two_turtles_the_first_is_read_and_the_other_named(file: Path) -> None:
+    run = read_messages(file, *make_poses(2, topic="/turtle10/pose", x=7.0), *make_poses(2))
+    assert run.poses.xy_m[0, 0] == 1.0
+    assert run.notes["other_pose_topics"] == "/turtle10/pose"
+    assert read_bag(file, pose_topic="/turtle10/pose").poses.xy_m[0, 0] == 7.0
 
 
 def test_commands_come_from_the_neighbour_of_the_poses(file: Path) -> None:

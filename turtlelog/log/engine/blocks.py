@@ -52,12 +52,14 @@ class Block:
         offsets: By channel: where its messages start, shape (n,), increasing.
         rest: The other records among them, in order: schemas and channels, and outside chunks
             headers, metadata and attachments.
+        unit: What `byte` counts, where it is not bytes.
     """
 
     data: bytes
     byte: int
     offsets: Mapping[int, Offsets]
     rest: tuple[Any, ...]
+    unit: str = "byte"
 
 
 def build_indexed_block(entry: ChunkEntry, stored: bytes, largest: int = LARGEST_CHUNK) -> Block:

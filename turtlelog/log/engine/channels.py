@@ -2,12 +2,14 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.idl import convert_idl
+from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.log.engine.limits import FIELDS, Allowance
 from turtlelog.log.engine.message_types import (
     LONGEST_TEXT,
@@ -17,6 +19,9 @@ from turtlelog.log.engine.message_types import (
     read_type,
 )
 from turtlelog.log.error_boundary import DamageError
+
+_TEXTS: Final = frozenset({SchemaEncoding.ROS2, "ros2idl", "omgidl", ""})
+"""Encodings of schemas that define messages in CDR; without one, the type's name must do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,12 +44,16 @@ class TopicPlan:
 
 
 class Catalogue:
-    """The schemas and channels of a file, in the order in which they are found."""
+    """The schemas and channels of a file, in the order in which they are found.
+
+    Attributes:
+        allowance: What the file may still ask for.
+    """
 
     def __init__(self, allowance: Allowance) -> None:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
-        self._allowance = allowance
+        self.allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
         self._types: dict[int, MessageType | str] = {}
@@ -119,7 +128,7 @@ class Catalogue:
     def _take(self, record: Schema | Channel, byte: int) -> None:
         """Note what is new."""
         try:
-            self._allowance.spend_description(record)
+            self.allowance.spend_description(record)
         except LogError as err:
             raise DamageError(f"byte {byte}: {err}") from err
         if isinstance(record, Channel):
@@ -144,8 +153,8 @@ class Catalogue:
             reason = f"messages in cdr expected, found {encoding!r}"
         elif schema is None:
             reason = "a schema expected, found none"
-        elif schema.encoding != SchemaEncoding.ROS2:
-            reason = f"a schema in ros2msg expected, found {schema.encoding!r}"
+        elif schema.encoding not in _TEXTS:
+            reason = f"a schema in ros2msg or ros2idl expected, found {schema.encoding!r}"
         elif isinstance(found := self._read_type(schema), MessageType):
             fields, layout = found.fields, found.layout
             return TopicPlan(topic=channel.topic, type=kind, fields=fields, layout=layout)
@@ -157,17 +166,34 @@ class Catalogue:
         """Return the type, or why there is none."""
         if schema.id not in self._types:
             try:
-                self._types[schema.id] = _parse(schema, self._allowance)
+                self._types[schema.id] = _parse(schema, self.allowance)
             except (LogError, UnicodeDecodeError) as err:
                 self._types[schema.id] = str(err)
         return self._types[schema.id]
 
 
 def _parse(schema: Schema, allowance: Allowance) -> MessageType:
+    allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
+    known = find_definition(schema.name)
+    try:
+        found = read_type(schema.name, _read_text(schema, known))
+    except (LogError, UnicodeDecodeError):
+        if known is None:
+            raise
+        found = read_type(schema.name, known)
+    allowance.spend(FIELDS, found.size)
+    return found
+
+
+def _read_text(schema: Schema, known: str | None) -> str:
+    """Return a definition in `ros2msg`: the schema's own, or what is known where it has none."""
     size = len(schema.data)
     if size > LONGEST_TEXT:
         raise LogError(f"schema {schema.name}: expected up to {LONGEST_TEXT} bytes, found {size}")
-    allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
-    found = read_type(schema.name, schema.data.decode())
-    allowance.spend(FIELDS, found.size)
-    return found
+    # In ros2msg a type without fields has an empty text.
+    if not size and (known is not None or schema.encoding != SchemaEncoding.ROS2):
+        if known is None:
+            raise LogError(f"its type {schema.name} is not known and the file holds no definition")
+        return known
+    text = schema.data.decode()
+    return text if schema.encoding == SchemaEncoding.ROS2 else convert_idl(schema.name, text)

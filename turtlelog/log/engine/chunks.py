@@ -19,6 +19,8 @@ CHUNK_HEAD: Final = struct.Struct("<QQQII")
 
 _SIZE: Final = struct.Struct("<Q")
 
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+
 SPARE: Final = 2**25
 """Bytes that may be allocated on the word of a header alone."""
 

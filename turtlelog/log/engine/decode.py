@@ -1,15 +1,20 @@
 """The messages of a topic in a block -> rows: one size all at once, others field by field."""
 
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from typing import Final, Literal
 
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import TopicPlan
+from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.limits import UNPACKED, Allowance
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
     ENCAPSULATION,
@@ -22,7 +27,7 @@ from turtlelog.log.engine.message_types import (
     name_parts,
     split_rows,
 )
-from turtlelog.log.engine.parsing import COUNTED_HEAD, gather_bytes, gather_heads
+from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_bytes, gather_heads
 
 Rows = dict[str, Column]
 Order = Literal["<", ">"]
@@ -50,7 +55,42 @@ def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
             return _read_differing(plan, block, starts)
         return _read_fixed(plan.layout, block, starts)
     except LogError as err:
-        raise LogError(f"byte {block.byte}: topic {plan.topic}: {err}") from err
+        raise LogError(f"{block.unit} {block.byte}: topic {plan.topic}: {err}") from err
+
+
+def unpack_messages(
+    block: Block, starts: Offsets, allowance: Allowance, topic: str
+) -> tuple[Block, Offsets]:
+    """Return messages unpacked that rosbag2 compressed one by one; others as they are.
+
+    What is compressed tells itself: CDR begins with a zero, zstd does not.
+
+    Raises:
+        LogError: Where one is not sound, or they hold far more than the file lets expect.
+    """
+    if not len(starts) or not block.data.startswith(ZSTD_MAGIC, int(starts[0]) + MESSAGE_HEAD):
+        return block, starts
+    heads = gather_heads(block.data, starts)
+    ends = starts + RECORD.size + heads["length"].astype(np.int64)
+    unpacked = bytearray()
+    new_starts = np.empty_like(starts)
+    spend = partial(allowance.spend, UNPACKED)
+    for number, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        packed = block.data[start + MESSAGE_HEAD : end]
+        try:
+            # Of data that is no frame its size is not asked: unpacking says what is wrong.
+            is_frame = packed.startswith(ZSTD_MAGIC)
+            size = max(zstandard.frame_content_size(packed), 0) if is_frame else 0
+            largest = allowance.largest_chunk
+            data = unpack_chunk("zstd", packed, size, largest=largest, spend=spend)
+        except LogError as err:
+            place = f"{block.unit} {block.byte}: topic {topic}: message {number}"
+            raise LogError(f"{place}: {err}") from err
+        heads["length"][number] = COUNTED_HEAD + len(data)
+        new_starts[number] = len(unpacked)
+        unpacked += heads[number].tobytes()
+        unpacked += data
+    return replace(block, data=bytes(unpacked), offsets={}, rest=()), new_starts
 
 
 def make_empty_rows(plan: TopicPlan) -> Rows:

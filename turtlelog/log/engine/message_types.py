@@ -178,11 +178,11 @@ def _parse_schema(name: str, text: str) -> tuple[tuple[Field, ...], int]:
         heading = _HEADING.match(part)
         if heading is None:
             raise LogError(f"schema {name}: expected MSG: and a type after =====, found none")
-        definitions[_shorten(heading[1])] = part[heading.end() :]
+        definitions[shorten_type(heading[1])] = part[heading.end() :]
     # The first definition may carry its own heading.
     own = _HEADING.match(first)
-    definitions[_shorten(name)] = first[own.end() :] if own else first
-    return _Resolver(definitions).resolve(_shorten(name), ())
+    definitions[shorten_type(name)] = first[own.end() :] if own else first
+    return _Resolver(definitions).resolve(shorten_type(name), ())
 
 
 class _Resolver:
@@ -225,7 +225,7 @@ class _Resolver:
             return _KINDS[kind], 1
         if kind == "wstring":
             raise LogError(f"schema {name}: wstring: ROS's middlewares do not agree on its bytes")
-        nested = _SHORT.get(kind) or _shorten(kind, package=name.split("/")[0])
+        nested = _SHORT.get(kind) or shorten_type(kind, package=name.split("/")[0])
         return self.resolve(nested, (*inside, name))
 
 
@@ -242,7 +242,7 @@ def _parse_lines(name: str, text: str) -> Iterator[re.Match[str]]:
             yield found
 
 
-def _shorten(name: str, package: str = "") -> str:
+def shorten_type(name: str, package: str = "") -> str:
     """Return `package/Type`, whatever stands between the two or, as eProsima writes it, before."""
     *before, last = name.split("/")
     if before and before[-1] in {"msg", "srv", "action"}:

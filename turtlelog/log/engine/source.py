@@ -13,11 +13,12 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets, build_indexed_block, walk_blocks
 from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.chunks import ChunkEntry
-from turtlelog.log.engine.decode import LOG_TIME, Rows, read_rows, select_rows
+from turtlelog.log.engine.decode import LOG_TIME, Rows, read_rows, select_rows, unpack_messages
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import TEXT, Field
 from turtlelog.log.engine.parsing import read_record
+from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import (
     Ends,
     check_data,
@@ -72,6 +73,11 @@ class Source:
             yield record
         for byte, (_, name) in named.items():
             raise DamageError(f"byte {byte}: expected a record named {name}, found another")
+
+    @property
+    def summary_start(self) -> int:
+        """Byte at which the summary starts."""
+        return self.ends.summary_start
 
     @property
     def index_length(self) -> int:
@@ -203,7 +209,7 @@ class Piece:
 
 
 def iterate_pieces(
-    source: Source, selection: Selection, most_rows: int | None = None
+    source: Source | SqliteSource, selection: Selection, most_rows: int | None = None
 ) -> Iterator[Piece]:
     """Yield the messages asked for, in the order of the file; of a topic up to so many at once.
 
@@ -235,7 +241,7 @@ def iterate_pieces(
         _check_counts(source, counts, channels)
 
 
-def count_rows(source: Source, selection: Selection) -> Mapping[str, int]:
+def count_rows(source: Source | SqliteSource, selection: Selection) -> Mapping[str, int]:
     """Return how many rows of each topic the statistics promise, none where they do not tell.
 
     No more than the message indexes have room for: no one is believed who promises billions.
@@ -264,7 +270,7 @@ def read_piece(
         plan = selection.choose_plan(catalogue, topic)
         if plan is None or not len(starts):
             continue
-        rows = read_rows(plan, block, starts)
+        rows = read_rows(plan, *unpack_messages(block, starts, catalogue.allowance, topic))
         if not selection.is_ever:
             times = rows[LOG_TIME]
             rows = select_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
@@ -330,11 +336,13 @@ def _split(
     return stretches
 
 
-def _check_counts(source: Source, counts: Counter[int], channels: Collection[int] | None) -> None:
+def _check_counts(
+    source: Source | SqliteSource, counts: Counter[int], channels: Collection[int] | None
+) -> None:
     statistics = source.statistics
     for channel, expected in statistics.channel_message_counts.items() if statistics else ():
         if (channels is None or channel in channels) and counts[channel] != expected:
             raise DamageError(
-                f"byte {source.ends.summary_start}: channel {channel}: expected {expected} messages"
+                f"byte {source.summary_start}: channel {channel}: expected {expected} messages"
                 f" as the statistics say, found {counts[channel]}"
             )

@@ -24,6 +24,7 @@ from turtlelog.log.engine.decode import (
 )
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import Column
+from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads
 from turtlelog.log.engine.source import (
     EVER,
@@ -33,6 +34,7 @@ from turtlelog.log.engine.source import (
     count_rows,
     iterate_pieces,
 )
+from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.error_boundary import name_file, open_file
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
@@ -86,7 +88,7 @@ def read_columns(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Mapping[str, TopicColumns]:
-    """Return the messages of an MCAP file as columns, by topic in order of the topics' names.
+    """Return the messages of a file, MCAP or SQLite, as columns: by topic, in order of names.
 
     Where the file has an index, only chunks that hold something asked for are read. Every chunk
     that is read is held against its checksum, and the summary against its own.
@@ -98,11 +100,10 @@ def read_columns(
         end_ns: Greatest log time [ns], exclusive.
 
     Raises:
-        LogError: One line with the file and the place, where it cannot be read, is no MCAP, was
+        LogError: One line with the file and the place, where it cannot be read, is neither, was
             never finished or is damaged, or a topic asked for is not there or not understood.
     """
-    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
-        source = Source(stream)
+    with open_source(path) as source:
         return collect_columns(source, _select_topics(topics, start_ns, end_ns))
 
 
@@ -112,9 +113,8 @@ def read_flat_columns(path: str | Path, topics: Collection[str]) -> Mapping[str,
     Raises:
         LogError: As `read_columns`, and where a type has such a sequence.
     """
-    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
-        selection = Selection(topics=frozenset(topics), is_flat=True)
-        return collect_columns(Source(stream), selection)
+    with open_source(path) as source:
+        return collect_columns(source, Selection(topics=frozenset(topics), is_flat=True))
 
 
 def iter_columns(
@@ -125,7 +125,7 @@ def iter_columns(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Iterator[Mapping[str, TopicColumns]]:
-    """Yield the messages of an MCAP file as columns, batch by batch, in bounded memory.
+    """Yield the messages of a file, MCAP or SQLite, as columns, batch by batch, in bounded memory.
 
     Batches come in the order of the file, and each is sorted by log time within itself: where the
     times of chunks overlap, so do those of batches. A batch holds up to about `rows` messages of a
@@ -134,8 +134,8 @@ def iter_columns(
     """
     if rows < 1:
         raise LogError(f"{path}: expected batches of at least one row, found {rows}")
-    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
-        source, selection = Source(stream), _select_topics(topics, start_ns, end_ns)
+    with open_source(path) as source:
+        selection = _select_topics(topics, start_ns, end_ns)
         batch: dict[str, list[Rows]] = {}
         size = 0
         for piece in iterate_pieces(source, selection, rows):
@@ -149,7 +149,9 @@ def iter_columns(
             yield build_columns(batch, source.catalogue.types)
 
 
-def collect_columns(source: Source, selection: Selection) -> Mapping[str, TopicColumns]:
+def collect_columns(
+    source: Source | SqliteSource, selection: Selection
+) -> Mapping[str, TopicColumns]:
     """Return the columns of an open file, those of topics without messages included."""
     expected = count_rows(source, selection)
     stores: dict[str, _RowStore] = {}

@@ -21,6 +21,7 @@ from turtlelog.log.engine.decode import Rows
 from turtlelog.log.engine.framing import check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
+from turtlelog.log.engine.opening import open_mcap
 from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
@@ -90,7 +91,7 @@ def read_if_own(path: str | Path, *, allow_partial: bool = False) -> Run | None:
 
 
 def _read_file(path: str | Path, *, allow_partial: bool, may_be_foreign: bool) -> Run:
-    with name_file(path, expected="a turtlelog recording"), open_file(path) as stream:
+    with name_file(path, expected="a turtlelog recording"), open_mcap(path) as stream:
         try:
             return _build_whole_run(read_contents(stream, may_be_foreign=may_be_foreign))
         except DamageError as err:

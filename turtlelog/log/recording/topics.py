@@ -11,6 +11,7 @@ from typing import Final
 from mcap.records import Channel, Schema
 
 from turtlelog.errors import LogError
+from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.loops import Declaration
 from turtlelog.scenario import DEFAULT_LAW
 
@@ -103,36 +104,6 @@ TOPIC_NAMES: Final = frozenset(
 )
 """Names of all that a recording may hold."""
 
-_SEPARATOR: Final = "=" * 80
-
-_TIME: Final = "int32 sec\nuint32 nanosec\n"
-_HEADER: Final = "builtin_interfaces/Time stamp\nstring frame_id\n"
-_XYZ: Final = "float64 x\nfloat64 y\nfloat64 z\n"
-_QUATERNION: Final = "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
-
-_TURTLESIM_POSE: Final = """\
-float32 x
-float32 y
-float32 theta
-float32 linear_velocity
-float32 angular_velocity
-"""
-
-_LOG: Final = """\
-byte DEBUG=10
-byte INFO=20
-byte WARN=30
-byte ERROR=40
-byte FATAL=50
-builtin_interfaces/Time stamp
-uint8 level
-string name
-string msg
-string file
-string function
-uint32 line
-"""
-
 _CONTROL_SAMPLE: Final = """\
 # One callback of the controller. NaN: not recorded.
 
@@ -200,34 +171,14 @@ def define_states(names: Iterable[str]) -> str:
     return _STATES + "".join(f"# The law's state {name}.\nfloat64 {name}\n" for name in names)
 
 
-def _join(text: str, **dependencies: str) -> str:
-    parts = [text]
-    for name, definition in dependencies.items():
-        parts.append(f"{_SEPARATOR}\nMSG: {name.replace('__', '/')}\n{definition}")
-    return "".join(parts)
-
+_KNOWN: Final = (
+    *("geometry_msgs/msg/PoseStamped", "turtlesim/msg/Pose", "geometry_msgs/msg/Pose2D"),
+    *("geometry_msgs/msg/Twist", "std_msgs/msg/String", "rcl_interfaces/msg/Log"),
+)
 
 SCHEMAS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "geometry_msgs/msg/PoseStamped": _join(
-            "std_msgs/Header header\ngeometry_msgs/Pose pose\n",
-            std_msgs__Header=_HEADER,
-            builtin_interfaces__Time=_TIME,
-            geometry_msgs__Pose="geometry_msgs/Point position\n"
-            "geometry_msgs/Quaternion orientation\n",
-            geometry_msgs__Point=_XYZ,
-            geometry_msgs__Quaternion=_QUATERNION,
-        ),
-        "turtlesim/msg/Pose": _TURTLESIM_POSE,
-        "geometry_msgs/msg/Pose2D": "float64 x\nfloat64 y\nfloat64 theta\n",
-        "turtlelog_msgs/msg/ControlSample": _CONTROL_SAMPLE,
-        "geometry_msgs/msg/Twist": _join(
-            "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
-            geometry_msgs__Vector3=_XYZ,
-        ),
-        "std_msgs/msg/String": "string data\n",
-        "rcl_interfaces/msg/Log": _join(_LOG, builtin_interfaces__Time=_TIME),
-    }
+    {kind: text for kind in _KNOWN if (text := find_definition(kind))}
+    | {"turtlelog_msgs/msg/ControlSample": _CONTROL_SAMPLE}
 )
 """Definition by message type; dependencies follow a line of 80 equals signs."""
 

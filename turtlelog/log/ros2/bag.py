@@ -1,13 +1,13 @@
 """A bag that is open for reading: what its files hold, and the messages of its topics."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns, read_columns, read_flat_columns
 from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
-from turtlelog.log.ros2.bag_folder import list_bag_files
+from turtlelog.log.ros2.bag_folder import find_bag_files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,11 @@ def open_bag(path: str | Path) -> Bag:
         LogError: Where it is no bag, or one of its files cannot be read, is cut or is damaged.
     """
     path = Path(path)
-    infos = {file: read_info(file) for file in list_bag_files(path)}
+    found = find_bag_files(path)
+    infos = {file: read_info(file) for file in found.files}
+    if found.notes:
+        first = found.files[0]
+        infos[first] = replace(infos[first], notes={**infos[first].notes, **found.notes})
     for file, info in infos.items():
         if not info.complete:
             raise LogError(

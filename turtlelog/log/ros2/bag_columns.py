@@ -1,8 +1,8 @@
 """The rows of a run in the messages of other people's types, put in order."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,18 +10,22 @@ from numpy.typing import NDArray
 from turtlelog.angles import wrap_angle
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.planar import compute_tilt
 
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
 
 
 def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
-    """Return x, y [m] and heading [rad], speed [m/s] and turn rate [rad/s] where the type has them.
+    """Return x, y [m] and heading [rad], and speeds, height and tilt where the messages have them.
 
-    turtlesim publishes what it applied, a robot's odometry what it measured.
+    turtlesim publishes what it applied (`speed`, `turn_rate`), a robot's odometry what it measured
+    (`measured_speed`, `measured_turn_rate`). `z` is the height [m], `tilt` the angle between the
+    robot's vertical axis and the world's [rad].
 
     Raises:
         LogError: Where a quaternion is no rotation.
+        KeyError: Where a field is missing.
     """
     if kind.startswith("turtlesim"):
         return {
@@ -32,17 +36,81 @@ def extract_poses(kind: str, fields: Fields) -> dict[str, Values]:
             "speed": np.abs(_widen(fields["linear_velocity"])),
             "turn_rate": _widen(fields["angular_velocity"]),
         }
-    pose = "pose.pose" if kind == "nav_msgs/msg/Odometry" else "pose"
-    columns = {
-        "x": _widen(fields[f"{pose}.position.x"]),
-        "y": _widen(fields[f"{pose}.position.y"]),
-        "heading": _compute_yaw(fields, f"{pose}.orientation"),
-    }
+    shape = _SHAPES.get(kind) or find_pose_shape(fields) or _NO_SHAPE
+    if shape.heading is not None:
+        heading_rad = _widen(fields[shape.heading])
+        columns = {"heading": np.radians(heading_rad) if shape.is_degrees else heading_rad}
+    else:
+        columns = _turn_quaternions(fields, shape.orientation)
+    place = {name: _widen(fields[f"{shape.position}{name}"]) for name in "xy"}
+    columns = {**place, **columns}
+    if f"{shape.position}z" in fields:
+        columns["z"] = _widen(fields[f"{shape.position}z"])
     if kind == "nav_msgs/msg/Odometry":
         twist = "twist.twist"
         columns["measured_speed"] = _widen(fields[f"{twist}.linear.x"])
         columns["measured_turn_rate"] = _widen(fields[f"{twist}.angular.z"])
     return columns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseShape:
+    """Where a pose stands in the fields of a message.
+
+    Attributes:
+        position: What stands before x and y.
+        orientation: What stands before x, y, z and w of a quaternion; where there is no heading.
+        heading: The field of the heading; None where there is a quaternion.
+        is_degrees: Whether that is in degrees.
+    """
+
+    position: str
+    orientation: str = ""
+    heading: str | None = None
+    is_degrees: bool = False
+
+
+def _join_shape(
+    prefix: str, position: str = "position", orientation: str = "orientation"
+) -> PoseShape:
+    return PoseShape(position=f"{prefix}{position}.", orientation=f"{prefix}{orientation}.")
+
+
+_SHAPES: Final = {
+    "nav_msgs/msg/Odometry": _join_shape("pose.pose."),
+    "geometry_msgs/msg/PoseStamped": _join_shape("pose."),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _join_shape("pose.pose."),
+    "geometry_msgs/msg/Pose": _join_shape(""),
+    "geometry_msgs/msg/Pose2D": PoseShape(position="", heading="theta"),
+    "geometry_msgs/msg/TransformStamped": _join_shape("transform.", "translation", "rotation"),
+}
+_NO_SHAPE: Final = _join_shape("pose.")
+"""What is missing is named as of a pose with a stamp."""
+
+_ANGLES: Final = ("theta", "heading", "yaw", "orientation.yaw", "rotation.yaw")
+
+
+def find_pose_shape(fields: Collection[str]) -> PoseShape | None:
+    """Return where the names of fields suggest a pose, in a type that is not known; None: nowhere.
+
+    Known are position and orientation, translation and rotation, and x, y beside theta, heading or
+    yaw, a rotation being a quaternion; an angle in degrees ends in `_deg`.
+    """
+    places = [name[:-1] for name in fields if name == "x" or name.endswith(".x")]
+    found = (_find_turn(fields, place) for place in places if f"{place}y" in fields)
+    return next(filter(None, found), None)
+
+
+def _find_turn(fields: Collection[str], place: str) -> PoseShape | None:
+    """Return the pose whose x and y stand behind a name; None where no angle belongs to it."""
+    home = place.removesuffix("position.").removesuffix("translation.")
+    for turn in ("orientation", "rotation"):
+        if home != place and all(f"{home}{turn}.{axis}" in fields for axis in "xyzw"):
+            return PoseShape(position=place, orientation=f"{home}{turn}.")
+    for name in (f"{home}{angle}{unit}" for angle in _ANGLES for unit in ("", "_rad", "_deg")):
+        if name in fields:
+            return PoseShape(position=place, heading=name, is_degrees=name.endswith("_deg"))
+    return None
 
 
 def extract_commands(kind: str, fields: Fields) -> dict[str, Values]:
@@ -64,16 +132,26 @@ def wrap_far_headings(heading_rad: Values) -> tuple[Values, int]:
     return np.where(far, wrap_angle(heading_rad), heading_rad), int(far.sum())
 
 
-def _compute_yaw(fields: Fields, orientation: str) -> Values:
-    """Return the turn about the vertical axis of quaternions of any length."""
-    x, y, z, w = (_widen(fields[f"{orientation}.{name}"]) for name in "xyzw")
+def _turn_quaternions(fields: Fields, orientation: str) -> dict[str, Values]:
+    """Return heading and tilt [rad] of quaternions of any length.
+
+    The heading is that of the robot's forward axis, seen from above, however it leans.
+    """
+    x, y, z, w = (_widen(fields[f"{orientation}{name}"]) for name in "xyzw")
+    name = orientation.removesuffix(".")
     # The default of the message is all zeros in ROS 1 and in programs that never set it.
     empty = x**2 + y**2 + z**2 + w**2 == 0.0
+    if len(empty) > 1 and empty.all():
+        raise LogError(
+            f"{name}: expected rotations, found all zeros in each of {len(empty)} messages:"
+            " it was never set, and there is no heading"
+        )
     if empty.any():
         raise LogError(
-            f"message {int(empty.argmax())}: {orientation}: expected a rotation, found all zeros"
+            f"message {int(empty.argmax())}: {name}: expected a rotation, found all zeros"
         )
-    return np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    yaw_rad = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    return {"heading": yaw_rad, "tilt": compute_tilt(x, y, z, w)}
 
 
 def _widen(values: NDArray[Any]) -> Values:
@@ -123,6 +201,15 @@ def order_rows(
         late=late,
         duplicates=len(order) - len(kept),
     )
+
+
+def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedRows, int]:
+    """Return the rows whose columns of some names are finite numbers, and how many were not."""
+    kept = np.logical_and.reduce([np.isfinite(rows.columns[name]) for name in names])
+    if kept.all():
+        return rows, 0
+    columns = {name: column[kept] for name, column in rows.columns.items()}
+    return replace(rows, time_ns=rows.time_ns[kept], columns=columns), int((~kept).sum())
 
 
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

@@ -8,15 +8,19 @@ neither rosbag2 nor rosbags writes it.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Final
 
 from turtlelog.errors import LogError
-from turtlelog.log.error_boundary import name_file
+from turtlelog.log.engine.opening import BAG_SUFFIXES
+from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.info import RecordingInfo, list_absent, merge_topics, read_info, sort_topics
 
 METADATA_FILE: Final = "metadata.yaml"
+
+_LARGEST: Final = 2**24
+"""Bytes of metadata.yaml; with 2,000 topics it takes 2 MB."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
 
@@ -29,6 +33,9 @@ _ENTRY: Final = re.compile(r"^(?P<key>[\w.]+):(?: +(?P<value>.*))?$")
 _QUOTED: Final = re.compile(
     r"""^(?:"(?P<double>[^"\\]*)"|'(?P<single>(?:[^']|'')*)')(?:\s+#.*)?$"""
 )
+_FLOW_ITEM: Final = re.compile(r"""\s*("[^"\\]*"|'(?:[^']|'')*'|[^,'"\[\]{}]+)\s*(?:,|$)""")
+_FLOW_LIST: Final = re.compile(rf"^\[(?P<items>(?:{_FLOW_ITEM.pattern})*)\s*\](?:\s+#.*)?$")
+_FLOW_DURATION: Final = re.compile(r"^\{\s*nanoseconds:\s+(?P<value>[^\s{},]+)\s*\}")
 _COMMENT: Final = re.compile(r"(?:^|\s)#.*$")
 
 
@@ -60,38 +67,152 @@ class BagTopic:
     count: int
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BagFiles:
+    """The files of a bag.
+
+    Attributes:
+        files: In order of time, as far as the bag says.
+        duration_ns: First to last message as the bag says [ns]; None where it does not.
+        notes: `bag_files` where the metadata is missing or broken, or names another file.
+    """
+
+    files: tuple[Path, ...]
+    duration_ns: int | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
 def list_bag_files(path: str | Path) -> tuple[Path, ...]:
-    """Return the MCAP files of a bag in its own order: those that a folder names, or a lone file.
+    """Return the files of a bag in its own order: those of a folder, or a lone file.
 
     Raises:
-        LogError: Where a folder is no bag, lacks a file, or holds another kind of them.
+        LogError: As `find_bag_files`.
+    """
+    return find_bag_files(path).files
+
+
+def find_bag_files(path: str | Path) -> BagFiles:
+    """Return the files of a bag: those that metadata.yaml names and, without it, those there are.
+
+    Raises:
+        LogError: Where a folder holds no files of a bag, lacks one that its metadata names, or
+            mixes kinds.
     """
     path = Path(path)
     if not path.is_dir():
-        return (path,)
-    metadata = read_bag_metadata(path)
-    with name_file(path / METADATA_FILE, expected="the description of a bag"):
-        _require_plain_mcap(metadata)
-        files = tuple(_find_file(path, name) for name in metadata.files)
-        for number, file in enumerate(files):
-            if file in files[:number]:
-                raise LogError(
-                    f"relative_file_paths: expected each file once, found {file.name} twice"
-                )
-    return files
+        return BagFiles(files=(path,))
+    with name_file(path, expected="a bag"):
+        present = tuple(sorted((file for file in path.iterdir() if _is_bag_file(file)), key=_rank))
+    place = path / METADATA_FILE
+    try:
+        metadata = read_bag_metadata(path)
+    except LogError as err:
+        found = _take_present(path, present, str(err))
+    else:
+        with name_file(place, expected="the description of a bag"):
+            found = _find_named(path, metadata, present)
+    with name_file(path, expected="a bag"):
+        _require_one_kind(found.files)
+    return found
 
 
-def read_bag_metadata(path: str | Path) -> BagMetadata:
+def read_bag_metadata(folder: Path) -> BagMetadata:
     """Return what a bag folder says of itself.
 
     Raises:
-        LogError: Where it is no bag.
+        LogError: Where it says nothing that can be read.
     """
-    place = Path(path) / METADATA_FILE
-    if not place.is_file():
-        raise LogError(f"{path}: expected a bag, found a folder without {METADATA_FILE}")
+    place = folder / METADATA_FILE
     with name_file(place, expected="the description of a bag"):
-        return parse_bag_metadata(_decode(place.read_bytes()))
+        return parse_bag_metadata(_decode(_read_description(place)))
+
+
+def _read_description(place: Path) -> bytes:
+    with open_file(place) as stream:
+        size = stream.seek(0, 2)
+        if size > _LARGEST:
+            raise LogError(f"expected up to {_LARGEST} bytes, found {size}")
+        stream.seek(0)
+        return stream.read()
+
+
+def _is_bag_file(file: Path) -> bool:
+    return file.name.lower().endswith(BAG_SUFFIXES) and file.is_file()
+
+
+def _rank(file: Path) -> tuple[object, ...]:
+    """Return the place of a file among others: numbers in names count, so that _10 follows _9."""
+    parts = re.split(r"([0-9]+)", file.name)
+    return (*((int(part), "") if part.isdecimal() else (-1, part) for part in parts), file.name)
+
+
+def _take_present(folder: Path, present: tuple[Path, ...], reason: str) -> BagFiles:
+    """Return the files that are there, where nothing that can be read names them.
+
+    Raises:
+        LogError: Where there are none.
+    """
+    if not present:
+        if not (folder / METADATA_FILE).exists():
+            ros1 = next(iter(sorted(folder.glob("*.bag"))), None)
+            found = f"the bag of ROS 1 {ros1.name}: name that file" if ros1 else "a folder without"
+            ending = "" if ros1 else f" {METADATA_FILE}, .mcap or .db3 files"
+            raise LogError(f"{folder}: expected a bag, found {found}{ending}")
+        raise LogError(reason)
+    names = ", ".join(file.name for file in present)
+    if not (folder / METADATA_FILE).exists():
+        reason = f"{METADATA_FILE} is missing"
+    return BagFiles(files=present, notes={"bag_files": f"{reason}; in order of name: {names}"})
+
+
+def _find_named(folder: Path, metadata: BagMetadata, present: tuple[Path, ...]) -> BagFiles:
+    """Return the files that the metadata names; one that was renamed, where it is the only one.
+
+    Raises:
+        LogError: Where one is missing, or named twice.
+    """
+    files: list[Path] = []
+    missing: list[str] = []
+    for name in metadata.files:
+        file = _find_file(folder, name)
+        if file is None:
+            missing.append(name)
+        elif file in files:
+            raise LogError(f"relative_file_paths: expected each file once, found {file.name} twice")
+        else:
+            files.append(file)
+    duration_ns = metadata.duration_ns
+    if not missing:
+        return BagFiles(files=tuple(files), duration_ns=duration_ns)
+    others = [file for file in present if file not in files]
+    names = ", ".join(file.name for file in others) or "none"
+    if len(missing) != len(others) or (files and len(others) > 1):
+        raise LogError(f"relative_file_paths: expected the file {missing[0]}, found {names[:200]}")
+    for lost, other in zip(missing, others, strict=True):
+        files.insert(metadata.files.index(lost), other)
+    note = f"{METADATA_FILE} names {', '.join(missing)}, found none; read instead: {names}"
+    return BagFiles(files=tuple(files), duration_ns=duration_ns, notes={"bag_files": note})
+
+
+def _find_file(folder: Path, name: str) -> Path | None:
+    """Return a file of a bag; early versions put the folder's name in front, or a whole path.
+
+    Whatever path is named, what is read lies in the folder.
+    """
+    place = PurePosixPath(name.replace("\\", "/"))
+    is_inside = not (place.is_absolute() or PureWindowsPath(name).drive or ".." in place.parts)
+    for file in (*([folder / place] if is_inside else []), folder / place.name):
+        if place.name not in {"", ".."} and file.is_file():
+            return file
+    return None
+
+
+def _require_one_kind(files: tuple[Path, ...]) -> None:
+    """Refuse files of SQLite beside files of MCAP: no recorder writes both into one bag."""
+    kinds = {".db3" in file.suffixes for file in files}
+    if len(kinds) > 1:
+        names = ", ".join(file.name for file in files)
+        raise LogError(f"expected files of one storage, found MCAP beside SQLite: {names[:200]}")
 
 
 def _decode(content: bytes) -> str:
@@ -100,39 +221,6 @@ def _decode(content: bytes) -> str:
     except UnicodeDecodeError as err:
         found = f"byte {content[err.start]:#04x} at {err.start}"
         raise LogError(f"expected text in UTF-8, found {found}") from err
-
-
-def _find_file(folder: Path, name: str) -> Path:
-    """Return a file of a bag; early versions put the folder's name in front.
-
-    Raises:
-        LogError: Where there is none, or it lies elsewhere: what is read is what was named.
-    """
-    place = PurePosixPath(name.replace("\\", "/"))
-    within = place.relative_to(folder.resolve().as_posix()) if _is_within(place, folder) else place
-    if within.is_absolute() or PureWindowsPath(name).drive or ".." in within.parts:
-        raise LogError(f"relative_file_paths: expected a file in the bag's folder, found {name}")
-    for file in (folder / within, folder / within.name):
-        if within.name and file.is_file():
-            return file
-    raise LogError(f"relative_file_paths: expected the file {name}, found none")
-
-
-def _is_within(place: PurePosixPath, folder: Path) -> bool:
-    return place.is_relative_to(folder.resolve().as_posix())
-
-
-def _require_plain_mcap(metadata: BagMetadata) -> None:
-    if metadata.storage != "mcap":
-        found = metadata.storage or "none"
-        raise LogError(
-            f"storage_identifier: expected mcap, found {found}: ros2 bag convert makes MCAP of it"
-        )
-    if metadata.compression:
-        raise LogError(
-            f"compression_mode: expected none, found {metadata.compression}, which turtlelog does"
-            " not understand: ros2 bag convert makes a plain bag of it"
-        )
 
 
 def read_bag_info(path: str | Path) -> RecordingInfo:
@@ -144,12 +232,14 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
         LogError: Where it is no bag, or one of its files cannot be read.
     """
     path = Path(path)
-    files = list_bag_files(path)
-    infos = [read_info(file) for file in files]
+    found = find_bag_files(path)
+    infos = [read_info(file) for file in found.files]
     if len(infos) == 1 and infos[0].format_version is not None:
-        return infos[0]
+        return replace(infos[0], notes={**infos[0].notes, **found.notes})
     topics = sort_topics(merge_topics(topic for info in infos for topic in info.topics))
-    duration_ns = read_bag_metadata(path).duration_ns
+    duration_ns = found.duration_ns
+    if duration_ns is None and (spans := [info.span_ns for info in infos if info.span_ns]):
+        duration_ns = max(end for _, end in spans) - min(start for start, _ in spans)
     name = path.resolve().name
     return RecordingInfo(
         file=str(path),
@@ -161,7 +251,10 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
         topics=topics,
         absent=list_absent(topics),
         not_understood=tuple(dict.fromkeys(text for info in infos for text in info.not_understood)),
-        notes={name: text for info in infos for name, text in info.notes.items()},
+        notes={
+            **{name: text for info in infos for name, text in info.notes.items()},
+            **found.notes,
+        },
     )
 
 
@@ -177,10 +270,12 @@ def parse_bag_metadata(text: str) -> BagMetadata:
     for number, key, value in _iterate_entries(text, _ROOT):
         if key in values:
             raise LogError(f"line {number}: {key}: expected once, found again")
+        if key == _FILES:
+            files += _read_flow_list(number, value)
         if key:
             under = key
             values[key] = _unquote(number, key, value) if key in (*_TEXTS, _DURATION) else value
-        elif under == _FILES and value != "[]":
+        elif under == _FILES:
             files.append(_read_file_name(number, value))
         else:
             values |= _read_below(number, under, value)
@@ -232,6 +327,16 @@ def format_bag_metadata(
 def _quote(value: str) -> str:
     """Return text as YAML that cannot be taken for anything else."""
     return "'" + value.replace("'", "''") + "'"
+
+
+def _read_flow_list(number: int, value: str) -> list[str]:
+    """Return the names of a list within brackets, on one line; none of another value."""
+    found = _FLOW_LIST.match(value)
+    if found is None or not found["items"].strip():
+        return []
+    return [
+        _read_file_name(number, item[0].strip()) for item in _FLOW_ITEM.finditer(found["items"])
+    ]
 
 
 def _read_file_name(number: int, value: str) -> str:

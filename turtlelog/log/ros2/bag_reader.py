@@ -1,6 +1,6 @@
 """Bag -> Run: which of its topics, and what they hold."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -9,14 +9,14 @@ from typing import Final, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.errors import LogError
-from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
+from turtlelog.log.planar import describe_plane
 from turtlelog.log.read_choice import ReadChoice, ReadOptions
 from turtlelog.log.recording.topics import (
     CONTROL,
-    GOAL,
     LAW_STATE,
     POSE,
     REFERENCE64,
@@ -28,13 +28,16 @@ from turtlelog.log.ros2.bag_columns import (
     Fields,
     OrderedRows,
     Values,
+    drop_not_finite,
     extract_commands,
     extract_poses,
     order_rows,
     separate_times,
     wrap_far_headings,
 )
-from turtlelog.log.ros2.bag_topics import choose_command_topic, choose_pose_topic
+from turtlelog.log.ros2.bag_poses import Found, PoseSource, find_poses, note_pick
+from turtlelog.log.ros2.bag_references import Track, add_references
+from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 NOT_READ: Final = "not_read"
@@ -44,9 +47,6 @@ _NEVER_IN_BAGS: Final = (
     *("samples", "goal_xy_m", "goal_heading_rad", "parameters", "stop_reason", "events"),
 )
 
-_Found = Sequence[Mapping[str, TopicColumns]]
-"""The columns of each file, by topic."""
-
 _SENSED: Final = (SENSED.name, SENSED.schema)
 
 
@@ -55,35 +55,62 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
 
     Times count from the first pose or command. Rows are sorted by time and exact duplicates
     dropped; of several poses of one time the later ones move on by 1 ns each. The run's notes count
-    all of it.
+    all of it, and say which topics were chosen, among which others.
 
     Args:
         path: A folder with `metadata.yaml`, or a lone file.
-        options: Fields of a `ReadChoice`: which topics to read, where more than one can be meant.
+        options: Fields of a `ReadChoice`: which topics and frames to read, and the goal, where the
+            bag does not tell or something else is meant.
 
     Raises:
         LogError: One line with the file and the place, where it cannot be read, holds no poses, or
-            more than one topic can be meant.
+            nothing tells which of several topics is meant.
     """
     choice, bag = ReadChoice(**options), open_bag(path)
     distinct = bag.topics
     with name_file(bag.path, expected="a bag"):
-        poses = choose_pose_topic(distinct, choice.pose_topic)
-        commands = choose_command_topic(distinct, choice.command_topic, pose_topic=poses.topic)
-    names = {topic.topic for topic in (poses, commands) if topic}
-    if poses.topic == POSE.name:
-        names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
-    found = bag.read(names)
-    with name_file(bag.path, expected="a bag"):
-        run = _build_run(bag.path, found, poses, commands)
-    rest = _note_rest(distinct, run)
-    return replace(run, notes={**run.notes, **rest, **_join_notes(bag.infos.values())})
+        source = find_poses(bag, distinct, choice)
+        commands = choose_command_topic(distinct, choice.command_topic, pose_topic=source.home)
+        names = {commands.topic.topic} if commands else set()
+        if source.topic.topic == POSE.name:
+            names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
+        found = [*source.found, *bag.read(names)]
+        run, track = _build_run(bag.path, found, source, commands)
+        run = add_references(run, bag, source, track, choice)
+    notes = {**run.notes, **_note_rest(distinct, run), **_join_notes(bag.infos.values())}
+    return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
+
+
+CHOSEN: Final = "chosen"
+"""Note in one line on the topics that were chosen, for who asked; it goes into no recording."""
+
+
+def describe_chosen(notes: Mapping[str, str]) -> str:
+    """Return in one line what was read of a bag, and what else could have been meant."""
+    command = notes.get("command_topic")
+    parts = [f"poses from {notes['pose_topic']}"]
+    parts.append(f"commands from {command}" if command else "no commands")
+    parts += [f"path {notes['path']}"] if "path" in notes else []
+    parts += [f"goal {notes['goal']}"] if "goal" in notes else []
+    line = ", ".join(parts[:2]) + "".join(f"; {part}" for part in parts[2:])
+    for name, option in _OPTIONS.items():
+        if name in notes:
+            line += f"; also there: {notes[name]}: {option}"
+    return line
+
+
+_OPTIONS: Final = {
+    "other_pose_topics": "--pose-topic",
+    "other_frames": "--pose-frame",
+    "other_command_topics": "--command-topic",
+    "other_path_topics": "--path-topic",
+}
 
 
 def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
     """Return a note on the topics of a recording of ours, which only one of ours is read with."""
     sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
-    own = {topic.name: topic.schema for topic in (CONTROL, GOAL, REFERENCE64, SHAPED, *sensed)}
+    own = {topic.name: topic.schema for topic in (CONTROL, REFERENCE64, SHAPED, *sensed)}
     rest = [
         f"{topic.count} of {topic.topic}"
         for topic in topics
@@ -98,10 +125,16 @@ def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
 
 
 def _build_run(
-    path: Path, found: _Found, pose_topic: TopicInfo, command_topic: TopicInfo | None
-) -> Run:
-    poses = _order(found, pose_topic, extract_poses)
-    commands = None if command_topic is None else _order(found, command_topic, extract_commands)
+    path: Path, found: Found, source: PoseSource, command_pick: Pick | None
+) -> tuple[Run, Track]:
+    """Return the run, and where the robot was by the recorder's clock."""
+    poses = _order(found, source.topic, extract_poses)
+    poses, dropped = _drop_nan(poses, source.topic.topic)
+    commands, dropped_commands = None, 0
+    if command_pick is not None:
+        commands = _order(found, command_pick.topic, extract_commands)
+        commands, dropped_commands = drop_not_finite(commands, [*commands.columns])
+        commands = commands if len(commands.time_ns) else None
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
@@ -112,20 +145,24 @@ def _build_run(
     sensed = _match_sensed(found, poses.time_ns, moved)
     notes = {
         "original_timestamp": _format_time(start_ns),
-        "pose_topic": f"{pose_topic.topic} ({pose_topic.type})",
+        **source.notes,
         "sorted_rows": str(sum(rows.late for rows in tables)),
         "dropped_duplicates": str(sum(rows.duplicates for rows in tables)),
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
+        **_note_dropped(dropped, dropped_commands),
     }
-    if command_topic is not None:
-        notes["command_topic"] = f"{command_topic.topic} ({command_topic.type})"
-    return Run(
+    plane = describe_plane(columns.get("z"), columns.get("tilt"))
+    notes |= {} if plane is None else {"plane": plane}
+    if command_pick is not None:
+        notes |= note_pick("command_topic", command_pick)
+    xy_m = np.column_stack([columns["x"], columns["y"]])
+    run = Run(
         name=name if path.is_dir() else path.stem,
         source=f"{'rosbag2' if path.is_dir() else 'mcap'}: {name}",
         poses=PoseColumns(
             time_ns=time_ns,
-            xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
+            xy_m=xy_m,
             heading_rad=heading_rad,
             speed_m_s=columns.get("speed"),
             turn_rate_rad_s=columns.get("turn_rate"),
@@ -139,9 +176,36 @@ def _build_run(
         absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
         notes=notes,
     )
+    return run, Track(time_ns=poses.time_ns, xy_m=xy_m, frame=source.frame, tree=source.tree)
 
 
-def _match_sensed(found: _Found, time_ns: NDArray[np.int64], moved: int) -> Values | None:
+def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:
+    """Return the poses that are numbers, and how many are not; speeds that are none go as a whole.
+
+    Raises:
+        LogError: Where none is.
+    """
+    speeds = [name for name in rows.columns if name.startswith("measured")]
+    unknown = [name for name in speeds if not np.isfinite(rows.columns[name]).any()]
+    columns = {name: column for name, column in rows.columns.items() if name not in unknown}
+    # How high it is and how it leans is only described.
+    needed = [name for name in columns if name not in {"z", "tilt"}]
+    kept, dropped = drop_not_finite(replace(rows, columns=columns), needed)
+    if not len(kept.time_ns):
+        raise LogError(
+            f"topic {topic}: expected numbers in x, y and heading, found nan or infinity in all"
+            f" {dropped} poses"
+        )
+    return kept, dropped
+
+
+def _note_dropped(poses: int, commands: int) -> dict[str, str]:
+    kinds = {"pose": poses, "command": commands}
+    counts = [describe_count(count, kind) for kind, count in kinds.items() if count]
+    return {"dropped_nan": " and ".join(counts)} if counts else {}
+
+
+def _match_sensed(found: Found, time_ns: NDArray[np.int64], moved: int) -> Values | None:
     """Return x, y and heading as sensed, beside the poses of the same times; NaN without one.
 
     None where there are none, or their times do not tell whose they are: those of a wall clock.
@@ -160,7 +224,7 @@ def _match_sensed(found: _Found, time_ns: NDArray[np.int64], moved: int) -> Valu
 
 
 def _order(
-    found: _Found, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
+    found: Found, choice: TopicInfo, extract: Callable[[str, Fields], dict[str, Values]]
 ) -> OrderedRows:
     """Return the rows of a topic from all files."""
     messages = [of_file[choice.topic] for of_file in found if choice.topic in of_file]

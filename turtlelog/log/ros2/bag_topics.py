@@ -1,87 +1,297 @@
-"""Which topics of a bag hold the poses and the commands."""
+"""Which topics of a bag hold poses and commands: told by their types and names, or as asked."""
 
 import re
-from collections.abc import Collection, Iterable
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.info import TopicInfo
-from turtlelog.log.recording.topics import SHAPED, VELOCITY64
+from turtlelog.log.recording.topics import POSE64, SHAPED, VELOCITY64
+
+TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+PATH: Final = "nav_msgs/msg/Path"
+GOAL_TYPE: Final = "geometry_msgs/msg/PoseStamped"
 
 POSE_TYPES: Final = (
     "turtlesim/msg/Pose",
     "turtlesim_msgs/msg/Pose",
     "nav_msgs/msg/Odometry",
     "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/Pose",
+    "geometry_msgs/msg/Pose2D",
+    "geometry_msgs/msg/TransformStamped",
+    TRANSFORMS,
 )
 COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+
+_TIERS: Final = {
+    "turtlesim/msg/Pose": 0,
+    "turtlesim_msgs/msg/Pose": 0,
+    "nav_msgs/msg/Odometry": 1,
+    "geometry_msgs/msg/PoseStamped": 2,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": 2,
+    "geometry_msgs/msg/Pose": 3,
+    "geometry_msgs/msg/Pose2D": 3,
+    "geometry_msgs/msg/TransformStamped": 4,
+    TRANSFORMS: 5,
+}
+"""Which types come first: odometry tells rates, too; what has stamps comes before others."""
+
+_ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
 
 _NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name})
 """Topics of a recording of ours with the type of commands that nobody published as one."""
 
-_TURTLE: Final = re.compile(r"/turtle\d+/pose")
-_TURTLE_COMMANDS: Final = re.compile(r"/turtle\d+/cmd_vel")
+_NO_POSES: Final = frozenset({POSE64.name})
+
+_NO_ROBOT: Final = re.compile(
+    r"(?:^|[/_])(?:goals?|goal_?pose|targets?|waypoints?|initial_?pose|set_?pose|clicked|via"
+    r"|docks?|staging|desired|setpoints?|references?|ref|plan|trajectory|lookahead|carrot|markers?"
+    r"|objects?|obstacles?|landmarks?|tf_static)(?=$|[/_\d])"
+)
+"""Words in names of poses that are no robot's: where one is to go, was put, or something else."""
+
+_MEASURED: Final = re.compile(
+    r"(?:^|[/_])(?:odom|odometry|measured|actual|feedback|estimated?|current|state|imu)(?=$|[/_\d])"
+)
+"""Words in names of velocities that were measured."""
+
+_COMMAND_NAMES: Final = (
+    re.compile(r"cmd_vel"),
+    re.compile(r"cmd_vel_(?:unstamped|stamped|out)"),
+    # The smoother's is what came out of the planner, and goes through the collision monitor.
+    re.compile(r"cmd_vel_smoothed"),
+    re.compile(r"cmd_vel.*|.*(?:cmd|command).*"),
+)
+"""How topics of commands are called, the one that a base listens to first."""
+
+_POSE_NAMES: Final = (
+    re.compile(r"odom|odometry|pose"),
+    re.compile(r"amcl_pose|robot_pose|base_pose|odometry/filtered|(?:base|wheel)?_?odom_?combined"),
+    re.compile(r".*(?:odom|pose).*"),
+)
 
 
-def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> TopicInfo:
-    """Return the topic that was asked for, or else the one that can be meant.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pick:
+    """A topic that was chosen.
+
+    Attributes:
+        topic: The one.
+        others: Names of those that could have been meant as well.
+    """
+
+    topic: TopicInfo
+    others: tuple[str, ...] = ()
+
+    def describe(self) -> str:
+        """Return its name and type."""
+        return f"{self.topic.topic} ({self.topic.type})"
+
+
+def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
+    """Return the topic that was asked for, or else the one that is most likely meant.
 
     Raises:
-        LogError: Where there is none, or several.
+        LogError: Where there is none, or nothing tells which of several.
     """
     present = [topic for topic in topics if topic.count]
     if asked is not None:
-        return _find_asked(present, asked, POSE_TYPES, "pose_topic")
-    fitting = _list_fitting(present, POSE_TYPES)
-    turtles = [topic for topic in fitting if _TURTLE.fullmatch(topic.topic)]
-    chosen = turtles or fitting
-    if not chosen:
-        found = ", ".join(f"{topic.topic} ({topic.type})" for topic in present) or "no messages"
-        raise LogError(f"expected poses ({', '.join(POSE_TYPES)}), found {_shorten(found)}")
-    return _require_one(chosen, "pose_topic", "--pose-topic")
+        return Pick(topic=_find_asked(present, asked, POSE_TYPES, "pose_topic"))
+    typed = [topic for topic in present if topic.type in POSE_TYPES]
+    usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
+    fitting = _drop_two_types(usual, present)
+    if not fitting:
+        raise LogError(f"expected poses ({', '.join(POSE_TYPES)}), found {_describe(present)}")
+    commands = [topic.topic for topic in present if topic.type in COMMAND_TYPES]
+    ranks = {topic: _rank_poses(topic, commands) for topic in fitting}
+    best = [topic for topic in fitting if ranks[topic] == min(ranks.values())]
+    if len({_NUMBER.sub("#", topic.topic) for topic in best}) == 1:
+        # Robots that are told apart by number alone: the first.
+        best = [min(best, key=lambda topic: _split_numbers(topic.topic))]
+    chosen = _require_one(best, "pose_topic", "--pose-topic")
+    others = [topic for topic in fitting if topic != chosen and topic.type != TRANSFORMS]
+    return Pick(topic=chosen, others=tuple(topic.topic for topic in others))
 
 
 def choose_command_topic(
     topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
-) -> TopicInfo | None:
-    """Return the topic that was asked for, or the one that can be meant; None where there is none.
+) -> Pick | None:
+    """Return the topic that was asked for, or the one that is most likely meant; None without any.
 
-    The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others.
+    The neighbour of the poses (/turtle2/cmd_vel of /turtle2/pose) comes before all others, then the
+    name by which a base listens (cmd_vel before cmd_vel_nav). Another robot's are never taken.
 
     Raises:
-        LogError: Where there are several.
+        LogError: Where nothing tells which of several.
     """
     present = [topic for topic in topics if topic.count]
     if asked is not None:
-        return _find_asked(present, asked, COMMAND_TYPES, "command_topic")
+        return Pick(topic=_find_asked(present, asked, COMMAND_TYPES, "command_topic"))
+    known = _drop_two_types([topic for topic in present if topic.type in COMMAND_TYPES], present)
     fitting = [
-        topic for topic in _list_fitting(present, COMMAND_TYPES) if topic.topic not in _NO_COMMANDS
+        topic
+        for topic in known
+        if topic.topic not in _NO_COMMANDS
+        and not _MEASURED.search(_take_last(topic.topic))
+        and not _is_another_robots(topic.topic, pose_topic)
     ]
-    neighbour = f"{pose_topic.rpartition('/')[0]}/cmd_vel"
-    if _TURTLE.fullmatch(pose_topic):
-        # The commands of another turtle drove another turtle.
-        fitting = [topic for topic in fitting if not _TURTLE_COMMANDS.fullmatch(topic.topic)] + [
-            topic for topic in fitting if topic.topic == neighbour
-        ]
-    chosen = [topic for topic in fitting if topic.topic == neighbour] or fitting
-    return _require_one(chosen, "command_topic", "--command-topic") if chosen else None
+    if not fitting:
+        return None
+    ranks = {topic: _rank_commands(topic.topic, pose_topic) for topic in fitting}
+    best = [topic for topic in fitting if ranks[topic] == min(ranks.values())]
+    chosen = _require_one(best, "command_topic", "--command-topic")
+    return Pick(topic=chosen, others=tuple(topic.topic for topic in fitting if topic != chosen))
+
+
+def choose_path_topics(
+    topics: Iterable[TopicInfo], asked: str | None, *, pose_topic: str
+) -> list[TopicInfo]:
+    """Return the topic of paths that was asked for, or those that may be plans, in order.
+
+    A controller's own, of the next few metres (local_plan), and one that is called a trace are no
+    reference.
+
+    Raises:
+        LogError: Where the one that was asked for is not there, or of another type.
+    """
+    present = [topic for topic in topics if topic.count]
+    if asked is not None:
+        return [_find_asked(present, asked, (PATH,), "path_topic")]
+    counts = Counter(topic.topic for topic in present)
+    fitting = [
+        topic
+        for topic in present
+        if topic.type == PATH
+        and counts[topic.topic] == 1
+        and not _LOCAL.search(topic.topic)
+        and not _is_another_robots(topic.topic, pose_topic)
+    ]
+    return sorted(fitting, key=lambda topic: _rank_path(topic.topic, pose_topic))
+
+
+def choose_goal_topic(topics: Iterable[TopicInfo], *, pose_topic: str) -> Pick | None:
+    """Return the topic of goals, the neighbour of the poses first; None where there is none."""
+    present = [topic for topic in topics if topic.count]
+    fitting = [
+        topic
+        for topic in present
+        if topic.type == GOAL_TYPE
+        and _GOAL.fullmatch(_take_last(topic.topic))
+        and not _is_another_robots(topic.topic, pose_topic)
+    ]
+    if not fitting:
+        return None
+    near = sorted(fitting, key=lambda topic: _rank_place(topic.topic, pose_topic))
+    return Pick(topic=near[0], others=tuple(topic.topic for topic in near[1:]))
+
+
+def list_by_fields(topics: Iterable[TopicInfo]) -> list[TopicInfo]:
+    """Return topics whose fields may be a pose's: of a type called so, or of none of ROS's."""
+    return [
+        topic
+        for topic in topics
+        if topic.count
+        and not _is_no_robot(topic.topic)
+        and (not _ROS_TYPE.fullmatch(topic.type) or _POSE_LIKE.search(topic.type))
+    ]
+
+
+_POSE_LIKE: Final = re.compile(r"(?i)(?:pose|odom|locali[sz]ation)[^/]*$")
+_NUMBER: Final = re.compile(r"\d+")
+_WHOLE: Final = re.compile(r"(?:global_)?(?:plan|path)|reference(?:_path)?")
+_LOCAL: Final = re.compile(r"local|transformed|received|trace|history|trail|driven")
+_GOAL: Final = re.compile(r"(?:current_)?goal(?:_pose)?")
+
+
+def _rank_poses(topic: TopicInfo, commands: Sequence[str]) -> tuple[int, ...]:
+    """Return what orders topics of poses, the most likely first."""
+    home = _take_home(topic.topic)
+    has_neighbour = any(_take_home(command) == home for command in commands)
+    return (
+        # One message is no motion.
+        int(topic.count < 2),
+        int(topic.topic in _NO_POSES),
+        _TIERS[topic.type],
+        _rank_name(topic.topic, _POSE_NAMES),
+        0 if has_neighbour else 1,
+        topic.topic.count("/"),
+    )
+
+
+def _rank_commands(topic: str, pose_topic: str) -> tuple[int, ...]:
+    near, depth = _rank_place(topic, pose_topic)
+    return near, _rank_name(topic, _COMMAND_NAMES), depth
+
+
+def _rank_path(topic: str, pose_topic: str) -> tuple[int, ...]:
+    near, depth = _rank_place(topic, pose_topic)
+    return near, int(not _WHOLE.fullmatch(_take_last(topic))), depth
+
+
+def _rank_place(topic: str, pose_topic: str) -> tuple[int, int]:
+    """Return how far a topic is from the poses: names that they do not share, then its depth."""
+    own, home = topic.split("/")[1:-1], pose_topic.split("/")[1:-1]
+    shared = 0
+    while shared < min(len(own), len(home)) and own[shared] == home[shared]:
+        shared += 1
+    # A neighbour in the full sense is nearest: /a/cmd_vel of /a/odom, whatever else is in /a.
+    return -2 * shared - int(own == home and bool(own)), len(own)
+
+
+def _rank_name(topic: str, names: Sequence[re.Pattern[str]]) -> int:
+    """Return the number of the first pattern that the end of a name fits."""
+    last = _take_last(topic)
+    two = "/".join(topic.split("/")[-2:])
+    fitting = (
+        number for number, name in enumerate(names) if name.fullmatch(last) or name.fullmatch(two)
+    )
+    return next(fitting, len(names))
+
+
+def _is_no_robot(topic: str) -> bool:
+    return _NO_ROBOT.search(re.sub(r"(?<=[a-z])(?=[A-Z])", "_", topic).lower()) is not None
+
+
+def _is_another_robots(topic: str, pose_topic: str) -> bool:
+    """Return whether a topic lies in the same place as the poses but for a robot's number."""
+    pairs = zip(topic.split("/")[1:-1], pose_topic.split("/")[1:-1], strict=False)
+    return any(
+        own != home and _NUMBER.search(own) and _NUMBER.sub("#", own) == _NUMBER.sub("#", home)
+        for own, home in pairs
+    )
+
+
+def _drop_two_types(fitting: list[TopicInfo], present: Collection[TopicInfo]) -> list[TopicInfo]:
+    """Return topics without those that hold messages of two types; refuse where none is left."""
+    counts = Counter(topic.topic for topic in present)
+    left = [topic for topic in fitting if counts[topic.topic] == 1]
+    if fitting and not left:
+        _require_one_type(fitting[0].topic, present)
+    return left
+
+
+def _require_one_type(name: str, present: Collection[TopicInfo]) -> None:
+    kinds = sorted(topic.type for topic in present if topic.topic == name)
+    if len(kinds) > 1:
+        raise LogError(f"topic {name}: expected messages of one type, found {' and '.join(kinds)}")
 
 
 def _find_asked(
     present: Collection[TopicInfo], asked: str, types: tuple[str, ...], name: str
 ) -> TopicInfo:
-    for topic in present:
-        if topic.topic == asked and topic.type in types:
-            return topic
-    found = next((f"{topic.type}" for topic in present if topic.topic == asked), None)
+    _require_one_type(asked, present)
+    found = next((topic for topic in present if topic.topic == asked), None)
     if found is None:
         names = _shorten(", ".join(topic.topic for topic in present) or "no messages")
         raise LogError(f"{name}: expected a topic with messages, found {asked} among {names}")
-    raise LogError(f"{name} {asked}: expected {' or '.join(types)}, found {found}")
-
-
-def _list_fitting(present: Collection[TopicInfo], types: tuple[str, ...]) -> list[TopicInfo]:
-    return [topic for topic in present if topic.type in types]
+    is_free = name == "pose_topic" and not _ROS_TYPE.fullmatch(found.type)
+    if found.type not in types and not is_free:
+        raise LogError(f"{name} {asked}: expected {' or '.join(types)}, found {found.type}")
+    return found
 
 
 def _require_one(chosen: list[TopicInfo], name: str, option: str) -> TopicInfo:
@@ -89,6 +299,23 @@ def _require_one(chosen: list[TopicInfo], name: str, option: str) -> TopicInfo:
         names = ", ".join(topic.topic for topic in chosen)
         raise LogError(f"{name}: expected one topic, found {names}: choose with {option}")
     return chosen[0]
+
+
+def _take_home(topic: str) -> str:
+    return topic.rpartition("/")[0]
+
+
+def _take_last(topic: str) -> str:
+    return topic.rpartition("/")[2]
+
+
+def _split_numbers(topic: str) -> list[int]:
+    return [int(number) for number in _NUMBER.findall(topic)]
+
+
+def _describe(present: Collection[TopicInfo]) -> str:
+    found = ", ".join(f"{topic.topic} ({topic.type})" for topic in present) or "no messages"
+    return _shorten(found)
 
 
 def _shorten(text: str) -> str:

@@ -1,0 +1,43 @@
+import math
+
+import numpy as np
+import pytest
+
+from turtlelog.log.planar import compute_tilt, describe_plane
+
+
+def test_floor_is_a_plane() -> None:
+    assert describe_plane(None, None) is None
+    assert describe_plane(np.array([0.3, 0.349, math.nan]), np.array([0.0, -0.0, 0.099])) is None
+
+
+def test_height_that_varies_is_said() -> None:
+    told = describe_plane(np.array([0.3, 0.351]), np.zeros(2))
+    assert told == (
+        "the robot leaves the plane: its height varies by 0.051 m; only x, y and heading are kept"
+    )
+
+
+def test_tilt_is_said() -> None:
+    told = describe_plane(np.zeros(2), np.array([0.0, 0.101]))
+    assert told is not None
+    assert "it tilts by up to 5.79 deg" in told
+    assert "height" not in told
+    both = describe_plane(np.array([0.0, 2.0]), np.array([0.0, 0.5]))
+    assert both is not None
+    assert "varies by 2 m and it tilts by up to 28.6 deg" in both
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8)])
+@pytest.mark.parametrize("tilt_rad", [0.0, 1e-9, 0.3, math.pi])
+def test_tilt_is_the_angle_about_a_level_axis(axis: tuple[float, float], tilt_rad: float) -> None:
+    half = tilt_rad / 2
+    x, y = (np.array([3.0 * part * math.sin(half)]) for part in axis)
+    found = compute_tilt(x, y, np.zeros(1), np.array([3.0 * math.cos(half)]))
+    assert found == pytest.approx(tilt_rad, rel=1e-12, abs=1e-15)
+
+
+def test_turning_is_no_tilt() -> None:
+    half_rad = np.linspace(-3.0, 3.0, 7)
+    nothing = np.zeros(7)
+    assert not compute_tilt(nothing, nothing, np.sin(half_rad), np.cos(half_rad)).any()

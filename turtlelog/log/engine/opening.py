@@ -1,0 +1,138 @@
+"""A file -> what reads it, told by its first bytes: MCAP or SQLite, plain or compressed."""
+
+import shlex
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import zstandard
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.chunks import ZSTD_MAGIC
+from turtlelog.log.engine.limits import UNPACKED, Allowance
+from turtlelog.log.engine.source import Source
+from turtlelog.log.engine.sqlite_source import SQLITE_MAGIC, SqliteSource, open_sqlite
+from turtlelog.log.error_boundary import DamageError, name_file, open_file
+
+ROS1_MAGIC: Final = b"#ROSBAG V"
+
+BAG_SUFFIXES: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+"""How the names of rosbag2's files end."""
+
+_LONGEST_MAGIC: Final = 16
+_STEP: Final = 2**11  # bytes unpacked at a time: up to 64 MiB come of them
+
+
+@contextmanager
+def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
+    """Open a file to read: a stream of MCAP, of whatever is in it, or a bag in SQLite.
+
+    One that is compressed as a whole is unpacked in a temporary folder.
+
+    Raises:
+        LogError: One line with the file, also for all that goes wrong while it is open.
+    """
+    path = Path(path)
+    with name_file(path, expected=_describe_expected(path)), _open_content(path) as (stream, place):
+        if _read_head(stream) == SQLITE_MAGIC:
+            stream.close()
+            with open_sqlite(place) as source:
+                yield source
+        else:
+            yield stream
+
+
+@contextmanager
+def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
+    """Open a file that must not be SQLite; what goes wrong does not name it yet."""
+    with _open_content(Path(path)) as (stream, _):
+        if _read_head(stream) == SQLITE_MAGIC:
+            raise LogError("expected an MCAP file, found a bag in SQLite")
+        yield stream
+
+
+@contextmanager
+def open_source(path: str | Path) -> Iterator[Source | SqliteSource]:
+    """Open a file of messages, as `open_storage` does, to read by topic."""
+    with open_storage(path) as opened:
+        yield opened if isinstance(opened, SqliteSource) else Source(opened)
+
+
+def is_sqlite(path: Path) -> bool:
+    """Return whether a file is in SQLite, as its first bytes say."""
+    with name_file(path, expected=_describe_expected(path)), open_file(path) as stream:
+        return _read_head(stream) == SQLITE_MAGIC
+
+
+def strip_suffixes(path: Path) -> str:
+    """Return the name of a file without what says its kind."""
+    suffix = next((known for known in BAG_SUFFIXES if path.name.lower().endswith(known)), None)
+    return path.name[: -len(suffix)] if suffix and len(suffix) < len(path.name) else path.stem
+
+
+@contextmanager
+def _open_content(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
+    """Open a file, unpacked if it is compressed as a whole; with the place of what is open.
+
+    Raises:
+        LogError: Where it cannot be unpacked, is of ROS 1, or is named as SQLite and empty.
+    """
+    with ExitStack() as closing:
+        stream, place = closing.enter_context(open_file(path)), path
+        if _read_head(stream).startswith(ZSTD_MAGIC):
+            folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
+            place = Path(folder) / "unpacked"
+            _unpack_file(stream, place)
+            stream = closing.enter_context(place.open("rb"))
+        head = _read_head(stream)
+        if head.startswith(ROS1_MAGIC):
+            target = shlex.quote(str(path.with_suffix("")))
+            raise LogError(
+                "expected a bag of ROS 2, found one of ROS 1: convert it with"
+                f" rosbags-convert --src {shlex.quote(str(path))} --dst {target}"
+            )
+        if not head and ".db3" in path.suffixes:
+            raise LogError("expected a bag in SQLite, found an empty file")
+        yield stream, place
+
+
+def _describe_expected(path: Path) -> str:
+    return "a bag in SQLite" if ".db3" in path.suffixes else "an MCAP file"
+
+
+def _read_head(stream: BinaryIO) -> bytes:
+    head = stream.read(_LONGEST_MAGIC)
+    stream.seek(0)
+    return head
+
+
+def _unpack_file(stream: BinaryIO, place: Path) -> None:
+    """Unpack a file; what it says of its size is not trusted.
+
+    Raises:
+        LogError: Where it is damaged or cut, or far larger than its size lets expect.
+    """
+    size = stream.seek(0, 2)
+    stream.seek(0)
+    most = left = Allowance(size).count_left(UNPACKED)
+    unpacker = zstandard.ZstdDecompressor().decompressobj()
+    with place.open("wb") as output:
+        while packed := stream.read(_STEP):
+            while packed:
+                if unpacker.eof:  # one frame after the other, as parallel compressors write
+                    unpacker = zstandard.ZstdDecompressor().decompressobj()
+                try:
+                    data = unpacker.decompress(packed)
+                except zstandard.ZstdError as err:
+                    raise DamageError(f"expected sound zstd data, found: {err}") from err
+                left -= len(data)
+                if left < 0:
+                    raise LogError(
+                        f"expected up to {most} bytes in a compressed file of {size}, found more"
+                    )
+                output.write(data)
+                packed = unpacker.unused_data if unpacker.eof else b""
+    if not unpacker.eof:
+        raise DamageError("expected sound zstd data, found the end of the file within it")

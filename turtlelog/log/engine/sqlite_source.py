@@ -1,0 +1,403 @@
+"""A bag in SQLite -> the messages asked for, block by block, as if they stood in an MCAP file.
+
+The blobs of a batch are joined with room before each for the head of an MCAP message record, and
+the heads are scattered into it at once: from there on the decoding is that of MCAP files.
+
+SQLite reads the file and nothing beside it, and never writes. A recording chooses no code to run:
+tables are read, never views, no function of the schema is called, and a file whose pages lead in
+circles is left after a bounded number of steps.
+"""
+
+import shutil
+import sqlite3
+from array import array
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.blocks import Block
+from turtlelog.log.engine.channels import Catalogue
+from turtlelog.log.engine.known_definitions import find_definition
+from turtlelog.log.engine.limits import DESCRIPTIONS, Allowance
+from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
+from turtlelog.log.error_boundary import DamageError, open_file
+
+T = TypeVar("T")
+Row = tuple[Any, ...]
+
+SQLITE_MAGIC: Final = b"SQLite format 3\x00"
+
+_TOPIC_COLUMNS: Final = ("id", "name", "type", "serialization_format")
+_TOPIC_NOTES: Final = {
+    "offered_qos_profiles": "offered_qos_profiles",
+    "type_description_hash": "topic_type_hash",
+}
+"""Columns that only some versions of rosbag2 write, and their names in an MCAP channel."""
+
+_MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
+_DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
+
+_SIDES: Final = ("-wal", "-journal")
+_JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
+"""Ends a journal that names another file, which SQLite would delete."""
+
+_MOST_CHANNELS: Final = 2**16 - 1  # their numbers have 16 bits in a block
+_FIRST_ROWS: Final = 256
+_MOST_ROWS: Final = 2**16
+_BLOCK_BYTES: Final = 2**24
+
+_ROW_BYTES: Final = 4
+"""What a row takes at least of its page beside its blob [bytes]; in truth some 12."""
+
+_STEPS: Final = 100_000  # of SQLite's machine, between two looks at their number
+_BASE_STEPS: Final = 20_000_000
+_STEPS_A_BYTE: Final = 20
+"""A row of 20 bytes takes about 40 steps to count."""
+
+_ALLOWED: Final = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ})
+_FUNCTIONS: Final = frozenset({"count", "min", "max", "typeof"})
+
+_GAP: Final = bytearray(MESSAGE_HEAD)
+
+
+class SqliteSource:
+    """An open bag in SQLite, its tables checked.
+
+    Attributes:
+        catalogue: Its topics as channels, their types as schemas.
+        is_indexed: Always: the catalogue is complete before the first message is read.
+        statistics: None; `count_messages` counts.
+    """
+
+    is_indexed = True
+    statistics = None
+    summary_start = 0
+    index_length = 0
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+        connection.execute("PRAGMA query_only = ON")
+        connection.execute("PRAGMA trusted_schema = OFF")
+        connection.execute("PRAGMA cell_size_check = ON")
+        self._size = _read_number(connection, "page_count") * _read_number(connection, "page_size")
+        self._steps_left = 0
+        connection.set_progress_handler(self._count_steps, _STEPS)
+        columns = self._list_columns()
+        connection.set_authorizer(_authorize)
+        self.catalogue = Catalogue(allowance := Allowance(self._size))
+        self._numbers: dict[int, int] = {}
+        self._describe(columns, allowance)
+
+    def execute(self, query: str, *values: object) -> sqlite3.Cursor:
+        """Run a query; it may take a number of steps that the size of the file bounds."""
+        self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self._size
+        return self._connection.execute(query, values)
+
+    def count_messages(self) -> tuple[Counter[int], tuple[int, int] | None]:
+        """Return messages by channel, and least and greatest log time; None without a message.
+
+        Raises:
+            DamageError: Where a message has no topic, or a time that is none.
+        """
+        counts, times = Counter[int](), list[int]()
+        query = (
+            "SELECT topic_id, count(*), count(timestamp), min(timestamp), max(timestamp)"
+            " FROM messages GROUP BY topic_id"
+        )
+        for topic_id, messages, timed, start_ns, end_ns in self.execute(query):
+            number = self._numbers.get(topic_id)
+            if number is None:
+                raise DamageError(
+                    f"messages: topic_id {topic_id}: expected a row in topics, found only"
+                    f" messages: {messages}"
+                )
+            if timed != messages or not (isinstance(start_ns, int) and isinstance(end_ns, int)):
+                raise self._find_fault()
+            counts[number] = messages
+            times += start_ns, end_ns
+        return counts, (min(times), max(times)) if times else None
+
+    def map_blocks(
+        self,
+        work: Callable[[Block], T],
+        channels: Collection[int] | None = None,
+        start_ns: int = 0,
+        end_ns: int = 2**64,
+    ) -> Iterator[T]:
+        """Yield what `work` makes of each block, in the order in which rows were written."""
+        wanted = [
+            topic_id
+            for topic_id, number in self._numbers.items()
+            if channels is None or number in channels
+        ]
+        query, values = "SELECT topic_id, timestamp, data FROM messages", list[object]()
+        conditions = []
+        if len(wanted) < len(self._numbers):
+            # The plus keeps SQLite from reading by an index, and sorting all that it finds.
+            conditions.append(f"+topic_id IN ({','.join(map(str, wanted))})")
+        if start_ns > 0:
+            conditions.append("+timestamp >= ?")
+            values.append(min(start_ns, 2**63 - 1))
+        if end_ns < 2**63:
+            conditions.append("+timestamp < ?")
+            values.append(end_ns)
+        if conditions:
+            query += f" WHERE {' AND '.join(conditions)}"
+        cursor = self.execute(f"{query} ORDER BY rowid", *values)
+        yield from map(work, self._iterate_blocks(cursor))
+
+    def _iterate_blocks(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
+        first, rows, left = 1, _FIRST_ROWS, self._size
+        while found := cursor.fetchmany(rows):
+            block = self.build_block(found, first)
+            size = len(block.data)
+            left -= size - (MESSAGE_HEAD - _ROW_BYTES) * len(found)
+            if left < 0:
+                raise DamageError(
+                    f"expected messages of up to {self._size} bytes in all, the size of the file,"
+                    " found more"
+                )
+            yield block
+            first += len(found)
+            rows = min(2 * rows, max(_BLOCK_BYTES * len(found) // max(size, 1), 1), _MOST_ROWS)
+
+    def build_block(self, rows: list[Row], first: int) -> Block:
+        """Return rows of `topic_id`, `timestamp` and `data` as a block; `first` counts from 1.
+
+        Raises:
+            DamageError: Where one holds something else, or has no topic.
+        """
+        ids, times, blobs = zip(*rows, strict=True)
+        try:
+            lengths = np.fromiter(map(len, blobs), np.int64, len(blobs))
+            data = _GAP.join((b"", *blobs))
+            time_ns = np.frombuffer(array("q", times), np.int64)
+            numbers = np.fromiter(map(self._numbers.__getitem__, ids), np.int64, len(ids))
+        except (TypeError, KeyError) as err:
+            raise self._find_fault() from err
+        if time_ns.min() < 0:
+            raise self._find_fault()
+        ends = np.cumsum(lengths + MESSAGE_HEAD)
+        starts = ends - lengths - MESSAGE_HEAD
+        _scatter_heads(data, starts, lengths, numbers, time_ns)
+        order = np.argsort(numbers, kind="stable")
+        present, firsts = np.unique(numbers[order], return_index=True)
+        offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
+        return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
+
+    def _find_fault(self) -> DamageError:
+        """Return what is wrong with the first row of `messages` that is not sound."""
+        query = (
+            "SELECT rowid, topic_id, typeof(timestamp), timestamp, typeof(data) FROM messages"
+            " WHERE typeof(timestamp) != 'integer' OR timestamp < 0 OR typeof(data) != 'blob'"
+            " OR topic_id NOT IN (SELECT id FROM topics) OR topic_id IS NULL ORDER BY rowid LIMIT 1"
+        )
+        found = self.execute(query).fetchone()
+        if found is None:
+            return DamageError(
+                "messages: expected rows with a topic, a time and data, found others"
+            )
+        row, topic_id, kind, timestamp, held = found
+        place = f"messages: row {row}"
+        if kind != "integer" or timestamp < 0:
+            value = timestamp if kind == "integer" else kind
+            return DamageError(f"{place}: timestamp: expected nanoseconds from 0 on, found {value}")
+        if held != "blob":
+            return DamageError(f"{place}: data: expected a blob, found {held}")
+        return DamageError(f"{place}: expected a row in topics of topic_id {topic_id}, found none")
+
+    def _count_steps(self) -> bool:
+        self._steps_left -= _STEPS
+        return self._steps_left < 0
+
+    def _list_columns(self) -> dict[str, list[str]]:
+        """Return the columns of the tables of a bag.
+
+        Raises:
+            LogError: Where one that is needed is missing, or is no plain table.
+        """
+        kinds = {}
+        for kind, name, sql in self.execute("SELECT type, name, sql FROM sqlite_master"):
+            if kind in {"table", "view"}:
+                is_plain = kind == "table" and str(sql).upper().startswith("CREATE TABLE")
+                kinds[str(name)] = "table" if is_plain else str(sql)[:40]
+        needed = {"topics": _TOPIC_COLUMNS, "messages": _MESSAGE_COLUMNS}
+        for table in needed:
+            if table not in kinds:
+                found = ", ".join(kinds)[:200] or "no tables"
+                raise LogError(f"expected a bag with tables topics and messages, found {found}")
+        columns = {}
+        for table, names in (needed | {"message_definitions": _DEFINITION_COLUMNS}).items():
+            if table in kinds:
+                if kinds[table] != "table":
+                    raise LogError(f"{table}: expected a table, found {kinds[table]}")
+                columns[table] = self._list_table(table, names)
+        return columns
+
+    def _list_table(self, table: str, needed: Collection[str]) -> list[str]:
+        found = [
+            (name, hidden)
+            for _, name, _, _, _, _, hidden in self.execute(f"PRAGMA table_xinfo({table})")
+        ]
+        columns = [name for name, hidden in found if not hidden]
+        for name in needed:
+            if name not in columns:
+                others = ", ".join(
+                    f"{other} computed" if hidden else other for other, hidden in found
+                )
+                raise LogError(f"{table}: expected a column {name}, found {others[:200]}")
+        return columns
+
+    def _describe(self, columns: dict[str, list[str]], allowance: Allowance) -> None:
+        """Fill the catalogue with the topics."""
+        definitions = self._read_definitions() if "message_definitions" in columns else {}
+        notes = [name for name in _TOPIC_NOTES if name in columns["topics"]]
+        query = f"SELECT {', '.join((*_TOPIC_COLUMNS, *notes))} FROM topics ORDER BY rowid"
+        schemas: dict[str, int] = {}
+        for row in self.execute(query):
+            allowance.spend(DESCRIPTIONS)
+            topic_id, name, kind, encoding, *texts = row
+            for column, value in zip(_TOPIC_COLUMNS[1:], (name, kind, encoding), strict=True):
+                if not isinstance(value, str):
+                    found = "NULL" if value is None else repr(value)[:60]
+                    raise LogError(
+                        f"topics: row {topic_id}: {column}: expected text, found {found}"
+                    )
+            if len(self._numbers) == _MOST_CHANNELS:
+                raise LogError(f"topics: expected up to {_MOST_CHANNELS}, found more")
+            if kind not in schemas:
+                schemas[kind] = len(schemas) + 1
+                encoded, data = definitions.get(kind) or _find_known(kind)
+                schema = Schema(id=schemas[kind], name=kind, encoding=encoded, data=data.encode())
+                self.catalogue.add([schema], 0)
+            self._numbers[topic_id] = number = len(self._numbers) + 1
+            channel = Channel(
+                id=number,
+                topic=name,
+                message_encoding=encoding or MessageEncoding.CDR,
+                schema_id=schemas[kind],
+                metadata={
+                    _TOPIC_NOTES[key]: str(text or "")
+                    for key, text in zip(notes, texts, strict=True)
+                },
+            )
+            self.catalogue.add([channel], 0)
+
+    def _read_definitions(self) -> dict[str, tuple[str, str]]:
+        """Return encoding and text of the types that the file defines itself."""
+        query = f"SELECT {', '.join(_DEFINITION_COLUMNS)} FROM message_definitions ORDER BY rowid"
+        definitions: dict[str, tuple[str, str]] = {}
+        for number, row in zip(count(1), self.execute(query), strict=False):
+            if not all(isinstance(value, str) for value in row):
+                raise LogError(
+                    f"message_definitions: row {number}: expected texts, found {row!r:.60}"
+                )
+            kind, encoding, text = row
+            # rosbag2 writes the encoding `unknown`, and no text, where it finds no definition.
+            if text and encoding != "unknown":
+                definitions.setdefault(kind, (encoding, text))
+        return definitions
+
+
+@contextmanager
+def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSource]:
+    """Open a bag in SQLite to read; where it was not closed, a copy of it in a temporary folder.
+
+    A `-wal` beside the file holds rows that were committed, a `-journal` what to take back of those
+    that were not; SQLite would write beside the file to use them.
+
+    Args:
+        path: The file.
+        is_damaged: Read one that is cut as far as it goes.
+
+    Raises:
+        LogError: One clause, where it cannot be read or is no bag.
+    """
+    path = path.resolve()
+    with ExitStack() as closing:
+        place, mode = path, "mode=ro&immutable=1"
+        sides = [path.with_name(path.name + side) for side in _SIDES]
+        if present := [side for side in sides if side.exists() and side.stat().st_size]:
+            folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
+            place, mode = folder / "bag.db3", "mode=rw"
+            _copy_with_sides(path, place, present)
+        try:
+            connection = sqlite3.connect(
+                f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
+            )
+            closing.callback(connection.close)
+            if is_damaged:  # its header may promise more pages than there are
+                connection.execute("PRAGMA writable_schema = ON")
+            yield SqliteSource(connection)
+        except sqlite3.Error as err:
+            raise DamageError(describe_sqlite_error(err)) from err
+
+
+def describe_sqlite_error(err: sqlite3.Error) -> str:
+    """Return what SQLite found as one clause."""
+    text = " ".join(str(err).split())
+    if text == "interrupted":
+        text = "pages that lead in circles, or far more rows than its size allows"
+    return f"expected a sound SQLite file, found: {text}"
+
+
+def _copy_with_sides(path: Path, place: Path, sides: list[Path]) -> None:
+    for source in (path, *sides):
+        target = place.with_name(place.name + source.name.removeprefix(path.name))
+        with open_file(source) as stream, target.open("wb") as copy:
+            shutil.copyfileobj(stream, copy, 2**20)
+        if source.name.endswith("-journal"):
+            with target.open("rb") as stream:
+                stream.seek(-min(16, target.stat().st_size), 2)
+                if stream.read()[-8:] == _JOURNAL_MAGIC:
+                    raise LogError(
+                        f"{source.name}: expected the journal of one file, found one that names"
+                        " another"
+                    )
+
+
+def _find_known(kind: str) -> tuple[str, str]:
+    """Return encoding and text of a usual type; empty ones of a type that is not known."""
+    text = find_definition(kind)
+    return ("", "") if text is None else (SchemaEncoding.ROS2, text)
+
+
+def _read_number(connection: sqlite3.Connection, pragma: str) -> int:
+    return int(connection.execute(f"PRAGMA {pragma}").fetchone()[0])
+
+
+def _authorize(
+    action: int, _: str | None, second: str | None, __: str | None, inside: str | None
+) -> int:
+    """Allow reading tables, and counting; nothing within a view or trigger."""
+    is_known = action in _ALLOWED or (action == sqlite3.SQLITE_FUNCTION and second in _FUNCTIONS)
+    return sqlite3.SQLITE_OK if is_known and inside is None else sqlite3.SQLITE_DENY
+
+
+def _scatter_heads(
+    data: bytearray,
+    starts: NDArray[np.int64],
+    lengths: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    time_ns: NDArray[np.int64],
+) -> None:
+    """Write the head of a message record before every blob."""
+    heads = np.zeros(len(starts), HEADING)
+    heads["opcode"] = Opcode.MESSAGE
+    heads["length"] = lengths + COUNTED_HEAD
+    heads["channel"] = numbers
+    heads["log_time"] = heads["publish_time"] = time_ns
+    kind = f"V{MESSAGE_HEAD}"
+    places = np.ndarray((len(data) - MESSAGE_HEAD + 1,), kind, buffer=data, strides=(1,))
+    places[starts] = heads.view(kind)

@@ -1,0 +1,273 @@
+"""What a robot was to do, as a bag tells it: its goal, and the path that it was to follow."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError, PathError
+from turtlelog.log.engine.topic_columns import TopicColumns
+from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.ros2.bag import Bag
+from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
+from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics
+from turtlelog.log.ros2.bag_transforms import Tree, locate_frame, rotate
+from turtlelog.paths import LEAST_M, MOST_POINTS, Path
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+_AT_ROBOT_M: Final = 0.1
+"""From the end of a path to the robot [m], where the path is its trace: a robot's width; what was
+recorded last is a few tenths of a second old. A plan ends at the goal, which is farther."""
+
+_AT_ROBOT_SHARE: Final = 0.1
+"""The same as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
+
+_MOST_LOOKED_AT: Final = 50
+"""Messages of a path that are held against where the robot was: their median decides."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Track:
+    """Where the robot was, in the frame of its poses.
+
+    Attributes:
+        time_ns: By the recorder's clock [ns], shape (n,), not decreasing.
+        xy_m: Position [m], shape (n, 2).
+        frame: The frame of the poses; empty where they do not name one.
+        tree: Transforms between frames; empty where there are none.
+    """
+
+    time_ns: NDArray[np.int64]
+    xy_m: Values
+    frame: str
+    tree: Tree
+
+
+def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice: ReadChoice) -> Run:
+    """Return a run with the goal and the path that its bag holds, or that were asked for.
+
+    Raises:
+        LogError: Where a path topic that was asked for is not there.
+    """
+    topics = bag.topics
+    given = choice.goal
+    goal_pick = None if given else choose_goal_topic(topics, pose_topic=source.home)
+    plans = choose_path_topics(topics, choice.path_topic, pose_topic=source.home)
+    goals = [] if goal_pick is None else _collect(bag, goal_pick.topic.topic)
+    paths = [] if not plans else _collect(bag, plans[0].topic)
+    named = {_name_frame(columns) for columns in (*goals, *paths) if len(columns)}
+    if track.frame and not track.tree and named - {track.frame, ""}:
+        track = replace(track, tree=read_tree(bag, topics, source.home))
+    goal = None if given is None else _take_given(given)
+    if goal_pick is not None:
+        goal = find_goal(goals, goal_pick.topic.topic, track)
+    notes, changes = dict[str, str](), dict[str, Any]()
+    if goal is not None:
+        notes["goal"] = goal.note
+        changes |= {"goal_xy_m": goal.xy_m, "goal_heading_rad": goal.heading_rad}
+    if paths:
+        since_ns = 0 if goal is None else goal.time_ns
+        path = find_path(paths, plans[0].topic, track, since_ns=since_ns)
+        others = ", ".join(topic.topic for topic in plans[1:])
+        notes |= {"path": path.note} | ({"other_path_topics": others} if others else {})
+        if path.points is not None:
+            notes["path_topic"] = f"{plans[0].topic} ({plans[0].type})"
+            points = {"path.kind": "waypoints", "path.points": path.points}
+            changes["parameters"] = {**run.parameters, **points}
+    known = {name for name, value in changes.items() if value is not None}
+    absent = tuple(name for name in run.absent if name not in known)
+    return replace(run, absent=absent, notes={**run.notes, **notes}, **changes)
+
+
+def _take_given(given: tuple[float, ...]) -> "FoundGoal":
+    if len(given) not in (2, 3) or not all(map(math.isfinite, given)):
+        raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {given!r:.60}")
+    x_m, y_m, *heading_rad = map(float, given)
+    return FoundGoal(xy_m=(x_m, y_m), heading_rad=[*heading_rad, None][0], note="as asked")
+
+
+def _collect(bag: Bag, topic: str) -> list[TopicColumns]:
+    return [file[topic] for file in bag.read({topic}, is_flat=False) if topic in file]
+
+
+def _name_frame(columns: TopicColumns) -> str:
+    return str(columns.fields["header.frame_id"][0]).lstrip("/")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundGoal:
+    """A goal, and what there is to say of it.
+
+    Attributes:
+        xy_m: Position in the frame of the poses [m]; None where it cannot be told.
+        heading_rad: Heading [rad]; None where none is asked for.
+        note: One sentence.
+        time_ns: When it was given, by the recorder's clock [ns].
+    """
+
+    xy_m: tuple[float, float] | None
+    heading_rad: float | None = None
+    note: str
+    time_ns: int = 0
+
+
+def find_goal(messages: Sequence[TopicColumns], topic: str, track: Track) -> FoundGoal:
+    """Return the last goal that was given while the robot was recorded.
+
+    A goal of another frame is turned into that of the poses by the transforms that held when it was
+    given; where none do, there is no goal, and the note says why.
+    """
+    rows = sorted(
+        (time_ns, number, row)
+        for number, columns in enumerate(messages)
+        for row, time_ns in enumerate(columns.log_time_ns.tolist())
+    )
+    known = [one for one in rows if one[0] <= track.time_ns[-1]] or rows
+    time_ns, number, row = known[-1]
+    fields = {name: column[row] for name, column in messages[number].fields.items()}
+    place_m = np.array([[float(fields[f"pose.position.{axis}"]) for axis in "xyz"]])
+    turn = np.array([[float(fields[f"pose.orientation.{axis}"]) for axis in "xyzw"]])
+    others = {_name_place(messages[number], row) for _, number, row in known}
+    said = f"from {topic}"
+    if len(others) > 1:
+        said = f"the last of {len(others)} from {topic}: --goal chooses another"
+    if not np.isfinite(place_m).all():
+        return FoundGoal(xy_m=None, note=f"{topic}: left out: its position is no number")
+    # A message's default; who asks for no heading leaves it.
+    has_heading = bool(np.isfinite(turn).all() and turn[0, :3].any())
+    moved = _bring_over(track, str(fields["header.frame_id"]), place_m, turn, time_ns)
+    if isinstance(moved, str):
+        return FoundGoal(xy_m=None, note=f"{topic}: left out: {moved}")
+    place_m, ahead, how = moved
+    heading_rad = math.atan2(ahead[0, 1], ahead[0, 0]) if has_heading else None
+    said += how if has_heading else f"{how}, no heading"
+    xy_m = float(place_m[0, 0]), float(place_m[0, 1])
+    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note=said, time_ns=time_ns)
+
+
+def _name_place(columns: TopicColumns, row: int) -> tuple[str, ...]:
+    names = [name for name in columns.fields if "stamp" not in name]
+    return tuple(str(columns.fields[name][row]) for name in names)
+
+
+def _bring_over(
+    track: Track, frame: str, place_m: Values, turn: Values, time_ns: int
+) -> tuple[Values, Values, str] | str:
+    """Return places and forward directions in the frame of the poses, and how; or why not."""
+    frame, ahead = frame.lstrip("/"), rotate(turn, np.tile([1.0, 0.0, 0.0], (len(turn), 1)))
+    if frame == track.frame:
+        return place_m, ahead, ""
+    if not frame or not track.frame:
+        nameless = "poses name" if frame else "it names"
+        return place_m, ahead, f", taken as in the frame of the poses, as {nameless} no frame"
+    found = locate_frame(track.tree, track.frame, frame, np.array([time_ns]))
+    if found is None:
+        return f"it is in {frame}, the poses in {track.frame}, and no transform joins the two then"
+    origin_m, by = found
+    by = np.tile(by, (len(place_m), 1))
+    how = f", brought from {frame} to {track.frame} by the transforms of that time"
+    return origin_m + rotate(by, place_m), rotate(by, ahead), how
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundPath:
+    """A path to follow, and what there is to say of it.
+
+    Attributes:
+        points: In the frame of the poses [m]; None where it is no reference.
+        note: One sentence.
+    """
+
+    points: list[list[float]] | None
+    note: str
+
+
+def find_path(
+    messages: Sequence[TopicColumns], topic: str, track: Track, *, since_ns: int = 0
+) -> FoundPath:
+    """Return the first path with a length, of those after a time where there are such.
+
+    A topic on which the robot's own way is published is no reference.
+
+    Args:
+        messages: Of `nav_msgs/msg/Path`, by file.
+        topic: Its name.
+        track: Where the robot was.
+        since_ns: When the goal was given, by the recorder's clock [ns].
+    """
+    rows = sorted(
+        ((time_ns, k, row) for k, columns in enumerate(messages)
+         for row, time_ns in enumerate(columns.log_time_ns.tolist())),
+    )  # fmt: skip
+    paths = [(time_ns, *_read_points(messages[k], row, time_ns, track)) for time_ns, k, row in rows]
+    reasons = {reason for _, _, reason in paths if reason}
+    known = [(time_ns, xy_m) for time_ns, xy_m, _ in paths if _measure(xy_m) >= LEAST_M]
+    if not known:
+        why = reasons.pop() if reasons else "no message of it has a length"
+        return FoundPath(points=None, note=f"{topic}: left out: {why}")
+    if _is_trace(known, track):
+        return FoundPath(
+            points=None, note=f"{topic}: left out: it ends where the robot is, and is its trace"
+        )
+    _, xy_m = next((one for one in known if one[0] >= since_ns), known[0])
+    count = len(xy_m)
+    points = _thin(xy_m)
+    try:
+        Path(kind="waypoints", points=tuple((x, y) for x, y in points))
+    except PathError as err:
+        return FoundPath(points=None, note=f"{topic}: left out: {err}")
+    differing = len({one.tobytes() for _, one in known})
+    said = f"from {topic}" if differing == 1 else f"the first plan of {differing} from {topic}"
+    if len(points) < count:
+        said += f", {len(points)} of its {count} points"
+    return FoundPath(points=points, note=said)
+
+
+def _read_points(columns: TopicColumns, row: int, time_ns: int, track: Track) -> tuple[Values, str]:
+    """Return the points of a path in the frame of the poses, or none and why."""
+    try:
+        found: list[dict[str, Any]] = columns.fields["poses"][row]
+        frame = str(columns.fields["header.frame_id"][row])
+    except KeyError as err:
+        raise LogError(
+            f"topic {columns.topic}: expected {columns.type} with a field {err.args[0]}, found"
+            f" {', '.join(columns.fields)}"
+        ) from err
+    place_m = np.array(
+        [[one[f"pose.position.{axis}"] for axis in "xyz"] for one in found], dtype=float
+    ).reshape(-1, 3)
+    place_m = place_m[np.isfinite(place_m).all(axis=1)]
+    none = np.tile([0.0, 0.0, 0.0, 1.0], (len(place_m), 1))
+    frame = frame or next((str(one["header.frame_id"]) for one in found), "")
+    moved = _bring_over(track, frame, place_m, none, time_ns)
+    return (np.zeros((0, 2)), moved) if isinstance(moved, str) else (moved[0][:, :2], "")
+
+
+def _measure(xy_m: Values) -> float:
+    return float(np.hypot(*np.diff(xy_m, axis=0).T).sum()) if len(xy_m) > 1 else 0.0
+
+
+def _is_trace(known: Sequence[tuple[int, Values]], track: Track) -> bool:
+    """Return whether paths end where the robot was when they were published."""
+    step = -(-len(known) // _MOST_LOOKED_AT)
+    shares = []
+    for time_ns, xy_m in known[::step]:
+        row = min(int(np.searchsorted(track.time_ns, time_ns)), len(track.time_ns) - 1)
+        distance_m = float(np.hypot(*(xy_m[-1] - track.xy_m[row])))
+        shares.append(distance_m / max(_AT_ROBOT_M, _AT_ROBOT_SHARE * _measure(xy_m)))
+    return float(np.median(shares)) <= 1.0
+
+
+def _thin(xy_m: Values) -> list[list[float]]:
+    """Return the points without repetitions, and no more than a path may have."""
+    differs = np.append(True, (np.diff(xy_m, axis=0) != 0.0).any(axis=1))
+    points = xy_m[differs]
+    if len(points) > MOST_POINTS:
+        rows = np.linspace(0, len(points) - 1, MOST_POINTS).round().astype(np.int64)
+        points = points[rows]
+    return [[float(x), float(y)] for x, y in points.tolist()]

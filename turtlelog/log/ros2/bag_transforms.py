@@ -1,0 +1,384 @@
+"""Transforms between frames -> where one frame is in another, at every message that moved it."""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.topic_columns import TopicColumns
+
+Values = NDArray[np.float64]
+
+TRANSFORM: Final = "geometry_msgs/msg/TransformStamped"
+
+_ROBOTS: Final = (
+    re.compile(r"base_footprint"),
+    re.compile(r"base_link"),
+    re.compile(r"base|base_frame|robot|robot_base|chassis|body|turtle\d+"),
+)
+"""How frames of a robot are called (REP 105, REP 120), the one on the ground first."""
+
+_WORLDS: Final = re.compile(r"earth|map|world|odom|odom_\w+|\w+_odom|mocap|optitrack|vicon")
+
+_NUMBER: Final = re.compile(r"\d+")
+_NUMBERS: Final = ("translation.x", "translation.y", "translation.z")
+_TURNS: Final = ("rotation.x", "rotation.y", "rotation.z", "rotation.w")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Link:
+    """One frame in another, message by message.
+
+    Attributes:
+        parent: The frame in which the other is given.
+        child: The other frame.
+        time_ns: When each message was recorded [ns], shape (n,), not decreasing.
+        stamp_ns: Its stamp [ns], shape (n,).
+        place_m: Position of the child's origin [m], shape (n, 3).
+        turn: Its rotation as quaternions x, y, z, w, shape (n, 4).
+        is_static: Whether it holds for all time: its last message counts.
+    """
+
+    parent: str
+    child: str
+    time_ns: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]
+    place_m: Values
+    turn: Values
+    is_static: bool = False
+
+    @property
+    def moves(self) -> bool:
+        """Whether its messages differ."""
+        values = np.hstack([self.place_m, self.turn])
+        return not self.is_static and bool((values != values[0]).any())
+
+    def hold(self, time_ns: NDArray[np.int64]) -> tuple[Values, Values]:
+        """Return place and turn as last recorded at some times; NaN before the first."""
+        if self.is_static or not self.moves:
+            shape = (len(time_ns), 1)
+            return np.tile(self.place_m[-1], shape), np.tile(self.turn[-1], shape)
+        rows = np.searchsorted(self.time_ns, time_ns, side="right") - 1
+        place_m, turn = self.place_m[rows], self.turn[rows]
+        place_m[rows < 0], turn[rows < 0] = np.nan, np.nan
+        return place_m, turn
+
+    def describe(self) -> str:
+        """Return both frames."""
+        return f"{self.parent} -> {self.child}"
+
+
+Tree = Mapping[tuple[str, str], Link]
+"""Links by parent and child."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameChoice:
+    """Two frames that tell where a robot is.
+
+    Attributes:
+        world: The frame in which it is given.
+        robot: Its own.
+        others: Pairs that could have been meant as well.
+    """
+
+    world: str
+    robot: str
+    others: tuple[str, ...] = ()
+
+
+def collect_links(
+    messages: Iterable[TopicColumns], *, is_static: bool
+) -> dict[tuple[str, str], Link]:
+    """Return what messages of TFMessage tell, link by link.
+
+    Raises:
+        LogError: Where they are of another shape.
+    """
+    rows: dict[tuple[str, str], list[tuple[int, dict[str, Any]]]] = defaultdict(list)
+    for columns in messages:
+        if "transforms" not in columns.fields:
+            raise LogError(
+                f"topic {columns.topic}: expected {columns.type} with a field transforms, found"
+                f" {', '.join(columns.fields)}"
+            )
+        for time_ns, found in zip(
+            columns.log_time_ns.tolist(), columns.fields["transforms"], strict=True
+        ):
+            for one in found:
+                names = one["header.frame_id"].lstrip("/"), one["child_frame_id"].lstrip("/")
+                rows[names].append((time_ns, one))
+    return {names: _build_link(names, found, is_static=is_static) for names, found in rows.items()}
+
+
+def _build_link(
+    names: tuple[str, str], rows: Sequence[tuple[int, dict[str, Any]]], *, is_static: bool
+) -> Link:
+    time_ns = np.array([time_ns for time_ns, _ in rows], dtype=np.int64)
+    stamps = [
+        one["header.stamp.sec"] * 1_000_000_000 + one["header.stamp.nanosec"] for _, one in rows
+    ]
+    order = np.argsort(time_ns, kind="stable")
+    place_m, turn = (
+        np.array([[one[f"transform.{name}"] for name in axes] for _, one in rows], dtype=float)
+        for axes in (_NUMBERS, _TURNS)
+    )
+    return Link(
+        parent=names[0],
+        child=names[1],
+        time_ns=time_ns[order],
+        stamp_ns=np.array(stamps, dtype=np.int64)[order],
+        place_m=place_m[order],
+        turn=turn[order],
+        is_static=is_static,
+    )
+
+
+def choose_frames(tree: Tree, *, robot: str | None = None, world: str | None = None) -> FrameChoice:
+    """Return the frames that were asked for, completed by those that are most likely meant.
+
+    Frames of a robot and of the world have well-known names; where none has one, the one link that
+    moves is taken. A link below a robot's frame is a joint, and never taken.
+
+    Raises:
+        LogError: Where one is not there, or nothing tells which of several.
+    """
+    frames = {name for names in tree for name in names}
+    robot, world = (None if name is None else name.lstrip("/") for name in (robot, world))
+    for option, name in (("pose_frame", robot), ("world_frame", world)):
+        if name is not None and name not in frames:
+            known = ", ".join(sorted(frames))[:300] or "none"
+            raise LogError(
+                f"{option}: expected a frame of the transforms, found {name} among {known}"
+            )
+    if robot is not None:
+        return FrameChoice(world=world or _find_world(tree, robot), robot=robot)
+    found = _list_robots(tree, world) or _list_lone(tree, world)
+    if not found:
+        links = ", ".join(link.describe() for link in tree.values() if link.moves) or "none"
+        raise LogError(
+            "expected transforms in which a robot moves in a world, such as odom -> base_link,"
+            f" found those that move: {links[:300]}: --pose-frame and --world-frame choose"
+        )
+    if len({_NUMBER.sub("#", "|".join(pair)) for pair in found}) > 1:
+        pairs = ", ".join(" -> ".join(pair) for pair in found)
+        raise LogError(
+            f"transforms: expected one robot, found {pairs[:300]}: choose with --pose-frame and"
+            " --world-frame"
+        )
+    ordered = sorted(found, key=lambda pair: [int(one) for one in _NUMBER.findall("|".join(pair))])
+    others = tuple(" -> ".join(pair) for pair in ordered[1:])
+    return FrameChoice(world=ordered[0][0], robot=ordered[0][1], others=others)
+
+
+def _list_robots(tree: Tree, world: str | None) -> list[tuple[str, str]]:
+    """Return pairs of well-known names, one for each robot: each has a prefix of its own."""
+    robots: dict[str, tuple[int, str]] = {}
+    for _, child in tree:
+        prefix, _, name = child.rpartition("/")
+        rank = next((k for k, kind in enumerate(_ROBOTS) if kind.fullmatch(name)), None)
+        if rank is None or not _list_moving(tree, child):
+            continue
+        # Frames that differ by number alone are robots of their own: turtle1, turtle2.
+        key = f"{prefix}|{name if _NUMBER.search(name) else ''}"
+        robots[key] = min(robots.get(key, (rank, child)), (rank, child))
+    pairs = []
+    for _, robot in robots.values():
+        above = _climb(tree, robot)
+        if world is not None:
+            pairs += [(world, robot)] if world in above else []
+        elif any(_is_world(name) for name in above):
+            pairs.append((_find_world(tree, robot), robot))
+    return pairs
+
+
+def _list_lone(tree: Tree, world: str | None) -> list[tuple[str, str]]:
+    """Return the links that move and are no joints: no frame above them moves or is a robot's."""
+    found = []
+    for (parent, child), link in tree.items():
+        is_root = not _list_moving(tree, parent) and not _is_robot(parent)
+        if link.moves and is_root and world in (None, parent):
+            found.append((parent, child))
+    return found
+
+
+def _list_moving(tree: Tree, frame: str) -> list[Link]:
+    """Return the links from a frame up to the root that are sent again and again."""
+    above = [frame, *_climb(tree, frame)]
+    links = [tree[parent, child] for child, parent in pairwise(above)]
+    return [link for link in links if not link.is_static]
+
+
+def _climb(tree: Tree, frame: str) -> list[str]:
+    """Return the frames above one, up to the root; of two parents that with more messages."""
+    above: list[str] = []
+    while True:
+        lower = above[-1] if above else frame
+        parents = [
+            (len(link.time_ns), parent) for (parent, child), link in tree.items() if child == lower
+        ]
+        if not parents or max(parents)[1] in [frame, *above]:
+            return above
+        above.append(max(parents)[1])
+
+
+def _find_world(tree: Tree, robot: str) -> str:
+    """Return the highest frame above one that is called a world, otherwise the root.
+
+    Raises:
+        LogError: Where nothing is above it.
+    """
+    above = _climb(tree, robot)
+    if not above:
+        raise LogError(f"pose_frame {robot}: expected a transform from another frame, found none")
+    worlds = [name for name in above if _is_world(name)]
+    return worlds[-1] if worlds else above[-1]
+
+
+def _is_world(frame: str) -> bool:
+    return _WORLDS.fullmatch(frame.rpartition("/")[2]) is not None
+
+
+def _is_robot(frame: str) -> bool:
+    return any(kind.fullmatch(frame.rpartition("/")[2]) for kind in _ROBOTS)
+
+
+def trace_frame(tree: Tree, choice: FrameChoice) -> tuple[Link, tuple[Link, ...]]:
+    """Return one frame in another, at every message of the moving link next to the robot.
+
+    Other links that move, such as a localisation's correction map -> odom, are held: the newest
+    that was recorded counts.
+
+    Returns:
+        The link from world to robot, rows before the first of a held link being NaN, and the links
+        that were held.
+
+    Raises:
+        LogError: Where no transforms join the two frames.
+    """
+    steps = _find_way(tree, choice.world, choice.robot)
+    moving = [link for link, _ in steps if link.moves] or [
+        link for link, _ in steps if not link.is_static
+    ]
+    if not moving:
+        raise LogError(
+            f"{choice.world} -> {choice.robot}: expected transforms that are sent again and again,"
+            " found static ones alone"
+        )
+    leading = moving[-1]
+    place_m, turn = compose_way(steps, leading.time_ns)
+    traced = replace(leading, parent=choice.world, child=choice.robot, place_m=place_m, turn=turn)
+    return traced, tuple(link for link in moving if link is not leading)
+
+
+def locate_frame(
+    tree: Tree, world: str, frame: str, time_ns: NDArray[np.int64]
+) -> tuple[Values, Values] | None:
+    """Return where a frame is in another at some times; None where nothing joins the two."""
+    try:
+        place_m, turn = compose_way(_find_way(tree, world, frame), time_ns)
+    except LogError:
+        return None
+    return (place_m, turn) if np.isfinite(place_m).all() else None
+
+
+_Step = tuple[Link, bool]
+"""A link, and whether it leads from its parent to its child."""
+
+
+def _find_way(tree: Tree, start: str, end: str) -> list[_Step]:
+    """Return the shortest way from one frame to another.
+
+    Raises:
+        LogError: Where there is none.
+    """
+    ways: dict[str, list[_Step]] = {start: []}
+    waiting = [start]
+    while waiting and end not in ways:
+        frame = waiting.pop(0)
+        for (parent, child), link in tree.items():
+            for here, there, is_down in ((parent, child, True), (child, parent, False)):
+                if here == frame and there not in ways:
+                    ways[there] = [*ways[frame], (link, is_down)]
+                    waiting.append(there)
+    if end not in ways:
+        raise LogError(
+            f"transforms: expected some that join {start} and {end}, found none; frames:"
+            f" {', '.join(sorted({name for names in tree for name in names}))[:300]}"
+        )
+    return ways[end]
+
+
+def compose_way(steps: Sequence[_Step], time_ns: NDArray[np.int64]) -> tuple[Values, Values]:
+    """Return place and turn at the end of a way, each link as held at some times."""
+    none = np.zeros((len(time_ns), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(time_ns), 1))
+    parts = []
+    for link, is_down in steps:
+        place_m, turn = link.hold(time_ns)
+        parts.append((place_m, turn) if is_down else _invert(place_m, turn))
+    if len(parts) == 1:
+        return parts[0]  # to the last bit, whatever the length of its quaternions
+    return reduce(lambda left, right: compose(*left, *right), parts, none)
+
+
+def compose(
+    place_m: Values, turn: Values, next_m: Values, next_turn: Values
+) -> tuple[Values, Values]:
+    """Return a transform followed by another, both shape (n, 3) and (n, 4)."""
+    return place_m + rotate(turn, next_m), _multiply(_normalise(turn), _normalise(next_turn))
+
+
+def rotate(turn: Values, vector: Values) -> Values:
+    """Return vectors turned by quaternions of any length but 0."""
+    unit = _normalise(turn)
+    axis, w = unit[:, :3], unit[:, 3:]
+    across = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + w * across + np.cross(axis, across))
+
+
+def _invert(place_m: Values, turn: Values) -> tuple[Values, Values]:
+    back = turn * np.array([-1.0, -1.0, -1.0, 1.0])
+    return -rotate(back, place_m), back
+
+
+def _multiply(left: Values, right: Values) -> Values:
+    a, b = left[:, :3], right[:, :3]
+    v, w = left[:, 3:], right[:, 3:]
+    vector = v * b + w * a + np.cross(a, b)
+    return np.hstack([vector, v * w - (a * b).sum(axis=1, keepdims=True)])
+
+
+def _normalise(turn: Values) -> Values:
+    length = np.linalg.norm(turn, axis=1, keepdims=True)
+    # A quaternion that was never set stays, and is found where headings are made of it.
+    return np.asarray(turn / np.where(length == 0.0, 1.0, length))
+
+
+def build_columns(link: Link, topic: str) -> TopicColumns:
+    """Return a link as messages of TransformStamped, as if a topic had held it alone."""
+    numbers = {
+        **{f"transform.{name}": link.place_m[:, k] for k, name in enumerate(_NUMBERS)},
+        **{f"transform.{name}": link.turn[:, k] for k, name in enumerate(_TURNS)},
+    }
+    rows = len(link.time_ns)
+    frames = {"header.frame_id": link.parent, "child_frame_id": link.child}
+    return TopicColumns(
+        topic=topic,
+        type=TRANSFORM,
+        log_time_ns=link.time_ns,
+        publish_time_ns=link.time_ns,
+        sequence=np.zeros(rows, dtype=np.uint32),
+        fields={
+            "header.stamp.sec": link.stamp_ns // 1_000_000_000,
+            "header.stamp.nanosec": link.stamp_ns % 1_000_000_000,
+            **{name: np.full(rows, text, dtype=object) for name, text in frames.items()},
+            **{name: np.ascontiguousarray(values) for name, values in numbers.items()},
+        },
+    )

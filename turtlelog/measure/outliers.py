@@ -1,0 +1,159 @@
+"""Values of a measured signal that its neighbours on both sides contradict."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count
+from turtlelog.measure.signals import read_signal
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+MEASURED: Final = ("measured_speed", "measured_turn_rate")
+"""Signals that can have outliers: a command that was published is never one."""
+
+_LONGEST_STEP_NS: Final = 250_000_000
+"""Farther than this from a neighbour [ns] a robot can have done in between what a value says: at
+2 m/s2 it reaches 0.5 m/s in that time."""
+
+_LEAST_ROWS: Final = 30
+"""Fewer values do not tell what is usual: of 20 normal ones one in 2,000 stands out this far."""
+
+_MOST_SHARE: Final = 0.01
+"""Values that stand out more often than in this share of the rows belong to the signal."""
+
+_APART: Final = 5.0
+"""An outlier stands out this many times further than every value that is none. Of 2,000 values with
+normal, uniform or Laplace noise the first stands out less than 2 times further than the second."""
+
+_LOCAL_SPANS: Final = 3.0
+"""And this many times further than the signal moves among its neighbours: while a robot speeds up
+or brakes, more is needed."""
+
+_NEIGHBOURS: Final = 5
+"""Rows on either side that say how far the signal moves there: half a second at 20 Hz."""
+
+_GRAINS: Final = 5.5
+"""And more than five steps of a quantised signal, however these were rounded: an encoder at low
+speed shows single ticks."""
+
+_ROUNDING: Final = 1e-6
+"""Differences below this share of the largest value are rounding of 32 bits, not the grain."""
+
+_LEAST_CHANGES: Final = 8
+"""Changes other than the outliers' that a signal needs: a single pulse in silence is a test's
+impulse for all that one can know."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outlier:
+    """A value that its neighbours on both sides contradict.
+
+    Attributes:
+        signal: Its name, one of `MEASURED`.
+        row: Of the poses.
+        time_ns: Of that row [ns].
+        value: In the signal's unit.
+        unit: Of the signal.
+    """
+
+    signal: str
+    row: int
+    time_ns: int
+    value: float
+    unit: str
+
+
+def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int64]:
+    """Return the rows of single values that stand out of a measured signal, in order.
+
+    A value stands out by how far it is from the nearer of its two neighbours, on the same side of
+    both: a step, a ramp, a limit and whatever lasts two rows do not stand out at all. One that
+    stands out is an outlier where nothing else in the signal comes near it, its neighbours agree,
+    and they are close in time. The first and the last row have one neighbour and are never one.
+
+    Args:
+        time_ns: Time [ns], shape (n,), not decreasing.
+        values: Finite, of one unit, angles without jumps at a full turn, shape (n,).
+    """
+    none = np.empty(0, dtype=np.int64)
+    if len(values) < _LEAST_ROWS:
+        return none
+    smooth = np.array(values)
+    smooth[1:-1] = np.median([values[:-2], values[1:-1], values[2:]], axis=0)
+    height = np.abs(values - smooth)
+    rows = _find_apart(height)
+    if not len(rows) or _count_changes(values, rows) < _LEAST_CHANGES:
+        return none
+    least = np.maximum(_LOCAL_SPANS * _find_spans(smooth, rows), _GRAINS * _find_grain(values))
+    step_ns = np.maximum(time_ns[rows] - time_ns[rows - 1], time_ns[rows + 1] - time_ns[rows])
+    is_outlier = (height[rows] > least) & (step_ns <= _LONGEST_STEP_NS)
+    return np.asarray(rows[is_outlier])
+
+
+def list_outliers(run: Run) -> tuple[Outlier, ...]:
+    """Return the outliers of a run's measured signals, signal by signal in order of time."""
+    return tuple(_iterate_outliers(run))
+
+
+def _iterate_outliers(run: Run) -> Iterator[Outlier]:
+    for name in MEASURED:
+        signal = read_signal(run, name)
+        if signal is None:
+            continue
+        for row in find_outliers(signal.time_ns, signal.values).tolist():
+            yield Outlier(
+                signal=name,
+                row=row,
+                time_ns=int(signal.time_ns[row]),
+                value=float(signal.values[row]),
+                unit=signal.kind.unit,
+            )
+
+
+def describe_outliers(run: Run) -> dict[str, str]:
+    """Return a sentence on the outliers of each signal that has some, by its name."""
+    found: dict[str, list[Outlier]] = {}
+    for outlier in list_outliers(run):
+        found.setdefault(outlier.signal, []).append(outlier)
+    return {name: _describe(outliers, run.start_ns) for name, outliers in found.items()}
+
+
+def _describe(outliers: list[Outlier], start_ns: int) -> str:
+    """Return how many there are and which is the largest: `1 outlier, -143.6 rad/s at 31.9 s`."""
+    worst = max(outliers, key=lambda outlier: abs(outlier.value))
+    count = describe_count(len(outliers), "outlier")
+    at_s = (worst.time_ns - start_ns) / 1e9
+    which = "" if len(outliers) == 1 else "the largest "
+    return f"{count}, {which}{worst.value:.1f} {worst.unit} at {at_s:.1f} s"
+
+
+def _find_apart(height: Values) -> NDArray[np.int64]:
+    """Return the rows that stand out by far further than all others, in order."""
+    most = max(int(_MOST_SHARE * len(height)), 1)
+    order = np.argsort(-height, kind="stable")[: most + 1]
+    is_apart = height[order[:-1]] > _APART * height[order[1:]]
+    count = int(np.flatnonzero(is_apart)[-1]) + 1 if is_apart.any() else 0
+    return np.sort(order[:count])
+
+
+def _count_changes(values: Values, rows: NDArray[np.int64]) -> int:
+    return int(np.count_nonzero(np.diff(np.delete(values, rows))))
+
+
+def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:
+    """Return how far the signal moves around each row, single values aside."""
+    around = np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    near = smooth[np.clip(rows[:, None] + around, 0, len(smooth) - 1)]
+    return np.asarray(np.ptp(near, axis=1))
+
+
+def _find_grain(values: Values) -> float:
+    """Return the least step of a quantised signal; of others next to nothing."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > _ROUNDING * float(np.abs(values).max())]
+    return float(steps.min()) if len(steps) else 0.0
