@@ -1,1 +1,19 @@
 """A robot's dynamics from commands and motion."""
+
+from turtlelog.identify.identify_robot import identify_robot
+from turtlelog.identify.robot_model import (
+    AxisModel,
+    Estimate,
+    RobotEvent,
+    RobotModel,
+    TickDelays,
+)
+
+__all__ = [
+    "AxisModel",
+    "Estimate",
+    "RobotEvent",
+    "RobotModel",
+    "TickDelays",
+    "identify_robot",
+]

@@ -2,14 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from types import MappingProxyType
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
-from turtlelog.identify.held_response import LaggedResponse, Values
-from turtlelog.identify.step_noise import NORMAL_MAD, StepNoise, Whitening, estimate_noise
+from turtlelog.identify.held_response import LaggedResponse, Values, limit_changes
+from turtlelog.identify.step_noise import NORMAL_MAD, Whitening, estimate_noise
 
 _GRID_S: Final = 0.04
 """Between the dead times that are tried first [s]: a quarter of a usual delay."""
@@ -19,7 +20,7 @@ _GRID_LAGS_S: Final = (0.0, 0.05, 0.15, 0.4, 1.0)
 _GRID_STEPS: Final = 20_000
 """Most steps that choose among these; all of them decide in the end."""
 
-_STARTS: Final = 3
+_STARTS: Final = 2
 """How many of the best are refined."""
 
 _SOFT: Final = 3.0
@@ -30,7 +31,10 @@ _OUTLIER: Final = 8.0
 makes one in 1e15, stamp jitter at the highest speed five times the usual residual."""
 
 _LAG_STEP_S: Final = 1e-4
-"""For differences with respect to the lag [s]; of the product of two lags its square root."""
+"""For differences with respect to the lag [s]."""
+
+_EXTRA_STEP: Final = MappingProxyType({"second_order": 1e-7, "limited": 1e-4})
+"""For differences with respect to the further parameter, in its unit."""
 
 _MOST_ROUNDS: Final = 40
 
@@ -40,8 +44,63 @@ _ROUND_ENDS: Final = 1e-9
 _SCORE_LAGS: Final = 12
 """Over how many steps the covariance allows for what whitening leaves."""
 
-GAIN, DEAD_TIME, LAG, PRODUCT = range(4)
+GAIN, DEAD_TIME, LAG, EXTRA = range(4)
 """Places of the parameters."""
+
+Kind = Literal["first_order", "second_order", "limited"]
+"""A robot with one lag; with two, whose product is the further parameter [s^2]; with one, that
+changes its rate no faster than a limit, the time that it needs per unit of the command being the
+further parameter [s^2/m] or [s^2/rad]."""
+
+
+class StepModel:
+    """What the commands of some runs lead to in each of their steps."""
+
+    def __init__(self, motions: Sequence[AxisMotion], kind: Kind = "first_order") -> None:
+        self.kind = kind
+        self.motions = [motion for motion in motions if len(motion.moved)]
+        self.moved = np.concatenate([motion.moved for motion in self.motions])
+        self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
+        self.follows = np.concatenate([motion.follows for motion in self.motions])
+
+    def prepare(self, lag_s: float, extra: float = 0.0) -> list[LaggedResponse]:
+        """Return the response of each run's commands to a lag."""
+        if self.kind == "limited":
+            limited = [limit_changes(motion.commands, extra) for motion in self.motions]
+            return [LaggedResponse(commands, lag_s) for commands in limited]
+        return [LaggedResponse(motion.commands, lag_s, extra) for motion in self.motions]
+
+    def predict(
+        self, dead_time_s: float, *lags: Sequence[LaggedResponse]
+    ) -> list[tuple[Values, Values]]:
+        """Return way and rate of each step for each lag that is prepared, with a gain of 1."""
+        found: list[list[tuple[Values, Values]]] = [[] for _ in lags]
+        for row, motion in enumerate(self.motions):
+            time_s, after = motion.time_s - dead_time_s, motion.first + 1
+            places = None
+            for steps, responses in zip(found, lags, strict=True):
+                if places is None or self.kind == "limited":
+                    places = responses[row].place(time_s)
+                way, rate = responses[row].evaluate(places)
+                steps.append((way[after] - way[motion.first], rate[after] - rate[motion.first]))
+        return [
+            (np.concatenate([way for way, _ in steps]), np.concatenate([rate for _, rate in steps]))
+            for steps in found
+        ]
+
+    def linearise(self, parameters: Values) -> tuple[Values, Values]:
+        """Return the modelled steps and their derivatives, shape (n, parameters)."""
+        gain, dead_time_s, lag_s, *extra = parameters.tolist()
+        asked = [self.prepare(lag_s, *extra), self.prepare(lag_s + _LAG_STEP_S, *extra)]
+        width = [_LAG_STEP_S]
+        if extra:
+            width.append(_EXTRA_STEP[self.kind])
+            asked.append(self.prepare(lag_s, extra[0] + width[-1]))
+        (way, rate), *others = self.predict(dead_time_s, *asked)
+        slopes = [
+            gain * (other - way) / step for (other, _), step in zip(others, width, strict=True)
+        ]
+        return gain * way, np.column_stack([way, -gain * rate, *slopes])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,89 +108,102 @@ class AxisFit:
     """What fits best.
 
     Attributes:
-        parameters: Gain [1], dead time [s], lag [s], and of second order the product of both lags
-            [s^2].
+        model: What was fitted.
+        parameters: Gain [1], dead time [s], lag [s], and the further one of the model's kind.
         covariance: Of these.
         cost: Sum of the robust squares, each in units of the noise's variance.
         residual: Measured less modelled [m] or [rad], shape (n,).
         white: The same, whitened.
         is_outlier: Which steps do not count.
-        moved: Measured, shape (n,).
-        noise: Of the steps.
+        whitening: As it was used.
     """
 
+    model: StepModel
     parameters: Values
     covariance: Values
     cost: float
     residual: Values
     white: Values
     is_outlier: NDArray[np.bool_]
-    moved: Values
-    noise: StepNoise
+    whitening: Whitening
 
 
-class StepModel:
-    """What the commands of some runs lead to in each of their steps."""
-
-    def __init__(self, motions: Sequence[AxisMotion]) -> None:
-        self.motions = [motion for motion in motions if len(motion.moved)]
-        self.moved = np.concatenate([motion.moved for motion in self.motions])
-        self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
-        self.follows = np.concatenate([motion.follows for motion in self.motions])
-
-    def predict(self, dead_time_s: float, *lags: tuple[float, float]) -> list[list[Values]]:
-        """Return way and rate of each step for each pair of lag and product, with a gain of 1."""
-        found: list[list[list[Values]]] = [[] for _ in lags]
-        for motion in self.motions:
-            places = motion.commands.place(motion.time_s - dead_time_s)
-            for number, (lag_s, product_s2) in enumerate(lags):
-                response = LaggedResponse(motion.commands, lag_s, product_s2).evaluate(places)
-                steps = [values[motion.first + 1] - values[motion.first] for values in response]
-                found[number].append(steps)
-        return [[np.concatenate(column) for column in zip(*runs, strict=True)] for runs in found]
-
-    def linearise(self, parameters: Values) -> tuple[Values, Values]:
-        """Return the modelled steps and their derivatives, shape (n, parameters)."""
-        gain, dead_time_s, lag_s = parameters[:3].tolist()
-        product_s2 = float(parameters[PRODUCT]) if len(parameters) > PRODUCT else 0.0
-        asked = [(lag_s, product_s2), (lag_s + _LAG_STEP_S, product_s2)]
-        if len(parameters) > PRODUCT:
-            asked.append((lag_s, product_s2 + _LAG_STEP_S**2))
-        (way, rate), *others = self.predict(dead_time_s, *asked)
-        columns = [way, -gain * rate, gain * (others[0][0] - way) / _LAG_STEP_S]
-        columns += [gain * (other[0] - way) / _LAG_STEP_S**2 for other in others[1:]]
-        return gain * way, np.column_stack(columns)
-
-
-def fit_axis(motions: Sequence[AxisMotion], start: Values | None = None) -> AxisFit:
-    """Return the best fit of first order, or of the order of `start`.
+def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
+    """Return the best fit of first order.
 
     Raises:
         ValueError: Where no gain above 0 explains anything.
     """
     model = StepModel(motions)
-    starts = _search_grid(motions) if start is None else [start]
-    weigh = _weigh_plainly(model)
-    tried = [_descend(model, start, weigh) for start in starts]
+    plainly = _weigh_plainly(model)
+    tried = [_descend(model, start, plainly) for start in _search_grid(motions)]
     parameters = min(tried, key=lambda found: found[1])[0]
     for _ in range(2):
-        residual = model.moved - model.linearise(parameters)[0]
-        is_outlier = find_outliers(residual)
-        noise = estimate_noise(residual, model.follows, is_outlier)
-        whitening = Whitening(noise, model.duration_s, model.follows, is_outlier)
+        whitening, is_outlier = _learn_noise(model, parameters)
         parameters, cost = _descend(model, parameters, whitening.apply)
+    return _conclude(model, parameters, cost, whitening, is_outlier)
+
+
+def refit_axis(fit: AxisFit, kind: Kind, starts: Sequence[float]) -> AxisFit:
+    """Return the best fit of another kind, with its own noise.
+
+    Args:
+        fit: Of first order.
+        kind: Of model.
+        starts: Values of its further parameter that are tried first.
+    """
+    model = StepModel(fit.model.motions, kind)
+    tried = [
+        _descend(model, np.append(fit.parameters, start), fit.whitening.apply) for start in starts
+    ]
+    parameters = min(tried, key=lambda found: found[1])[0]
+    whitening, is_outlier = _learn_noise(model, parameters)
+    parameters, cost = _descend(model, parameters, whitening.apply)
+    return _conclude(model, parameters, cost, whitening, is_outlier)
+
+
+def descend_again(fit: AxisFit, motions: Sequence[AxisMotion]) -> Values:
+    """Return the parameters that fit other steps best, from those of a fit on."""
+    model = StepModel(motions, fit.model.kind)
+    whitening, _ = _learn_noise(model, fit.parameters)
+    return _descend(model, fit.parameters, whitening.apply)[0]
+
+
+def sum_costs(fit: AxisFit, motions: Sequence[AxisMotion], parameters: Values, like: AxisFit) -> (
+    float
+):
+    """Return what parameters of a fit's kind leave of some steps, with the noise of another fit."""
+    model = StepModel(motions, fit.model.kind)
+    whitening, _ = _learn_noise(StepModel(motions, like.model.kind), like.parameters)
+    return _sum_softly(whitening.apply(model.moved - model.linearise(parameters)[0]))
+
+
+def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:
+    residual = model.moved - model.linearise(parameters)[0]
+    is_outlier = find_outliers(residual)
+    noise = estimate_noise(residual, model.follows, is_outlier)
+    return Whitening(noise, model.duration_s, model.follows, is_outlier), is_outlier
+
+
+def _conclude(
+    model: StepModel,
+    parameters: Values,
+    cost: float,
+    whitening: Whitening,
+    is_outlier: NDArray[np.bool_],
+) -> AxisFit:
     modelled, slopes = model.linearise(parameters)
     residual = model.moved - modelled
     white = whitening.apply(residual)
     return AxisFit(
+        model=model,
         parameters=parameters,
         covariance=_estimate_covariance(white, whitening.apply(slopes)),
         cost=cost,
         residual=residual,
         white=white,
         is_outlier=is_outlier,
-        moved=model.moved,
-        noise=noise,
+        whitening=whitening,
     )
 
 
@@ -149,9 +221,10 @@ def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
     # A single jump must not decide.
     most = 3.0 * float(np.quantile(np.abs(model.moved), 0.99))
     moved = np.clip(model.moved, -most, most)
+    responses = [model.prepare(lag_s) for lag_s in _GRID_LAGS_S]
     tried = []
     for dead_time_s in np.arange(0.0, LARGEST_DEAD_TIME_S, _GRID_S).tolist():
-        steps = model.predict(dead_time_s, *((lag_s, 0.0) for lag_s in _GRID_LAGS_S))
+        steps = model.predict(dead_time_s, *responses)
         for lag_s, (way, _) in zip(_GRID_LAGS_S, steps, strict=True):
             size, along = float(way @ way), float(way @ moved)
             if size > 0.0 and along > 0.0:

@@ -25,6 +25,11 @@ _APART: Final = 1e-3
 changes the response by less than a millionth."""
 
 
+_STAIRS: Final = 16
+"""Steps of the stair that stands for a ramp: of one of 0.5 s at 1 m/s^2 the way is right to 0.1 mm.
+Their number does not depend on the limit, so that what is modelled changes smoothly with it."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
     """Times, and which command holds at each of them.
@@ -76,10 +81,39 @@ def hold_commands(time_s: Values, value: Values, before: float) -> HeldCommands:
     """
     changes = np.flatnonzero(np.diff(value, prepend=before))
     first_s = time_s[0] - 1.0 if len(time_s) else 0.0
-    time_s = np.concatenate([[first_s], time_s[changes]])
-    value = np.concatenate([[before], value[changes]])
+    return _integrate_commands(
+        np.concatenate([[first_s], time_s[changes]]), np.concatenate([[before], value[changes]])
+    )
+
+
+def _integrate_commands(time_s: Values, value: Values) -> HeldCommands:
     way = np.concatenate([[0.0], np.cumsum(value[:-1] * np.diff(time_s))])
     return HeldCommands(time_s=time_s, value=value, way=way)
+
+
+def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
+    """Return commands that change no faster than a limit, each ramp as a stair.
+
+    Args:
+        commands: To follow.
+        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 changes nothing.
+    """
+    if slowness <= 0.0:
+        return commands
+    begins, left_s = commands.value.copy(), np.append(np.diff(commands.time_s), np.inf)
+    reached = float(commands.value[0])
+    for row, (value, most) in enumerate(
+        zip(commands.value.tolist(), (left_s / slowness).tolist(), strict=True)
+    ):
+        begins[row] = reached
+        reached += min(max(value - reached, -most), most)
+    change = commands.value - begins
+    ramp_s = np.minimum(np.abs(change) * slowness, left_s)
+    rise = np.sign(change) * ramp_s / slowness
+    share = np.arange(_STAIRS) / _STAIRS
+    time_s = commands.time_s[:, None] + ramp_s[:, None] * np.append(share, 1.0)
+    value = begins[:, None] + rise[:, None] * np.append(share + 0.5 / _STAIRS, 1.0)
+    return _integrate_commands(time_s.ravel(), value.ravel())
 
 
 class LaggedResponse:
@@ -93,10 +127,14 @@ class LaggedResponse:
             lag_s: Sum of its time constants, b [s].
             product_s2: Their product, c [s^2]; 0 of a first-order lag.
         """
-        self._lag_s = lag_s
+        self._commands, self._lag_s = commands, lag_s
         self._parts = [
             (share, lag, _list_transients(commands, lag)) for share, lag in _split(lag_s, product_s2)
         ]
+
+    def place(self, time_s: Values) -> Places:
+        """Return which command holds at times from which the dead time is subtracted [s]."""
+        return self._commands.place(time_s)
 
     def evaluate(self, places: Places) -> tuple[Values, Values]:
         """Return the integral of the rate, up to a constant, and the rate itself."""
@@ -127,7 +165,7 @@ def _list_transients(commands: HeldCommands, lag_s: Any) -> NDArray[Any]:
     It fades by a factor until the next command, which adds its own: a linear recurrence, solved by
     doubling.
     """
-    fading = np.exp(np.diff(commands.time_s, prepend=commands.time_s[0]) * (-1.0 / lag_s))
+    fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
     fading[0] = 0.0
     left = np.concatenate([[0.0], commands.value[:-1] - commands.value[1:]]).astype(fading.dtype)
     reach = 1

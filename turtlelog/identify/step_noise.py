@@ -18,7 +18,7 @@ _LEAST_SLIP: Final = 1e-5
 """Slip, as a share of what poses are off, that always counts: what lies further apart than 30 poses
 is not compared. No odometry keeps its place for good."""
 
-_LONGEST: Final = 1024
+_LONGEST: Final = 32
 """Most steps over which slip is told from the noise of poses."""
 
 _EXCLUDED: Final = 1e6

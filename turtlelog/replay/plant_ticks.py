@@ -9,7 +9,7 @@ recorded command explains it.
 import re
 from array import array
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import hypot
 from typing import Final
 
@@ -202,6 +202,8 @@ class CommandUse:
         disturbed_ticks: Those of them in which the recording's scenario pushes the plant: its
             velocity is no command's there, and shows none.
         never_arrived: Commands that the transport lost, by the recording's events.
+        taken_at: Of each command that the plant took, the row of the pose that shows it first, and
+            its own row.
     """
 
     taken: int
@@ -210,6 +212,7 @@ class CommandUse:
     unexplained_ticks: int
     disturbed_ticks: int = 0
     never_arrived: int = 0
+    taken_at: tuple[tuple[int, int], ...] = field(default=(), compare=False, repr=False)
 
 
 def place_commands(
@@ -230,9 +233,12 @@ def place_commands(
         strict=True,
     )
     velocities, is_unexplained = [], []
-    for row in rows:
+    taken_at: list[tuple[int, int]] = []
+    for number, row in enumerate(rows):
         velocities.append(placer.place(*row))
         is_unexplained.append(placer.is_recorded)
+        if placer.taken > len(taken_at):
+            taken_at.append((number, placer.latest))
     is_disturbed = _find_disturbed(run, motion.time_ns)
     use = CommandUse(
         taken=placer.taken,
@@ -241,6 +247,7 @@ def place_commands(
         unexplained_ticks=sum(is_unexplained),
         disturbed_ticks=int((np.array(is_unexplained, dtype=bool) & is_disturbed).sum()),
         never_arrived=_count_lost(run),
+        taken_at=tuple(taken_at),
     )
     return tuple(velocities), use
 
@@ -276,6 +283,7 @@ class _Placer:
         is_recorded: Whether what the plant holds is a recorded velocity, and no command.
         taken: As in `CommandUse`, so far.
         stops: Likewise.
+        latest: Row of the latest command that was taken.
     """
 
     def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:
@@ -297,7 +305,7 @@ class _Placer:
         self._held = _STANDING
         self._held_applied = (0.0, 0.0)
         self.is_recorded = False
-        self.taken = self.stops = 0
+        self.taken = self.stops = self.latest = 0
 
     def place(
         self, time_ns: int, speed: float, turn_rate: float, body: tuple[float, float] | None
@@ -308,7 +316,7 @@ class _Placer:
         applied = speed, turn_rate
         found = self._find(applied, body, time_ns)
         if found is not None:
-            self._next = found + 1
+            self._next, self.latest = found + 1, found
             self.taken += 1
             self._hold(self._commands[found], applied)
         elif not (applied == self._held_applied and _agrees(self._held, body)):
