@@ -1,8 +1,6 @@
 """Robots of known truth, that share no code with the fit: a sum of responses to single steps."""
 
 from dataclasses import dataclass, field
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,21 +8,22 @@ from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 Values = NDArray[np.float64]
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """One axis: rate = gain exp(-dead_time s) / (lag s + 1) of the commands."""
+    """One axis: rate = gain exp(-dead_time s) / (lag s + 1) of the commands; or with two lags."""
 
     gain: float = 1.0
     dead_time_s: float = 0.1
     lag_s: float = 0.1
+    second_lag_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Log:
-    """How a robot is driven and recorded."""
+    """How a robot is driven and recorded; `later_s` is when its clocks begin."""
 
     speed: Truth = field(default_factory=Truth)
     turn_rate: Truth = field(default_factory=Truth)
@@ -38,6 +37,7 @@ class Log:
     jumps: int = 0
     quantum: float = 0.0
     hold_s: tuple[float, float] = (0.5, 3.0)
+    later_s: float = 0.0
 
 
 def draw_steps(rng: np.random.Generator, log: Log, largest: float) -> tuple[Values, Values]:
@@ -59,7 +59,13 @@ def respond(truth: Truth, time_s: Values, changes: tuple[Values, Values]) -> tup
     since_s = time_s[:, None] - (at_s + truth.dead_time_s)
     acts = since_s > 0.0
     since_s = np.where(acts, since_s, 0.0)
-    if truth.lag_s > 0.0:
+    if truth.second_lag_s > 0.0:
+        one, other = truth.lag_s, truth.second_lag_s
+        faded = np.exp(-since_s / one), np.exp(-since_s / other)
+        risen = 1.0 - (one * faded[0] - other * faded[1]) / (one - other)
+        way = since_s - (one + other) + (one**2 * faded[0] - other**2 * faded[1]) / (one - other)
+        risen, way = np.where(acts, risen, 0.0), np.where(acts, way, 0.0)
+    elif truth.lag_s > 0.0:
         risen = -np.expm1(-since_s / truth.lag_s)
         way = since_s - truth.lag_s * risen
     else:
@@ -92,6 +98,29 @@ def drive(log: Log, time_s: Values, speed: tuple[Values, Values], turn: tuple[Va
     return xy_m[rows], respond(log.turn_rate, time_s, turns)[1]
 
 
+def turn_with_limit(
+    truth: Truth, log: Log, most_rad_s2: float, seed: int, step_s: float = 1e-3
+) -> Run:
+    """Return the run of a robot on the spot whose turn rate changes no faster than a limit."""
+    rng = np.random.default_rng(seed)
+    time_s, turns = draw_steps(rng, log, 1.5)
+    fine_s = np.arange(0.0, log.duration_s, step_s)
+    held = np.searchsorted(time_s, fine_s - truth.dead_time_s, side="right") - 1
+    wanted = truth.gain * np.where(held >= 0, turns[np.maximum(held, 0)], 0.0)
+    limited = rate = heading = 0.0
+    headings = []
+    fading = float(np.exp(-step_s / truth.lag_s))
+    for target in wanted.tolist():
+        headings.append(heading)
+        limited += min(max(target - limited, -most_rad_s2 * step_s), most_rad_s2 * step_s)
+        rate, before = limited + (rate - limited) * fading, rate
+        heading += 0.5 * step_s * (rate + before)
+    rows = np.arange(0, len(fine_s), round(1.0 / (log.poses_hz * step_s)))
+    seen = np.array(headings)[rows] + rng.normal(0.0, log.noise_rad, len(rows))
+    xy_m = rng.normal(0.0, log.noise_m, (len(rows), 2))
+    return build_run(fine_s[rows], xy_m, seen, (time_s, 0.0 * turns, turns))
+
+
 def make_run(
     log: Log,
     seed: int,
@@ -121,8 +150,37 @@ def make_run(
     stamp_s = np.maximum(stamp_s, 0.0)
     kept = np.flatnonzero(rng.uniform(size=len(true_s)) >= log.lost)
     order = kept[np.argsort(stamp_s[kept], kind="stable")]
+    commands = time_s + log.later_s, speeds, turns
     return build_run(
-        stamp_s[order], xy_m[order], heading_rad[order], (time_s, speeds, turns), name=name
+        stamp_s[order] + log.later_s, xy_m[order], heading_rad[order], commands, name=name
+    )
+
+
+def draw_log(seed: int, duration_s: float = 40.0, *, at_edge: bool = False) -> Log:
+    """Return a robot of the range that is claimed; at its edge without dead time or lag."""
+    rng = np.random.default_rng([seed, 20])
+    noise = 10.0 ** rng.uniform(-1.0, 1.0)
+
+    def draw_axis() -> Truth:
+        gain, dead_time_s, lag_s = (
+            float(rng.uniform(*ends)) for ends in ((0.5, 1.2), (0.02, 0.5), (0.02, 1.0))
+        )
+        if at_edge:
+            dead_time_s, lag_s = (0.0, lag_s) if rng.uniform() < 0.5 else (dead_time_s, 0.0)
+        return Truth(gain=gain, dead_time_s=dead_time_s, lag_s=lag_s)
+
+    return Log(
+        speed=draw_axis(),
+        turn_rate=draw_axis(),
+        duration_s=duration_s,
+        poses_hz=float(rng.uniform(10.0, 100.0)),
+        noise_m=2e-4 * noise,
+        noise_rad=5e-4 * noise,
+        jitter_s=float(rng.uniform(0.0, 2e-3)),
+        lost=float(rng.choice([0.0, 0.05])),
+        jumps=int(rng.choice([0, 3])),
+        quantum=float(rng.choice([0.0, 0.01])),
+        later_s=float(rng.choice([0.0, 1e4])),
     )
 
 
@@ -161,5 +219,3 @@ def build_run(
         ),
     )
 
-
-STEPS: Final = Log()

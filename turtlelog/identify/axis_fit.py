@@ -162,20 +162,36 @@ def refit_axis(fit: AxisFit, kind: Kind, starts: Sequence[float]) -> AxisFit:
     return _conclude(model, parameters, cost, whitening, is_outlier)
 
 
-def descend_again(fit: AxisFit, motions: Sequence[AxisMotion]) -> Values:
-    """Return the parameters that fit other steps best, from those of a fit on."""
-    model = StepModel(motions, fit.model.kind)
+def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
+    """Return how badly a fit to the first part of the steps predicts the rest.
+
+    That is twice the negative logarithm of the likelihood, by the noise of the first part.
+    """
+    model = StepModel(first, fit.model.kind)
     whitening, _ = _learn_noise(model, fit.parameters)
-    return _descend(model, fit.parameters, whitening.apply)[0]
+    parameters, _ = _descend(model, fit.parameters, whitening.apply)
+    noise = _learn_noise(model, parameters)[0].noise
+    ahead = StepModel(rest, fit.model.kind)
+    residual = ahead.moved - ahead.linearise(parameters)[0]
+    outlier = find_outliers(residual)
+    whitening = Whitening(noise, ahead.duration_s, ahead.follows, outlier)
+    return _sum_softly(whitening.apply(residual)) + whitening.log_size
 
 
-def sum_costs(fit: AxisFit, motions: Sequence[AxisMotion], parameters: Values, like: AxisFit) -> (
-    float
-):
-    """Return what parameters of a fit's kind leave of some steps, with the noise of another fit."""
-    model = StepModel(motions, fit.model.kind)
-    whitening, _ = _learn_noise(StepModel(motions, like.model.kind), like.parameters)
-    return _sum_softly(whitening.apply(model.moved - model.linearise(parameters)[0]))
+def measure_badness(fit: AxisFit) -> float:
+    """Return how badly a fit explains its own steps, likewise."""
+    return fit.cost + fit.whitening.log_size
+
+
+def measure_gain(fit: AxisFit, kind: Kind, extra: float) -> float:
+    """Return by how much a further parameter could lower the sum of squares, to first order."""
+    modelled, slopes = fit.model.linearise(fit.parameters)
+    other = StepModel(fit.model.motions, kind)
+    bent = other.linearise(np.append(fit.parameters, extra))[0] - modelled
+    columns = fit.whitening.apply(np.column_stack([slopes, bent]))
+    white = np.clip(fit.white, -_SOFT, _SOFT)
+    left = [white - part @ np.linalg.lstsq(part, white)[0] for part in (columns[:, :-1], columns)]
+    return float(left[0] @ left[0] - left[1] @ left[1])
 
 
 def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:

@@ -10,33 +10,30 @@ from typing import Final
 import numpy as np
 
 from turtlelog.identify.axis_fit import (
+    EXTRA,
     GAIN,
     LAG,
     AxisFit,
     Kind,
-    descend_again,
+    measure_badness,
+    measure_gain,
+    predict_badness,
     refit_axis,
-    sum_costs,
 )
 from turtlelog.identify.axis_motion import AxisMotion
-from turtlelog.identify.held_response import Values
 
 _FITTED: Final = 2 / 3
 """Share of each log that is fitted; the rest is predicted."""
 
+_ASKS: Final = 8.0
+"""By how much a further parameter must be able to lower the sum of squares, in variances, for it to
+be tried: by chance it could in 0.5 % of robots."""
+
 _CLEARLY: Final = 15.0
-"""By how much another model must lower the sum of squares, in variances: by chance in 1 of 10,000
-robots."""
+"""By how much it must lower twice the negative log-likelihood: by chance in 1 of 10,000 robots."""
 
 _PREDICTED: Final = 2.0
-"""By how much it must lower that of the rest, likewise: noise alone makes it worse on average."""
-
-_RUNS: Final = 20
-"""Over how many steps the residual is looked at."""
-
-_ASKS: Final = 45.3
-"""Sum of squared correlations over that many steps, times their number, from which the residual is
-no noise: 0.1 % of noise exceeds it (chi-square of 20)."""
+"""By how much it must lower that of the rest: noise alone makes it larger on average."""
 
 _STARTS_S: Final = (0.1, 0.5)
 """Durations of the largest change of the command that a limit is looked for from [s]."""
@@ -44,59 +41,40 @@ _STARTS_S: Final = (0.1, 0.5)
 _MOST_CHANGES: Final = 20_000
 """Changes of the command up to which a limit is looked for: it follows them one by one."""
 
+_LEAST_LAG_S: Final = 0.02
+"""The lag that a second one is looked for beside, where the first is next to nothing [s]."""
+
 
 def choose_order(fit: AxisFit) -> AxisFit:
     """Return a fit of another model where the residual asks for it and it predicts better."""
-    if not asks_for_more(fit):
-        return fit
-    lag_s = max(float(fit.parameters[LAG]), 0.02)
-    candidates: list[tuple[Kind, list[float]]] = [
-        ("second_order", [0.1 * lag_s**2, 0.25 * lag_s**2, lag_s**2])
-    ]
-    largest = max(float(np.ptp(motion.commands.value)) for motion in fit.model.motions)
-    changes = sum(len(motion.commands.value) for motion in fit.model.motions)
-    if changes <= _MOST_CHANGES:
-        candidates.append(("limited", [start_s / largest for start_s in _STARTS_S]))
     first, rest = _split(fit.model.motions)
     if not first or not rest:
         return fit
-    simple = descend_again(fit, first)
-    left = sum_costs(fit, rest, simple, fit)
-    best, gained = fit, _PREDICTED
-    for kind, starts in candidates:
-        other = refit_axis(fit, kind, starts)
-        lowered = _compare(fit, other)
-        if lowered < _CLEARLY or not other.parameters[GAIN] > 0.0:
+    best, gained, simple = fit, _PREDICTED, None
+    for kind, starts in _list_candidates(fit):
+        if max(measure_gain(fit, kind, start) for start in starts) < _ASKS:
             continue
-        found = left - sum_costs(other, rest, descend_again(other, first), fit)
+        other = refit_axis(fit, kind, starts)
+        is_sound = other.parameters[GAIN] > 0.0 and other.parameters[EXTRA] > 0.0
+        if not is_sound or measure_badness(fit) - measure_badness(other) < _CLEARLY:
+            continue
+        simple = predict_badness(fit, first, rest) if simple is None else simple
+        found = simple - predict_badness(other, first, rest)
         if found > gained:
             best, gained = other, found
     return best
 
 
-def asks_for_more(fit: AxisFit) -> bool:
-    """Return whether what a fit leaves is no noise."""
-    white = fit.white[~fit.is_outlier]
-    if len(white) <= 2 * _RUNS:
-        return False
-    # Far values must not decide.
-    white = np.clip(white, -3.0, 3.0)
-    squares = float(white @ white)
-    if squares <= 0.0:
-        return False
-    correlations = [float(white[lag:] @ white[:-lag]) / squares for lag in range(1, _RUNS + 1)]
-    return len(white) * float(np.sum(np.square(correlations))) > _ASKS
-
-
-def _compare(fit: AxisFit, other: AxisFit) -> float:
-    """Return by how much another fit lowers the cost, with the noise of the first."""
-    motions = fit.model.motions
-    return fit_cost(fit, motions, fit.parameters) - sum_costs(other, motions, other.parameters, fit)
-
-
-def fit_cost(fit: AxisFit, motions: Sequence[AxisMotion], parameters: Values) -> float:
-    """Return what a fit leaves of some steps."""
-    return sum_costs(fit, motions, parameters, fit)
+def _list_candidates(fit: AxisFit) -> list[tuple[Kind, list[float]]]:
+    """Return the models that may be better, with values of their further parameter."""
+    lag_s = max(float(fit.parameters[LAG]), _LEAST_LAG_S)
+    found: list[tuple[Kind, list[float]]] = [
+        ("second_order", [0.1 * lag_s**2, 0.25 * lag_s**2, lag_s**2])
+    ]
+    largest = max(float(np.ptp(motion.commands.value)) for motion in fit.model.motions)
+    if sum(len(motion.commands.value) for motion in fit.model.motions) <= _MOST_CHANGES:
+        found.append(("limited", [start_s / largest for start_s in _STARTS_S]))
+    return found
 
 
 def _split(motions: Sequence[AxisMotion]) -> tuple[list[AxisMotion], list[AxisMotion]]:

@@ -65,7 +65,12 @@ def estimate_noise(residual: Values, follows: NDArray[np.bool_], is_outlier: Val
 
 
 class Whitening:
-    """Makes what a step is off independent of what its neighbours are, with a variance of 1."""
+    """Makes what a step is off independent of what its neighbours are, with a variance of 1.
+
+    Attributes:
+        noise: What it is made from.
+        log_size: Logarithm of the determinant of the covariance that it takes out.
+    """
 
     def __init__(
         self,
@@ -75,12 +80,14 @@ class Whitening:
         is_outlier: NDArray[np.bool_],
     ) -> None:
         """Prepare it for steps of some durations [s]."""
+        self.noise = noise
         usual_s = float(np.median(duration_s))
         variance = noise.slip * duration_s / usual_s + 2.0 * noise.sensing
         variance = variance * np.where(is_outlier, _EXCLUDED, 1.0)
         beside = np.where(follows[1:], -noise.sensing, 0.0)
         bands = np.stack([variance, np.append(beside, 0.0)])
         self._factor = cholesky_banded(bands, lower=True, check_finite=False)
+        self.log_size = 2.0 * float(np.log(self._factor[0]).sum())
 
     def apply(self, values: Values) -> Values:
         """Return values of each step, shape (n,) or (n, k), whitened."""
