@@ -1,6 +1,11 @@
 """A robot's dynamics from commands and motion."""
 
 from turtlelog.identify.identify_robot import identify_robot
+from turtlelog.identify.motion_prediction import (
+    PredictionError,
+    measure_prediction,
+    predict_axis,
+)
 from turtlelog.identify.robot_model import (
     AxisModel,
     Estimate,
@@ -12,8 +17,11 @@ from turtlelog.identify.robot_model import (
 __all__ = [
     "AxisModel",
     "Estimate",
+    "PredictionError",
     "RobotEvent",
     "RobotModel",
     "TickDelays",
     "identify_robot",
+    "measure_prediction",
+    "predict_axis",
 ]

@@ -16,6 +16,9 @@ Axis = Literal["speed", "turn_rate"]
 AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
 UNITS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "m/s", "turn_rate": "rad/s"})
 
+NAMES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "speed", "turn_rate": "turn rate"})
+"""What the axes are called in sentences."""
+
 LARGEST_DEAD_TIME_S: Final = 1.5
 """The largest dead time that is looked for [s]: ten times that of a usual robot. A larger one is of
 two clocks that do not agree."""

@@ -18,6 +18,7 @@ from turtlelog.identify.axis_fit import (
 from turtlelog.identify.axis_motion import (
     AXES,
     LARGEST_DEAD_TIME_S,
+    NAMES,
     UNITS,
     Axis,
     count_steps,
@@ -30,9 +31,6 @@ from turtlelog.identify.order_choice import choose_order
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel
 from turtlelog.identify.tick_delays import identify_ticks
 from turtlelog.run import Run
-
-NAMES: Final = {"speed": "speed", "turn_rate": "turn rate"}
-"""What the axes are called in sentences."""
 
 _NORMAL_95: Final = 1.96
 """Standard deviations on either side that hold 95 % of normal noise."""
@@ -154,6 +152,11 @@ def _find_doubt(found: AxisModel, usual_s: float) -> str:
             f"no dead time up to {LARGEST_DEAD_TIME_S:g} s explains the motion: are commands and"
             " poses of one clock?"
         )
+    if found.explained is None or found.explained <= 0.0:
+        return (
+            "the commands explain nothing of how the motion changes: are they this robot's, and of"
+            " the clock of its poses?"
+        )
     for name, value, fine in (("gain", gain, 0.0), ("total delay", total, usual_s)):
         width = value.high - value.low
         if width > max(value.value, fine):
@@ -184,14 +187,19 @@ def _describe(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         product = _estimate(float(parameters[EXTRA]), float(errors[EXTRA]), "s^2")
     if kind == "limited":
         limit = _estimate_limit(parameters, covariance, f"{UNITS[axis]}^2")
+    total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), total_error)
+    # Neither is below 0, so neither is above their sum.
+    dead_time, lag = (
+        _estimate(float(parameters[place]), float(errors[place])) for place in (DEAD_TIME, LAG)
+    )
     return AxisModel(
         axis=axis,
         status="ok",
         model="second_order" if kind == "second_order" else "first_order",
         gain=_estimate(float(parameters[GAIN]), float(errors[GAIN]), "1"),
-        dead_time_s=_estimate(float(parameters[DEAD_TIME]), float(errors[DEAD_TIME])),
-        lag_s=_estimate(float(parameters[LAG]), float(errors[LAG])),
-        total_delay_s=_estimate(float(parameters[DEAD_TIME] + parameters[LAG]), total_error),
+        dead_time_s=replace(dead_time, high=min(dead_time.high, total.high)),
+        lag_s=replace(lag, high=min(lag.high, total.high)),
+        total_delay_s=total,
         lag_product_s2=product,
         rate_limit=limit,
         explained=1.0 - left / spread if spread > 0.0 else None,

@@ -134,8 +134,11 @@ class RobotEvent:
     def text(self) -> str:
         """One sentence."""
         unit = UNITS[self.axis].removesuffix("/s")
-        what = "position" if self.axis == "speed" else "heading"
-        return f"{self.file}: the {what} jumps by {self.size:.3g} {unit} at {self.time_s:.3f} s"
+        what = "way" if self.axis == "speed" else "turn"
+        return (
+            f"{self.file}: the {what} from the pose before to the one at {self.time_s:.3f} s is off"
+            f" by {self.size:.3g} {unit}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

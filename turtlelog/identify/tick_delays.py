@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.display import join_words
 from turtlelog.errors import ReplayError
-from turtlelog.identify.axis_motion import Axis, get_commands
+from turtlelog.identify.axis_motion import NAMES, Axis, get_commands
+from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel, TickDelays
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.replay.plant_ticks import find_breaks, place_commands, read_motion
@@ -49,7 +49,7 @@ def identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
     )
 
 
-def _list_delays(run: Run) -> np.ndarray | None:
+def _list_delays(run: Run) -> Values | None:
     """Return how late each command was taken [s]; None where the ticks do not tell."""
     if find_plant(run) is not TURTLESIM:
         return None
@@ -70,7 +70,7 @@ def _list_delays(run: Run) -> np.ndarray | None:
 
 def _describe(runs: Sequence[Run], axis: Axis, delays: TickDelays) -> AxisModel:
     if not any(get_commands(run, axis).any() for run in runs):
-        name = join_words(axis.split("_"), " ").replace("  ", " ")
+        name = NAMES[axis]
         reason = f"the {name} is never commanded"
         return AxisModel(
             axis=axis,
@@ -87,7 +87,7 @@ def _describe(runs: Sequence[Run], axis: Axis, delays: TickDelays) -> AxisModel:
         lag_s=Estimate(value=0.0, low=0.0, high=0.0),
         total_delay_s=delay,
         steps=sum(len(run.poses) for run in runs),
-        changes=sum(np.count_nonzero(np.diff(get_commands(run, axis))) for run in runs),
+        changes=sum(int(np.count_nonzero(np.diff(get_commands(run, axis)))) for run in runs),
     )
 
 
