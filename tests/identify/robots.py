@@ -1,6 +1,7 @@
 """Robots of known truth, that share no code with the fit: a sum of responses to single steps."""
 
 from dataclasses import dataclass, field
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,12 +80,14 @@ def find_changes(time_s: Values, value: Values) -> tuple[Values, Values]:
     return time_s[rows], by[rows]
 
 
-def drive(log: Log, time_s: Values, speed: tuple[Values, Values], turn: tuple[Values, Values]) -> (
-    tuple[Values, Values]
-):
+def drive(
+    log: Log, time_s: Values, speed: tuple[Values, Values], turn: tuple[Values, Values]
+) -> tuple[Values, Values]:
     """Return positions and headings at some times, from the origin on."""
     speeds, turns = find_changes(*speed), find_changes(*turn)
-    breaks = np.concatenate([speeds[0] + log.speed.dead_time_s, turns[0] + log.turn_rate.dead_time_s])
+    breaks = np.concatenate(
+        [speeds[0] + log.speed.dead_time_s, turns[0] + log.turn_rate.dead_time_s]
+    )
     inside = breaks[(breaks > 0.0) & (breaks < time_s[-1])]
     bounds = np.unique(np.concatenate([[0.0], time_s, inside]))
     length = np.diff(bounds)
@@ -140,7 +143,7 @@ def make_run(
     heading_rad = heading_rad + rng.normal(0.0, log.noise_rad, len(true_s))
     for row in rng.integers(20, len(true_s) - 20, log.jumps):
         # Odometry goes on from where it believes to be.
-        turn_rad = rng.normal(0.0, 0.5)
+        turn_rad = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.7)
         turned = np.array(
             [[np.cos(turn_rad), np.sin(turn_rad)], [-np.sin(turn_rad), np.cos(turn_rad)]]
         )
@@ -218,4 +221,3 @@ def build_run(
             turn_rate_rad_s=none,
         ),
     )
-

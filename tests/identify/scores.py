@@ -19,7 +19,9 @@ class Score:
     refused: int = 0
     of_second_order: int = 0
     held: dict[str, list[bool]] = field(default_factory=lambda: {name: [] for name in PARAMETERS})
-    errors: dict[str, list[float]] = field(default_factory=lambda: {name: [] for name in PARAMETERS})
+    errors: dict[str, list[float]] = field(
+        default_factory=lambda: {name: [] for name in PARAMETERS}
+    )
     noise_m: list[float] = field(default_factory=list)
 
     def find_coverage(self, name: str) -> float:

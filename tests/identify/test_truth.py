@@ -1,5 +1,6 @@
 """Robots of known truth, by a simulator that shares no code with the fit."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -110,13 +111,6 @@ def test_a_limit_of_the_acceleration_is_found_where_there_is_one() -> None:
     assert known(found.total_delay_s).value == pytest.approx(0.15, abs=5e-3)
 
 
-def step_once(values: list[float], log: Log) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return commands at 20 Hz that hold each value for 2 s, from 1 s on."""
-    time_s = np.arange(0.5, log.duration_s, 0.05)
-    rows = np.clip(((time_s - 1.0) / 2.0).astype(int), 0, len(values) - 1)
-    return time_s, np.where(time_s < 1.0, 0.0, np.array(values)[rows])
-
-
 def identify_turns(command: NDArray[np.float64], log: Log, seed: int = 3) -> AxisModel:
     time_s = np.arange(0.5, log.duration_s, 0.05)
     still = time_s, np.zeros(len(time_s))
@@ -127,7 +121,9 @@ SHORT = Log(duration_s=30.0)
 
 
 def test_an_axis_that_is_never_commanded_has_no_value() -> None:
-    model = tl.identify_robot(make_run(SHORT, 1, speed=step_once([0.0], SHORT)))
+    run = make_run(SHORT, 1)
+    still = replace(run.commands, speed_m_s=np.zeros(len(run.commands)))
+    model = tl.identify_robot(replace(run, commands=still))
     assert model.speed.status == "not_identifiable"
     assert model.speed.reason == "the speed is never commanded"
     assert model.speed.advice == "step the speed ten times for 2 s"

@@ -22,15 +22,13 @@ _VALUES: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _MOST_EVENTS: Final = 5
 
 _CURVE: Final = 0.5
-"""Whiteness below which the residual is a curve: neighbours then share half of what they are off."""
+"""Whiteness below which the residual is a curve: neighbours share half of what they are off."""
 
 _LITTLE: Final = 0.5
 """Explained share below which most of the motion's changes are not those of the commands."""
 
 
-def identify(
-    files: Files, /, *, topics: TopicOptions | None = None, json: Json = False
-) -> None:
+def identify(files: Files, /, *, topics: TopicOptions | None = None, json: Json = False) -> None:
     """Say how a robot follows its commands: gain, dead time and lag of each axis.
 
     Any log with commands and poses will do: a bag of a real robot, or a recording. Each step
@@ -73,7 +71,7 @@ def describe_robot(files: Sequence[Path], model: "RobotModel") -> dict[str, Any]
 
 def _describe_axis(axis: "AxisModel") -> dict[str, Any]:
     estimates = (*_VALUES, "lag_product_s2", "rate_limit")
-    told = {
+    told: dict[str, Any] = {
         "axis": axis.axis,
         "status": axis.status,
         "reason": axis.reason or None,
@@ -83,9 +81,7 @@ def _describe_axis(axis: "AxisModel") -> dict[str, Any]:
     for name in estimates:
         found = getattr(axis, name)
         told[name] = (
-            None
-            if found is None
-            else {"value": found.value, "low": found.low, "high": found.high}
+            None if found is None else {"value": found.value, "low": found.low, "high": found.high}
         )
     others = ("explained", "whiteness", "outliers", "correlation_delay_s", "steps", "changes")
     return told | {name: getattr(axis, name) for name in others}

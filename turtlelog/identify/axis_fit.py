@@ -47,6 +47,9 @@ _SCORE_LAGS: Final = 12
 GAIN, DEAD_TIME, LAG, EXTRA = range(4)
 """Places of the parameters."""
 
+TOTAL: Final = DEAD_TIME
+"""Place of the total delay in a covariance."""
+
 Kind = Literal["first_order", "second_order", "limited"]
 """A robot with one lag; with two, whose product is the further parameter [s^2]; with one, that
 changes its rate no faster than a limit, the time that it needs per unit of the command being the
@@ -110,7 +113,9 @@ class AxisFit:
     Attributes:
         model: What was fitted.
         parameters: Gain [1], dead time [s], lag [s], and the further one of the model's kind.
-        covariance: Of these.
+        covariance: Of gain, total delay, lag and the further parameter: dead time and lag trade
+            against each other, and their sum is known far better than either.
+        dispersion: How much larger the variance of the lag is than for normal noise.
         cost: Sum of the robust squares, each in units of the noise's variance.
         residual: Measured less modelled [m] or [rad], shape (n,).
         white: The same, whitened.
@@ -121,6 +126,7 @@ class AxisFit:
     model: StepModel
     parameters: Values
     covariance: Values
+    dispersion: float
     cost: float
     residual: Values
     white: Values
@@ -142,6 +148,15 @@ def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
         whitening, is_outlier = _learn_noise(model, parameters)
         parameters, cost = _descend(model, parameters, whitening.apply)
     return _conclude(model, parameters, cost, whitening, is_outlier)
+
+
+def fit_without_lag(fit: AxisFit) -> AxisFit:
+    """Return the best fit of first order whose lag is 0, with the noise of another."""
+    start = fit.parameters[: LAG + 1].copy()
+    start[DEAD_TIME] += start[LAG]
+    start[LAG] = 0.0
+    parameters, cost = _descend(fit.model, start, fit.whitening.apply, fixed=(LAG,))
+    return _conclude(fit.model, parameters, cost, fit.whitening, fit.is_outlier)
 
 
 def refit_axis(fit: AxisFit, kind: Kind, starts: Sequence[float]) -> AxisFit:
@@ -211,10 +226,14 @@ def _conclude(
     modelled, slopes = model.linearise(parameters)
     residual = model.moved - modelled
     white = whitening.apply(residual)
+    # At one total delay, a longer lag is a shorter dead time.
+    slopes[:, LAG] -= slopes[:, DEAD_TIME]
+    covariance, dispersion = _estimate_covariance(white, whitening.apply(slopes))
     return AxisFit(
         model=model,
         parameters=parameters,
-        covariance=_estimate_covariance(white, whitening.apply(slopes)),
+        covariance=covariance,
+        dispersion=dispersion,
         cost=cost,
         residual=residual,
         white=white,
@@ -258,7 +277,10 @@ def _weigh_plainly(model: StepModel) -> Callable[[Values], Values]:
 
 
 def _descend(
-    model: StepModel, parameters: Values, whiten: Callable[[Values], Values]
+    model: StepModel,
+    parameters: Values,
+    whiten: Callable[[Values], Values],
+    fixed: Sequence[int] = (),
 ) -> tuple[Values, float]:
     """Return the parameters that leave the least, by Levenberg and Marquardt, and the cost.
 
@@ -276,6 +298,7 @@ def _descend(
         stuck = ((parameters <= lowest) & (downhill < 0.0)) | (
             (parameters >= highest) & (downhill > 0.0)
         )
+        stuck[[*fixed]] = True
         free = np.flatnonzero(~stuck)
         inner = curvature[np.ix_(free, free)]
         inner = inner + damping * np.diag(np.diag(inner)) + np.finfo(float).tiny * np.eye(len(free))
@@ -302,15 +325,17 @@ def _sum_softly(white: Values) -> float:
     return float(2.0 * _SOFT**2 * (np.sqrt(1.0 + (white / _SOFT) ** 2) - 1.0).sum())
 
 
-def _estimate_covariance(white: Values, slopes: Values) -> Values:
-    """Return the covariance: the larger of what noise as modelled makes, and of a sandwich.
+def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
+    """Return the covariance, and by how much it exceeds that of normal noise, of the lag.
+
+    It is the larger of what noise as modelled makes, and of a sandwich.
 
     The sandwich allows for scores that depend on their neighbours; where few steps tell all, it is
     too small, and the other is not.
     """
     bent = 1.0 + (white / _SOFT) ** 2
     scores = slopes * (white / np.sqrt(bent))[:, None]
-    inverse = np.linalg.pinv(slopes.T @ (slopes * (bent**-1.5)[:, None]), hermitian=True)
+    inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
     meat = scores.T @ scores
     for lag in range(1, min(_SCORE_LAGS, len(scores) - 1) + 1):
         beside = scores[lag:].T @ scores[:-lag]
@@ -319,4 +344,13 @@ def _estimate_covariance(white: Values, slopes: Values) -> Values:
     squares = float(np.mean(white**2 / bent))
     plain = inverse * squares
     ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
-    return np.asarray(sandwich * np.outer(ratio, ratio))
+    covariance = np.asarray(sandwich * np.outer(ratio, ratio))
+    excess = np.diag(covariance)[LAG] / max(float(np.diag(inverse)[LAG]), 1e-300)
+    return covariance, max(float(excess), 1.0)
+
+
+def _invert(matrix: Values) -> Values:
+    """Return the inverse of a matrix of squares, whatever the units of its rows are."""
+    size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scale = np.outer(size, size)
+    return np.asarray(np.linalg.pinv(matrix / scale, hermitian=True) / scale)

@@ -65,7 +65,7 @@ class AxisMotion:
     @property
     def follows(self) -> NDArray[np.bool_]:
         """Whether each step begins where the one before it ended."""
-        return np.diff(self.first, prepend=-2) == 1
+        return np.asarray(np.diff(self.first, prepend=-2) == 1)
 
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""
@@ -109,8 +109,10 @@ def _measure_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, NDAr
     step_m = np.diff(xy_m, axis=0)
     chord_m = step_m[:, 0] * np.cos(middle_rad) + step_m[:, 1] * np.sin(middle_rad)
     # The way along an arc is longer than its chord.
-    return time_s, chord_m / np.sinc(turned / (2.0 * np.pi)), is_sound & (
-        np.abs(turned) <= _MOST_TURN_RAD
+    return (
+        time_s,
+        chord_m / np.sinc(turned / (2.0 * np.pi)),
+        is_sound & (np.abs(turned) <= _MOST_TURN_RAD),
     )
 
 
@@ -139,9 +141,7 @@ def _select(
     is_used[first], is_used[first + 1] = True, True
     # A pose that ends one step and begins none stands before one that begins another.
     place = np.cumsum(is_used) - 1
-    return AxisMotion(
-        time_s=time_s[is_used], first=place[first], moved=moved, commands=commands
-    )
+    return AxisMotion(time_s=time_s[is_used], first=place[first], moved=moved, commands=commands)
 
 
 def count_steps(motions: Sequence[AxisMotion]) -> int:

@@ -129,7 +129,8 @@ class LaggedResponse:
         """
         self._commands, self._lag_s = commands, lag_s
         self._parts = [
-            (share, lag, _list_transients(commands, lag)) for share, lag in _split(lag_s, product_s2)
+            (share, lag, _list_transients(commands, lag))
+            for share, lag in _split(lag_s, product_s2)
         ]
 
     def place(self, time_s: Values) -> Places:

@@ -12,8 +12,10 @@ from turtlelog.identify.axis_fit import (
     EXTRA,
     GAIN,
     LAG,
+    TOTAL,
     AxisFit,
     fit_axis,
+    fit_without_lag,
 )
 from turtlelog.identify.axis_motion import (
     AXES,
@@ -41,6 +43,9 @@ pairs."""
 
 _FEWEST_STEPS: Final = 50
 """Fewest steps between poses from which noise can be told [1]: a second and a half at 30 Hz."""
+
+_SHORT_LAG: Final = 2.0
+"""A lag of so many steps between poses or less may as well be none."""
 
 _SUDDEN_S: Final = 0.1
 """Within this time a change of the command counts as one step [s]: a usual robot's delay."""
@@ -96,7 +101,7 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     except ValueError:
         return refuse_axis(axis, "no motion follows the commands"), []
     found = _describe(axis, fit, sum(_count_changes(run, axis) for run in runs))
-    reason = _find_doubt(found, float(np.median(fit.model.duration_s)))
+    reason = _find_doubt(found, fit)
     if reason:
         return refuse_axis(axis, reason), []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
@@ -126,13 +131,12 @@ def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:
 
 
 def _find_sudden(run: Run, axis: Axis) -> float:
-    """Return the largest change of a command within a short time; nothing is held before."""
-    command, time_s = get_commands(run, axis), run.commands.time_ns / 1e9
+    """Return the largest change of a command within a short time."""
+    command, time_ns = get_commands(run, axis), run.commands.time_ns
     if not len(command):
         return 0.0
-    before = np.searchsorted(time_s, time_s - _SUDDEN_S, side="left") - 1
-    earlier = np.where(before >= 0, command[np.maximum(before, 0)], command[0])
-    return float(np.abs(command - earlier).max())
+    held = np.searchsorted(time_ns, time_ns - round(_SUDDEN_S * 1e9), side="right") - 1
+    return float(np.abs(command - command[np.maximum(held, 0)]).max())
 
 
 def refuse_axis(axis: Axis, reason: str) -> AxisModel:
@@ -143,11 +147,9 @@ def refuse_axis(axis: Axis, reason: str) -> AxisModel:
     return AxisModel(axis=axis, status="not_identifiable", reason=reason, advice=advice)
 
 
-def _find_doubt(found: AxisModel, usual_s: float) -> str:
-    """Return why values that were fitted are none; a total delay within a pose is well known."""
-    gain, total, dead_time = found.gain, found.total_delay_s, found.dead_time_s
-    assert gain is not None and total is not None and dead_time is not None
-    if dead_time.value >= LARGEST_DEAD_TIME_S:
+def _find_doubt(found: AxisModel, fit: AxisFit) -> str:
+    """Return why values that were fitted are none; a total delay within a step is well known."""
+    if fit.parameters[DEAD_TIME] >= LARGEST_DEAD_TIME_S:
         return (
             f"no dead time up to {LARGEST_DEAD_TIME_S:g} s explains the motion: are commands and"
             " poses of one clock?"
@@ -157,9 +159,12 @@ def _find_doubt(found: AxisModel, usual_s: float) -> str:
             "the commands explain nothing of how the motion changes: are they this robot's, and of"
             " the clock of its poses?"
         )
-    for name, value, fine in (("gain", gain, 0.0), ("total delay", total, usual_s)):
-        width = value.high - value.low
-        if width > max(value.value, fine):
+    usual_s = float(np.median(fit.model.duration_s))
+    for name, value, fine in (
+        ("gain", found.gain, 0.0),
+        ("total delay", found.total_delay_s, usual_s),
+    ):
+        if value is not None and value.high - value.low > max(value.value, fine):
             unit = "" if value.unit == "1" else f" {value.unit}"
             return (
                 f"the interval of the {name}, {value.low:.3g} to {value.high:.3g}{unit}, is wider"
@@ -175,8 +180,6 @@ def _count_changes(run: Run, axis: Axis) -> int:
 def _describe(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
     parameters, covariance = fit.parameters, fit.covariance
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    delays = covariance[DEAD_TIME : LAG + 1, DEAD_TIME : LAG + 1]
-    total_error = float(np.sqrt(max(delays.sum(), 0.0)))
     counted = ~fit.is_outlier
     moved, white = fit.model.moved[counted], fit.white[counted]
     left = float(np.sum(fit.residual[counted] ** 2))
@@ -187,11 +190,13 @@ def _describe(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         product = _estimate(float(parameters[EXTRA]), float(errors[EXTRA]), "s^2")
     if kind == "limited":
         limit = _estimate_limit(parameters, covariance, f"{UNITS[axis]}^2")
-    total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), total_error)
-    # Neither is below 0, so neither is above their sum.
-    dead_time, lag = (
-        _estimate(float(parameters[place]), float(errors[place])) for place in (DEAD_TIME, LAG)
+    total = _estimate(float(parameters[DEAD_TIME] + parameters[LAG]), float(errors[TOTAL]))
+    dead_time, lag = _allow_no_lag(
+        fit,
+        _estimate(float(parameters[DEAD_TIME]), measure_dead_time_error(fit)),
+        _estimate(float(parameters[LAG]), float(errors[LAG])),
     )
+    # Neither is below 0, so neither is above their sum.
     return AxisModel(
         axis=axis,
         status="ok",
@@ -208,6 +213,30 @@ def _describe(axis: Axis, fit: AxisFit, changes: int) -> AxisModel:
         steps=len(fit.residual),
         changes=changes,
     )
+
+
+def measure_dead_time_error(fit: AxisFit) -> float:
+    """Return the standard error of the dead time: total delay less lag [s]."""
+    of_delays = fit.covariance[np.ix_([TOTAL, LAG], [TOTAL, LAG])]
+    signs = np.array([1.0, -1.0])
+    return float(np.sqrt(max(signs @ of_delays @ signs, 0.0)))
+
+
+def _allow_no_lag(fit: AxisFit, dead_time: Estimate, lag: Estimate) -> tuple[Estimate, Estimate]:
+    """Widen intervals to a lag of 0 where that fits as well.
+
+    A lag that is short against the steps shows in those steps only in which the command switches:
+    its errors are not normal, and the cost tells more than its curvature does.
+    """
+    short_s = _SHORT_LAG * float(np.median(fit.model.duration_s))
+    if fit.model.kind != "first_order" or lag.low <= 0.0 or lag.value > short_s:
+        return dead_time, lag
+    without = fit_without_lag(fit)
+    if without.cost - fit.cost > _NORMAL_95**2 * fit.dispersion:
+        return dead_time, lag
+    error = float(np.sqrt(without.covariance[TOTAL, TOTAL]))
+    high = float(without.parameters[DEAD_TIME]) + _NORMAL_95 * error
+    return replace(dead_time, high=max(dead_time.high, high)), replace(lag, low=0.0)
 
 
 def _estimate(value: float, error: float, unit: str = "s") -> Estimate:
@@ -275,5 +304,3 @@ def _tell_differences(name: str, alone: AxisModel, together: AxisModel) -> list[
 def _tell(value: Estimate) -> str:
     unit = "" if value.unit == "1" else f" {value.unit}"
     return f"{value.value:.3g} ({value.low:.3g} to {value.high:.3g}){unit}"
-
-

@@ -84,7 +84,8 @@ def measure_prediction(
     middle_rad = turn_rad[:-1] + 0.5 * step_rad
     chord_m = step_m * np.sinc(step_rad / (2.0 * np.pi))
     x_m, y_m = (
-        np.concatenate([[0.0], np.cumsum(chord_m * along(middle_rad))]) for along in (np.cos, np.sin)
+        np.concatenate([[0.0], np.cumsum(chord_m * along(middle_rad))])
+        for along in (np.cos, np.sin)
     )
     found = []
     for horizon_s in horizons_s:

@@ -1,4 +1,4 @@
-"""What is known of a robot's dynamics: values with their intervals, and why where there are none."""
+"""What is known of a robot's dynamics: values with intervals, or the reason why there are none."""
 
 from dataclasses import dataclass
 from typing import Literal, SupportsFloat

@@ -41,7 +41,9 @@ class StepNoise:
     sensing: float
 
 
-def estimate_noise(residual: Values, follows: NDArray[np.bool_], is_outlier: Values) -> StepNoise:
+def estimate_noise(
+    residual: Values, follows: NDArray[np.bool_], is_outlier: NDArray[np.bool_]
+) -> StepNoise:
     """Return the noise that a residual shows.
 
     What the noise of poses adds to a way does not grow with its length; what slip adds does.
