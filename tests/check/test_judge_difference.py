@@ -12,7 +12,7 @@ from turtlelog.differences import Pairing, compare_pairing
 KP4 = tl.simulate_run(tl.load_scenario("paper-kp4"))
 KP1 = tl.simulate_run(tl.load_scenario("paper-kp1"))
 OWN = ["x", "y", "heading", "speed", "turn_rate", "wanted_speed", "wanted_turn_rate"]
-HELD = [name for name in tl.SIGNALS if not name.startswith(("sensed_", "shaped_"))]
+HELD = [name for name in tl.SIGNALS if not name.startswith(("sensed_", "shaped_", "measured_"))]
 """Without a sensor and without shaping."""
 DERIVED = {
     "x": ["error_x", "distance", "along_track", "cross_track"],

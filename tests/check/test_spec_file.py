@@ -4,6 +4,7 @@ import pytest
 
 import turtlelog as tl
 from tests.check.recordings import simulate
+from turtlelog.log import ReadChoice
 
 CHECK = '[checks.near]\nexpect = "final.position_error < 0.02"\n'
 
@@ -165,3 +166,37 @@ def test_specification_may_be_text() -> None:
     ]:
         with pytest.raises(tl.TurtlelogError, match=message):
             tl.parse_spec(wrong)
+
+
+def test_a_spec_says_what_is_read_of_other_peoples_files(tmp_path: Path) -> None:
+    read = """[read]
+pose_topic = "/odom_kf"
+goal = [7, 0, 0.5]
+time = "log"
+columns = { x = "pos_x" }
+"""
+    spec = tl.load_spec(write(tmp_path, f"format = 1\n{CHECK}{read}"))
+    expected = ReadChoice(
+        pose_topic="/odom_kf", goal=(7.0, 0.0, 0.5), time="log", columns={"x": "pos_x"}
+    )
+    assert spec.read == expected
+    asked = spec.read.override(ReadChoice(pose_topic="/odom", columns={"y": "b"}))
+    assert (asked.pose_topic, asked.goal) == ("/odom", expected.goal)
+    assert asked.columns == {"x": "pos_x", "y": "b"}
+
+
+@pytest.mark.parametrize(
+    ("read", "line"),
+    [
+        ('read = "x"', "read: expected a table, found 'x'"),
+        ('[read]\nposes = "/odom"', r"read\.poses: expected"),
+        ("[read]\npose_topic = 3", r"read\.pose_topic: expected text, found 3"),
+        ("[read]\ngoal = [1]", r"read\.goal: expected \[x, y\] in m, or .* found \[1\]"),
+        ('[read]\ntime = "now"', r"read\.time: expected auto or log or stamp, found 'now'"),
+        ("[read]\ncolumns = 3", r"read\.columns: expected a table, found 3"),
+    ],
+)
+def test_what_is_read_is_held_to_what_there_is(read: str, line: str, tmp_path: Path) -> None:
+    text = f"format = 1\n{read}\n{CHECK}"
+    with pytest.raises(tl.errors.CheckError, match=line):
+        tl.load_spec(write(tmp_path, text))

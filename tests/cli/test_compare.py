@@ -56,7 +56,7 @@ def test_differences_are_from_the_reference(call: Call, kp4: Path, kp10: Path) -
     assert (answer["reference"], answer["alignment"]) == (str(kp4), "first_sample")
     (run,) = answer["runs"]
     assert (run["file"], run["overlap_s"], run["overlap_from_s"]) == (str(kp10), 11.184, 0.0)
-    held = {name for name in tl.SIGNALS if not name.startswith(("sensed_", "shaped_"))}
+    held = {name for name in tl.SIGNALS if not name.startswith(("sensed_", "shaped_", "measured_"))}
     assert {signal["signal"] for signal in run["signals"]} == held
     assert {*run["signals"][0]} == {"signal", "unit", "largest", "at_s"}
     errors = {metric["id"]: metric for metric in run["metrics"]}["final.position_error"]

@@ -196,3 +196,22 @@ def test_a_link_that_leads_in_a_circle_is_no_new_folder(
     answer = call("convert", kp4, "-o", circle)
     assert (answer.code, answer.out) == (2, "")
     assert answer.err.endswith(": expected the name of a new folder, found a file\n")
+
+
+def test_a_trajectory_is_written_and_read_back(call: Call, kp4: Path, tmp_path: Path) -> None:
+    text, other = tmp_path / "kp4.txt", tmp_path / "kp4.tum"
+    answer = call("convert", kp4, "-o", text, "-o", other, "--to", "tum")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out.splitlines()[-1] == (
+        f"{other} holds the poses alone, without commands, goal and scenario"
+    )
+    assert text.read_bytes() == other.read_bytes()
+    again = tmp_path / "again.mcap"
+    assert call("convert", other, "-o", again).code == 0
+    expected, found = (tl.read_recording(path).poses for path in (kp4, again))
+    assert np.array_equal(expected.xy_m, found.xy_m)
+    assert np.array_equal(expected.time_ns, found.time_ns)
+    for name in ("kp4", "kp4.csv"):
+        answer = call("convert", kp4, "-o", tmp_path / name, "--to", "tum")
+        assert answer.code == 2
+        assert "--to tum: expected a name that ends in .tum or .txt, found" in answer.err

@@ -7,6 +7,7 @@ from rerun.chunk import RrdReader
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap
 from tests.log.runs import find_shared
 
 
@@ -121,14 +122,92 @@ def test_more_mechanisms_share(call: Call, kp10: Path) -> None:
     assert found["unit"] == "deg"
 
 
-def test_a_bag_of_poses_and_commands_tells_little(call: Call) -> None:
+TURTLE_WORDS = ("backlog", "Kp", "pause", "projection", "turtlesim's", "tick", "unknown", "metric")
+
+
+def test_explain_says_of_a_turtlesim_bag_what_its_plant_tells(call: Call) -> None:
     bag = find_shared("ros2", "turtlesim_jazzy")
     answer = call("explain", bag, "--json")
     assert answer.code == 0
     assert answer.json["identified"]["start_backlog"] is None
     assert answer.json["identified"]["lost_commands"] == 0
     assert answer.json["attribution"] is None
-    assert "no scenario stands for this log" in call("explain", bag).out
+    motion = answer.json["motion"]
+    assert (motion["kind"], motion["poses"]["rows"], motion["commands"]["rows"]) == (
+        *("turtlesim", 2501, 18),
+    )
+    assert motion["poses"]["longest_silence_s"] == pytest.approx(1.600373167)
+    assert motion["command_delays"]["ticks"] == [{"ticks": 0, "commands": 18}]
+    assert (motion["replay"]["within_rounding"], len(motion["replay"]["jumps"])) == (True, 1)
+    text = call("explain", bag).out
+    for sentence in (
+        "turtlesim_jazzy: turtlesim, 42.066 s of /turtle1/pose",
+        "The plant reproduces every pose.",
+        "Dead time of the 18 commands that a pose shows: 18 in the next tick.",
+        "At 15.632 s: jump (spawn) to x = 5.544 m",
+        "More would need the samples of the controller",
+    ):
+        assert sentence in text
+    assert not any(word in text for word in ("backlog", "Kp", "projection", "unknown", "metric"))
+
+
+def test_explain_says_of_a_robot_its_rates_and_nothing_of_a_turtle(call: Call) -> None:
+    bag = find_shared("robots", "tb3")
+    answer = call("explain", bag)
+    text = " ".join(answer.out.split())
+    assert answer.code == 0
+    for sentence in (
+        "tb3: a robot, not turtlesim, ",
+        "634 commands, usually one every 101.",
+        "Largest commands: speed 0.12 m/s at ",
+        "The measured turn rate holds 1 outlier, -143.6 rad/s at ",
+        "1 jump, of -0.00726 m ahead, ",
+    ):
+        assert sentence in text
+    assert not any(word in text for word in TURTLE_WORDS)
+    motion = call("explain", bag, "--json").json["motion"]
+    assert (motion["replay"], motion["command_delays"], motion["gaps"]) == (None, None, [])
+    [jump] = motion["jumps"]
+    assert jump["moved"] == pytest.approx(-0.00726, abs=1e-5)
+    assert {found["signal"]: found["value"] for found in motion["largest_commands"]} == {
+        "speed": pytest.approx(0.12),
+        "turn_rate": pytest.approx(0.3),
+    }
+
+
+def test_explain_says_of_poses_alone_how_many_there_are(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", [make_stamped_pose()])
+    answer = call("explain", path)
+    assert answer.code == 0
+    assert "1 pose.\nNo commands.\n\nMore would need" in answer.out
+    assert call("explain", path, "--json").json["motion"]["poses"]["period_s"] is None
+    asked = call("explain", path, "--metric", "run.duration").out
+    assert asked.endswith("No metric is explained: no scenario stands for this log.\n")
+    assert "No metric" not in answer.out
+
+
+@pytest.mark.parametrize(("last_ticks", "is_silence"), [(1.49, False), (1.51, True)])
+def test_a_period_and_a_half_is_a_silence(
+    call: Call, tmp_path: Path, last_ticks: float, *, is_silence: bool
+) -> None:
+    *poses, last = make_poses(5)
+    last = replace(last, time_ns=poses[-1].time_ns + round(last_ticks * 16e6))
+    text = call("explain", write_mcap(tmp_path / "a.mcap", [*poses, last])).out
+    assert ("the longest silence" in text) is is_silence
+
+
+def test_explain_says_why_turtlesim_was_not_driven(call: Call, tmp_path: Path) -> None:
+    first_ns = make_poses(1)[0].time_ns
+    late = [
+        replace(pose, time_ns=first_ns + 10 * (pose.time_ns - first_ns)) for pose in make_poses(5)
+    ]
+    text = call("explain", write_mcap(tmp_path / "a.mcap", late)).out
+    assert "a: turtlesim, 0.640 s" in text
+    assert "Turtlesim's plant was not driven. a: expected a pose per tick of 16 ms" in text
+
+
+def test_a_recording_with_samples_is_explained_by_them(call: Call, kp10: Path) -> None:
+    assert call("explain", kp10, "--json").json["motion"] is None
 
 
 @pytest.mark.parametrize(

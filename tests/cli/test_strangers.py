@@ -55,8 +55,8 @@ def test_samples_that_are_there_and_not_read_are_not_called_missing(
     assert (answer.code, answer.out) == (2, "")
     assert (
         "expected the samples of a controller (topic /turtle1/control) in a recording of"
-        " turtlelog's, found 770 of /turtle1/control, 1 of /turtle1/goal in a file without its"
-        " metadata record: these are not read"
+        " turtlelog's, found 770 of /turtle1/control in a file without its metadata"
+        " record: these are not read"
     ) in answer.err
     (measured,) = call("metrics", plain, "--only", "rotate.overshoot,final.*", "--json").json
     reasons = {metric["reason"] for metric in measured["metrics"]}

@@ -123,5 +123,5 @@ def test_the_table_of_differences_names_the_reference_and_every_run() -> None:
     assert "from paper-kp10" in table.title
     assert [column.title for column in table.columns[2::2]] == names
     assert {row[0] for row in table.rows} == {
-        name for name in tl.SIGNALS if not name.startswith(("sensed_", "shaped_"))
+        name for name in tl.SIGNALS if not name.startswith(("sensed_", "shaped_", "measured_"))
     }

@@ -4,10 +4,12 @@ from typing import BinaryIO
 import pytest
 
 from tests.log.ros2.bags import make_poses, make_stamped_pose, write_mcap, write_metadata
+from tests.log.ros2.robots import say_odometry, write_robot
 from tests.log.runs import assert_same, find_shared, simulate_short_run
 from turtlelog.errors import LogError
-from turtlelog.log import any_file, info, write_recording
+from turtlelog.log import any_file, read_file_info, split_topic, write_recording
 from turtlelog.log.any_file import read_run
+from turtlelog.log.engine import opening
 from turtlelog.log.error_boundary import open_file
 from turtlelog.log.exporters import export_rosbag2
 from turtlelog.log.recording import reader
@@ -50,10 +52,10 @@ def test_a_log_of_the_papers_is_imported() -> None:
         (
             "a.db3",
             b"SQLite format 3\0" + bytes(100),
-            ".* found a bag in SQLite: ros2 bag convert makes MCAP of it",
+            "expected a SQLite file of pages of 65536 bytes, found 116 bytes: cut short",
         ),
         ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
-        ("a.txt", b"timestamp,time", ".* found text: a log is read where its name ends"),
+        ("a.log", b"timestamp,time", ".* found text: logs and tables are read where the name"),
         ("a.json", b"{", r"expected JSON, found"),
     ],
 )
@@ -84,7 +86,54 @@ def test_a_recording_is_opened_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         opened.append(place)
         return open_file(place)
 
-    for module in (any_file, info, reader):
+    for module in (any_file, opening, reader):
         monkeypatch.setattr(module, "open_file", count)
     read_run(path)
     assert opened == [path]
+
+
+def test_a_file_and_a_topic_are_one_word(tmp_path: Path) -> None:
+    file = write_robot(tmp_path, say_odometry("/odom"), say_odometry("/a/kf", x_m=5.0))
+    run = read_run(f"{file}:/a/kf")
+    assert (run.name, run.poses.xy_m[0, 0]) == ("robot:/a/kf", 5.0)
+    folder = write_metadata(tmp_path, ["robot.mcap"])
+    assert read_run(f"{folder}:/a/kf").name == f"{tmp_path.name}:/a/kf"
+    # It says more than what is asked of all files.
+    assert read_run(f"{file}:/a/kf", pose_topic="/odom").poses.xy_m[0, 0] == 5.0
+    assert {topic.topic for topic in read_file_info(f"{file}:/a/kf").topics} == {"/odom", "/a/kf"}
+
+
+def test_a_file_of_the_whole_name_comes_first(tmp_path: Path) -> None:
+    write_robot(tmp_path, say_odometry())
+    bag = tmp_path / "robot.mcap:"
+    bag.mkdir()
+    write_robot(bag, say_odometry(x_m=5.0), name="odom")
+    assert split_topic(bag / "odom.mcap") == (bag / "odom.mcap", None)
+    assert split_topic(f"{tmp_path}/robot.mcap:/odom") == (tmp_path / "robot.mcap", "/odom")
+    assert split_topic("nothing.mcap:/odom") == (Path("nothing.mcap:/odom"), None)
+
+
+def test_a_topic_of_a_recording_of_turtlelogs_loses_nothing_where_it_is_the_poses(
+    tmp_path: Path,
+) -> None:
+    run = simulate_short_run()
+    write_recording(run, tmp_path / "run.mcap")
+    assert_same(read_run(f"{tmp_path}/run.mcap:/turtle1/pose"), run)
+    assert read_run(f"{tmp_path}/run.mcap:/turtle1/goal").name.endswith(":/turtle1/goal")
+
+
+def test_a_topic_that_is_not_there_and_one_of_a_log_are_one_line(tmp_path: Path) -> None:
+    file = write_robot(tmp_path, say_odometry())
+    with pytest.raises(LogError, match=r"robot\.mcap: pose_topic: .* found /nothing among /odom"):
+        read_run(f"{file}:/nothing")
+    with pytest.raises(LogError, match=r"robot\.mcap: expected a topic /nothing, found /odom"):
+        read_file_info(f"{file}:/nothing")
+    (tmp_path / "a.json").write_text("{}")
+    with pytest.raises(LogError, match="expected a bag, of which /odom is read, found a log"):
+        read_run(f"{tmp_path}/a.json:/odom")
+
+
+def test_a_goal_is_asked_of_a_robot_but_not_of_a_controllers_recording(tmp_path: Path) -> None:
+    write_recording(simulate_short_run(), tmp_path / "run.mcap")
+    with pytest.raises(LogError, match="goal: expected none beside the samples of a controller"):
+        read_run(tmp_path / "run.mcap", goal=(1.0, 2.0))

@@ -108,9 +108,8 @@ def test_info_agrees_with_the_messages(tmp_path: Path) -> None:
     ("start", "found"),
     [
         (b"", "an empty file"),
-        (b"\xef\xbb\xbftime,x", "text: a log is read where its name ends in .json or .csv"),
+        (b"\xef\xbb\xbftime,x", "text: logs and tables are read where the name ends in .csv"),
         (b"RRF2", "a Rerun recording: turtlelog view shows it"),
-        (b"SQLite format 3\0", "a bag in SQLite: ros2 bag convert makes MCAP of it"),
         (b"\x89PNG", "0x89504e47"),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 from tests.effects_cases import build_case
 from tests.sequential import DECLARATION
 from turtlelog.errors import MeasureError
-from turtlelog.measure.signals import SIGNALS, read_signal
+from turtlelog.measure.signals import SIGNALS, explain_no_signal, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.simulate import simulate_run
 
@@ -108,6 +108,9 @@ def test_without_the_first_sample_the_recorded_bearing_gives_the_direction() -> 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_signal_has_one_value_per_row_of_its_source(name: str) -> None:
     run = simulate_run(build_case("dropout", "low_pass", preset="paper-kp10", max_duration_s=1.0))
+    rates = run.poses.speed_m_s
+    poses = dataclasses.replace(run.poses, measured_speed_m_s=rates, measured_turn_rate_rad_s=rates)
+    run = dataclasses.replace(run, poses=poses)
     assert run.poses.sensed_heading_rad is not None
     signal = read_signal(run, name)
     assert signal is not None
@@ -125,7 +128,7 @@ def test_signal_has_one_value_per_row_of_its_source(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "kind"), SIGNALS.items(), ids=SIGNALS)
 def test_commands_are_held_and_poses_joined_by_lines(name: str, kind: Any) -> None:
-    is_joined = kind.source == "pose" and not name.startswith("applied_")
+    is_joined = kind.source == "pose" and not name.startswith(("applied_", "measured_"))
     assert kind.resampling == ("line" if is_joined else "hold")
     assert kind.unit in {"m", "rad", "m/s", "rad/s", "1"}
 
@@ -195,5 +198,49 @@ def test_what_is_applied_includes_a_disturbance_and_is_not_what_odometry_measure
     assert commanded is not None
     assert applied.values[20:].max() == pytest.approx(0.95)  # -0.05 rad/s from 0.3 s on
     assert commanded.values.max() == 1.0
-    odometry = dataclasses.replace(run, notes={"pose_topic": "/odom (nav_msgs/msg/Odometry)"})
+    poses = dataclasses.replace(
+        run.poses,
+        speed_m_s=None,
+        turn_rate_rad_s=None,
+        measured_speed_m_s=run.poses.speed_m_s,
+        measured_turn_rate_rad_s=run.poses.turn_rate_rad_s,
+    )
+    odometry = dataclasses.replace(run, poses=poses)
     assert read_signal(odometry, "applied_turn_rate") is None
+    measured = read_signal(odometry, "measured_turn_rate")
+    assert measured is not None
+    assert (measured.values == applied.values).all()
+
+
+def test_commands_of_a_run_without_samples_are_those_published() -> None:
+    run = make_run(samples=0)
+    commands = CommandColumns(
+        time_ns=np.array([4, 12]),
+        speed_m_s=np.array([0.5, 1.5]),
+        lateral_speed_m_s=np.zeros(2),
+        turn_rate_rad_s=np.array([-1.0, 0.0]),
+    )
+    run = dataclasses.replace(run, commands=commands)
+    speed, turn_rate = read_signal(run, "speed"), read_signal(run, "turn_rate")
+    assert speed is not None
+    assert turn_rate is not None
+    assert (speed.kind.source, speed.kind.resampling) == ("command", "hold")
+    assert (speed.time_ns.tolist(), speed.values.tolist()) == ([4, 12], [0.5, 1.5])
+    assert turn_rate.values.tolist() == [-1.0, 0.0]
+
+
+def test_commands_of_a_run_with_samples_are_those_of_its_samples() -> None:
+    assert read_values(make_run(), "speed") == [0.5, 0.5, 0.5]  # what was published is 0
+
+
+def test_without_commands_there_is_no_signal_of_them() -> None:
+    none = np.zeros(0)
+    commands = CommandColumns(
+        time_ns=np.zeros(0, dtype=np.int64),
+        speed_m_s=none,
+        lateral_speed_m_s=none.copy(),
+        turn_rate_rad_s=none.copy(),
+    )
+    run = dataclasses.replace(make_run(samples=0), commands=commands)
+    assert read_signal(run, "speed") is None
+    assert explain_no_signal(run, "speed") == "the recording holds no commands"

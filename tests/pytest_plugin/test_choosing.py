@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import pytest
 
+from tests.log.ros2.robots import say_odometry, write_robot
 from tests.pytest_plugin.conftest import NAMES, run
 
 BODY = "def test_it(recording):\n    assert recording.metric('run.duration') > 0\n"
@@ -15,9 +16,11 @@ BAD = {
     "no text": ("3", "*recordings: expected a pattern, found 3"),
     "keyword": (
         '"runs/*.mcap", partial=True',
-        "*expected allow_partial or trust_law, found partial",
+        "*expected one of allow_partial, trust_law, pose_topic, *, found partial",
     ),
     "no bool": ('"runs/*.mcap", trust_law="no"', "*trust_law: expected True or False, found 'no'"),
+    "no topic": ('"runs/*.mcap", pose_topic=3', "*pose_topic: expected text, found 3"),
+    "no time": ('"runs/*.mcap", time="now"', "*time: expected auto, log or stamp, found 'now'"),
 }
 
 
@@ -137,3 +140,19 @@ def test_tests_without_recordings_are_left_alone(suite: pytest.Pytester) -> None
     result = run(suite, "def test_it():\n    assert 1 < 2\n")
     result.assert_outcomes(passed=1)
     assert "turtlelog:" not in result.stdout.str()
+
+
+def test_topics_and_goal_of_a_robots_bag_are_chosen_in_the_marker(suite: pytest.Pytester) -> None:
+    robots = [say_odometry("/odom"), say_odometry("/odom_kf", x_m=5.0)]
+    write_robot(suite.path / "runs", *robots)
+    body = (
+        "def test_it(recording):\n"
+        "    assert recording.run.goal_xy_m == (7.0, 0.0)\n"
+        "    assert recording.metric('final.position_error') <= 0.001\n"
+    )
+    marker = '"runs/robot.mcap", pose_topic="/odom_kf", goal=(7, 0)'
+    run(suite, body, marker=marker).assert_outcomes(passed=1)
+    run(suite, body, marker='"runs/robot.mcap", goal=(7, 0)').assert_outcomes(failed=1)
+    named = run(suite, body, "-v", marker='"runs/rob*.mcap:/odom_kf", goal=(7, 0)')
+    named.assert_outcomes(passed=1)
+    named.stdout.fnmatch_lines(["*[[]robot-odom_kf[]] PASSED*"])

@@ -18,7 +18,7 @@ from turtlelog.display import format_number, show_angle
 from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording
-from turtlelog.measure import list_signals, read_signal
+from turtlelog.measure import is_lawless, list_signals, read_signal
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
@@ -84,8 +84,12 @@ def _list_scenario(run: Run, result: CheckResult) -> Iterator[str]:
     keys = dict.fromkeys(loop.gain for loop in run.declaration.loops if loop.gain is not None)
     gains = [f"{name} = {parameters[name]}" for name in keys if name in parameters]
     gains = gains or [f"{n} = {v}" for n, v in parameters.items() if n.startswith("law.")]
-    yield f"  gains           {', '.join(gains) or 'not recorded'}"
+    if gains or not is_lawless(run):
+        yield f"  gains           {', '.join(gains) or 'not recorded'}"
     others = [f"{n} = {v}" for n, v in parameters.items() if n not in (*keys, "name")]
+    if is_lawless(run) and not others:
+        yield f"  source          {run.source}"
+        return
     text = ", ".join([run.name, *others]) if others else f"{run.name}, nothing else recorded"
     wrapped = textwrap.wrap(text, _WIDTH - 18, break_on_hyphens=False, break_long_words=False)
     yield f"  scenario        {wrapped[0]}"
@@ -103,18 +107,26 @@ def describe_clock(run: Run) -> str:
 
 
 def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[str]:
-    """Return lines: the signals at the poses around a time, `>` before the one that holds there."""
-    time_ns = run.poses.time_ns
-    row = int(np.searchsorted(time_ns, run.start_ns + round(at_s * 1e9), side="right")) - 1
-    row = max(row, 0)
-    rows = list(range(max(row - _ROWS, 0), min(row + _ROWS + 1, len(time_ns))))
-    columns = [["", *(">" if found == row else "" for found in rows)]]
-    columns.append(["t [s]", *(f"{(time_ns[found] - run.start_ns) / 1e9:.3f}" for found in rows)])
+    """Return lines: the signals at the poses around a time, `>` before the one that holds there.
+
+    A command that was published between two poses has a line of its own.
+    """
+    time_ns, at_ns = run.poses.time_ns, run.start_ns + round(at_s * 1e9)
+    row = max(int(np.searchsorted(time_ns, at_ns, side="right")) - 1, 0)
+    times_ns = time_ns[max(row - _ROWS, 0) : row + _ROWS + 1].tolist()
     kinds = list_signals(run.declaration)
-    for name in _choose_held(run, [name for name in names if name in kinds]):
+    held = _choose_held(run, [name for name in names if name in kinds])
+    marked_ns = int(time_ns[row])
+    if at_ns != marked_ns and any(_is_published(run, name, at_ns) for name in held):
+        times_ns, marked_ns = sorted({*times_ns, at_ns}), at_ns
+    columns = [["", *(">" if found == marked_ns else "" for found in times_ns)]]
+    columns.append(["t [s]", *(f"{(found - run.start_ns) / 1e9:.3f}" for found in times_ns)])
+    for name in held:
         unit = kinds[name].unit
         title = name if unit == "1" else f"{name} [{show_angle(0.0, unit)[1]}]"
-        columns.append([title, *(_read_value(run, name, int(time_ns[found])) for found in rows)])
+        cells = [_read_value(run, name, found) for found in times_ns]
+        if set(cells) != {"-"}:
+            columns.append([title, *cells])
     widths = [max(map(len, column)) for column in columns]
     return [
         "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
@@ -122,9 +134,16 @@ def tabulate_surroundings(run: Run, names: Sequence[str], at_s: float) -> list[s
     ]
 
 
+def _is_published(run: Run, name: str, time_ns: int) -> bool:
+    """Whether a signal is of commands, and one was published at that very time."""
+    signal = read_signal(run, name)
+    return signal is not None and signal.kind.source == "command" and time_ns in signal.time_ns
+
+
 def _choose_held(run: Run, names: Sequence[str]) -> list[str]:
-    """Return the signals that a run holds; where it holds none of them, where the robot is."""
-    return [name for name in names if read_signal(run, name) is not None] or ["x", "y", "heading"]
+    """Return the signals that a run holds; where it holds less than named, where the robot is."""
+    held = [name for name in names if read_signal(run, name) is not None]
+    return held if held == [*names] and held else ["x", "y", *(n for n in held if n not in "xy")]
 
 
 def _read_value(run: Run, name: str, time_ns: int) -> str:

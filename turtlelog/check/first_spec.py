@@ -6,10 +6,20 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from turtlelog.check.formula_trace import RunEnding, find_ending
 from turtlelog.display import format_number
 from turtlelog.loops import Declaration
-from turtlelog.measure import Metric, MetricKind, list_metrics, measure_run
+from turtlelog.measure import (
+    Metric,
+    MetricKind,
+    is_lawless,
+    list_essential_metrics,
+    list_metrics,
+    measure_run,
+    read_signal,
+)
 from turtlelog.plants import TURTLESIM, find_plant
 from turtlelog.run import Run
 
@@ -29,7 +39,7 @@ It is a first guess, marked as observed, until somebody has thought of what the 
 _MOST: Final = 0.2
 """What a bound leaves at most: two digits read well, but round up to 21 %; then there are three."""
 
-_GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6}
+_GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6, "m/s": 1e-6, "rad/s": 1e-6}
 """What a bound leaves in any case, by unit, for values near zero: poses differ by up to 1e-6 m and
 rad from platform to platform, which of an angle of a radian is 1e-4 %. Of times it is a tick."""
 
@@ -65,6 +75,9 @@ def _list_head(run: Run, reference: str, partial: str) -> Iterator[str]:
 
 
 def _list_checks(run: Run) -> Iterator[str]:
+    if is_lawless(run):
+        yield from _list_of_motion(run)
+        return
     kinds = list_metrics(run.declaration)
     for metric in measure_run(run, only=_choose_metrics(run.declaration)).values():
         if not _is_name(metric.id):
@@ -78,6 +91,39 @@ def _list_checks(run: Run) -> Iterator[str]:
             yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
     if run.goal_xy_m is not None and len(run.samples):
         yield from _list_arrival(run)
+
+
+_COUNTS: Final = frozenset({"run.rest_share", "run.speed_steps", "run.turn_rate_steps"})
+"""What says how a robot was driven, and that a good run has neither more nor less of."""
+
+
+def _list_of_motion(run: Run) -> Iterator[str]:
+    """Yield checks for a bag of somebody else's: of what has a value, and of its commands."""
+    kinds = list_metrics(run.declaration)
+    steps_s = np.diff(run.poses.time_ns) / 1e9
+    tick_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    for metric in measure_run(run, only=list_essential_metrics(run)).values():
+        if metric.value is not None and metric.id not in _COUNTS:
+            yield from _list_check(metric, metric.value, kinds[metric.id], tick_s)
+    if not len(run.commands):
+        return
+    if find_ending(run) is RunEnding.LOST:
+        yield ""
+        yield "# always(abs(speed) <= ...): not read off, as part of the run is lost"
+        return
+    for name in ("speed", "turn_rate"):
+        signal = read_signal(run, name)
+        assert signal is not None
+        yield from _list_bound(name, float(np.abs(signal.values).max()), signal.kind.unit)
+
+
+def _list_bound(name: str, largest: float, unit: str) -> Iterator[str]:
+    bound, spare = choose_bound(largest, unit, up=True)
+    yield ""
+    yield f"[checks.{name}]"
+    yield f'holds = "always(abs({name}) <= {bound:.10g})"  # here {format_number(largest, unit)}'
+    yield "observed = true"
+    yield f'reason = "observed, and {spare} to spare: as it was commanded, at any time"'
 
 
 def _choose_metrics(declaration: Declaration) -> list[str]:
@@ -141,7 +187,7 @@ def choose_bound(
     spare = abs(value) * _SHARE
     grain = tick_s if unit == "s" else _GRAIN.get(unit, 0.0)
     if spare < grain:
-        words = f"{grain:g}" if unit == "1" else f"{grain:g} {unit}"
+        words = f"{grain:.3g}" if unit == "1" else f"{grain:.3g} {unit}"
         return _round(value + grain if up else value - grain, digits=3, up=up), words
     bound = value
     for digits in (2, 3):

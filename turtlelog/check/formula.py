@@ -34,8 +34,10 @@ from turtlelog.expressions import (
     parse_expression,
 )
 from turtlelog.loops import Declaration
-from turtlelog.measure import find_metric_kind, list_metrics, list_signals
+from turtlelog.measure import explain_no_signal, find_metric_kind, list_metrics, list_signals
 from turtlelog.run import Run
+
+_NO_VALUE: Final = "no value: "
 
 _TOO_SHORT: Final = "the recording ends before the formula's window does"
 
@@ -196,9 +198,14 @@ def check_run(
     signals = read_signals(run, expression.names)
     window_ns = window_ns or find_span(run, expression.names)
     ending = find_ending(run) if window_ns[1] >= run.end_ns else RunEnding.SETTLED
-    return check_formula(
+    found = check_formula(
         signals, expression, window_ns=window_ns, ending=ending, declaration=run.declaration
     )
+    lacking = [name for name in signals if signals[name] is None and name in known]
+    reasons = dict.fromkeys(explain_no_signal(run, name) for name in lacking if name not in others)
+    if found.holds is None and found.reason.startswith(_NO_VALUE) and any(reasons):
+        return replace(found, reason=f"{found.reason} ({'; '.join(filter(None, reasons))})")
+    return found
 
 
 def _decide(expression: Expression, trace: FormulaTrace) -> tuple[bool | None, FormulaWalk]:
@@ -228,7 +235,7 @@ def _explain_unknown(expression: Expression, trace: FormulaTrace) -> str:
         if _decide(expression, settled)[0] is not None:
             return f"{_TOO_SHORT}, and {trace.ending.value}{_advise(expression, trace)}"
     missing = [name for name, value in trace.constants.items() if value is None]
-    return f"no value: {', '.join(missing)}" if missing else "a number has no value"
+    return f"{_NO_VALUE}{', '.join(missing)}" if missing else "a number has no value"
 
 
 def _advise(expression: Expression, trace: FormulaTrace) -> str:

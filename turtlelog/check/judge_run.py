@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from turtlelog.check.formula_trace import find_loss
 from turtlelog.check.judge_difference import match_run
@@ -11,8 +12,9 @@ from turtlelog.check.result import CheckResult, Verdict
 from turtlelog.check.spec import Check, Spec
 from turtlelog.check.spec_file import require_reference
 from turtlelog.errors import CheckError, CompareError, ExpressionError, LogError
-from turtlelog.log import ReadChoice, read_as_chosen, read_info
-from turtlelog.log.ros2 import list_bag_files
+from turtlelog.log import ReadChoice, read_as_chosen, split_topic
+from turtlelog.log.ros2.bag import open_bag
+from turtlelog.log.ros2.bag_topics import TRANSFORMS
 from turtlelog.measure import SIGNALS, find_metric_kind
 from turtlelog.run import Run
 
@@ -46,8 +48,8 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | No
 
     Args:
         spec: Names it.
-        topics: As of the runs; a topic that the reference does not hold is chosen as usual. It must
-            be whole in any case.
+        topics: As of the runs, beside what the specification says itself; a topic that the
+            reference does not hold is chosen as usual. It must be whole in any case.
 
     Raises:
         CheckError: Where tolerances have no reference.
@@ -56,21 +58,30 @@ def read_reference_run(spec: Spec, topics: ReadChoice | None = None) -> Run | No
     require_reference(spec)
     if not spec.tolerances or spec.reference is None:
         return None
-    choice = _restrict(topics or ReadChoice(), spec.reference)
+    choice = _restrict(spec.read.override(topics or ReadChoice()), spec.reference)
     return read_as_chosen(spec.reference, choice)
 
 
-def _restrict(topics: ReadChoice, path: Path) -> ReadChoice:
-    """Return the choice without the topics that a file does not hold."""
+def _restrict(choice: ReadChoice, path: Path) -> ReadChoice:
+    """Return the choice without what a file does not hold."""
     try:
-        infos = [read_info(file) for file in list_bag_files(path)]
+        bag = open_bag(split_topic(path)[0])
     except LogError:
-        infos = []  # no bag: a log, or nothing that can be read, which reading says
-    held = {topic.topic for info in infos for topic in info.topics if topic.count}
-    pose_topic, command_topic = (
-        name if name in held else None for name in (topics.pose_topic, topics.command_topic)
-    )
-    return replace(topics, pose_topic=pose_topic, command_topic=command_topic, allow_partial=False)
+        held, is_own = set[tuple[str, str]](), False  # a log, or nothing that can be read
+    else:
+        held = {(topic.topic, topic.type) for topic in bag.topics if topic.count}
+        is_own = any(info.format_version is not None for info in bag.infos.values())
+    names = {name for name, _ in held}
+    changes: dict[str, Any] = {
+        key: name if name in names else None
+        for key in ("pose_topic", "command_topic", "path_topic")
+        if (name := getattr(choice, key)) is not None
+    }
+    has_frames = TRANSFORMS in {kind for _, kind in held}
+    changes |= {} if has_frames else {"pose_frame": None, "world_frame": None}
+    # A recording of ours tells its own goal.
+    changes |= {"goal": None} if is_own else {}
+    return replace(choice, allow_partial=False, **changes)
 
 
 def judge_run(

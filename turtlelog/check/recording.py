@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias, Unpack
 
 from turtlelog.check.failure_report import describe_failure
 from turtlelog.check.formula_trace import find_loss
@@ -16,12 +16,17 @@ from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.reference import ReferenceFile
 from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
 from turtlelog.check.spec import Check
-from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
+from turtlelog.check.vocabulary import (
+    describe_nearest,
+    names_metrics_alone,
+    require_known_names,
+    require_phase,
+)
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
 from turtlelog.laws import Law
-from turtlelog.log import ReadChoice, read_as_chosen, write_recording
+from turtlelog.log import ReadChoice, ReadOptions, read_as_chosen, write_recording
 from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
@@ -52,11 +57,12 @@ class Recording:
     """One recording, read when something is first asked of it.
 
     Args:
-        path: A recording, a bag or a log.
+        path: A recording, a bag or a log; FILE:TOPIC, as in `bag:/odom_kf`, names the poses of one.
         name: What to call it in messages; its path where None.
-        allow_partial: Whether it may have lost something.
         trust_law: Whether `driven_by()` may run the law that it names, where it is not built in.
         watch: Is told of every check.
+        options: Fields of a `ReadChoice`: which topics of somebody else's file to read, its goal,
+            and whether it may have lost something (`allow_partial`).
     """
 
     def __init__(
@@ -64,13 +70,15 @@ class Recording:
         path: str | Path,
         *,
         name: str | None = None,
-        allow_partial: bool = False,
         trust_law: bool = False,
         watch: Watch | None = None,
+        **options: Unpack[ReadOptions],
     ) -> None:
         self.path = Path(path)
         self.file = name or str(path)
-        self._allow_partial, self._trust_law, self._watch = allow_partial, trust_law, watch
+        self._choice = ReadChoice(**options)
+        self._allow_partial = self._choice.allow_partial
+        self._trust_law, self._watch = trust_law, watch
 
     def __repr__(self) -> str:
         return f"<recording {self.file}>"
@@ -95,7 +103,7 @@ class Recording:
     @cached_property
     def _run(self) -> Run:
         # What is lost is told by the note, which decides.
-        return read_as_chosen(self.path, ReadChoice(allow_partial=True))
+        return read_as_chosen(self.path, replace(self._choice, allow_partial=True))
 
     def metric(self, name: str, **settings: Any) -> MetricValue:
         """Return a metric by its id, as measured with settings of `MeasureSettings`.
@@ -138,7 +146,9 @@ class Recording:
         if phase is not None:
             require_phase(phase, self.run)
         require_known_names(parsed, over_time=True, run=self.run)
-        check = Check(name="", kind="holds", formula=parsed, phase=phase)
+        is_measured = phase is None and names_metrics_alone(parsed)
+        kind: Literal["expect", "holds"] = "expect" if is_measured else "holds"
+        check = Check(name="", kind=kind, formula=parsed, phase=phase)
         result = judge_check(check, self.run, file=self.file)
         return self._conclude([replace(result, check=result.expected)])
 

@@ -4,13 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from turtlelog.compare import ALIGNMENTS, Tolerance
 from turtlelog.display import describe_count
 from turtlelog.errors import CompareError
 from turtlelog.escapes import escape_controls
 from turtlelog.expressions import Expression
+from turtlelog.log import ReadChoice
+from turtlelog.log.read_choice import TimeSource
 from turtlelog.loops import DONE, NAME_PATTERN, RESERVED, STATE_PATTERN
 from turtlelog.measure import (
     ANY_LOOP,
@@ -94,6 +96,7 @@ class Spec:
         tolerances: How far signals and metrics may be from the reference's.
         reference: The recording that tolerances are taken from; None where there are none.
         alignment: How runs and reference are brought together.
+        read: Which topics, frames and goal are read of other people's files, also of the reference.
         source: The file, for messages.
     """
 
@@ -101,6 +104,7 @@ class Spec:
     tolerances: Tolerances = field(default_factory=Tolerances)
     reference: Path | None = None
     alignment: str = "first_sample"
+    read: ReadChoice = field(default_factory=ReadChoice)
     source: str = "specification"
 
     def __repr__(self) -> str:
@@ -161,6 +165,7 @@ def build_schema() -> dict[str, Any]:
                 "pattern": f"^(?:{'|'.join(ALIGNMENTS).replace('NAME', NAME_PATTERN)})$",
                 "description": "How runs and reference are brought together in time.",
             },
+            "read": _build_read(),
             "checks": {
                 "type": "object",
                 "additionalProperties": _build_check(),
@@ -174,6 +179,45 @@ def build_schema() -> dict[str, Any]:
             "metric": _build_tolerance(has_time=False),
         },
     }
+
+
+def _build_read() -> dict[str, Any]:
+    return {
+        "type": "object",
+        "additionalProperties": False,
+        "description": "What is read of other people's files, also of the reference.",
+        "properties": {
+            **{name: {**_TEXT, "description": text} for name, text in READ_TEXTS.items()},
+            "goal": {
+                "type": "array",
+                "items": {"type": "number"},
+                "minItems": 2,
+                "maxItems": 3,
+                "description": "x, y [m] and perhaps the heading [rad].",
+            },
+            "time": {
+                "enum": [*get_args(TimeSource)],
+                "description": "What times poses: the recorder, their stamps, or as is best.",
+            },
+            "columns": {
+                "type": "object",
+                "additionalProperties": _TEXT,
+                "description": "Of a plain table: the column of t, x, y, heading ...",
+            },
+        },
+    }
+
+
+READ_TEXTS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "pose_topic": "Poses.",
+        "command_topic": "Commands: Twist or TwistStamped.",
+        "path_topic": "The path to be followed: nav_msgs/Path.",
+        "pose_frame": "The robot's frame, of poses from transforms.",
+        "world_frame": "The frame in which poses from transforms are given.",
+    }
+)
+"""Keys of `[read]` that are texts, and what they name."""
 
 
 def _build_check() -> dict[str, Any]:

@@ -1,13 +1,15 @@
 """Specification files, TOML in: `[checks.NAME]`, and tolerances in `[signals.*]`, `[metrics.*]`."""
 
 import difflib
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from turtlelog.check.spec import (
     FORMAT,
+    READ_TEXTS,
     Check,
     Spec,
     Tolerances,
@@ -18,14 +20,16 @@ from turtlelog.check.spec import (
 from turtlelog.check.vocabulary import describe_nearest, require_known_names, require_phase
 from turtlelog.compare import ALIGNMENTS, Tolerance
 from turtlelog.compare.alignment import could_be_alignment
-from turtlelog.errors import CheckError, CompareError
+from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.expressions import Expression, parse_expression
+from turtlelog.log import ReadChoice
+from turtlelog.log.read_choice import TimeSource, parse_goal
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
 from turtlelog.text_files import parse_toml, read_text_file
 
 _KINDS: Final = ("signals", "metrics")
-_KNOWN: Final = (*_KINDS, "checks", "reference", "alignment")
+_KNOWN: Final = (*_KINDS, "checks", "reference", "alignment", "read")
 _KEYS: Final = {
     "signals": ("abs", "rel", "time_s", "reason"),
     "metrics": ("abs", "rel", "reason"),
@@ -73,6 +77,7 @@ def parse_spec(text: str | Mapping[str, Any], *, source: str = "specification") 
         checks=tuple(_parse_check(name, entry, source) for name, entry in entries.items()),
         tolerances=parse_tolerances(own, source=source),
         alignment=_read_alignment(tables, source),
+        read=_parse_read(tables.get("read", {}), source),
         source=source,
     )
     if not spec.checks and not spec.tolerances:
@@ -209,10 +214,50 @@ def _read_alignment(tables: Mapping[str, Any], source: str) -> str:
     return alignment or "first_sample"
 
 
+def _parse_read(table: Any, source: str) -> ReadChoice:
+    """Return what is read of other people's files."""
+    place = f"{source}: read"
+    if not isinstance(table, Mapping):
+        raise CheckError(f"{place}: expected a table, found {describe_value(table)}")
+    known = [*READ_TEXTS, "goal", "time", "columns"]
+    for key in table:
+        if key not in known:
+            raise CheckError(f"{place}.{name_key(key)}: {describe_unknown_key(key, known)}")
+    texts: dict[str, Any] = {name: _read_text(table, name, place) for name in READ_TEXTS}
+    time, times = table.get("time", "auto"), get_args(TimeSource)
+    if time not in times:
+        raise CheckError(
+            f"{place}.time: expected {' or '.join(times)}, found {describe_value(time)}"
+        )
+    columns = table.get("columns", {})
+    if not isinstance(columns, Mapping):
+        raise CheckError(f"{place}.columns: expected a table, found {describe_value(columns)}")
+    return ReadChoice(
+        **texts,
+        goal=_read_goal(table, place),
+        time=time,
+        columns={name: _read_text(columns, name, f"{place}.columns") or "" for name in columns},
+    )
+
+
+def _read_goal(table: Mapping[str, Any], place: str) -> tuple[float, ...] | None:
+    goal = table.get("goal")
+    if goal is None:
+        return None
+    is_list = isinstance(goal, list) and all(type(value) in {int, float} for value in goal)
+    try:
+        parse_goal(tuple(goal) if is_list else ())
+    except LogError as err:
+        expected = "[x, y] in m, or [x, y, heading] with the heading in rad"
+        found = describe_value(goal)
+        raise CheckError(f"{place}.goal: expected {expected}, found {found}") from err
+    return tuple(map(float, goal))
+
+
 def _read_text(table: Mapping[str, Any], key: str, place: str) -> str | None:
     text = table.get(key)
     if key in table and (not isinstance(text, str) or not text.strip()):
-        colon = "." if ": checks." in place else ": "
+        colon = "." if re.search(r": (?:checks\.|read)", place) else ": "
         raise CheckError(f"{place}{colon}{key}: expected text, found {describe_value(text)}")
     return text
 

@@ -79,6 +79,13 @@ def require_known_names(formula: Expression, *, over_time: bool, run: Run | None
         fail_at(formula, node, problem)
 
 
+def names_metrics_alone(formula: Expression) -> bool:
+    """Return whether a formula names metrics and nothing that changes with time."""
+    is_temporal = any(isinstance(node, Temporal | Until) for node in iterate_nodes(formula.root))
+    names = formula.names
+    return not is_temporal and all(find_metric_kind(name) is not None for name in names)
+
+
 def _is_known(name: str, *, over_time: bool, run: Run | None) -> bool:
     if find_metric_kind(name) is not None or name in list_parameters():
         return True
@@ -131,6 +138,12 @@ _OF_END: Final = ("distance", "heading_error")
 _OF_RUN: Final = ("distance", "speed", "turn_rate")
 _OF_NAME: Final = {
     "cross_track": ("cross_track",),
+    "measured_speed": ("measured_speed", "speed"),
+    "measured_turn_rate": ("measured_turn_rate", "turn_rate"),
+    "speed_tracking": ("speed", "measured_speed"),
+    "speed_lag": ("speed", "measured_speed"),
+    "turn_rate_tracking": ("turn_rate", "measured_turn_rate"),
+    "turn_rate_lag": ("turn_rate", "measured_turn_rate"),
     "speed": ("speed",),
     "turn_rate": ("turn_rate",),
 }

@@ -12,13 +12,14 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
-from turtlelog.cli.options import Output, TopicOptions, iterate_files, require_files
+from turtlelog.cli.options import Output, ReadingOptions, iterate_files, require_files
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
     FormatOptions,
     print_json,
     print_note,
+    print_run_notes,
     print_text,
 )
 from turtlelog.cli.targets import require_apart, require_new_target
@@ -27,6 +28,7 @@ from turtlelog.errors import LogError, UsageError
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Run, Spec
     from turtlelog.check import ArtifactWriter
+    from turtlelog.log import ReadChoice
 
 
 Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
@@ -52,26 +54,27 @@ class FirstSpecOptions:
     """Other things to ask for.
 
     Attributes:
+        expect: Hold recordings to this formula instead of a specification; may be repeated.
         init: Write a first specification from this good run; see -o.
         output: The .toml file that --init writes; otherwise it is printed.
         schema: Print the JSON Schema of specification files, for editors.
     """
 
+    expect: Annotated[list[str] | None, Parameter(metavar="FORMULA", negative=())] = None
     init: Path | None = None
     output: Output = None
     schema: bool = False
 
 
-def check(
+def check(  # noqa: PLR0913 (each is an option of the command)
     words: Words | None = None,
     /,
     *,
-    expect: Annotated[list[str] | None, Parameter(metavar="FORMULA", negative=())] = None,
     reference: Path | None = None,
     reports: ReportOptions | None = None,
     first: FirstSpecOptions | None = None,
     formats: FormatOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
 ) -> int:
     """Hold recordings to a specification: bounds, formulas over time, tolerances.
 
@@ -91,7 +94,6 @@ def check(
 
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
-        expect: What is to hold, instead of a specification; may be given several times.
         reference: Take tolerances from this recording, not from the file's own.
     """
     kind = (formats or FormatOptions()).choose()
@@ -102,9 +104,10 @@ def check(
         print_json(build_schema())
         return EXIT_FINE
     if first.init is not None:
-        return _write_first(first.init, words or [], first.output, topics or TopicOptions())
+        return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
     if first.output is not None:
         raise UsageError("--output: expected --init beside it, found none")
+    expect = first.expect
     if expect and reference is not None:
         raise UsageError("--reference: expected no --expect beside it, found one")
     if not words:
@@ -115,7 +118,7 @@ def check(
     require_new_target(reports.junit, words, suffix=".xml")
     require_apart([path for path in (reports.junit, reports.artifacts) if path is not None])
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
-    results = _check(spec, files, reports, topics or TopicOptions())
+    results = _check(spec, files, reports, topics or ReadingOptions())
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
         print_json(describe_results(verdict, results))
@@ -127,25 +130,25 @@ def check(
 def build_spec(formulas: "Sequence[str]") -> "Spec":
     """Return what --expect asks for; what names metrics alone is judged as they are."""
     from turtlelog.check.spec import Check
-    from turtlelog.check.vocabulary import require_known_names
+    from turtlelog.check.vocabulary import names_metrics_alone, require_known_names
 
     checks = []
     for text in formulas:
         formula = tl.expressions.parse_expression(text, source="--expect")
         require_known_names(formula, over_time=True)
-        of_metrics = all(tl.measure.find_metric_kind(name) is not None for name in formula.names)
-        kind: Literal["expect", "holds"] = "expect" if of_metrics else "holds"
+        kind: Literal["expect", "holds"] = "expect" if names_metrics_alone(formula) else "holds"
         checks.append(Check(name=text, kind=kind, formula=formula))
     return tl.Spec(checks=tuple(checks), source="--expect")
 
 
 def _check(
-    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: TopicOptions
+    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
 ) -> "list[CheckResult]":
     from turtlelog.check.judge_run import fail_recording, judge_run, read_reference_run
     from turtlelog.check.junit import CheckedFile, format_junit
 
-    reference = read_reference_run(spec, topics.build_choice())
+    choice = spec.read.override(topics.build_choice())
+    reference = read_reference_run(spec, choice)
     checked: list[CheckedFile] = []
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(
@@ -154,7 +157,7 @@ def _check(
         for path in iterate_files(files):
             started, clock = datetime.now(UTC), _Clock()
             try:
-                run = _read(path, topics)
+                run = _read(path, choice)
             except LogError as err:
                 reason = str(err).removeprefix(f"{path}: ")
                 failed = (fail_recording(str(path), reason),)
@@ -206,9 +209,12 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
     return {"metrics": tl.measure_run(run), "details": details}
 
 
-def _read(path: Path, topics: TopicOptions) -> "Run":
+def _read(path: Path, choice: "ReadChoice") -> "Run":
     # A recording that is not whole fails its check, which says so.
-    return tl.log.read_as_chosen(path, replace(topics.build_choice(), allow_partial=True))
+    run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True))
+    told = {name: text for name, text in run.notes.items() if name not in {"partial", "recovered"}}
+    print_run_notes(path, told)
+    return run
 
 
 def _write_artifacts(
@@ -223,14 +229,14 @@ def _write_artifacts(
 
 
 def _write_first(
-    path: Path, words: Sequence[Path], output: Path | None, topics: TopicOptions
+    path: Path, words: Sequence[Path], output: Path | None, topics: ReadingOptions
 ) -> int:
     from turtlelog.check.first_spec import format_first_spec, name_reference
 
     if words:
         raise UsageError(f"--init: expected one good run and no other file, found {words[0]}")
     require_new_target(output, [path], suffix=".toml")
-    run = _read(path, topics)
+    run = _read(path, topics.build_choice())
     text = format_first_spec(run, reference=name_reference(path, output))
     if output is None:
         print_text(text)

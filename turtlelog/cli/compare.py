@@ -1,7 +1,7 @@
 """`turtlelog compare`: runs beside each other, or against a reference."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import Files, TopicOptions, iterate_runs, read_runs, watch_summaries
+from turtlelog.cli.options import Files, ReadingOptions, iterate_runs, read_runs, watch_summaries
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -21,12 +21,14 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
+from turtlelog.display import format_number
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Metric, Run
     from turtlelog.compare import (
         MetricDifference,
+        PathError,
         RunComparison,
         RunSummary,
         SignalDifference,
@@ -85,7 +87,7 @@ def compare(
     choice: ChoiceOptions | None = None,
     formats: FormatOptions | None = None,
     rrd: Annotated[Path | None, Parameter(name="--rrd")] = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
 ) -> int:
     """Compare runs: which is best at what; with --reference, how far each is from it.
 
@@ -110,7 +112,7 @@ def compare(
         runs = iterate_runs(paths, topics) if held is None else iter(held)
         _compare_against(runs, paths, against, kind)
         return EXIT_FINE
-    summaries, errors = _summarise(paths, held, topics, only=_list_needed(choice, kind))
+    summaries, errors = _summarise(paths, held, topics, only=_choose_needed(choice, kind))
     for err in errors:
         print_error(str(err))
     # One run alone is beside no other.
@@ -134,7 +136,7 @@ def _require_sense(paths: Sequence[Path], against: ReferenceOptions, choice: Cho
             raise UsageError(f"--{name}: expected no --reference beside it, found one")
 
 
-def _draw(paths: Sequence[Path], rrd: Path, topics: TopicOptions | None) -> "list[Run]":
+def _draw(paths: Sequence[Path], rrd: Path, topics: ReadingOptions | None) -> "list[Run]":
     """Write a picture of all runs, which needs all of them at once, and return them."""
     runs = read_runs(paths, topics)
     with show_progress("drawing"):
@@ -146,32 +148,40 @@ def _draw(paths: Sequence[Path], rrd: Path, topics: TopicOptions | None) -> "lis
 def _summarise(
     paths: Sequence[Path],
     held: "Sequence[Run] | None",
-    topics: TopicOptions | None,
+    topics: ReadingOptions | None,
     *,
-    only: Sequence[str] | None,
+    only: "Callable[[Run], Sequence[str]] | None",
 ) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
     """Return the runs in short, read one by one unless they are held, and what cannot be read."""
     if held is not None:
         pairs = zip(held, paths, strict=True)
         return tuple(
-            tl.summarise_run(run, file=str(path), metrics=tl.measure_run(run, only=only))
+            tl.summarise_run(
+                run, file=str(path), metrics=tl.measure_run(run, only=only and only(run))
+            )
             for run, path in pairs
         ), []
     errors: list[TurtlelogError] = []
-    found = tl.compare.summarise_files(
-        paths, only=only, topics=(topics or TopicOptions()).build_choice()
-    )
-    return tuple(watch_summaries(found, len(paths), errors)), errors
+    chosen = (topics or ReadingOptions()).build_choice()
+    found = tl.compare.summarise_files(paths, only=only, topics=chosen)
+    summaries = tuple(watch_summaries(found, len(paths), errors))
+    return tl.compare.complete_summaries(summaries, topics=chosen), errors
 
 
-def _list_needed(choice: ChoiceOptions, kind: str) -> tuple[str, ...] | None:
-    """Return the metrics to compute, None for all: of thousands of runs no others are kept."""
+def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequence[str]] | None":
+    """Return what says which metrics to compute, None for all: of thousands no others are kept."""
     columns = choice.list_columns()
     if not columns and kind == "json":
         return None
-    return tl.compare.list_needed_metrics(
+    needed = tl.compare.list_needed_metrics(
         columns, where=choice.where, sort=choice.sort, source="--where"
     )
+
+    def choose(run: "Run") -> tuple[str, ...]:
+        # Which ones are usual of a bag of somebody else's shows when it is read.
+        return needed if columns else (*needed, *tl.compare.list_usual_of_run(run))
+
+    return choose
 
 
 def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:
@@ -205,24 +215,55 @@ def _compare_against(
         alignment = "first_sample"
     reference = next(runs)
     summaries: list[RunSummary] = []
+    errors: list[PathError] = []
 
     def summarise(run: "Run") -> "Run":
-        usual = tl.measure_run(run, only=tl.compare.list_usual_metrics(run.declaration))
         file = str(paths[len(summaries)])
-        summaries.append(tl.summarise_run(run, file=file, metrics=usual))
+        summaries.append(tl.summarise_run(run, file=file, metrics=_measure_usual(run, reference)))
+        return run
+
+    def measure(run: "Run") -> "Run":
+        errors.append(tl.compare.measure_path_error(reference, run, alignment=alignment))
+        if summaries[-1].is_lawless != summaries[0].is_lawless:
+            summaries[0] = replace(summaries[0], metrics=_measure_usual(reference, run))
         return run
 
     comparisons = list(
-        tl.compare.iter_comparisons(summarise(reference), map(summarise, runs), alignment=alignment)
+        tl.compare.iter_comparisons(
+            summarise(reference),
+            (measure(summarise(run)) for run in runs),
+            alignment=alignment,
+        )
     )
     if kind == "json":
-        print_json(_describe_against(paths, comparisons, alignment))
+        print_json(_describe_against(paths, comparisons, errors, alignment))
     else:
-        print_tables(_tabulate_differences(summaries, comparisons, kind), kind)
+        print_tables(_tabulate_differences(summaries, comparisons, errors, kind), kind)
+
+
+def _measure_usual(run: "Run", other: "Run") -> "Mapping[str, Metric]":
+    """Return the metrics that tell both runs from others at a glance."""
+    known = tl.measure.list_metrics(run.declaration)
+    usual = [name for one in (run, other) for name in tl.compare.list_usual_of_run(one)]
+    return tl.measure_run(run, only=[name for name in usual if name in known])
+
+
+def _tell_path(name: str, reference: str, error: "PathError") -> str:
+    def show(value_m: float) -> str:
+        return format_number(round(value_m, 9), "m")  # less is rounding
+
+    return (
+        f"{name}: up to {show(error.largest_m)} from the path of {reference} at"
+        f" {error.largest_at_s:.2f} s, RMS {show(error.rms_m)}; at equal times up to"
+        f" {show(error.largest_apart_m)} apart, RMS {show(error.rms_apart_m)}."
+    )
 
 
 def _tabulate_differences(
-    summaries: "Sequence[RunSummary]", comparisons: "Sequence[RunComparison]", kind: str
+    summaries: "Sequence[RunSummary]",
+    comparisons: "Sequence[RunComparison]",
+    errors: "Sequence[PathError]",
+    kind: str,
 ) -> "list[Table]":
     reference, *names = tl.compare.name_runs(summaries)
     # As many runs as a terminal has room for; a file has room for all.
@@ -235,7 +276,11 @@ def _tabulate_differences(
         )
         for first in range(0, len(names), step)
     ]
-    return differences if kind == "csv" else [tl.tabulate_runs(summaries), *differences]
+    if kind == "csv":
+        return differences
+    told = [_tell_path(name, reference, one) for name, one in zip(names, errors, strict=True)]
+    last = replace(differences[-1], notes=(*differences[-1].notes, *told))
+    return [tl.tabulate_runs(summaries), *differences[:-1], last]
 
 
 def _describe_across(
@@ -272,7 +317,10 @@ def _describe_across(
 
 
 def _describe_against(
-    paths: Sequence[Path], comparisons: "Sequence[RunComparison]", alignment: str
+    paths: Sequence[Path],
+    comparisons: "Sequence[RunComparison]",
+    errors: "Sequence[PathError]",
+    alignment: str,
 ) -> dict[str, Any]:
     """Return runs against the reference, which is the first path."""
     return {
@@ -287,8 +335,9 @@ def _describe_against(
                 "notes": list(found.notes),
                 "signals": [_describe_signal(signal) for signal in found.signals],
                 "metrics": [_describe_difference(metric) for metric in found.metrics],
+                "path_error": asdict(error),
             }
-            for path, found in zip(paths[1:], comparisons, strict=True)
+            for path, found, error in zip(paths[1:], comparisons, errors, strict=True)
         ],
     }
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json, TopicOptions, read_runs
+from turtlelog.cli.options import File, Json, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
@@ -16,7 +16,8 @@ from turtlelog.errors import LogError, UsageError
 if TYPE_CHECKING:
     from turtlelog import Run
 
-_FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet"}
+_FILES: Final = {".mcap": "mcap", ".csv": "csv", ".parquet": "parquet", ".tum": "tum"}
+_TRAJECTORIES: Final = (".tum", ".txt")
 _NO_FOLDERS: Final = (
     *(
         ".arrow",
@@ -44,13 +45,16 @@ class TableOptions:
     """Which tables, and how a log is read.
 
     Attributes:
-        format: What a folder holds: a ROS 2 bag (the usual), or a file per table.
+        to: What to write where the name of OUT does not say it: into a folder a ROS 2 bag (the
+            usual) or a file per table; tum writes a trajectory, whatever the file is called.
         table: Which table to write; otherwise a file holds the poses, and a folder all tables.
         sort: Sort the rows of a paper's log by time and drop exact duplicates, and count both,
             instead of refusing them.
     """
 
-    format: Literal["rosbag2", "csv", "parquet"] | None = None
+    to: Annotated[
+        Literal["rosbag2", "csv", "parquet", "tum"] | None, Parameter(name=("--to", "--format"))
+    ] = None
     table: _TableName | None = None
     sort: bool = False
 
@@ -61,15 +65,15 @@ def convert(
     *,
     output: Annotated[list[Path], Parameter(name=("--output", "-o"), metavar="OUT")],
     tables: TableOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
-    """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, or to a folder for ROS 2.
+    """Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2 folder.
 
     The suffix of OUT says what is written: .mcap a recording, .csv and .parquet one table of the
-    run; a name without one of these is a new folder, for ROS 2 or for one file per table. Every
-    file is read back and compared before the command answers. A file replaces one that is there,
-    a folder has to be new.
+    run, .tum its poses as a trajectory for evo and its like; a name without one of these is a new
+    folder, for ROS 2 or for one file per table. Every file is read back and compared before the
+    command answers. A file replaces one that is there, a folder has to be new.
 
     What the source does not hold is listed as absent, never made up. A recording, a bag and a
     folder of Parquet files hold the whole run. CSV holds its rows, without scenario, goal and
@@ -80,8 +84,9 @@ def convert(
     Example: turtlelog convert kp4.mcap -o kp4-bag -o kp4-poses.csv
 
     Args:
-        file: A recording (.mcap), a ROS 2 bag, one of the paper's logs (.json, .csv), or tables
-            that convert wrote.
+        file: A recording (.mcap), a ROS 2 bag, one of the paper's logs (.json, .csv), tables that
+            convert wrote, a table with a header (.csv, .tsv, .txt, .parquet), or a trajectory
+            (.tum, .txt).
         output: What to write; may stand several times.
         json: Print one JSON object instead of lines.
     """
@@ -97,11 +102,17 @@ def convert(
         for path in written:  # what stands, though another does not
             print_note(f"wrote {path}")
         raise
-    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in run.notes.items()]
+    kept = {name: text for name, text in run.notes.items() if name != tl.log.CHOSEN}
+    notes = [f"{name.replace('_', ' ')}: {text}" for name, text in kept.items()]
     notes += [
         f"{path} holds the poses alone: --table chooses another table, a folder holds all"
         for path, kind in kinds.items()
-        if kind in {"csv", "parquet"} and _is_file(path) and tables.table is None
+        if kind in {"csv", "parquet"} and _is_file(path, tables) and tables.table is None
+    ]
+    notes += [
+        f"{path} holds the poses alone, without commands, goal and scenario"
+        for path, kind in kinds.items()
+        if kind == "tum"
     ]
     if json:
         answer = {"file": str(file), "name": run.name, "written": written}
@@ -113,11 +124,11 @@ def convert(
 
 
 def _choose_kind(path: Path, tables: TableOptions) -> str:
-    return _FILES.get(path.suffix.lower()) or tables.format or "rosbag2"
+    return _FILES.get(path.suffix.lower()) or tables.to or "rosbag2"
 
 
-def _is_file(path: Path) -> bool:
-    return path.suffix.lower() in _FILES
+def _is_file(path: Path, tables: TableOptions) -> bool:
+    return path.suffix.lower() in _FILES or tables.to == "tum"
 
 
 def _require_targets(
@@ -129,17 +140,22 @@ def _require_targets(
             "--table: expected an output of tables (.csv, .parquet, or a folder with --format csv"
             f" or parquet), found {outputs[0]}"
         )
-    if tables.format is not None and all(map(_is_file, outputs)):
+    if tables.to == "tum":
+        for path in outputs:
+            if path.suffix.lower() not in _TRAJECTORIES:
+                expected = f"a name that ends in {' or '.join(_TRAJECTORIES)}"
+                raise UsageError(f"--to tum: expected {expected}, found {path}")
+    elif tables.to is not None and all(_is_file(path, tables) for path in outputs):
         raise UsageError(f"--format: expected a folder to write, found {outputs[0]}")
     for path in outputs:
-        if _is_file(path):
+        if _is_file(path, tables):
             require_new_target(path, [file], suffix=path.suffix.lower())
         else:
             require_new_folder(path, file_suffixes=_NO_FOLDERS)
     require_apart(outputs)
 
 
-def _read(file: Path, tables: TableOptions, topics: TopicOptions | None) -> "Run":
+def _read(file: Path, tables: TableOptions, topics: ReadingOptions | None) -> "Run":
     if tables.sort:
         return tl.log.import_log(file, sort=True)
     (run,) = read_runs([file], topics)
@@ -148,7 +164,10 @@ def _read(file: Path, tables: TableOptions, topics: TopicOptions | None) -> "Run
 
 def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Path, ...]:
     """Write one output and read it back."""
-    from turtlelog.log.importers.exported_tables import require_read_back
+    from turtlelog.log.importers.exported_tables import (
+        require_read_back,
+        require_same_poses,
+    )
 
     with show_progress("writing"):
         if kind == "mcap":
@@ -156,11 +175,16 @@ def _write(run: "Run", path: Path, kind: str, tables: TableOptions) -> tuple[Pat
             written: tuple[Path, ...] = (path,)
         elif kind == "rosbag2":
             written = tl.log.export_rosbag2(run, path)
+        elif kind == "tum":
+            written = tl.log.export_tum(run, path)
         elif kind == "csv":
             written = tl.log.export_csv(run, path, table=tables.table)
         else:
             written = tl.log.export_parquet(run, path, table=tables.table)
     with show_progress("reading back"):
+        if kind == "tum":
+            require_same_poses(path, run, tl.log.import_plain_table(path))
+            return written
         is_run = kind in {"mcap", "rosbag2"}
         require_read_back(run, written, tl.read_run(path) if is_run else None)
     return written

@@ -12,8 +12,9 @@ from turtlelog.cli.explain_answer import (
     format_attribution,
     format_identification,
 )
+from turtlelog.cli.explain_motion import describe_motion, format_motion
 from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
-from turtlelog.cli.options import File, Json, TopicOptions, Whole, read_runs
+from turtlelog.cli.options import File, Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -54,7 +55,7 @@ def explain(
         str | None, Parameter(metavar="NAMES", completer=complete_mechanisms)
     ] = None,
     options: ExplainOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
     """Say what made a run what it is, and which effect caused which part of a metric.
@@ -68,6 +69,10 @@ def explain(
     scenario, that is simulated again; where it reproduces every sample, the loop's effects and the
     law's own mechanisms share the metric. That runs the code that the recording names, and needs
     --trust-law unless the law is built in.
+
+    Of a recording without such samples, as most bags are, it says what poses and commands tell:
+    how often they come, jumps, gaps, the largest commands, and of turtlesim the dead time of its
+    commands, taken through its plant.
 
     Then it simulates that scenario without its effects, in every combination, and divides the
     metric among them: Shapley values, whose sum is the metric as built less that without all. They
@@ -99,6 +104,7 @@ def explain(
 
     names = None if mechanisms is None else [name.strip() for name in mechanisms.split(",")]
     (run,) = read_runs([file], topics)
+    is_asked = metric is not None or names is not None
     metric = metric or tl.explain.choose_metric(run.declaration)
     tl.explain.require_mechanisms(run, metric, names)
     require_trust(run, trust_law=options.trust_law)
@@ -120,8 +126,14 @@ def explain(
                 trust_law=options.trust_law,
                 work=tl.explain.Work(jobs=options.jobs, report=report),
             )
+    motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     if json:
-        print_json(describe_explanation(file, found, attribution))
+        motions = {"motion": None if motion is None else describe_motion(run, motion)}
+        print_json(describe_explanation(file, found, attribution) | motions)
+    elif motion is not None:
+        print_text(format_motion(run, motion))
+        if is_asked:
+            print_text(_NOTHING)
     else:
         print_text(format_identification(found))
         print_text(_NOTHING if attribution is None else format_attribution(attribution))

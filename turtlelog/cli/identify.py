@@ -98,7 +98,7 @@ def format_robot(model: "RobotModel") -> str:
     if model.tick_delays is not None:
         delays = model.tick_delays
         sentences.append(
-            f"Dead time of {delays.taken} commands: least {1e3 * delays.least_s:.1f} ms, median"
+            f"Dead time of {delays.shown} commands: least {1e3 * delays.least_s:.1f} ms, median"
             f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
         )
     table = tl.compare.Table(

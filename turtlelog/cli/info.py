@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
+from turtlelog.cli.info_summary import Summary, summarise
 from turtlelog.cli.options import Files, Json, Partial, iterate_files, require_files
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
@@ -25,11 +26,14 @@ _MOST_ENTRIES: Final = 8
 """Of a list that is printed: a sequence of commands has thousands. As JSON they are all there."""
 
 
-def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> int:
-    """Say what recordings hold: source, length, topics, scenario, and what is absent.
+def info(
+    files: Files, /, *, partial: Partial = False, clock: bool = False, json: Json = False
+) -> int:
+    """Say what recordings are and hold: a robot or turtlesim, source, length, topics, scenario.
 
-    Files that cannot be read are reported on stderr; the others are described, and the exit code
-    is 2.
+    Of a bag of up to 64 MiB, the poses and commands are read: what times them, and where poses
+    jump or are missing, and rates stand out. What would unlock what a file lacks is listed. Files
+    that cannot be read are reported on stderr; the others are described, and the exit code is 2.
 
     Example: turtlelog info kp1.mcap
 
@@ -37,36 +41,39 @@ def info(files: Files, /, *, partial: Partial = False, json: Json = False) -> in
         files: Recordings (.mcap), turtlelog's or other people's, ROS 2 bags, or the paper's logs
             (.json, .csv).
         partial: Say what a damaged recording still holds.
+        clock: Read the poses of large bags, too.
         json: Print one JSON list instead of text.
     """
     require_files(files)
-    found, errors = _read(files, partial=partial)
+    found, errors = _read(files, partial=partial, is_asked=clock)
     for err in errors:
         print_error(str(err))
     if json:
-        print_json([_describe(path, recording) for path, recording in found])
+        print_json([_describe(*of_file) for of_file in found])
     elif found:
-        print_text("\n\n".join(_format(path, recording) for path, recording in found))
+        print_text("\n\n".join(_format(*of_file) for of_file in found))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
 def _read(
-    files: Sequence[Path], *, partial: bool
-) -> "tuple[list[tuple[Path, RecordingInfo]], list[TurtlelogError]]":
+    files: Sequence[Path], *, partial: bool, is_asked: bool
+) -> "tuple[list[tuple[Path, RecordingInfo, Summary]], list[TurtlelogError]]":
     """Return what is found and what is wrong."""
-    found: list[tuple[Path, RecordingInfo]] = []
+    found: list[tuple[Path, RecordingInfo, Summary]] = []
     errors: list[TurtlelogError] = []
     for path in iterate_files(files):
         try:
-            found.append((path, tl.log.read_file_info(path, allow_partial=partial)))
+            recording = tl.log.read_file_info(path, allow_partial=partial)
+            found.append((path, recording, summarise(path, recording, is_asked=is_asked)))
         except TurtlelogError as err:
             errors.append(err)
     return found, errors
 
 
-def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:
+def _describe(path: Path, recording: "RecordingInfo", summary: Summary) -> dict[str, Any]:
     return {
         "file": str(path),
+        "summary": summary.text,
         "format_version": recording.format_version,
         "source": recording.source,
         "name": recording.name,
@@ -80,12 +87,14 @@ def _describe(path: Path, recording: "RecordingInfo") -> dict[str, Any]:
             for topic in recording.topics
         ],
         "absent": list(recording.absent),
+        "missing": list(summary.missing),
+        "clock": summary.clock,
         "not_understood": list(recording.not_understood),
-        "notes": dict(recording.notes),
+        "notes": {**recording.notes, **summary.notes},
     }
 
 
-def _format(path: Path, recording: "RecordingInfo") -> str:
+def _format(path: Path, recording: "RecordingInfo", summary: Summary) -> str:
     facts = {
         "name": recording.name,
         "source": recording.source,
@@ -94,11 +103,14 @@ def _format(path: Path, recording: "RecordingInfo") -> str:
         "ended": (recording.stop_reason or "not recorded").replace("_", " "),
         "duration": "-" if recording.duration_s is None else f"{recording.duration_s:.3f} s",
         "absent": ", ".join(recording.absent) or "nothing",
+        **{name.replace("_", " "): text for name, text in summary.notes.items()},
         **recording.notes,
     }
     width = max(map(len, facts))
     lines = [
         escape_controls(str(path)),
+        *(escape_controls(f"  {line}") for line in (summary.text, *summary.missing)),
+        "",
         *(escape_controls(f"  {key:<{width}}  {value}") for key, value in facts.items()),
     ]
     if recording.topics:

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import Files, TopicOptions, Whole, require_files, watch_summaries
+from turtlelog.cli.options import Files, ReadingOptions, Whole, require_files, watch_summaries
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -23,7 +23,7 @@ from turtlelog.cli.output import (
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Declaration, MeasureSettings
+    from turtlelog import MeasureSettings, Run
     from turtlelog.compare import RunSummary
 
 _MOST_COLUMNS: Final = 6
@@ -41,6 +41,8 @@ class MeasureOptions:
         final: Where they lead [rad or m]: reference, last, NUMBER, or LOOP=VALUE; otherwise
             reference.
         reference_path: CSV of x,y [m], for cross-track errors; otherwise the line to the goal.
+        goal_tolerance: How near the goal counts as there, for run.time_to_goal [m]; otherwise the
+            band.
         dead_time: Dead time of the delayed ideal loop [samples]; otherwise as found.
     """
 
@@ -49,6 +51,7 @@ class MeasureOptions:
     initial: Annotated[str | None, Parameter(metavar="VALUE")] = None
     final: Annotated[str | None, Parameter(metavar="VALUE")] = None
     reference_path: Path | None = None
+    goal_tolerance: Annotated[float | None, Parameter(metavar="METRES")] = None
     dead_time: Whole | None = None
 
     def list_patterns(self) -> list[str] | None:
@@ -69,6 +72,7 @@ class MeasureOptions:
             "final": None if self.final is None else _parse_values("--final", self.final),
             "reference_path_xy_m": None if path is None else tl.measure.read_reference_path(path),
             "dead_time_ticks": self.dead_time,
+            "goal_tolerance_m": self.goal_tolerance,
         }
         return tl.MeasureSettings(
             **{name: value for name, value in asked.items() if value is not None}
@@ -83,7 +87,7 @@ def metrics(
     all_: Annotated[bool, Parameter(name="--all")] = False,
     jobs: Annotated[Whole, Parameter(metavar="COUNT")] = 1,
     formats: FormatOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
 ) -> int:
     """Measure recordings: the essential metrics as a table, a status where there is no value.
 
@@ -103,15 +107,16 @@ def metrics(
         jobs: Processes to read and measure in.
     """
     require_files(files)
-    measuring, topics = measuring or MeasureOptions(), topics or TopicOptions()
+    measuring, topics = measuring or MeasureOptions(), topics or ReadingOptions()
     kind = (formats or FormatOptions()).choose()
     patterns = measuring.list_patterns()
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
-    essential = tl.measure.list_essential_metrics
+    settings = measuring.build_settings()
+    essential = _list_with_path if measuring.reference_path else tl.measure.list_essential_metrics
     found = tl.compare.summarise_files(
         files,
-        measuring.build_settings(),
-        only=(_list_with_path if measuring.reference_path else essential) if is_short else patterns,
+        settings,
+        only=essential if is_short else patterns,
         topics=topics.build_choice(),
         jobs=jobs,
     )
@@ -124,16 +129,20 @@ def metrics(
         _require_some(held, patterns)
         if kind == "csv":
             _print_csv(held)
+        elif is_short:
+            choice = topics.build_choice()
+            held = list(tl.compare.complete_summaries(held, settings, topics=choice))
+            _print_tables(held, kind, is_short=True)
         else:
-            _print_tables(held, kind, tell_more=kind == "txt" and is_short)
+            _print_tables(held, kind, is_short=False)
     for err in errors:
         print_error(str(err))
     return EXIT_BAD_INPUT if errors else EXIT_FINE
 
 
-def _list_with_path(declaration: "Declaration") -> tuple[str, ...]:
+def _list_with_path(run: "Run") -> tuple[str, ...]:
     """Return the essential metrics, and how far from the path that was given, goal or none."""
-    essential = tl.measure.list_essential_metrics(declaration)
+    essential = tl.measure.list_essential_metrics(run)
     return tuple(dict.fromkeys([*essential, "run.cross_track_max"]))
 
 
@@ -146,24 +155,41 @@ def _require_some(summaries: "Sequence[RunSummary]", patterns: Sequence[str] | N
     raise UsageError(f"metric {patterns[0]!r}: expected {near}")
 
 
-def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, tell_more: bool) -> None:
+def _print_tables(summaries: "Sequence[RunSummary]", kind: str, *, is_short: bool) -> None:
     if not summaries:
         return
     declarations = [found.declaration for found in summaries]
     ids = (name for found in summaries for name in found.metrics)
     chosen = tl.compare.order_ids(ids, declarations)
+    if is_short:
+        chosen = tl.compare.drop_absent(summaries, chosen)
     summaries = tl.compare.order_by_gain(summaries)
     if len(summaries) > _MOST_COLUMNS:
         table = tl.tabulate_runs(summaries, only=chosen)
     else:
         names = tl.compare.name_runs(summaries)
-        measured = [summary.metrics for summary in summaries]
+        measured = [
+            {name: found for name, found in summary.metrics.items() if name in chosen}
+            for summary in summaries
+        ]
         table = tl.compare.tabulate_measured(names, measured, declarations=declarations)
-    if tell_more:
+    if is_short and kind == "txt":
         count = len(tl.measure.list_metrics(*(found.declaration for found in summaries)))
         more = f"{len(chosen)} of {count} metrics: --all shows every one, --only chooses."
-        table = replace(table, notes=(more, *table.notes))
+        unlocks = tl.compare.list_unlocks(summaries)
+        table = replace(table, notes=(more, *_tell_rates(summaries), *table.notes, *unlocks))
     print_tables([table], kind)
+
+
+def _tell_rates(summaries: "Sequence[RunSummary]") -> "Iterator[str]":
+    """Yield where the measured rates of bags come from."""
+    lawless = [found for found in summaries if found.is_lawless]
+    reporting = sum("rates" not in found.lacks for found in lawless)
+    if reporting and reporting == len(lawless):
+        yield "Measured rates are those that the robot reports."
+    elif lawless:
+        which = "" if not reporting else " where the robot reports none"
+        yield f"Measured rates are differences of poses{which}."
 
 
 def _print_csv(summaries: "Sequence[RunSummary]") -> None:

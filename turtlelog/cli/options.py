@@ -1,11 +1,12 @@
 """Options that several commands share, and what they stand for."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
-from cyclopts import Parameter, Token
+from cyclopts import Group, Parameter, Token
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_keys, complete_law
@@ -89,28 +90,94 @@ class LawOptions(ScenarioOptions):
         return named
 
 
-@Parameter(name="*")
+_READING: Final = Group("Reading other people's files", sort_key=2)
+
+
+@Parameter(name="*", group=_READING)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicOptions:
-    """How recordings are read: which topics of somebody else's bag, and damaged ones.
+    """What is read of bags and tables that turtlelog did not write, and damaged recordings.
 
     Attributes:
-        pose_topic: Poses: turtlesim's, Odometry or PoseStamped.
+        pose_topic: Poses; of one file alone FILE:TOPIC says the same. Otherwise types and names
+            tell, and a line on stderr says which was chosen.
         command_topic: Commands: Twist or TwistStamped.
+        path_topic: The path to be followed: nav_msgs/Path.
+        pose_frame: The robot's frame, of poses from transforms (/tf).
+        world_frame: The frame in which poses from transforms are given.
+        time: What times poses: the recorder (log), their stamps mapped to its clock (stamp), or
+            what the bag suggests.
+        column: The column of a table that holds t, x, y, heading or another quantity, as in
+            "heading=yaw [deg]"; may stand several times.
         partial: Read what an unfinished or damaged recording still holds.
     """
 
     pose_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
     command_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
+    path_topic: Annotated[str | None, Parameter(metavar="TOPIC")] = None
+    pose_frame: Annotated[str | None, Parameter(metavar="FRAME")] = None
+    world_frame: Annotated[str | None, Parameter(metavar="FRAME")] = None
+    time: Literal["auto", "log", "stamp"] = "auto"
+    column: Annotated[list[str] | None, Parameter(metavar="NAME=COLUMN")] = None
     partial: Partial = False
 
     def build_choice(self) -> "ReadChoice":
-        """Return what is asked for as a choice."""
+        """Return what is asked for as a choice.
+
+        Raises:
+            UsageError: Where a value is of no use.
+        """
         return tl.log.ReadChoice(
             pose_topic=self.pose_topic,
             command_topic=self.command_topic,
+            path_topic=self.path_topic,
+            pose_frame=self.pose_frame,
+            world_frame=self.world_frame,
+            time=self.time,
+            columns=dict(map(_split_column, self.column or ())),
             allow_partial=self.partial,
         )
+
+
+@Parameter(name="*", group=_READING)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadingOptions(TopicOptions):
+    """The same, and the goal of a robot whose file holds none.
+
+    Attributes:
+        goal: Where the robot was to go [m], and its heading there [deg], as in 2,10 or 2,10,90;
+            takes the place of the bag's own.
+    """
+
+    goal: Annotated[str | None, Parameter(metavar="X,Y[,DEG]", allow_leading_hyphen=True)] = None
+
+    def build_choice(self) -> "ReadChoice":
+        """Return what is asked for as a choice.
+
+        Raises:
+            UsageError: Where a value is of no use.
+        """
+        choice = super(ReadingOptions, self).build_choice()
+        return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
+
+
+def _split_column(text: str) -> tuple[str, str]:
+    name, sign, column = text.partition("=")
+    if not (sign and name.strip() and column.strip()):
+        raise UsageError(f"--column: expected NAME=COLUMN, as in x=pos_x, found {text[:60]!r}")
+    return name.strip(), column.strip()
+
+
+def _parse_aim(text: str) -> tuple[float, ...]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in {2, 3} or not all(map(math.isfinite, values)):
+        raise UsageError(
+            f"--goal: expected X,Y in metres and perhaps a heading in degrees, found {text[:60]!r}"
+        )
+    return (*values[:2], *map(math.radians, values[2:]))
 
 
 _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
@@ -127,7 +194,8 @@ def find_scenario_file(name: str | None) -> Path | None:
 
 def is_recording(path: Path) -> bool:
     """Return whether a word names a recording, by its ending, or a bag's folder."""
-    return path.suffix.lower() in _RECORDINGS or path.is_dir()
+    path, topic = tl.log.split_topic(path)
+    return topic is not None or path.suffix.lower() in _RECORDINGS or path.is_dir()
 
 
 def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) -> "Scenario":

@@ -183,10 +183,18 @@ def print_note(text: str) -> None:
 
 
 def print_run_notes(path: Path | str, notes: Mapping[str, str]) -> None:
-    """Print what one must know of a recording that is not whole."""
-    for name in ("recovered", "partial"):
+    """Print what was read of somebody else's file, and what one must know of one that lost some."""
+    # What concerns other files than this stands in a recording that was converted from one.
+    told = _OF_SOURCE if "chosen" in notes else ()
+    for name in (*told, "recovered", "partial"):
         if name in notes:
-            print_note(f"{path}: {name}: {notes[name]}")
+            label = "" if name in {"chosen", "plane"} else f"{name.replace('_', ' ')}: "
+            print_note(f"{path}: {label}{notes[name]}")
+
+
+_OF_SOURCE: Final = (
+    *("chosen", "clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
+)
 
 
 def print_error(text: str) -> None:

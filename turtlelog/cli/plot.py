@@ -9,7 +9,7 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog import show
 from turtlelog.cli.list_names import complete_figures
-from turtlelog.cli.options import Json, TopicOptions, read_runs
+from turtlelog.cli.options import Json, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -29,7 +29,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     columns: Literal[1, 2] = 1,
     text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
     """Make the paper's figures from any recordings, and its tables as LaTeX.
@@ -93,7 +93,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         print_lines(f"wrote {path}" for path in [*figures, *tables])
 
 
-def _collect_runs(words: Sequence[Path], topics: TopicOptions | None) -> "list[Run]":
+def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list[Run]":
     """Return recordings, and runs of scenarios and presets, in their order."""
     scenarios = {
         word

@@ -10,7 +10,7 @@ import turtlelog as tl
 from turtlelog.cli.options import File, Json
 from turtlelog.cli.output import print_json, print_lines
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.targets import require_new_folder, require_new_target
 
 if TYPE_CHECKING:
     from turtlelog.log import RecoveryReport
@@ -25,19 +25,23 @@ def recover(
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
     json: Json = False,
 ) -> None:
-    """Write what an unfinished or damaged MCAP file still holds as a complete one.
+    """Write what an unfinished or damaged recording still holds as a complete one.
 
     For recordings that were cut off (a crash, a full disk, a copy that broke off) or damaged, by
-    turtlelog or by anybody else. The file itself is not changed.
+    turtlelog or by anybody else, in MCAP or SQLite. The file itself is not changed.
 
     Example: turtlelog recover cut.mcap -o whole.mcap
 
     Args:
-        file: The MCAP file to read, or the folder of a bag with one.
-        output: Write the recovered recording to this .mcap file.
+        file: The file to read, .mcap or .db3, or the folder of a bag.
+        output: Write the recovered recording to this .mcap file. Of a bag, another name is a new
+            folder, for a bag of all its files.
         json: Print one JSON object instead of text.
     """
-    require_new_target(output, [file], suffix=".mcap")
+    if file.is_dir() and output.suffix.lower() != ".mcap":
+        require_new_folder(output)
+    else:
+        require_new_target(output, [file], suffix=".mcap")
     with show_progress("recovering"):
         report = tl.recover_recording(file, output)
     if json:

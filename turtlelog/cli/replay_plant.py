@@ -64,7 +64,7 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
     use = found.commands
     and_of_velocities = ", and of velocities used as recorded," if use.unexplained_ticks else ""
     notes = [
-        *_judge_rounding(found),
+        *judge_rounding(found),
         f"Commands: {use.taken} taken, {use.unseen} that no pose shows;"
         f" the plant stopped by itself {use.stops} times.",
         "Rounding: one step of the 32 bits of a pose, for other platforms."
@@ -112,10 +112,10 @@ def format_plant(run: "Run", found: "PlantReplay") -> str:
         ),
         notes=tuple(notes),
     )
-    return "\n".join([format_table(stretches), *_list_breaks(run, found)])
+    return "\n".join([format_table(stretches), *list_breaks(run, found)])
 
 
-def _judge_rounding(found: "PlantReplay") -> list[str]:
+def judge_rounding(found: "PlantReplay") -> list[str]:
     """Return whether rounding explains what differs, and whose arithmetic it is."""
     beyond = sum(not stretch.within_rounding for stretch in found.stretches)
     if found.of_rounding == 0.0:
@@ -132,7 +132,7 @@ def _judge_rounding(found: "PlantReplay") -> list[str]:
     return sentences
 
 
-def _list_breaks(run: "Run", found: "PlantReplay") -> list[str]:
+def list_breaks(run: "Run", found: "PlantReplay") -> list[str]:
     """Return a line for each jump and gap, in order of time."""
     lines = [(jump.at_ns, _format_jump(jump)) for jump in found.jumps]
     lines += [

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+import turtlelog as tl
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
 
@@ -75,7 +76,7 @@ def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
         raise UsageError("expected a file that may be replaced, found it write-protected")
     for path in inputs:
         with suppress(OSError):  # an input that is not there is told when it is read
-            if target.samefile(path):
+            if target.samefile(tl.log.split_topic(path)[0]):
                 raise UsageError("expected another file to write to, found the input itself")
 
 

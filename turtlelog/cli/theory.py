@@ -12,7 +12,7 @@ from turtlelog.cli.list_names import complete_keys, complete_preset
 from turtlelog.cli.options import (
     Json,
     LawOptions,
-    TopicOptions,
+    ReadingOptions,
     Whole,
     is_recording,
     load_changed_scenario,
@@ -91,7 +91,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         list[str] | None,
         Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
     ] = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
     """Say what theory expects of an integrator under P, PI, PD or PID control.
@@ -189,7 +189,7 @@ def _answer_file(
     word: str,
     kp: str | None,
     assignments: list[str] | None,
-    topics: TopicOptions | None,
+    topics: ReadingOptions | None,
     *,
     json: bool,
 ) -> None:

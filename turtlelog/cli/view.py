@@ -12,7 +12,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Connect, Files, TopicOptions, read_runs, require_files
+from turtlelog.cli.options import Connect, Files, ReadingOptions, read_runs, require_files
 from turtlelog.cli.output import outlive_reader, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -64,7 +64,7 @@ def view(
     save: Path | None = None,
     picture: PictureOptions | None = None,
     window: WindowOptions | None = None,
-    topics: TopicOptions | None = None,
+    topics: ReadingOptions | None = None,
 ) -> None:
     """Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.
 
@@ -156,7 +156,7 @@ def _prepare_rrds(
     save: Path | None,
     snapshot: Path | None,
     folder: Path,
-    topics: TopicOptions | None,
+    topics: ReadingOptions | None,
 ) -> list[Path]:
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):

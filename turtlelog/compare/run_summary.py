@@ -3,7 +3,7 @@
 import multiprocessing
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ from turtlelog.measure import (
     Metric,
     choose_metrics,
     find_metric_kind,
+    is_lawless,
     is_metric_pattern,
     list_essential_metrics,
     list_metrics,
@@ -35,6 +36,18 @@ from turtlelog.scenario import Start
 TEXTS: Final = ("name", "source", "stop_reason")
 """What filters and orders may ask for besides parameters and metrics."""
 
+
+HOLDINGS: Final[Mapping[str, Callable[[Run], bool]]] = MappingProxyType(
+    {
+        "samples": lambda run: len(run.samples) > 0,
+        "commands": lambda run: len(run.commands) > 0,
+        "goal": lambda run: run.goal_xy_m is not None,
+        "rates": lambda run: (
+            {run.poses.measured_speed_m_s is None, run.poses.speed_m_s is None} != {True}
+        ),
+    }
+)
+"""What metrics need besides poses: samples of a controller, commands, a goal, reported rates."""
 
 _MAPPINGS: Final = ("parameters", "metrics", "notes")
 
@@ -52,6 +65,7 @@ class RunSummary:
         file: Where it was read from, empty where that is not known.
         notes: As in `Run`.
         declaration: As in `Run`.
+        lacks: Which of `HOLDINGS` it does not hold.
     """
 
     name: str
@@ -62,6 +76,7 @@ class RunSummary:
     file: str = ""
     notes: Mapping[str, str] = field(default_factory=dict)
     declaration: Declaration = field(default_factory=Declaration)
+    lacks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in _MAPPINGS:
@@ -70,6 +85,11 @@ class RunSummary:
     def __reduce__(self) -> tuple[Any, tuple[dict[str, Any]]]:
         values = {found.name: getattr(self, found.name) for found in fields(self)}
         return _rebuild, (values | {name: dict(values[name]) for name in _MAPPINGS},)
+
+    @property
+    def is_lawless(self) -> bool:
+        """Whether nothing is known of what controls it: a bag of somebody else's."""
+        return "samples" in self.lacks and not self.declaration.loops
 
     def find_value(self, name: str) -> Parameter | None:
         """Return a parameter, a metric's value, `name`, `source` or `stop_reason`; None: none."""
@@ -132,6 +152,7 @@ def summarise_run(
         file=file,
         notes=run.notes,
         declaration=run.declaration,
+        lacks=tuple(name for name, holds in HOLDINGS.items() if not holds(run)),
     )
 
 
@@ -221,6 +242,41 @@ def choose_columns(
     return tuple(chosen)
 
 
+def list_usual_of_run(run: Run) -> tuple[str, ...]:
+    """Return the ids of the metrics that tell a run from others at a glance."""
+    return USUAL_OF_MOTION if is_lawless(run) else list_usual_metrics(run.declaration)
+
+
+def complete_summaries(
+    summaries: Sequence[RunSummary],
+    settings: MeasureSettings | None = None,
+    *,
+    topics: ReadChoice | None = None,
+) -> tuple[RunSummary, ...]:
+    """Return runs with the metrics of `final` and `run` that any of them was measured for.
+
+    Only where bags of somebody else's stand beside runs of a law: their files are read again.
+    """
+    if len({found.is_lawless for found in summaries}) < 2:
+        return tuple(summaries)
+    ids = dict.fromkeys(name for found in summaries for name in found.metrics)
+    shared = [name for name in ids if name.partition(".")[0] in {"final", "run"}]
+    return tuple(_complete(found, shared, settings, topics or ReadChoice()) for found in summaries)
+
+
+def _complete(
+    summary: RunSummary,
+    ids: Sequence[str],
+    settings: MeasureSettings | None,
+    topics: ReadChoice,
+) -> RunSummary:
+    lacking = [name for name in ids if name not in summary.metrics]
+    if not lacking:
+        return summary
+    found = measure_run(read_as_chosen(summary.file, topics), settings, only=lacking)
+    return replace(summary, metrics={**summary.metrics, **found})
+
+
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
     """Return the ids of the metrics that tell runs of these laws apart at a glance.
 
@@ -271,6 +327,11 @@ _MOST_NOTES: Final = 5
 _USUAL_OF_LOOP: Final = ("settling_time", "overshoot", "rms_error")
 _USUAL_OF_RUN: Final = ("final.heading_error", "final.position_error", "run.duration")
 _USUAL_WITHOUT_GOAL: Final = ("run.duration", "run.path_length", "run.turn_rate_effort")
+USUAL_OF_MOTION: Final = (
+    *("final.position_error", "run.duration", "run.path_length", "run.measured_speed_max"),
+    *("run.speed_lag", "run.turn_rate_lag"),
+)
+"""Of runs of which no law is known."""
 _USUAL_PATTERNS: Final = (*(f"*.{name}" for name in _USUAL_OF_LOOP), *_USUAL_OF_RUN)
 """Whatever the law; the runs are not read yet."""
 
@@ -306,8 +367,8 @@ def _rank(value: Any) -> tuple[int, Any]:
     return (0, value) if isinstance(value, int | float) else (1, str(value))
 
 
-Choice = Collection[str] | Callable[[Declaration], Collection[str]] | None
-"""Which metrics to compute: ids and patterns, or what says which, from the law of a run; all."""
+Choice = Collection[str] | Callable[[Run], Collection[str]] | None
+"""Which metrics to compute: ids and patterns, or what says which of a run; all."""
 
 _AT_ONCE: Final = 16
 """Files that a process takes at a time."""
@@ -358,7 +419,7 @@ def _measure_file(
         run = read_as_chosen(path, topics)
     except TurtlelogError as err:
         return err
-    chosen = only(run.declaration) if callable(only) else only
+    chosen = only(run) if callable(only) else only
     return summarise_run(run, file=path, metrics=measure_run(run, settings, only=chosen))
 
 

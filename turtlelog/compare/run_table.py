@@ -10,6 +10,7 @@ from typing import Final, Literal
 from turtlelog.compare.like_loops import group_ids
 from turtlelog.compare.run_names import has_one_gain, name_runs
 from turtlelog.compare.run_summary import (
+    USUAL_OF_MOTION,
     RunSummary,
     choose_columns,
     list_usual_metrics,
@@ -19,7 +20,14 @@ from turtlelog.display import describe_count, format_html, format_number
 from turtlelog.errors import CompareError
 from turtlelog.escapes import escape_controls
 from turtlelog.loops import ControlLoop, Declaration
-from turtlelog.measure import MeasureSettings, Metric, find_metric_kind, list_metrics, measure_run
+from turtlelog.measure import (
+    MeasureSettings,
+    Metric,
+    Status,
+    find_metric_kind,
+    list_metrics,
+    measure_run,
+)
 from turtlelog.run import Run
 
 Cell = str | float | int | None
@@ -103,8 +111,7 @@ def tabulate_runs(
         CompareError: Where `only` names what there is not.
     """
     gains = _list_gain_columns(summaries)
-    usual = list_usual_metrics(*(found.declaration for found in summaries))
-    chosen = choose_columns(summaries, only or usual)
+    chosen = choose_columns(summaries, only or _list_usual(summaries))
     if not only:
         summaries = [_leave_out_goal(summary) for summary in summaries]
     differing = [] if only else _find_differing(summaries)
@@ -134,7 +141,7 @@ def tabulate_runs(
         title=title or describe_count(len(summaries), "run"),
         columns=columns,
         rows=rows,
-        notes=(*notes, *told),
+        notes=(*notes, *told, *([] if only else list_unlocks(summaries))),
         marks=MappingProxyType(
             {
                 (row, index): mark
@@ -191,6 +198,47 @@ def list_units(metrics: Sequence[Metric]) -> list[str]:
     valued = [metric.unit for metric in metrics if metric.value is not None]
     return list(dict.fromkeys(valued or [metric.unit for metric in metrics][:1]))
 
+
+def _list_usual(summaries: Sequence[RunSummary]) -> tuple[str, ...]:
+    """Return the usual metrics; beside or among bags of somebody else's those that some run has."""
+    laws = [found.declaration for found in summaries if not found.is_lawless]
+    if len(laws) == len(summaries):
+        return list_usual_metrics(*laws)
+    usual = [*(list_usual_metrics(*laws) if laws else ()), *USUAL_OF_MOTION]
+    return drop_absent(summaries, dict.fromkeys(usual))
+
+
+def drop_absent(summaries: Sequence[RunSummary], ids: Collection[str]) -> tuple[str, ...]:
+    """Return the metrics that some run holds what they are computed from.
+
+    Of runs of laws alone all of them: what their tables show does not depend on a run.
+    """
+    if not any(found.is_lawless for found in summaries):
+        return tuple(ids)
+    return tuple(name for name in ids if any(_is_held(found, name) for found in summaries))
+
+
+def _is_held(summary: RunSummary, name: str) -> bool:
+    metric = summary.metrics.get(name)
+    return metric is not None and metric.status is not Status.ABSENT
+
+
+def list_unlocks(summaries: Sequence[RunSummary]) -> list[str]:
+    """Return what would add metrics where all runs are bags of somebody else's that lack it."""
+    if not summaries or not all(found.is_lawless for found in summaries):
+        return []
+    return [line for lack, line in _UNLOCKS.items() if all(lack in one.lacks for one in summaries)]
+
+
+_UNLOCKS: Final = MappingProxyType(
+    {
+        "goal": "No goal: --goal X,Y adds final.position_error and run.time_to_goal.",
+        "commands": "No commands: --command-topic TOPIC adds lags, tracking errors and steps.",
+        "samples": "No samples of a controller, which metrics of loops need: recordings of"
+        " turtlelog hold them, and topics of ControlSample messages.",
+    }
+)
+"""What a bag may lack, and what would add the metrics that need it."""
 
 _MOST_DIFFERING: Final = 2
 _AT_GOAL: Final = ("final.heading_error", "final.position_error")

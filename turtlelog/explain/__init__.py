@@ -21,15 +21,20 @@ from turtlelog.explain.identification import Certainty, Finding, Identification
 from turtlelog.explain.identify import identify_run
 from turtlelog.explain.law_identification import describe_loop_name
 from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
+from turtlelog.explain.motion_facts import Delays, Largest, MotionFacts, Periods, read_motion_facts
 from turtlelog.explain.report import write_sentences
 from turtlelog.explain.resimulation import Resimulation
 
 __all__ = [
     "Attribution",
     "Certainty",
+    "Delays",
     "Finding",
     "Grain",
     "Identification",
+    "Largest",
+    "MotionFacts",
+    "Periods",
     "Resimulation",
     "SeedRange",
     "Share",
@@ -43,6 +48,7 @@ __all__ = [
     "describe_loop_name",
     "find_mechanisms",
     "identify_run",
+    "read_motion_facts",
     "require_mechanisms",
     "require_trust",
     "simulate_without",

@@ -218,6 +218,8 @@ def identify_plant(run: Run) -> Identification:
 
 
 def _count_lost(run: Run) -> Finding:
+    if run.poses.speed_m_s is None:
+        return miss("the poses hold no applied velocities, which would tell the commands that act")
     try:
         use = replay_plant(run).commands
     except ReplayError as err:

@@ -50,14 +50,15 @@ class TickDelays:
     """How late turtlesim took commands: from a command's time to the pose that shows it.
 
     Attributes:
-        taken: How many commands a pose shows.
+        shown: How many commands a pose shows: of those that were taken, the ones that changed what
+            the plant held.
         commands: How many there are.
         least_s: The smallest delay [s].
         median_s: The median [s].
         largest_s: The largest [s].
     """
 
-    taken: int
+    shown: int
     commands: int
     least_s: float
     median_s: float

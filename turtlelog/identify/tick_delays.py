@@ -10,7 +10,12 @@ from turtlelog.identify.axis_motion import NAMES, Axis, get_commands
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotModel, TickDelays
 from turtlelog.plants import TURTLESIM, find_plant
-from turtlelog.replay.plant_ticks import find_breaks, place_commands, read_motion
+from turtlelog.replay.plant_ticks import (
+    find_breaks,
+    follow_commands,
+    place_commands,
+    read_motion,
+)
 from turtlelog.run import Run
 
 _MOST_UNEXPLAINED: Final = 0.05
@@ -29,7 +34,7 @@ def identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
     if not len(delays_s):
         return None
     delays = TickDelays(
-        taken=len(delays_s),
+        shown=len(delays_s),
         commands=sum(len(run.commands) for run in runs),
         least_s=float(delays_s.min()),
         median_s=float(np.median(delays_s)),
@@ -43,8 +48,8 @@ def identify_ticks(runs: Sequence[Run]) -> RobotModel | None:
         tick_delays=delays,
         notes=(
             f"Exact: {_HERE}. The interval of the dead time is from the least to the largest, from"
-            " the time of a command to that of the pose that shows it first.",
-            *_note_untaken(delays),
+            " the time of a command to that of the pose that shows it first; a command that"
+            " changes nothing shows in none.",
         ),
     )
 
@@ -62,9 +67,7 @@ def _list_delays(run: Run) -> Values | None:
     moving = np.count_nonzero((motion.speed_m_s != 0.0) | (motion.turn_rate_rad_s != 0.0))
     if use.unexplained_ticks > _MOST_UNEXPLAINED * moving:
         return None
-    if not use.taken_at:
-        return np.zeros(0)
-    poses, commands = np.array(use.taken_at).T
+    commands, poses = follow_commands(run).T
     return np.asarray((motion.time_ns[poses] - run.commands.time_ns[commands]) / 1e9)
 
 
@@ -89,10 +92,3 @@ def _describe(runs: Sequence[Run], axis: Axis, delays: TickDelays) -> AxisModel:
         steps=sum(len(run.poses) for run in runs),
         changes=sum(int(np.count_nonzero(np.diff(get_commands(run, axis)))) for run in runs),
     )
-
-
-def _note_untaken(delays: TickDelays) -> list[str]:
-    untaken = delays.commands - delays.taken
-    if not untaken:
-        return []
-    return [f"{untaken} of {delays.commands} commands moved nothing: no pose shows them."]

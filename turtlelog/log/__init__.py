@@ -5,10 +5,10 @@ from turtlelog.log.complete_files import replace_when_complete
 from turtlelog.log.container import write_columns
 from turtlelog.log.engine import TopicColumns, iter_columns, read_columns
 from turtlelog.log.engine.walk import Loss
-from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2
-from turtlelog.log.importers import import_log
+from turtlelog.log.exporters import export_csv, export_parquet, export_rosbag2, export_tum
+from turtlelog.log.importers import import_log, import_plain_table
 from turtlelog.log.info import RecordingInfo, TopicInfo, read_info
-from turtlelog.log.read_choice import ReadChoice, ReadOptions
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions, split_topic
 from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import RecordingTail, read_recording
 from turtlelog.log.recording.recorder import Recorder
@@ -17,6 +17,7 @@ from turtlelog.log.recovery import RecoveryReport, recover_recording
 from turtlelog.log.ros2 import read_bag, read_bag_info
 
 __all__ = [
+    "CHOSEN",
     "Loss",
     "PartialRecordingWarning",
     "ReadChoice",
@@ -30,7 +31,9 @@ __all__ = [
     "export_csv",
     "export_parquet",
     "export_rosbag2",
+    "export_tum",
     "import_log",
+    "import_plain_table",
     "iter_columns",
     "read_as_chosen",
     "read_bag",
@@ -42,6 +45,7 @@ __all__ = [
     "read_run",
     "recover_recording",
     "replace_when_complete",
+    "split_topic",
     "write_columns",
     "write_recording",
 ]

@@ -1,18 +1,26 @@
 """Any file -> Run: the kind is told by what is in it."""
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, Unpack
+from typing import Final, Unpack, cast
 
 from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.opening import is_sqlite
+from turtlelog.log.engine.chunks import ZSTD_MAGIC
+from turtlelog.log.engine.sqlite_source import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.importers import LOG_SUFFIXES, import_log
+from turtlelog.log.importers import LOG_SUFFIXES, import_other
 from turtlelog.log.importers.exported_tables import holds_tables, import_tables
 from turtlelog.log.info import RecordingInfo, read_info
-from turtlelog.log.read_choice import ReadChoice, ReadOptions
+from turtlelog.log.read_choice import (
+    CHOSEN,
+    ReadChoice,
+    ReadOptions,
+    parse_goal,
+    split_topic,
+)
 from turtlelog.log.recording.contents import PartialRecordingWarning
 from turtlelog.log.recording.reader import read_if_own
 from turtlelog.log.recording.topics import COMMAND, POSE
@@ -21,42 +29,81 @@ from turtlelog.run import Run
 
 
 def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
-    """Return the run in a recording, somebody's bag or .mcap, a paper's log, or exported tables.
+    """Return the run in a recording, somebody's bag or .mcap, a paper's log, or a table.
 
     Args:
         path: A file, or a bag's folder; one that holds a recording of turtlelog's is read as that.
+            FILE:TOPIC, as in `bag:/odom_kf`, reads the poses of that topic, and the run's name then
+            ends in it.
         options: Fields of a `ReadChoice`: which topics of somebody else's files to read, and
             whether an unfinished recording may be read, with a `PartialRecordingWarning`.
 
     Raises:
         LogError: One line with the file and the place.
     """
-    path, choice = Path(path), ReadChoice(**options)
+    (path, topic), choice = split_topic(path), ReadChoice(**options)
+    if topic is None:
+        return _read(path, choice)
+    choice = replace(choice, pose_topic=topic)
+    run = _read(path, choice, names_topic=True)
+    # Two topics of one bag are told apart by their names; one of ours is called as ever.
+    return replace(run, name=f"{run.name}:{topic}") if CHOSEN in run.notes else run
+
+
+def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> Run:
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
         has_tables = holds_tables(path)
-    if has_tables:
-        return import_tables(path)
-    if path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_mcap(path):
-        return import_log(path)
+    is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
+    if names_topic and (has_tables or is_log):
+        found = "tables" if has_tables else "a log"
+        raise LogError(
+            f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
+        )
+    if has_tables and not (is_log and choice.columns):
+        return _aim(path, import_tables(path), choice)
+    if is_log:
+        return _aim(path, import_other(path, choice.columns), choice)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     asked = choice.pose_topic, choice.command_topic
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
+    others = choice.path_topic, choice.pose_frame, choice.world_frame
     # What should be a recording, and is no MCAP file, is told so.
-    if is_usual or not (is_folder or _is_mcap(path)):
+    if (is_usual and others == (None, None, None)) or not (is_folder or _is_bag_file(path)):
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
-            return own
-    return read_bag(path, **options)
+            return _aim(path, own, choice)
+    return read_bag(path, **_list_options(choice))
+
+
+def _aim(path: Path, run: Run, choice: ReadChoice) -> Run:
+    """Return a run with the goal that is asked for; one that holds samples had its own.
+
+    Raises:
+        LogError: Where it had.
+    """
+    if choice.goal is None:
+        return run
+    if len(run.samples):
+        raise LogError(f"{path}: goal: expected none beside the samples of a controller, found one")
+    goal_xy_m, heading_rad = parse_goal(choice.goal)
+    names = {"goal_xy_m"} | (set() if heading_rad is None else {"goal_heading_rad"})
+    absent = tuple(name for name in run.absent if name not in names)
+    return replace(run, goal_xy_m=goal_xy_m, goal_heading_rad=heading_rad, absent=absent)
 
 
 def read_as_chosen(path: str | Path, choice: ReadChoice) -> Run:
     """Return the run in a file as `read_run` does; its notes alone tell what is lost."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PartialRecordingWarning)
-        return read_run(path, **{name: getattr(choice, name) for name in _OPTIONS})
+        return read_run(path, **_list_options(choice))
 
 
+def _list_options(choice: ReadChoice) -> ReadOptions:
+    return cast("ReadOptions", {name: getattr(choice, name) for name in _OPTIONS})
+
+
+_MAGICS: Final = (MCAP0_MAGIC, SQLITE_MAGIC, ZSTD_MAGIC)
 _OPTIONS: Final = tuple(ReadOptions.__annotations__)
 
 
@@ -70,16 +117,18 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
     Raises:
         LogError: One line with the file and the place.
     """
-    path = Path(path)
+    path, topic = split_topic(path)
+    if topic is not None:
+        return _require_topic(read_file_info(path, allow_partial=allow_partial), topic)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
         has_tables = holds_tables(path)
     if is_folder and not has_tables:
         return read_bag_info(path)
     is_log = path.suffix.lower() in LOG_SUFFIXES
-    if not has_tables and (not is_log or _is_mcap(path)):
+    if not has_tables and (not is_log or _is_bag_file(path)):
         return read_info(path, allow_partial=allow_partial)
-    run = import_tables(path) if has_tables else import_log(path)
+    run = import_tables(path) if has_tables else import_other(path, {})
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),
@@ -96,9 +145,17 @@ def read_file_info(path: str | Path, *, allow_partial: bool = False) -> Recordin
     )
 
 
-def _is_mcap(path: Path) -> bool:
+def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
+    if all(found.topic != topic for found in info.topics):
+        names = ", ".join(found.topic for found in info.topics)[:300] or "none"
+        raise LogError(f"{info.file}: expected a topic {topic}, found {names}")
+    return info
+
+
+def _is_bag_file(path: Path) -> bool:
+    """Return whether a file begins as one of MCAP or SQLite, or as one that is compressed."""
     with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
-        return stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+        return stream.read(len(SQLITE_MAGIC)).startswith(_MAGICS)
 
 
 def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
@@ -108,12 +165,12 @@ def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
         LogError: Also where the file is too damaged to say who did.
     """
     files = list_bag_files(path) if path.is_dir() else (path,)
-    if len(files) != 1 or is_sqlite(files[0]):
+    if len(files) != 1:
         return None
     try:
         return read_if_own(files[0], allow_partial=allow_partial)
     except LogError:
-        if _is_mcap(files[0]) and _is_foreign(files[0]):
+        if _is_bag_file(files[0]) and _is_foreign(files[0]):
             return None
         raise
 

@@ -1,10 +1,13 @@
-"""Run -> files for other programs: rosbag2 folders, CSV and Parquet tables."""
+"""Run -> files for other programs: rosbag2 folders, CSV and Parquet tables, TUM trajectories."""
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from turtlelog.errors import LogError
 from turtlelog.escapes import guard_cell
@@ -12,7 +15,7 @@ from turtlelog.libraries import load_library
 from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.info import survey_file
 from turtlelog.log.recording.run_writer import write_recording
-from turtlelog.log.ros2 import METADATA_FILE, BagTopic, format_bag_metadata
+from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
 from turtlelog.run import TABLES, Run, tabulate_run
 
 _LONGEST_NAME: Final = 255  # bytes; what file systems take
@@ -45,28 +48,41 @@ def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
         except LogError as err:
             # The temporary folder's name would mean nothing to anybody.
             raise LogError(f"{path}: {str(err).removeprefix(f'{folder / name}: ')}") from err
-        text = _describe(folder / name)
+        text = describe_bag([folder / name])
         (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
     return path / name, path / METADATA_FILE
 
 
-def _describe(recording: Path) -> str:
-    with recording.open("rb") as stream:
-        survey = survey_file(stream)
-    schemas, channels = survey.catalogue.schemas, survey.catalogue.channels
-    topics = [
-        BagTopic(
-            name=channel.topic,
-            type=schemas[channel.schema_id].name,
-            type_hash=channel.metadata["topic_type_hash"],
-            count=survey.counts.get(number, 0),
+def describe_bag(files: Sequence[Path], compression: str = "") -> str:
+    """Return the metadata.yaml of a bag of complete MCAP files.
+
+    Args:
+        files: In order of time.
+        compression: As in `format_bag_metadata`.
+    """
+    topics: dict[tuple[str, str], BagTopic] = {}
+    parts = []
+    for file in files:
+        with file.open("rb") as stream:
+            survey = survey_file(stream)
+        schemas = survey.catalogue.schemas
+        for number, channel in sorted(survey.catalogue.channels.items()):
+            schema = schemas.get(channel.schema_id)
+            topic = BagTopic(
+                name=channel.topic,
+                type=schema.name if schema else "",
+                type_hash=channel.metadata.get("topic_type_hash", ""),
+                count=survey.counts.get(number, 0),
+            )
+            known = topics.setdefault((topic.name, topic.type), topic)
+            if known is not topic:
+                topics[topic.name, topic.type] = replace(known, count=known.count + topic.count)
+        start_ns, end_ns = survey.span_ns or (0, 0)
+        count = sum(survey.counts.values())
+        parts.append(
+            BagPart(name=file.name, start_ns=start_ns, duration_ns=end_ns - start_ns, count=count)
         )
-        for number, channel in sorted(channels.items())
-    ]
-    start_ns, end_ns = survey.span_ns or (0, 0)
-    return format_bag_metadata(
-        recording.name, topics, start_ns=start_ns, duration_ns=end_ns - start_ns
-    )
+    return format_bag_metadata(parts, [*topics.values()], compression=compression)
 
 
 def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
@@ -95,6 +111,31 @@ def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> t
         LogError: Where the place cannot be written, a folder exists, or there is no such table.
     """
     return _export(run, Path(path), ".parquet", table, _write_parquet)
+
+
+def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
+    """Write the poses of a run as a TUM trajectory and return the file, which it replaces.
+
+    A line per pose, for evo and its like: time [s], x y z [m], and the quaternion x y z w of the
+    heading. Position and time read back to the last bit, the heading to some 1e-15 rad.
+
+    Raises:
+        LogError: Where the place cannot be written.
+    """
+    path = Path(path)
+    with replace_when_complete(path) as temporary:
+        temporary.write_text(_format_tum(run), encoding="ascii", newline="\n")
+    return (path,)
+
+
+def _format_tum(run: Run) -> str:
+    poses, lines = run.poses, []
+    half_rad = poses.heading_rad / 2.0
+    columns = (poses.time_ns, *poses.xy_m.T, np.sin(half_rad), np.cos(half_rad))
+    for time_ns, x, y, qz, qw in zip(*(column.tolist() for column in columns), strict=True):
+        sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 1_000_000_000)
+        lines.append(f"{sign}{seconds}.{rest:09d} {x!r} {y!r} 0 0 0 {qz!r} {qw!r}\n")
+    return "".join(lines)
 
 
 def _export(

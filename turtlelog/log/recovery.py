@@ -1,25 +1,34 @@
-"""Unfinished or damaged file -> complete file with whatever it still holds."""
+"""Unfinished or damaged file, or bag of them -> complete one with whatever it still holds."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Header, Schema
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
 from turtlelog.escapes import escape_controls
-from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.complete_files import create_folder, replace_when_complete
+from turtlelog.log.container import LIBRARY
 from turtlelog.log.engine.limits import DESCRIPTIONS, RECORDS, Allowance
+from turtlelog.log.engine.opening import Damaged, open_damaged
 from turtlelog.log.engine.parsing import take_apart
+from turtlelog.log.engine.sqlite_damage import walk_damaged
+from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import FileSummary, salvage_summary
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.exporters import describe_bag
 from turtlelog.log.recording.contents import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
+from turtlelog.log.ros2 import METADATA_FILE
+from turtlelog.log.ros2.bag_folder import list_present_files, read_compression
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,49 +64,146 @@ class RecoveryReport:
 
 
 def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
-    """Write what an unfinished or damaged MCAP file still holds, anybody's, as a complete one.
+    """Write what an unfinished or damaged file still holds, MCAP or SQLite, as a complete one.
 
     Profile, schemas, channels, metadata, attachments and messages are kept, in the order of the
     file. Damaged chunks are left out as a whole, and so are messages whose channel is described
     nowhere. What was lost is noted in a metadata record `turtlelog_recovery`.
 
     Args:
-        source: The file, or the folder of a bag with one .mcap file: a bag that was never closed
-            has no `metadata.yaml`.
-        target: The file to write.
+        source: The file, or the folder of a bag: a bag that was never closed has no
+            `metadata.yaml`.
+        target: The MCAP file to write. Of a folder, a name that does not end in .mcap is a new
+            folder, for a bag of all its files.
 
     Raises:
         LogError: Where the source cannot be read, or holds no message that can be recovered;
             where the target is the source, or cannot be written.
     """
-    source, target = _find_file(Path(source)), Path(target)
-    with name_file(source, expected="an MCAP file"), open_file(source) as stream:
-        if target.exists() and source.samefile(target):
-            raise LogError(f"expected another file to write to, found the same: {target}")
-        summary = salvage_summary(stream)
-    with replace_when_complete(target) as temporary, temporary.open("wb") as output:
-        known = ((), ()) if summary is None else (summary.schemas, summary.channels)
-        copied = _copy_records(source, output, *known, is_sound=summary is not None)
-        if copied.is_described_late:
-            # Behind its messages, by a later chunk: now it is known from the start.
-            output.seek(0)
-            output.truncate()
-            first = copied.rewriter.numbering
-            known = (tuple(first.first_schemas.values()), tuple(first.first_channels.values()))
-            copied = _copy_records(source, output, *known, is_sound=summary is not None)
-        report = _build_report(str(source), copied, summary)
-        note = format_recovery(report.lost, report.missing, report.unchecked)
-        copied.rewriter.finish({} if report.complete else {RECOVERY: note})
+    source, target = Path(source), Path(target)
+    if source.is_dir() and target.suffix.lower() != ".mcap":
+        return _recover_bag(source, target)
+    return _recover_file(_find_file(source), target)
+
+
+def _recover_bag(source: Path, target: Path) -> RecoveryReport:
+    """Recover every file of a bag, and describe the result as a bag."""
+    files = list_present_files(source)
+    reports: list[tuple[Path, RecoveryReport]] = []
+    lost: list[Loss] = []
+    errors: list[LogError] = []
+    with create_folder(target) as folder:
+        for file in files:
+            name = f"{target.name}_{len(reports)}.mcap"
+            try:
+                reports.append((folder / name, _recover_file(file, folder / name)))
+            except LogError as err:
+                size = file.stat().st_size
+                errors.append(err)
+                lost.append(Loss(start=0, end=size, reason=str(err)))
+            else:
+                report = reports[-1][1]
+                lost += [replace(one, reason=f"{file.name}: {one.reason}") for one in report.lost]
+        if not reports:
+            raise errors[0]
+        text = describe_bag([place for place, _ in reports], read_compression(source))
+        (folder / METADATA_FILE).write_text(text, encoding="utf-8", newline="\n")
+    found = [report for _, report in reports]
+    is_known = not errors and all(report.missing is not None for report in found)
+    return RecoveryReport(
+        file=str(source),
+        complete=not errors and all(report.complete for report in found),
+        recovered=_sum_counts(report.recovered for report in found),
+        unchecked=_sum_counts(report.unchecked for report in found),
+        missing=_sum_counts(report.missing or {} for report in found) if is_known else None,
+        from_s=min(report.from_s for report in found),
+        to_s=max(report.to_s for report in found),
+        lost=tuple(lost),
+    )
+
+
+def _sum_counts(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    total = Counter[str]()
+    for found in counts:
+        total.update(found)
+    return dict(sorted(total.items()))
+
+
+def _recover_file(source: Path, target: Path) -> RecoveryReport:
+    with ExitStack() as closing:
+        with name_file(source, expected="an MCAP file"):
+            found = closing.enter_context(open_damaged(source))
+            if target.exists() and source.samefile(target):
+                raise LogError(f"expected another file to write to, found the same: {target}")
+            summary = None if found.bag else _salvage_summary(found.place)
+        with replace_when_complete(target) as temporary, temporary.open("wb") as output:
+            if found.bag:
+                report = _recover_sqlite(source, found, output)
+            else:
+                report = _recover_mcap(source, found, output, summary)
+    return report
+
+
+def _salvage_summary(place: Path) -> FileSummary | None:
+    with open_file(place) as stream:
+        return salvage_summary(stream)
+
+
+def _recover_mcap(
+    source: Path, found: Damaged, output: BinaryIO, summary: FileSummary | None
+) -> RecoveryReport:
+    size = found.place.stat().st_size
+    known = ((), ()) if summary is None else (summary.schemas, summary.channels)
+
+    def copy() -> _Copied:
+        copied = _copy_records(_walk(source, found.place), size, output, *known)
+        if copied.data_end is not None and summary is None:
+            reason = "expected a sound summary, found none"
+            copied.summary = Loss(start=copied.data_end, end=size, reason=reason)
+        return copied
+
+    copied = copy()
+    if copied.is_described_late:
+        # Behind its messages, by a later chunk: now it is known from the start.
+        output.seek(0)
+        output.truncate()
+        first = copied.rewriter.numbering
+        known = (tuple(first.first_schemas.values()), tuple(first.first_channels.values()))
+        copied = copy()
+    if found.fault is not None:
+        copied.lose(Loss(start=size, end=size, reason=found.fault))
+    return _finish(_build_report(str(source), copied, summary), copied)
+
+
+def _recover_sqlite(source: Path, found: Damaged, output: BinaryIO) -> RecoveryReport:
+    assert found.bag is not None
+    catalogue = found.bag.catalogue
+    known = tuple(catalogue.schemas.values()), tuple(catalogue.channels.values())
+    walk = _walk_sqlite(source, found.bag, found.place)
+    copied = _copy_records(walk, found.place.stat().st_size, output, *known)
+    if found.fault is not None:
+        size = found.place.stat().st_size
+        copied.lose(Loss(start=size, end=size, reason=found.fault))
+    report = _build_report(str(source), copied, None)
+    # Nothing counts the messages of a bag, but a tree of pages without a gap lacks none.
+    return _finish(replace(report, missing={} if report.complete else None), copied)
+
+
+def _finish(report: RecoveryReport, copied: "_Copied") -> RecoveryReport:
+    note = format_recovery(report.lost, report.missing, report.unchecked)
+    copied.rewriter.finish({} if report.complete else {RECOVERY: note})
     return report
 
 
 def _find_file(source: Path) -> Path:
     """Return the file to read: of a folder the only one in it."""
-    with name_file(source, expected="an MCAP file"):
-        files = sorted(source.glob("*.mcap")) if source.is_dir() else [source]
-        if len(files) != 1:
-            names = ", ".join(file.name for file in files) or "none"
-            raise LogError(f"expected an MCAP file or a folder with one, found {names}")
+    files = list_present_files(source) if source.is_dir() else (source,)
+    if len(files) != 1:
+        names = ", ".join(file.name for file in files)
+        raise LogError(
+            f"{source}: expected a folder with one file to make one .mcap file of it, found"
+            f" {names[:200]}: name a new folder instead"
+        )
     return files[0]
 
 
@@ -108,6 +214,7 @@ class _Copied:
     Attributes:
         rewriter: What took the records.
         lost: What could not be read.
+        data_end: Byte behind the end of the data, None where there is none.
         is_vouched: Whether the checksum of the whole data section holds.
         mismatch: Where it does not; its place is that of the checksum.
         summary: Where the summary is not sound; its place.
@@ -115,6 +222,7 @@ class _Copied:
 
     rewriter: Rewriter
     lost: list[Loss] = field(default_factory=list)
+    data_end: int | None = None
     is_vouched: bool = False
     mismatch: Loss | None = None
     summary: Loss | None = None
@@ -136,32 +244,29 @@ class _Copied:
 
 
 def _copy_records(
-    source: Path,
+    walk: Iterator[Section | Loss],
+    size: int,
     output: BinaryIO,
     schemas: tuple[Schema, ...],
     channels: tuple[Channel, ...],
-    *,
-    is_sound: bool,
 ) -> _Copied:
-    """Copy what can be read; `is_sound` says whether the source has a sound summary."""
-    allowance = Allowance(source.stat().st_size)
+    """Copy what a walk over a file of some size finds, with what is known of it beforehand."""
+    allowance = Allowance(size)
     rewriter = Rewriter(output, Numbering(schemas, channels, allowance), allowance)
-    copied, is_at_end = _Copied(rewriter=rewriter), False
-    for found in _walk(source):
+    copied = _Copied(rewriter=rewriter)
+    for found in walk:
         if isinstance(found, Loss):
-            if is_at_end:  # all that is told there is that the checksum of the data fails
-                copied.mismatch = found
-            else:
+            # Behind the end of the data all that is told is that their checksum fails.
+            if copied.data_end is None:
                 copied.lose(found)
+            else:
+                copied.mismatch = found
             continue
         is_checked, place = found.is_checked, found.start
         for reason in _take_section(rewriter, found, allowance):
             copied.lose(Loss(start=place, end=place, reason=reason))
         if not found.is_chunk and found.data[0] == Opcode.DATA_END:
-            is_at_end, copied.is_vouched = True, is_checked
-            if not is_sound:
-                start, reason = place + len(found.data), "expected a sound summary, found none"
-                copied.summary = Loss(start=start, end=source.stat().st_size, reason=reason)
+            copied.data_end, copied.is_vouched = place + len(found.data), is_checked
     return copied
 
 
@@ -176,10 +281,19 @@ def _take_section(rewriter: Rewriter, section: Section, allowance: Allowance) ->
     return rewriter.take_stretch(stretch, section.start, is_checked=section.is_checked)
 
 
-def _walk(path: Path) -> Iterator[Section | Loss]:
+def _walk(source: Path, place: Path) -> Iterator[Section | Loss]:
     # Errors of writing what comes are not this file's.
-    with name_file(path, expected="an MCAP file"), open_file(path) as stream:
+    with name_file(source, expected="an MCAP file"), open_file(place) as stream:
         yield from walk_sections(stream)
+
+
+def _walk_sqlite(source: Path, bag: SqliteSource, place: Path) -> Iterator[Section | Loss]:
+    builder = RecordBuilder()
+    Header(profile="ros2", library=LIBRARY).write(builder)
+    header: bytes = builder.end()  # type: ignore[no-untyped-call]
+    yield Section(data=header, start=0, is_chunk=False, is_checked=False)
+    with name_file(source, expected="a bag in SQLite"):
+        yield from walk_damaged(bag, place)
 
 
 def _build_report(file: str, copied: _Copied, summary: FileSummary | None) -> RecoveryReport:

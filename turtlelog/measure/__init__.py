@@ -1,5 +1,12 @@
 """Run -> metrics."""
 
+from turtlelog.measure.breaks import (
+    PoseGap,
+    PoseJump,
+    describe_breaks,
+    find_gaps,
+    find_jumps,
+)
 from turtlelog.measure.dead_time import DeadTime, DeadTimeChange, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Metric, Metrics, Missing, Status
@@ -8,6 +15,7 @@ from turtlelog.measure.metrics import (
     METRICS,
     choose_metrics,
     find_metric_kind,
+    is_lawless,
     is_metric_pattern,
     list_essential_metrics,
     list_ids_like,
@@ -33,6 +41,7 @@ from turtlelog.measure.signals import (
     Signal,
     SignalKind,
     could_be_signal,
+    explain_no_signal,
     list_signal_units,
     list_signals,
     read_signal,
@@ -54,18 +63,25 @@ __all__ = [
     "Metrics",
     "Missing",
     "Outlier",
+    "PoseGap",
+    "PoseJump",
     "Signal",
     "SignalKind",
     "Status",
     "choose_metrics",
     "could_be_signal",
+    "describe_breaks",
     "describe_outliers",
+    "explain_no_signal",
     "find_dead_time",
     "find_first_stretch",
+    "find_gaps",
+    "find_jumps",
     "find_metric_kind",
     "find_outliers",
     "find_overshoot",
     "find_settling_time",
+    "is_lawless",
     "is_metric_pattern",
     "list_essential_metrics",
     "list_ids_like",

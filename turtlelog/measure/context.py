@@ -13,6 +13,7 @@ from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
 from turtlelog.measure.path import compute_path_distances, compute_path_length
+from turtlelog.measure.rates import Axis, HeldCommands, Rates, read_held_commands, read_rates
 from turtlelog.measure.references import read_heading_reference
 from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.measure.signals import Signal, read_signal
@@ -50,6 +51,17 @@ class RunContext:
     def get_signal(self, name: str) -> Signal | None:
         """Return a signal of the run, None where the run does not hold it."""
         return self.recall(name, lambda: read_signal(self.run, name))
+
+    def get_rates(self, axis: Axis) -> Rates | None:
+        """Return how fast the robot moved along an axis; None for one pose."""
+        return self.recall(("rates", axis), lambda: read_rates(self.run, axis))
+
+    def get_commands(self, axis: Axis) -> HeldCommands | None:
+        """Return what was commanded of an axis; None without commands, or for one pose."""
+        rates = self.get_rates(axis)
+        if rates is None:
+            return None
+        return self.recall(("commands", axis), lambda: read_held_commands(self.run, axis, rates))
 
     def get_response(self, loop: ControlLoop) -> Response | Missing:
         """Return how a loop answers its reference, or why there is no such thing."""

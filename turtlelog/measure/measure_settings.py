@@ -34,6 +34,8 @@ class MeasureSettings:
         reference_path_xy_m: The path that cross-track errors are taken from, as a line through
             points in the world frame [m], shape (n, 2), n >= 2; None for the line from start to
             goal.
+        goal_tolerance_m: How near the goal counts as there [m], > 0; None for `band` of the first
+            distance.
         dead_time_ticks: Dead time of the delayed ideal loop, in samples of its period, 0 to 1000;
             None for that found in the recording.
 
@@ -46,10 +48,12 @@ class MeasureSettings:
     final: Target | Mapping[str, Target] = "reference"
     reference_path_xy_m: NDArray[np.float64] | None = None
     dead_time_ticks: int | None = None
+    goal_tolerance_m: float | None = None
 
     def __post_init__(self) -> None:
-        if not (_is_number(self.band) and self.band > 0.0):
-            raise MeasureError(f"band: expected a share of the step > 0, found {self.band!r}")
+        _require_positive("band", "a share of the step", self.band)
+        if self.goal_tolerance_m is not None:
+            _require_positive("goal_tolerance_m", "metres", self.goal_tolerance_m)
         for value in _list_values(self.initial):
             if value is not None and not _is_number(value):
                 raise MeasureError(f"initial: expected a number, found {value!r}")
@@ -89,6 +93,11 @@ class MeasureSettings:
                 if loop not in known:
                     listed = " or ".join(known) or "no loop, for the run declares none"
                     raise MeasureError(f"{name}: expected a loop {listed}, found {loop!r}")
+
+
+def _require_positive(name: str, what: str, value: object) -> None:
+    if not (_is_number(value) and cast("float", value) > 0.0):
+        raise MeasureError(f"{name}: expected {what} > 0, found {value!r}")
 
 
 def _is_number(value: object) -> bool:

@@ -54,6 +54,23 @@ _ESSENTIAL_WITHOUT_GOAL: Final = (
 """Of laws that use no goal and follow nothing: how far they drove, by what commands."""
 
 
+_ESSENTIAL_OF_MOTION: Final = (
+    *("run.duration", "run.path_length", "run.total_turning", "run.rest_share"),
+    *("run.measured_speed_max", "run.measured_turn_rate_max", "run.spectral_arc_length"),
+    "run.largest_pose_gap",
+)
+"""Of a robot of which nothing but its poses is known."""
+
+_ESSENTIAL_WITH_GOAL: Final = ("final.position_error", "run.time_to_goal")
+_ESSENTIAL_WITH_PATH: Final = ("run.cross_track_max", "run.cross_track_rms")
+_ESSENTIAL_WITH_COMMANDS: Final = (
+    *("run.speed_tracking_rms", "run.speed_lag", "run.speed_steps", "run.speed_rise_time"),
+    *("run.turn_rate_tracking_rms", "run.turn_rate_lag", "run.turn_rate_steps"),
+    *("run.turn_rate_rise_time", "run.largest_gap"),
+)
+"""And what more there is to say where it was told where to go, by what line, or how fast."""
+
+
 def list_metrics(*declarations: Declaration) -> Mapping[str, MetricKind]:
     """Return every metric that runs of these laws have, by id: of each loop, the end, the run."""
     return _list_metrics(tuple(dict.fromkeys(declarations)))
@@ -69,8 +86,42 @@ def _list_metrics(declarations: tuple[Declaration, ...]) -> Mapping[str, MetricK
     return NamedValues("metric", {**of_loops, **RUN_METRICS})
 
 
-def list_essential_metrics(*declarations: Declaration) -> tuple[str, ...]:
-    """Return the ids of the metrics to look at first."""
+def list_essential_metrics(*of: Declaration | Run) -> tuple[str, ...]:
+    """Return the ids of the metrics to look at first: of laws, or of what runs hold.
+
+    Of a run without samples, which no law is known of, those that its poses, commands and goal
+    give.
+    """
+    lawless = [run for run in of if isinstance(run, Run) and is_lawless(run)]
+    if len(lawless) < len(of) or not of:
+        laws = [
+            run.declaration if isinstance(run, Run) else run for run in of if run not in lawless
+        ]
+        return tuple(dict.fromkeys([*_list_of_laws(*laws), *_list_of_motion(lawless)]))
+    return _list_of_motion(lawless)
+
+
+def is_lawless(run: Run) -> bool:
+    """Return whether nothing is known of what controls a run: a bag of somebody else's."""
+    return not len(run.samples) and not run.declaration.loops
+
+
+def _list_of_motion(runs: Collection[Run]) -> tuple[str, ...]:
+    if not runs:
+        return ()
+    has_goal = any(run.goal_xy_m is not None for run in runs)
+    has_path = any(run.path is not None for run in runs)
+    has_commands = any(len(run.commands) for run in runs)
+    return (
+        *(_ESSENTIAL_WITH_GOAL if has_goal else ()),
+        *_ESSENTIAL_OF_MOTION[:-1],
+        *(_ESSENTIAL_WITH_PATH if has_path else ()),
+        *(_ESSENTIAL_WITH_COMMANDS if has_commands else ()),
+        *_ESSENTIAL_OF_MOTION[-1:],
+    )
+
+
+def _list_of_laws(*declarations: Declaration) -> tuple[str, ...]:
     of_loops = (
         f"{loop.name}.{name}"
         for loop in _list_loops(declarations)

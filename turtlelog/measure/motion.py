@@ -23,7 +23,7 @@ _NEAR_TICKS: Final = 0.02
 
 _MOST_STEP_TICKS: Final = 60
 
-_GAP_STEPS: Final = 4.0
+GAP_STEPS: Final = 4.0
 """A longer silence than this many usual steps may have lost poses: a wall clock under load makes
 some of three steps."""
 
@@ -177,7 +177,7 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
     if not (step_ns % TICK_NS).any() and usual_ns == TICK_NS:
         return (time_ns - time_ns[0]) // TICK_NS, 1, TICK_S
     # A wall clock jitters, and a callback may be late without a pose being lost.
-    steps = np.where(step_ns > _GAP_STEPS * usual_ns, _LOST_ROWS, 1)
+    steps = np.where(step_ns > GAP_STEPS * usual_ns, _LOST_ROWS, 1)
     ticks = min(max(round(usual_ns / TICK_NS), 1), _MOST_STEP_TICKS)
     if abs(usual_ns / TICK_NS / ticks - 1.0) < (_NEAR_TICK if ticks == 1 else _NEAR_TICKS):
         return np.r_[0, np.cumsum(steps * ticks)], ticks, TICK_S

@@ -16,7 +16,7 @@ Values = NDArray[np.float64]
 MEASURED: Final = ("measured_speed", "measured_turn_rate")
 """Signals that can have outliers: a command that was published is never one."""
 
-_LONGEST_STEP_NS: Final = 250_000_000
+LONGEST_STEP_NS: Final = 250_000_000
 """Farther than this from a neighbour [ns] a robot can have done in between what a value says: at
 2 m/s2 it reaches 0.5 m/s in that time."""
 
@@ -30,14 +30,14 @@ _APART: Final = 5.0
 """An outlier stands out this many times further than every value that is none. Of 2,000 values with
 normal, uniform or Laplace noise the first stands out less than 2 times further than the second."""
 
-_LOCAL_SPANS: Final = 3.0
+LOCAL_SPANS: Final = 3.0
 """And this many times further than the signal moves among its neighbours: while a robot speeds up
 or brakes, more is needed."""
 
-_NEIGHBOURS: Final = 5
+NEIGHBOURS: Final = 5
 """Rows on either side that say how far the signal moves there: half a second at 20 Hz."""
 
-_GRAINS: Final = 5.5
+GRAINS: Final = 5.5
 """And more than five steps of a quantised signal, however these were rounded: an encoder at low
 speed shows single ticks."""
 
@@ -89,9 +89,9 @@ def find_outliers(time_ns: NDArray[np.int64], values: Values) -> NDArray[np.int6
     rows = _find_apart(height)
     if not len(rows) or _count_changes(values, rows) < _LEAST_CHANGES:
         return none
-    least = np.maximum(_LOCAL_SPANS * _find_spans(smooth, rows), _GRAINS * _find_grain(values))
+    least = np.maximum(LOCAL_SPANS * _find_spans(smooth, rows), GRAINS * find_grain(values))
     step_ns = np.maximum(time_ns[rows] - time_ns[rows - 1], time_ns[rows + 1] - time_ns[rows])
-    is_outlier = (height[rows] > least) & (step_ns <= _LONGEST_STEP_NS)
+    is_outlier = (height[rows] > least) & (step_ns <= LONGEST_STEP_NS)
     return np.asarray(rows[is_outlier])
 
 
@@ -147,12 +147,12 @@ def _count_changes(values: Values, rows: NDArray[np.int64]) -> int:
 
 def _find_spans(smooth: Values, rows: NDArray[np.int64]) -> Values:
     """Return how far the signal moves around each row, single values aside."""
-    around = np.arange(-_NEIGHBOURS, _NEIGHBOURS + 1)
+    around = np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
     near = smooth[np.clip(rows[:, None] + around, 0, len(smooth) - 1)]
     return np.asarray(np.ptp(near, axis=1))
 
 
-def _find_grain(values: Values) -> float:
+def find_grain(values: Values) -> float:
     """Return the least step of a quantised signal; of others next to nothing."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > _ROUNDING * float(np.abs(values).max())]

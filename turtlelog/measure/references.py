@@ -53,13 +53,16 @@ def read_heading_reference(run: Run) -> float | Values | None:
     """Return what the heading should be: the reference of the loop that acts, or acted last [rad].
 
     Before any acts, that of the first to act; where none ever does, of the first that is declared.
-    A number where it is constant, else one value per pose. None without a loop of the heading.
+    A number where it is constant, else one value per pose. Without samples and loops it is the
+    heading of the goal; None without a loop of the heading otherwise.
     """
     declared = [loop for loop in run.declaration.loops if loop.signal == "heading"]
     loops = [(loop, read_reference(run, loop)) for loop in declared]
     known = [(loop, found) for loop, found in loops if found is not None]
     if not known:
-        return None
+        # Of a robot whose controller is not known, the goal alone says where it is to look.
+        is_unknown = not run.declaration.loops and not len(run.samples)
+        return run.goal_heading_rad if is_unknown else None
     if len(known) == 1:
         return known[0][1]
     acting = find_acting(run, tuple(loop for loop, _ in known))

@@ -103,6 +103,20 @@ def read_signal(run: Run, name: str) -> Signal | None:
     return Signal(name=name, kind=kind, time_ns=_TIMES[kind.source](run), values=values)
 
 
+def explain_no_signal(run: Run, name: str) -> str:
+    """Return why a run does not hold a signal, in words; empty where its name says it."""
+    if name in COMMANDED and not len(run.samples):
+        return "the recording holds no commands"
+    if name in {"error_x", "error_y", "distance"}:
+        return "the goal is not known"
+    if name in {"measured_speed", "measured_turn_rate"}:
+        return "the robot reports no rates"
+    kind = list_signals(run.declaration).get(name)
+    if kind is not None and kind.source == "sample" and not len(run.samples):
+        return "no samples of a controller were read"
+    return ""
+
+
 @lru_cache(maxsize=64)
 def list_signals(declaration: Declaration) -> Mapping[str, SignalKind]:
     """Return every signal that runs of a law can hold, by name: `SIGNALS`, then its states."""

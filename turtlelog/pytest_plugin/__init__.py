@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
-from turtlelog.pytest_plugin.choosing import choose_recordings, find_reference, name_recordings
+from turtlelog.pytest_plugin.choosing import (
+    choose_recordings,
+    find_reference,
+    find_stem,
+    name_recordings,
+)
 from turtlelog.pytest_plugin.session import SESSION, SUMMARY, Session, SessionSummary, end_at_test
 
 if TYPE_CHECKING:
@@ -19,9 +24,10 @@ if TYPE_CHECKING:
     from turtlelog.check.reference import ReferenceFile
 
 _MARKERS = (
-    "recordings(*patterns, allow_partial=False, trust_law=False): run the test once per recording;"
-    " patterns are relative to the test's folder, else to the root; trust_law lets driven_by() run"
-    " the code of a law that a recording names",
+    "recordings(*patterns, allow_partial=False, trust_law=False, **reading): run the test once per"
+    " recording; patterns are relative to the test's folder, else to the root; trust_law lets"
+    " driven_by() run the code of a law that a recording names; reading are the fields of a"
+    " ReadChoice, such as pose_topic and goal",
     "reference(path): what turtlelog_reference is; {stem} is the recording's",
 )
 
@@ -110,7 +116,7 @@ def turtlelog_reference(
 ) -> "ReferenceFile":
     """What recordings are held to: the file that the marker or the ini option names."""
     has_recording = "turtlelog_recording" in request.fixturenames
-    stem = request.getfixturevalue("turtlelog_recording").path.stem if has_recording else None
+    stem = find_stem(request.getfixturevalue("turtlelog_recording").path) if has_recording else None
     path = find_reference(request, stem)
     return request.config.stash[SESSION].open_reference(path, tmp_path_factory.getbasetemp())
 

@@ -3,19 +3,24 @@
 import glob
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 import pytest
 
-_SETTINGS: Final = ("allow_partial", "trust_law")
-"""What the marker takes beside patterns."""
+_FLAGS: Final = ("allow_partial", "trust_law")
+_SETTINGS: Final = (
+    *_FLAGS,
+    *("pose_topic", "command_topic", "path_topic", "pose_frame", "world_frame"),
+    *("goal", "time", "columns"),
+)
+"""What the marker takes beside patterns: the fields of a `ReadChoice`, and whose code may run."""
 
 
 def choose_recordings(
     metafunc: pytest.Metafunc, marker: pytest.Mark
-) -> tuple[list[Path], dict[str, bool]]:
+) -> tuple[list[Path], dict[str, Any]]:
     """Return the files of a marker, and the settings that it gives for them.
 
     Patterns are looked for beside the test, then below the root.
@@ -26,10 +31,8 @@ def choose_recordings(
     place = f"{metafunc.definition.nodeid}: recordings"
     unknown = sorted(marker.kwargs.keys() - {*_SETTINGS})
     if unknown:
-        _refuse(f"{place}: expected {' or '.join(_SETTINGS)}, found {unknown[0]}")
-    wrong = [name for name, value in marker.kwargs.items() if not isinstance(value, bool)]
-    if wrong:
-        _refuse(f"{place}: {wrong[0]}: expected True or False, found {marker.kwargs[wrong[0]]!r}")
+        _refuse(f"{place}: expected one of {', '.join(_SETTINGS)}, found {unknown[0]}")
+    _require_settings(marker.kwargs, place)
     if not marker.args:
         _refuse(f'{place}: expected a pattern such as "runs/*.mcap", found none')
     folders = [metafunc.definition.path.parent, metafunc.config.rootpath]
@@ -45,10 +48,34 @@ def choose_recordings(
     return list(paths), dict(marker.kwargs)
 
 
+def _require_settings(settings: Mapping[str, Any], place: str) -> None:
+    kinds: dict[str, tuple[type | tuple[type, ...], str]] = {
+        **dict.fromkeys(_FLAGS, (bool, "True or False")),
+        "goal": ((tuple, list), "(x, y) or (x, y, heading)"),
+        "columns": (Mapping, "a dictionary"),
+    }
+    for name, value in settings.items():
+        kind, expected = kinds.get(name, (str, "text"))
+        if not isinstance(value, kind):
+            _refuse(f"{place}: {name}: expected {expected}, found {value!r}")
+    if settings.get("time", "auto") not in {"auto", "log", "stamp"}:
+        _refuse(f"{place}: time: expected auto, log or stamp, found {settings['time']!r}")
+
+
 def name_recordings(paths: Sequence[Path], root: Path) -> list[str]:
     """Return a name for every file, as short as tells them apart."""
-    stems = Counter(path.stem for path in paths)
-    return [path.stem if stems[path.stem] == 1 else show_path(path, root) for path in paths]
+    names = [find_stem(path) for path in paths]
+    counts = Counter(names)
+    pairs = zip(paths, names, strict=True)
+    return [name if counts[name] == 1 else show_path(path, root) for path, name in pairs]
+
+
+def find_stem(path: Path) -> str:
+    """Return a file's name without its suffix; of FILE:TOPIC with the topic, fit for a file."""
+    head, colon, topic = path.as_posix().rpartition(":/")
+    if not colon or path.exists():
+        return path.stem
+    return f"{Path(head).stem}-{topic.replace('/', '-')}"
 
 
 def show_path(path: Path, root: Path) -> str:
@@ -93,6 +120,9 @@ def _find_files(pattern: str, folders: Sequence[Path]) -> list[Path]:
         found = sorted(Path(path) for path in glob.glob(whole, recursive=True))  # noqa: PTH207
         if found:
             return found
+    head, colon, topic = pattern.rpartition(":/")
+    if colon:  # FILE:TOPIC, each file of which it is one
+        return [path.parent / f"{path.name}:/{topic}" for path in _find_files(head, folders)]
     return []
 
 

@@ -23,21 +23,26 @@ class Session:
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
-        self._recordings: dict[tuple[Path, bool, bool], Recording] = {}
+        self._recordings: dict[tuple[Path, bool, bool, str], Recording] = {}
         self._references: dict[Path, ReferenceFile] = {}
         self._writer: ArtifactWriter | None = None
         self._used: dict[str, Recording] = {}
         self._results: list[tuple[Recording, CheckResult]] = []
 
     def open_recording(
-        self, path: Path, *, allow_partial: bool | None = None, trust_law: bool = False
+        self,
+        path: Path,
+        *,
+        allow_partial: bool | None = None,
+        trust_law: bool = False,
+        **reading: Any,
     ) -> "Recording":
         """Return the one recording of a file; it is read once, when it is first asked."""
         from turtlelog.check.recording import Recording
 
         if allow_partial is None:
             allow_partial = bool(self._config.getini("turtlelog_allow_partial"))
-        key = path.resolve(), allow_partial, trust_law
+        key = path.resolve(), allow_partial, trust_law, repr(sorted(reading.items()))
         if key not in self._recordings:
             name = escape_controls(show_path(path, self._config.rootpath))
             self._recordings[key] = Recording(
@@ -46,6 +51,7 @@ class Session:
                 allow_partial=allow_partial,
                 trust_law=trust_law,
                 watch=self.watch,
+                **reading,
             )
         return self._recordings[key]
 

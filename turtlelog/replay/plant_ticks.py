@@ -9,7 +9,7 @@ recorded command explains it.
 import re
 from array import array
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import hypot
 from typing import Final
 
@@ -202,8 +202,6 @@ class CommandUse:
         disturbed_ticks: Those of them in which the recording's scenario pushes the plant: its
             velocity is no command's there, and shows none.
         never_arrived: Commands that the transport lost, by the recording's events.
-        taken_at: Of each command that the plant took, the row of the pose that shows it first, and
-            its own row.
     """
 
     taken: int
@@ -212,7 +210,6 @@ class CommandUse:
     unexplained_ticks: int
     disturbed_ticks: int = 0
     never_arrived: int = 0
-    taken_at: tuple[tuple[int, int], ...] = field(default=(), compare=False, repr=False)
 
 
 def place_commands(
@@ -224,6 +221,23 @@ def place_commands(
     """
     commands = run.commands
     placer = _Placer(motion, commands)
+    velocities, is_unexplained = _place_all(placer, motion, starts)
+    is_disturbed = _find_disturbed(run, motion.time_ns)
+    use = CommandUse(
+        taken=placer.taken,
+        unseen=len(commands) - placer.taken,
+        stops=placer.stops,
+        unexplained_ticks=sum(is_unexplained),
+        disturbed_ticks=int((np.array(is_unexplained, dtype=bool) & is_disturbed).sum()),
+        never_arrived=_count_lost(run),
+    )
+    return tuple(velocities), use
+
+
+def _place_all(
+    placer: "_Placer", motion: RecordedMotion, starts: frozenset[int]
+) -> tuple[list[Velocity], list[bool]]:
+    """Return what the plant held in each tick, and whether it is a recorded velocity."""
     bodies = _compute_body_velocities(motion, starts)
     rows = zip(
         motion.time_ns.tolist(),
@@ -233,23 +247,27 @@ def place_commands(
         strict=True,
     )
     velocities, is_unexplained = [], []
-    taken_at: list[tuple[int, int]] = []
     for number, row in enumerate(rows):
-        velocities.append(placer.place(*row))
+        velocities.append(placer.place(number, *row))
         is_unexplained.append(placer.is_recorded)
-        if placer.taken > len(taken_at):
-            taken_at.append((number, placer.latest))
-    is_disturbed = _find_disturbed(run, motion.time_ns)
-    use = CommandUse(
-        taken=placer.taken,
-        unseen=len(commands) - placer.taken,
-        stops=placer.stops,
-        unexplained_ticks=sum(is_unexplained),
-        disturbed_ticks=int((np.array(is_unexplained, dtype=bool) & is_disturbed).sum()),
-        never_arrived=_count_lost(run),
-        taken_at=tuple(taken_at),
-    )
-    return tuple(velocities), use
+    return velocities, is_unexplained
+
+
+def follow_commands(run: Run) -> NDArray[np.int64]:
+    """Return which pose first shows which command: rows of both, shape (n, 2).
+
+    Of the commands that were taken those that changed what the plant held: no pose tells when one
+    was taken that equals the one before. Nor does a pose behind a jump or gap.
+
+    Raises:
+        ReplayError: As `read_motion` does.
+    """
+    motion = read_motion(run)
+    _, _, starts = find_breaks(motion)
+    placer = _Placer(motion, run.commands)
+    _place_all(placer, motion, frozenset(starts))
+    shown = np.array(placer.shown, dtype=np.int64).reshape(-1, 2)
+    return shown[~np.isin(shown[:, 1], starts)]
 
 
 def _find_disturbed(run: Run, time_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -283,7 +301,7 @@ class _Placer:
         is_recorded: Whether what the plant holds is a recorded velocity, and no command.
         taken: As in `CommandUse`, so far.
         stops: Likewise.
-        latest: Row of the latest command that was taken.
+        shown: Rows of the commands that changed what the plant held, and of the poses that show it.
     """
 
     def __init__(self, motion: RecordedMotion, commands: CommandColumns) -> None:
@@ -305,10 +323,16 @@ class _Placer:
         self._held = _STANDING
         self._held_applied = (0.0, 0.0)
         self.is_recorded = False
-        self.taken = self.stops = self.latest = 0
+        self.taken = self.stops = 0
+        self.shown: list[tuple[int, int]] = []
 
     def place(
-        self, time_ns: int, speed: float, turn_rate: float, body: tuple[float, float] | None
+        self,
+        row: int,
+        time_ns: int,
+        speed: float,
+        turn_rate: float,
+        body: tuple[float, float] | None,
     ) -> Velocity:
         """Return what the tick applied that published this pose."""
         while self._published < len(self._times_ns) and self._times_ns[self._published] < time_ns:
@@ -316,8 +340,10 @@ class _Placer:
         applied = speed, turn_rate
         found = self._find(applied, body, time_ns)
         if found is not None:
-            self._next, self.latest = found + 1, found
+            self._next = found + 1
             self.taken += 1
+            if row and applied != self._held_applied:
+                self.shown.append((found, row))
             self._hold(self._commands[found], applied)
         elif not (applied == self._held_applied and _agrees(self._held, body)):
             if applied == (0.0, 0.0):

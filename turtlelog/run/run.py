@@ -67,7 +67,7 @@ class GoalLine:
     """The line from start to goal, which along-track and cross-track coordinates belong to.
 
     Attributes:
-        start_xy_m: The first pose that was read, world frame [m].
+        start_xy_m: The first pose that was read, or recorded, world frame [m].
         bearing_rad: Of the goal from there, counter-clockwise from +x [rad].
         length_m: Distance from there to the goal [m], None where it is not known.
     """
@@ -183,18 +183,23 @@ class Run:
         """The line from the first pose that was read to the goal; None where it is not known.
 
         Where the first sample is lost, or the goal is not known, the first bearing that was
-        recorded gives the direction.
+        recorded gives the direction. Where there are neither samples nor loops, nothing tells which
+        pose was read first: it is the first that was recorded.
         """
         samples = self.samples
-        if not len(samples):
+        if not len(samples) and (self.declaration.loops or self.goal_xy_m is None):
             return None
-        x_m, y_m = map(float, self.poses.xy_m[samples.pose_sequence[0]])
+        x_m, y_m = map(float, self.poses.xy_m[[*samples.pose_sequence[:1], 0][0]])
         length_m = bearing_rad = None
         if self.goal_xy_m is not None:
             ahead_m, left_m = self.goal_xy_m[0] - x_m, self.goal_xy_m[1] - y_m
             length_m = float(np.hypot(ahead_m, left_m))
             bearing_rad = math.atan2(left_m, ahead_m)
-        if samples.bearing_rad is not None and (samples.sequence[0] != 0 or bearing_rad is None):
+        if (
+            len(samples)
+            and samples.bearing_rad is not None
+            and (samples.sequence[0] != 0 or bearing_rad is None)
+        ):
             bearing_rad = float(samples.bearing_rad[0])
         if bearing_rad is None:
             return None

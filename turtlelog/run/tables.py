@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -69,6 +69,7 @@ def list_facts(run: "Run") -> dict[str, str]:
         "scenario": dict(run.parameters),
         "scenario_is_complete": run.scenario_is_complete,
         "stop_reason": run.stop_reason,
+        "clock": None if run.clock is None else asdict(run.clock),
     }
     texts = {"name": run.name, "source": run.source}
     texts["declaration"] = format_declaration(run.declaration)

@@ -74,8 +74,12 @@ def choose_essentials(
 def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
     """Yield the lines of the metrics: a table for each group, what has no value below."""
     yield escape_markdown(run.name, starts_line=True)
-    for group, found in groupby(metrics.values(), lambda metric: metric.id.partition(".")[0]):
-        listed = list(found)
+    groups = groupby(metrics.values(), lambda metric: metric.id.partition(".")[0])
+    tables = [(group, list(found)) for group, found in groups]
+    if not len(run.samples):
+        # What there is comes first: of somebody's robot, its motion.
+        tables.sort(key=lambda table: all(metric.value is None for metric in table[1]))
+    for group, listed in tables:
         known = [metric for metric in listed if metric.value is not None]
         yield from ("", f"**{_HEADS.get(group) or _head_loop(run, group)}**", "")
         if known:

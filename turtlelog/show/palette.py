@@ -70,6 +70,9 @@ WANTED: Final[Color] = _OKABE_ITO[3]
 SHAPED: Final[Color] = _OKABE_ITO[4]
 """What shaping left of that, before the limits."""
 
+MEASURED: Final[Color] = (170, 160, 60)
+"""Rates that a robot reports: noisy, and not to outshine the commands on them."""
+
 SENSED: Final[Color] = (105, 105, 105)
 """What the controller read of a pose."""
 

@@ -137,6 +137,11 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
     )
 
 
+def select_rows(curve: Curve, rows: NDArray[np.int64]) -> Curve:
+    """Return some rows of a curve."""
+    return replace(curve, time_ns=curve.time_ns[rows], values=curve.values[rows])
+
+
 def read_command(run: Run, command: Command) -> Curve | None:
     """Return what was commanded, None where the run holds no commands."""
     table = run.samples if len(run.samples) else run.commands

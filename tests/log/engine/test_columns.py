@@ -207,7 +207,7 @@ def test_a_time_beyond_63_bits_is_refused(tmp_path: Path) -> None:
     ("name", "counts"),
     [
         ("eprosima_ros2_talker.mcap", {"/chatter": 10, "/rosout": 10, "ros_discovery_info": 13}),
-        ("lichtblick_example_logs.mcap", {}),
+        ("lichtblick_example_logs.mcap", {"/rosout": 1000, "mouse": 111}),
         ("rosbag2_talker.mcap", {"/topic": 10, "/rosout": 10, "/parameter_events": 0}),
         ("service_events.mcap", {}),
         ("turtlesim_jazzy/subset_0.mcap", {"/turtle1/cmd_vel": 18, "/turtle1/pose": 2501}),

@@ -1,6 +1,7 @@
 """Bags as other people's recorders leave them."""
 
 import math
+import sqlite3
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,6 +9,8 @@ from typing import Any, Final
 
 from mcap_ros2.writer import Writer
 from rosbags.typesys import Stores, get_typestore
+
+from turtlelog.log.engine import read_raw
 
 START_NS: Final = 1_700_000_000_123_456_789
 TICK_NS: Final = 16_000_000
@@ -106,6 +109,59 @@ def write_mcap(path: Path, messages: Iterable[Said]) -> Path:
                 sequence=said.sequence,
             )
         writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def write_sqlite(
+    path: Path, messages: Iterable[Said], *, schema: int = 4, definitions: bool = True
+) -> Path:
+    """Write the messages that `write_mcap` writes, byte for byte, as rosbag2 does in SQLite.
+
+    Args:
+        path: The file.
+        messages: In the order given.
+        schema: 1 of Dashing, without quality of service; 2 to Galactic; 3 of Humble; 4 of Jazzy.
+        definitions: Whether version 4 finds the definitions of the types.
+    """
+    raw = read_raw(write_mcap(path.with_name(f"{path.name}.mcap"), messages))
+    path.with_name(f"{path.name}.mcap").unlink()
+    connection = sqlite3.connect(path)
+    notes = [", offered_qos_profiles TEXT NOT NULL"] * (schema > 1)
+    notes += [", type_description_hash TEXT NOT NULL"] * (schema > 3)
+    connection.execute(
+        "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
+        f" serialization_format TEXT NOT NULL{''.join(notes)})"
+    )
+    connection.execute(
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,"
+        " timestamp INTEGER NOT NULL, data BLOB NOT NULL)"
+    )
+    connection.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+    if schema > 2:
+        connection.execute("CREATE TABLE schema(schema_version INTEGER, ros_distro TEXT)")
+        connection.execute("INSERT INTO schema VALUES (?, 'humble')", (schema,))
+        connection.execute("CREATE TABLE metadata(id INTEGER, metadata_version INTEGER, metadata)")
+    if schema > 3:
+        connection.execute(
+            "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT NOT NULL,"
+            " encoding TEXT NOT NULL, encoded_message_definition TEXT NOT NULL,"
+            " type_description_hash TEXT NOT NULL)"
+        )
+    for found in raw.schemas.values() if schema > 3 else ():
+        text = found.data.decode() if definitions else ""
+        row = (found.name, "ros2msg" if definitions else "unknown", text, "RIHS01_0")
+        connection.execute("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, ?)", row)
+    for channel in raw.channels.values():
+        kind = raw.schemas[channel.schema_id].name
+        values = (channel.id, channel.topic, kind, "cdr", *("" for _ in notes))
+        marks = ",".join("?" * len(values))
+        connection.execute(f"INSERT INTO topics VALUES ({marks})", values)
+    connection.executemany(
+        "INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)",
+        [(found.channel_id, found.log_time, found.data) for found in raw.messages],
+    )
+    connection.commit()
+    connection.close()
     return path
 
 

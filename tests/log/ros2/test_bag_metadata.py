@@ -9,7 +9,7 @@ from ruamel.yaml import YAML
 
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log.ros2 import BagTopic, format_bag_metadata, parse_bag_metadata
+from turtlelog.log.ros2 import BagPart, BagTopic, format_bag_metadata, parse_bag_metadata
 
 NAMES = st.text(
     st.characters(min_codepoint=32, max_codepoint=0x2FFF, exclude_categories=("C", "Zl", "Zp")),
@@ -23,7 +23,8 @@ def load(text: str) -> Any:
 
 def format_one(file: str) -> str:
     topic = BagTopic(name="/a", type="std_msgs/msg/String", type_hash="RIHS01_0", count=3)
-    return format_bag_metadata(file, [topic], start_ns=5, duration_ns=7)
+    part = BagPart(name=file, start_ns=5, duration_ns=7, count=3)
+    return format_bag_metadata([part], [topic])
 
 
 @settings(deadline=None)  # the library takes as long as it takes
@@ -116,7 +117,11 @@ def test_what_yaml_allows_is_read_as_a_library_reads_it(old: str, new: str) -> N
         ("\n    - a.mcap", " a.mcap", "expected a list of files, found a.mcap"),
         ("\n    - a.mcap", " []", "relative_file_paths: expected a list of files, found none"),
         ("mcap\n", "\n    - mcap\n", "storage_identifier: expected text, found 'mcap'"),
-        ("  storage_identifier: mcap\n", "", "storage_identifier: expected mcap, found none"),
+        (
+            "  storage_identifier: mcap\n",
+            "",
+            "storage_identifier: expected mcap or sqlite3",
+        ),
         ('""', "\n    a: b", "compression_mode: expected text, found 'a: b'"),
         ("32000000", "9" * 5000, "duration: expected whole nanoseconds below 2^63, found 999"),
         ("32000000", str(2**63), "duration: expected whole nanoseconds below 2^63, found 922"),

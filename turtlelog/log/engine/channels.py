@@ -1,7 +1,8 @@
 """The channels of a file -> its topics, and how the messages of each become columns."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Final
 
 from mcap.records import Channel, Schema
@@ -9,6 +10,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.idl import convert_idl
+from turtlelog.log.engine.json_messages import JsonField, read_json_schema
 from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.log.engine.limits import FIELDS, Allowance
 from turtlelog.log.engine.message_types import (
@@ -20,8 +22,14 @@ from turtlelog.log.engine.message_types import (
 )
 from turtlelog.log.error_boundary import DamageError
 
-_TEXTS: Final = frozenset({SchemaEncoding.ROS2, "ros2idl", "omgidl", ""})
-"""Encodings of schemas that define messages in CDR; without one, the type's name must do."""
+_SCHEMAS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        # Without an encoding there is no text: the type's name must do.
+        MessageEncoding.CDR: (SchemaEncoding.ROS2, "ros2idl", "omgidl", ""),
+        MessageEncoding.JSON: (SchemaEncoding.JSONSchema,),
+    }
+)
+"""Encodings of schemas, by that of the messages that they define."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +42,7 @@ class TopicPlan:
         reason: Why they cannot be understood; empty where they can.
         fields: Of the type.
         layout: Of the type; None where its messages differ in size.
+        json: What each message holds, where messages are in JSON; None where they are in CDR.
     """
 
     topic: str
@@ -41,6 +50,12 @@ class TopicPlan:
     reason: str = ""
     fields: tuple[Field, ...] = ()
     layout: Layout | None = None
+    json: tuple[JsonField, ...] | None = None
+
+    @property
+    def meaning(self) -> object:
+        """What channels of one topic have in common."""
+        return self.type, self.fields, self.json, self.reason
 
 
 class Catalogue:
@@ -56,7 +71,7 @@ class Catalogue:
         self.allowance = allowance
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
-        self._types: dict[int, MessageType | str] = {}
+        self._types: dict[int, MessageType | tuple[JsonField, ...] | str] = {}
 
     @property
     def topics(self) -> Collection[str]:
@@ -139,7 +154,7 @@ class Catalogue:
         plans = [self._plan(channel) for channel in self._of_topics[topic]]
         first = plans[0]
         for plan in plans[1:]:
-            if (plan.type, plan.fields, plan.reason) != (first.type, first.fields, first.reason):
+            if plan.meaning != first.meaning:
                 kinds = " and ".join(sorted({plan.type or "none" for plan in plans}))
                 reason = f"channels of one type expected, found different ones: {kinds}"
                 return TopicPlan(topic=topic, type=first.type, reason=reason)
@@ -148,21 +163,24 @@ class Catalogue:
     def _plan(self, channel: Channel) -> TopicPlan:
         schema = self.schemas.get(channel.schema_id)
         kind = "" if schema is None else schema.name
-        encoding, reason = channel.message_encoding, ""
-        if encoding != MessageEncoding.CDR:
-            reason = f"messages in cdr expected, found {encoding!r}"
-        elif schema is None:
-            reason = "a schema expected, found none"
-        elif schema.encoding not in _TEXTS:
-            reason = f"a schema in ros2msg or ros2idl expected, found {schema.encoding!r}"
-        elif isinstance(found := self._read_type(schema), MessageType):
-            fields, layout = found.fields, found.layout
-            return TopicPlan(topic=channel.topic, type=kind, fields=fields, layout=layout)
-        else:
-            reason = found
-        return TopicPlan(topic=channel.topic, type=kind, reason=reason)
+        encoding, plan = channel.message_encoding, TopicPlan(topic=channel.topic, type=kind)
+        if encoding not in _SCHEMAS:
+            return replace(plan, reason=f"messages in cdr or json expected, found {encoding!r}")
+        if schema is None:
+            return replace(plan, reason="a schema expected, found none")
+        if schema.encoding not in _SCHEMAS[encoding]:
+            expected = " or ".join(filter(None, _SCHEMAS[encoding][:2]))
+            found = f"a schema in {expected} expected, found {schema.encoding!r}"
+            return replace(plan, reason=found)
+        match self._read_type(schema):
+            case str(reason):
+                return replace(plan, reason=reason)
+            case MessageType() as described:
+                return replace(plan, fields=described.fields, layout=described.layout)
+            case fields:
+                return replace(plan, json=fields)
 
-    def _read_type(self, schema: Schema) -> MessageType | str:
+    def _read_type(self, schema: Schema) -> MessageType | tuple[JsonField, ...] | str:
         """Return the type, or why there is none."""
         if schema.id not in self._types:
             try:
@@ -172,8 +190,12 @@ class Catalogue:
         return self._types[schema.id]
 
 
-def _parse(schema: Schema, allowance: Allowance) -> MessageType:
+def _parse(schema: Schema, allowance: Allowance) -> MessageType | tuple[JsonField, ...]:
     allowance.spend(FIELDS, int(not allowance.count_left(FIELDS)))
+    if schema.encoding == SchemaEncoding.JSONSchema:
+        fields = read_json_schema(schema.name, schema.data)
+        allowance.spend(FIELDS, len(fields))
+        return fields
     known = find_definition(schema.name)
     try:
         found = read_type(schema.name, _read_text(schema, known))

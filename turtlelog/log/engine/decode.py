@@ -1,6 +1,6 @@
 """The messages of a topic in a block -> rows: one size all at once, others field by field."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final, Literal
@@ -14,6 +14,7 @@ from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import TopicPlan
 from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.json_messages import JsonField, decode_json
 from turtlelog.log.engine.limits import UNPACKED, Allowance
 from turtlelog.log.engine.message_types import (
     BIG_ENDIAN,
@@ -51,6 +52,8 @@ def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
         LogError: Where a message is not of the topic's type.
     """
     try:
+        if plan.json is not None:
+            return _read_json(plan.json, block, starts)
         if plan.layout is None:
             return _read_differing(plan, block, starts)
         return _read_fixed(plan.layout, block, starts)
@@ -152,6 +155,22 @@ def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     return columns
 
 
+def _read_json(fields: Sequence[JsonField], block: Block, starts: Offsets) -> Rows:
+    heads = gather_heads(block.data, starts)
+    ends = starts + RECORD.size + heads["length"].astype(np.int64)
+    _check_times(heads["log_time"], heads["publish_time"])
+    messages = [
+        block.data[start + MESSAGE_HEAD : end]
+        for start, end in zip(starts.tolist(), ends.tolist(), strict=True)
+    ]
+    return {
+        LOG_TIME: heads["log_time"].astype(np.int64),
+        PUBLISH_TIME: heads["publish_time"].astype(np.int64),
+        SEQUENCE: heads["sequence"].astype(np.uint32),
+        **decode_json(fields, messages),
+    }
+
+
 def _check_heads(heads: NDArray[np.void]) -> None:
     """Check that every message is plain CDR, and of a time that 63 bits hold."""
     kinds = heads["#encapsulation"]
@@ -160,9 +179,13 @@ def _check_heads(heads: NDArray[np.void]) -> None:
         number = int(wrong.argmax())
         found = kinds[number].tobytes().hex()
         raise LogError(f"message {number}: expected the CDR header 0001 or 0000, found {found}")
-    for name in (LOG_TIME, PUBLISH_TIME):
-        if len(heads) and heads[name].max() >= 2**63:
-            raise LogError(f"expected times below 2^63 ns, found {heads[name].max()}")
+    _check_times(heads[LOG_TIME], heads[PUBLISH_TIME])
+
+
+def _check_times(*columns: NDArray[np.uint64]) -> None:
+    for times in columns:
+        if len(times) and times.max() >= 2**63:
+            raise LogError(f"expected times below 2^63 ns, found {times.max()}")
 
 
 def _decode_messages(

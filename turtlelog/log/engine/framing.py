@@ -91,11 +91,13 @@ def find_wrong_start(start: bytes) -> str | None:
         return None
     found = f"0x{start[: len(MCAP0_MAGIC)].hex()}" if start else "an empty file"
     if start.startswith(_SQLITE):
-        found = "a bag in SQLite: ros2 bag convert makes MCAP of it"
+        found = "a bag in SQLite"
     elif start.startswith(_RERUN):
         found = "a Rerun recording: turtlelog view shows it"
     elif start and _is_text(start.removeprefix(_BYTE_ORDER_MARK)):
-        found = "text: a log is read where its name ends in .json or .csv"
+        found = (
+            "text: logs and tables are read where the name ends in .csv, .json, .tsv, .tum, .txt"
+        )
     return f"expected an MCAP file (0x{MCAP0_MAGIC.hex()}), found {found}"
 
 

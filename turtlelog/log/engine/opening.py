@@ -4,6 +4,7 @@ import shlex
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -23,6 +24,10 @@ BAG_SUFFIXES: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 _LONGEST_MAGIC: Final = 16
 _STEP: Final = 2**11  # bytes unpacked at a time: up to 64 MiB come of them
+
+
+class NoMcapError(LogError):
+    """A file that is sound as far as can be told, and in SQLite."""
 
 
 @contextmanager
@@ -49,7 +54,7 @@ def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
     """Open a file that must not be SQLite; what goes wrong does not name it yet."""
     with _open_content(Path(path)) as (stream, _):
         if _read_head(stream) == SQLITE_MAGIC:
-            raise LogError("expected an MCAP file, found a bag in SQLite")
+            raise NoMcapError("expected an MCAP file, found a bag in SQLite")
         yield stream
 
 
@@ -60,21 +65,51 @@ def open_source(path: str | Path) -> Iterator[Source | SqliteSource]:
         yield opened if isinstance(opened, SqliteSource) else Source(opened)
 
 
-def is_sqlite(path: Path) -> bool:
-    """Return whether a file is in SQLite, as its first bytes say."""
-    with name_file(path, expected=_describe_expected(path)), open_file(path) as stream:
-        return _read_head(stream) == SQLITE_MAGIC
-
-
 def strip_suffixes(path: Path) -> str:
     """Return the name of a file without what says its kind."""
     suffix = next((known for known in BAG_SUFFIXES if path.name.lower().endswith(known)), None)
     return path.name[: -len(suffix)] if suffix and len(suffix) < len(path.name) else path.stem
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Damaged:
+    """A file to recover.
+
+    Attributes:
+        place: Where it is, unpacked.
+        bag: Its tables, where it is in SQLite.
+        fault: What is wrong with its compression.
+    """
+
+    place: Path
+    bag: SqliteSource | None
+    fault: str | None
+
+
 @contextmanager
-def _open_content(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
+def open_damaged(path: Path) -> Iterator[Damaged]:
+    """Open a file to recover; what goes wrong does not name it yet.
+
+    Raises:
+        LogError: Where nothing of it can be read.
+    """
+    faults: list[str] = []
+    with ExitStack() as closing:
+        stream, place = closing.enter_context(_open_content(path, faults))
+        bag = None
+        if _read_head(stream) == SQLITE_MAGIC:
+            stream.close()
+            bag = closing.enter_context(open_sqlite(place, is_damaged=True))
+        yield Damaged(place=place, bag=bag, fault=faults[0] if faults else None)
+
+
+@contextmanager
+def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple[BinaryIO, Path]]:
     """Open a file, unpacked if it is compressed as a whole; with the place of what is open.
+
+    Args:
+        path: The file.
+        faults: Takes what is wrong with the compression, instead of raising it.
 
     Raises:
         LogError: Where it cannot be unpacked, is of ROS 1, or is named as SQLite and empty.
@@ -84,7 +119,12 @@ def _open_content(path: Path) -> Iterator[tuple[BinaryIO, Path]]:
         if _read_head(stream).startswith(ZSTD_MAGIC):
             folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
             place = Path(folder) / "unpacked"
-            _unpack_file(stream, place)
+            try:
+                _unpack_file(stream, place)
+            except DamageError as err:
+                if faults is None or not place.stat().st_size:
+                    raise
+                faults.append(str(err))
             stream = closing.enter_context(place.open("rb"))
         head = _read_head(stream)
         if head.startswith(ROS1_MAGIC):

@@ -15,6 +15,7 @@ from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.decode import LOG_TIME, Rows, read_rows, select_rows, unpack_messages
 from turtlelog.log.engine.framing import RECORD
+from turtlelog.log.engine.json_messages import keep_flat
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import TEXT, Field
 from turtlelog.log.engine.parsing import read_record
@@ -178,6 +179,8 @@ class Selection:
         if self.is_flat and (name := _find_list(plan.fields)) is not None:
             expected = "fields of numbers and texts"
             raise LogError(f"topic {topic}: expected {expected}, found the sequence {name}")
+        if self.is_flat and plan.json is not None:
+            plan = replace(plan, json=keep_flat(plan.json))
         return None if plan.reason else plan
 
     def require_topics(self, catalogue: Catalogue) -> None:

@@ -8,6 +8,7 @@ tables are read, never views, no function of the schema is called, and a file wh
 circles is left after a bounded number of steps.
 """
 
+import os
 import shutil
 import sqlite3
 from array import array
@@ -48,14 +49,21 @@ _TOPIC_NOTES: Final = {
 _MESSAGE_COLUMNS: Final = ("topic_id", "timestamp", "data")
 _DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definition")
 
+_HEADER: Final = 100  # bytes
+_PAGE_SIZE: Final = slice(16, 18)
+_CHANGES: Final = slice(24, 28)
+_PAGES: Final = slice(28, 32)
+_COUNTED_AT: Final = slice(92, 96)
+"""Where in the header stand the size of a page, how many there are, and at which change."""
+
 _SIDES: Final = ("-wal", "-journal")
 _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
 """Ends a journal that names another file, which SQLite would delete."""
 
 _MOST_CHANNELS: Final = 2**16 - 1  # their numbers have 16 bits in a block
-_FIRST_ROWS: Final = 256
-_MOST_ROWS: Final = 2**16
-_BLOCK_BYTES: Final = 2**24
+_LEAST_ROWS: Final = 16
+_MOST_ROWS: Final = 2**9
+_BLOCK_BYTES: Final = 2**22
 
 _ROW_BYTES: Final = 4
 """What a row takes at least of its page beside its blob [bytes]; in truth some 12."""
@@ -71,6 +79,39 @@ _FUNCTIONS: Final = frozenset({"count", "min", "max", "typeof"})
 _GAP: Final = bytearray(MESSAGE_HEAD)
 
 
+class SqliteRows:
+    """Rows of `topic_id`, `timestamp` and `data`, column by column.
+
+    Few are taken at a time: then SQLite and Python fill the same memory again and again, which
+    stays in the processor's cache; a million rows take half as long.
+    """
+
+    def __init__(self) -> None:
+        self.ids, self.times, self.lengths = array("q"), array("q"), array("q")
+        self.size = 0
+        self._parts: list[bytearray] = []
+
+    def take(self, rows: list[Row]) -> int:
+        """Add some rows; return the bytes of their blobs.
+
+        Raises:
+            TypeError: Where a column holds something else than it should.
+        """
+        ids, times, blobs = zip(*rows, strict=True)
+        self.ids.extend(ids)
+        self.times.extend(times)
+        self.lengths.extend(map(len, blobs))
+        part = _GAP.join(blobs)
+        self._parts.append(part)
+        size = len(part) - MESSAGE_HEAD * (len(rows) - 1)
+        self.size += size
+        return size
+
+    def join(self) -> bytearray:
+        """Return the blobs with a gap before each."""
+        return _GAP.join((b"", *self._parts))
+
+
 class SqliteSource:
     """An open bag in SQLite, its tables checked.
 
@@ -78,6 +119,7 @@ class SqliteSource:
         catalogue: Its topics as channels, their types as schemas.
         is_indexed: Always: the catalogue is complete before the first message is read.
         statistics: None; `count_messages` counts.
+        size: Of all its pages [bytes].
     """
 
     is_indexed = True
@@ -90,18 +132,18 @@ class SqliteSource:
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.execute("PRAGMA cell_size_check = ON")
-        self._size = _read_number(connection, "page_count") * _read_number(connection, "page_size")
+        self.size = _read_number(connection, "page_count") * _read_number(connection, "page_size")
         self._steps_left = 0
         connection.set_progress_handler(self._count_steps, _STEPS)
         columns = self._list_columns()
         connection.set_authorizer(_authorize)
-        self.catalogue = Catalogue(allowance := Allowance(self._size))
+        self.catalogue = Catalogue(allowance := Allowance(self.size))
         self._numbers: dict[int, int] = {}
         self._describe(columns, allowance)
 
     def execute(self, query: str, *values: object) -> sqlite3.Cursor:
         """Run a query; it may take a number of steps that the size of the file bounds."""
-        self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self._size
+        self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self.size
         return self._connection.execute(query, values)
 
     def count_messages(self) -> tuple[Counter[int], tuple[int, int] | None]:
@@ -158,36 +200,39 @@ class SqliteSource:
         yield from map(work, self._iterate_blocks(cursor))
 
     def _iterate_blocks(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
-        first, rows, left = 1, _FIRST_ROWS, self._size
-        while found := cursor.fetchmany(rows):
-            block = self.build_block(found, first)
-            size = len(block.data)
-            left -= size - (MESSAGE_HEAD - _ROW_BYTES) * len(found)
+        first, count, left = 1, _LEAST_ROWS, self.size
+        rows = SqliteRows()
+        while found := cursor.fetchmany(count):
+            try:
+                size = rows.take(found)
+            except TypeError as err:
+                raise self._find_fault() from err
+            left -= size + _ROW_BYTES * len(found)
             if left < 0:
                 raise DamageError(
-                    f"expected messages of up to {self._size} bytes in all, the size of the file,"
+                    f"expected messages of up to {self.size} bytes in all, the size of the file,"
                     " found more"
                 )
-            yield block
-            first += len(found)
-            rows = min(2 * rows, max(_BLOCK_BYTES * len(found) // max(size, 1), 1), _MOST_ROWS)
+            if rows.size >= _BLOCK_BYTES:
+                yield self.build_block(rows, first)
+                first, rows = first + len(rows.times), SqliteRows()
+            count = min(2 * count, _BLOCK_BYTES * len(found) // (size + 1) + 1, _MOST_ROWS)
+        if rows.times:
+            yield self.build_block(rows, first)
 
-    def build_block(self, rows: list[Row], first: int) -> Block:
-        """Return rows of `topic_id`, `timestamp` and `data` as a block; `first` counts from 1.
+    def build_block(self, rows: SqliteRows, first: int) -> Block:
+        """Return rows as a block; `first` is the number of the first one, from 1 on.
 
         Raises:
-            DamageError: Where one holds something else, or has no topic.
+            DamageError: Where one has no topic, or a time below 0.
         """
-        ids, times, blobs = zip(*rows, strict=True)
-        try:
-            lengths = np.fromiter(map(len, blobs), np.int64, len(blobs))
-            data = _GAP.join((b"", *blobs))
-            time_ns = np.frombuffer(array("q", times), np.int64)
-            numbers = np.fromiter(map(self._numbers.__getitem__, ids), np.int64, len(ids))
-        except (TypeError, KeyError) as err:
-            raise self._find_fault() from err
-        if time_ns.min() < 0:
+        time_ns, ids = np.frombuffer(rows.times, np.int64), np.frombuffer(rows.ids, np.int64)
+        known = np.array(sorted(self._numbers), np.int64)
+        places = np.minimum(np.searchsorted(known, ids), len(known) - 1)
+        if time_ns.min() < 0 or not len(known) or (known[places] != ids).any():
             raise self._find_fault()
+        numbers = np.array([self._numbers[number] for number in known.tolist()])[places]
+        data, lengths = rows.join(), np.frombuffer(rows.lengths, np.int64)
         ends = np.cumsum(lengths + MESSAGE_HEAD)
         starts = ends - lengths - MESSAGE_HEAD
         _scatter_heads(data, starts, lengths, numbers, time_ns)
@@ -195,6 +240,17 @@ class SqliteSource:
         present, firsts = np.unique(numbers[order], return_index=True)
         offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
         return Block(data=bytes(data), byte=first, offsets=offsets, rest=(), unit="rows from")
+
+    def find_fault_of(self, row: Row) -> str | None:
+        """Return what is wrong with a topic, a time and data; None where they are sound."""
+        topic_id, timestamp, data = row
+        if topic_id not in self._numbers:
+            return f"expected a row in topics of topic_id {topic_id}, found none"
+        if not isinstance(timestamp, int) or timestamp < 0:
+            return f"timestamp: expected nanoseconds from 0 on, found {timestamp!r:.40}"
+        if not isinstance(data, bytes):
+            return f"data: expected a blob, found {data!r:.40}"
+        return None
 
     def _find_fault(self) -> DamageError:
         """Return what is wrong with the first row of `messages` that is not sound."""
@@ -268,6 +324,10 @@ class SqliteSource:
         for row in self.execute(query):
             allowance.spend(DESCRIPTIONS)
             topic_id, name, kind, encoding, *texts = row
+            if not isinstance(topic_id, int):
+                raise LogError(
+                    f"topics: {name}: id: expected a whole number, found {topic_id!r:.60}"
+                )
             for column, value in zip(_TOPIC_COLUMNS[1:], (name, kind, encoding), strict=True):
                 if not isinstance(value, str):
                     found = "NULL" if value is None else repr(value)[:60]
@@ -332,6 +392,20 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
             place, mode = folder / "bag.db3", "mode=rw"
             _copy_with_sides(path, place, present)
+        size, claimed, page = measure_pages(place)
+        is_short = size % page or (size < claimed and not present)
+        if is_short and not is_damaged:
+            expected = f"{claimed} bytes" if claimed > size else f"pages of {page} bytes"
+            raise DamageError(
+                f"expected a SQLite file of {expected}, found {size} bytes: cut short;"
+                " turtlelog recover reads what is left"
+            )
+        if size % page:  # SQLite would take zeros for what the last page lacks
+            if place == path:
+                folder = Path(closing.enter_context(TemporaryDirectory(prefix="turtlelog-")))
+                place = folder / "bag.db3"
+                shutil.copyfile(path, place)
+            os.truncate(place, size - size % page)
         try:
             connection = sqlite3.connect(
                 f"{place.as_uri()}?{mode}", uri=True, isolation_level=None, check_same_thread=False
@@ -342,6 +416,19 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
             yield SqliteSource(connection)
         except sqlite3.Error as err:
             raise DamageError(describe_sqlite_error(err)) from err
+
+
+def measure_pages(path: Path) -> tuple[int, int, int]:
+    """Return a file's size, what its header says of that, and the size of a page [bytes]."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEADER)
+        size = stream.seek(0, os.SEEK_END)
+    page = int.from_bytes(head[_PAGE_SIZE], "big")
+    page = 2**16 if page == 1 else page or 2**16
+    # Before version 3.7 SQLite did not keep the number of pages, and left another number there.
+    is_kept = head[_CHANGES] == head[_COUNTED_AT]
+    pages = int.from_bytes(head[_PAGES], "big") if is_kept else 0
+    return size, pages * page, page
 
 
 def describe_sqlite_error(err: sqlite3.Error) -> str:

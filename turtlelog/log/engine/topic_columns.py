@@ -54,7 +54,9 @@ class TopicColumns:
         sequence: Number that the publisher gave each, shape (n,).
         fields: By dotted name in the order of the schema. A fixed array of k numbers has shape
             (n, k); a text is a `str`, a sequence of numbers an array, a sequence of texts a list,
-            one of messages a list of dictionaries by dotted name, each in a column of objects.
+            one of messages a list of dictionaries by dotted name, each in a column of objects. Of
+            messages in JSON an array is a list, and what a message lacks NaN, an empty text or
+            None.
     """
 
     topic: str
@@ -227,7 +229,12 @@ class _RowStore:
     def take(self, part: Rows) -> None:
         """Add rows behind those that are there."""
         end = self._used + len(part[LOG_TIME])
-        if self._others or end > self._expected:
+        # Of JSON a block may have floats where others have whole numbers.
+        is_new = any(
+            name in self._whole and self._whole[name].dtype != values.dtype
+            for name, values in part.items()
+        )
+        if self._others or is_new or end > self._expected:
             self._others.append(part)
             return
         if not self._whole:

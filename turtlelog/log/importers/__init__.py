@@ -9,17 +9,46 @@ from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.importers.paper_layouts import parse_paper_csv, parse_paper_json
+from turtlelog.log.importers.paper_layouts import PAPER_MARKS, parse_paper_csv, parse_paper_json
 from turtlelog.log.importers.paper_log import PaperLog, build_paper_run
+from turtlelog.log.importers.plain_tables import import_plain_table
 from turtlelog.run import Run
 
-__all__ = ["LOG_SUFFIXES", "import_log"]
+__all__ = ["LOG_SUFFIXES", "import_log", "import_other", "import_plain_table"]
 
 _IMPORTERS: Final[Mapping[str, Callable[[str, Path], PaperLog]]] = MappingProxyType(
     {".json": parse_paper_json, ".csv": parse_paper_csv}
 )
-LOG_SUFFIXES: Final = frozenset(_IMPORTERS)
-"""How the names of logs end."""
+LOG_SUFFIXES: Final = frozenset({*_IMPORTERS, ".parquet", ".tsv", ".tum", ".txt"})
+"""How the names of logs and tables end."""
+
+
+def import_other(path: Path, columns: Mapping[str, str]) -> Run:
+    """Return the run in a log of the paper's, or else in a plain table.
+
+    Args:
+        path: The file.
+        columns: Of the table, as the user maps them; then it is none of the paper's logs.
+
+    Raises:
+        LogError: One line with the file and the place, where it is neither or is wrong.
+    """
+    if path.suffix.lower() == ".json" or (not columns and _is_papers(path)):
+        return import_log(path)
+    return import_plain_table(path, columns)
+
+
+def _is_papers(path: Path) -> bool:
+    """Return whether a CSV has the columns that only the paper's logs have."""
+    if path.suffix.lower() != ".csv":
+        return False
+    with open_file(path) as stream:
+        head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
+    return not PAPER_MARKS.isdisjoint(head.strip().split(","))
+
+
+_LONGEST_HEAD: Final = 64 * 1024
+"""Bytes of a first line that may name columns."""
 
 
 def import_log(path: str | Path, *, sort: bool = False) -> Run:

@@ -10,14 +10,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.angles import wrap_angle
 from turtlelog.declaration_json import parse_declaration
 from turtlelog.errors import LogError, RunError
 from turtlelog.escapes import guard_cell
 from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.importers.table_text import read_header
 from turtlelog.loops import DONE, PAUSE, Declaration
 from turtlelog.run import (
     TABLES,
+    Clock,
     CommandColumns,
     Event,
     PoseColumns,
@@ -31,6 +34,9 @@ from turtlelog.run.tables import Table
 TABLE_SUFFIXES: Final = (".csv", ".parquet")
 _WHOLE: Final = frozenset({"time_ns", "sequence", "pose_sequence"})
 _TEXTS: Final = frozenset({"phase", "kind", "text"})
+_ROUNDED_RAD: Final = 2e-15
+"""By how much sine, cosine and arctangent may turn a heading: 4 steps of 64-bit numbers at pi."""
+
 _LONGEST_HEAD: Final = 64 * 1024
 """Bytes of a first line that may name columns: 250 states of 60 letters, and the rest, fit in."""
 
@@ -61,8 +67,13 @@ def holds_tables(path: Path) -> bool:
     """Return whether a folder or a file holds tables that turtlelog wrote, by its first line."""
     if path.is_dir():
         return bool(list_table_files(path))
+    if path.suffix.lower() == ".parquet":
+        try:
+            return find_table(read_header(path)) is not None
+        except ValueError:  # no Parquet file, whatever it is called
+            return True
     if path.suffix.lower() != ".csv":
-        return path.suffix.lower() == ".parquet"
+        return False
     with open_file(path) as stream:
         head = stream.readline(_LONGEST_HEAD).decode("utf-8-sig", errors="replace")
     return find_table(head.strip().split(",")) is not None
@@ -111,6 +122,28 @@ def require_read_back(run: Run, written: Sequence[Path], read: Run | None) -> No
     for path in written:
         name, table, _ = _read_table(path)
         _require_same(path, name, tabulate_run(run, name), table)
+
+
+def require_same_poses(path: Path, run: Run, read: Run) -> None:
+    """Refuse a trajectory that holds other poses than the run that was written.
+
+    Its times count from its first pose, and headings come back from a quaternion.
+
+    Raises:
+        LogError: With the file and the column.
+    """
+    written, found = run.poses, read.poses
+    turned = np.abs(wrap_angle(written.heading_rad - found.heading_rad))
+    same = {
+        "time_ns": np.array_equal(written.time_ns - written.time_ns[0], found.time_ns),
+        "xy_m": np.array_equal(written.xy_m, found.xy_m),
+        "heading_rad": len(written) == len(found) and turned.max() <= _ROUNDED_RAD,
+    }
+    for column, is_same in same.items():
+        if not is_same:
+            raise LogError(
+                f"{path}: expected to read back what was written, found other values in {column}"
+            )
 
 
 def _read_table(path: Path) -> tuple[str, Table, dict[str, Any]]:
@@ -211,6 +244,7 @@ def _build_run(tables: Mapping[str, Table], facts: Mapping[str, str], path: Path
         parameters=json.loads(facts.get("scenario", "{}")),
         scenario_is_complete=json.loads(facts.get("scenario_is_complete", "false")),
         stop_reason=json.loads(facts.get("stop_reason", "null")),
+        clock=Clock(**json.loads(facts["clock"])) if "clock" in facts else None,
         events=tuple(
             Event(time_ns=int(time_ns), kind=kind, text=text)
             for time_ns, kind, text in zip(*events.values(), strict=True)

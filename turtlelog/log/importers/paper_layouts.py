@@ -32,6 +32,9 @@ _HEADINGS: Final = MappingProxyType(
 )
 """What a list is called in this layout."""
 
+PAPER_MARKS: Final = frozenset({"target_angle_rad", "error_angle_rad", "vel_x_global"})
+"""Columns of a CSV that tell this layout from other tables."""
+
 
 def parse_paper_json(text: str, path: Path) -> PaperLog:
     """Return the log in a JSON text.

@@ -27,6 +27,7 @@ from turtlelog.log.recording.head import CHECKSUM, HEAD, Head, parse_head, sum_u
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,
+    MEASURED,
     POSE,
     POSE64,
     REFERENCE,
@@ -194,10 +195,16 @@ def build_contents(
 
 def _list_topics(head: Head, parts: Mapping[str, list[Rows]]) -> tuple[Topic, ...]:
     """Return the topics that there should be; a recording that has no end yet shows its effects."""
-    has_sensing, has_shaping = (
-        topic.name in head.more_topics or topic.name in parts for topic in (SENSED, SHAPED)
+    has_sensing, has_shaping, has_measured = (
+        topic.name in head.more_topics or topic.name in parts
+        for topic in (SENSED, SHAPED, MEASURED)
     )
-    return list_topics(head.declaration, has_sensing=has_sensing, has_shaping=has_shaping)
+    return list_topics(
+        head.declaration,
+        has_sensing=has_sensing,
+        has_shaping=has_shaping,
+        has_measured=has_measured,
+    )
 
 
 def _find_head(records: Collection[Any]) -> Head:
@@ -241,8 +248,8 @@ def reconcile_contents(contents: Contents) -> tuple[Contents, str]:
     topics, declaration = dict(contents.topics), contents.head.declaration
     pose_topics = [
         name
-        for name in (POSE.name, POSE64.name, VELOCITY64.name)
-        if name == POSE.name or len(topics[name])
+        for name in (POSE.name, POSE64.name, VELOCITY64.name, MEASURED.name)
+        if name == POSE.name or (name in topics and len(topics[name]))
     ]
     numbers = _intersect({name: topics[name] for name in pose_topics})
     for name in pose_topics:

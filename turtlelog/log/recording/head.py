@@ -10,9 +10,10 @@ import msgspec
 from turtlelog.declaration_json import format_declaration, parse_declaration
 from turtlelog.errors import LogError, ScenarioError
 from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
-from turtlelog.log.recording.topics import SENSED, SHAPED
+from turtlelog.log.read_choice import CHOSEN
+from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.loops import Declaration
-from turtlelog.run import Run
+from turtlelog.run import Clock, Run
 from turtlelog.scenario import DEFAULT_LAW, Scenario, nest_parameters
 from turtlelog.text_files import format_toml, parse_toml
 from turtlelog.version import __version__
@@ -68,6 +69,7 @@ class Head:
             what is sensed may drop out as a whole.
         declaration: As in `Run`; None in format 1.
         notes: As in `Run`.
+        clock: As in `Run`.
     """
 
     format_version: int
@@ -80,6 +82,7 @@ class Head:
     more_topics: frozenset[str] = frozenset()
     declaration: Declaration | None
     notes: Mapping[str, str]
+    clock: Clock | None = None
 
 
 def describe_run(run: Run) -> Head:
@@ -94,7 +97,8 @@ def describe_run(run: Run) -> Head:
         nan_columns=frozenset(_list_nan_columns(run)),
         more_topics=frozenset(_list_more_topics(run)),
         declaration=run.declaration,
-        notes=run.notes,
+        clock=run.clock,
+        notes={name: text for name, text in run.notes.items() if name != CHOSEN},
     )
 
 
@@ -145,6 +149,8 @@ def format_head(head: Head) -> dict[str, str]:
         record["declaration"] = text
     if head.more_topics:
         record["more_topics"] = _encode(sorted(head.more_topics))
+    if head.clock is not None:
+        record["clock"] = _encode(head.clock)
     if head.stop_reason is not None:
         record["stop_reason"] = head.stop_reason
     if head.goal_heading_rad is not None:
@@ -182,6 +188,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
         else frozenset(),
         declaration=None if version == 1 else _parse_declaration(record),
         notes=_decode(record, "notes", dict[str, str]),
+        clock=_decode(record, "clock", Clock) if "clock" in record else None,
     )
 
 
@@ -219,6 +226,12 @@ def _list_nan_columns(run: Run) -> list[str]:
         "poses.speed_m_s": run.poses.speed_m_s,
         "poses.turn_rate_rad_s": run.poses.turn_rate_rad_s,
     }
+    measured = {
+        "poses.measured_speed_m_s": run.poses.measured_speed_m_s,
+        "poses.measured_turn_rate_rad_s": run.poses.measured_turn_rate_rad_s,
+    }
+    if any(values is not None for values in measured.values()):
+        columns |= measured
     samples = {name: getattr(run.samples, name) for name in MAY_BE_ABSENT}
     if run.declaration.has_reference:
         samples |= {name: getattr(run.samples, name) for name in _REFERENCE}
@@ -227,8 +240,17 @@ def _list_nan_columns(run: Run) -> list[str]:
 
 
 def _list_more_topics(run: Run) -> list[str]:
-    columns = {SENSED: run.poses.sensed_xy_m, SHAPED: run.samples.shaped_speed_m_s}
-    return [topic.name for topic, values in columns.items() if values is not None]
+    poses, shaped = run.poses, run.samples.shaped_speed_m_s
+    columns = {
+        SENSED: (poses.sensed_xy_m,),
+        SHAPED: (shaped,),
+        MEASURED: (poses.measured_speed_m_s, poses.measured_turn_rate_rad_s),
+    }
+    return [
+        topic.name
+        for topic, found in columns.items()
+        if any(values is not None for values in found)
+    ]
 
 
 def sum_up(record: Mapping[str, str]) -> str:

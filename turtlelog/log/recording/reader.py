@@ -21,7 +21,7 @@ from turtlelog.log.engine.decode import Rows
 from turtlelog.log.engine.framing import check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
-from turtlelog.log.engine.opening import open_mcap
+from turtlelog.log.engine.opening import NoMcapError, open_mcap
 from turtlelog.log.engine.source import Selection, read_piece
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.engine.walk import Section, walk_growing
@@ -45,6 +45,7 @@ from turtlelog.log.recording.topics import (
     EVENT,
     GOAL,
     LAW_STATE,
+    MEASURED,
     POSE,
     POSE64,
     REFERENCE64,
@@ -85,7 +86,7 @@ def read_if_own(path: str | Path, *, allow_partial: bool = False) -> Run | None:
     try:
         return _read_file(path, allow_partial=allow_partial, may_be_foreign=True)
     except LogError as err:
-        if isinstance(err.__cause__, ForeignFileError):
+        if isinstance(err.__cause__, ForeignFileError | NoMcapError):
             return None
         raise
 
@@ -240,6 +241,7 @@ def build_run(contents: Contents) -> Run:
         declaration=declaration,
         parameters=flatten_tables(tables),
         scenario_is_complete=is_complete,
+        clock=head.clock,
         stop_reason=head.stop_reason,
         events=_build_events(columns[EVENT.name]),
         absent=head.absent,
@@ -262,9 +264,27 @@ def _build_poses(columns: Mapping[str, TopicColumns], head: Head) -> PoseColumns
         heading_rad=_gather(position, ("theta",)),
         speed_m_s=_unless_nan(head, "poses.speed_m_s", speed),
         turn_rate_rad_s=_unless_nan(head, "poses.turn_rate_rad_s", turn_rate),
+        **_build_measured(columns, pose, head),
         sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
         sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
     )
+
+
+def _build_measured(
+    columns: Mapping[str, TopicColumns], pose: TopicColumns, head: Head
+) -> dict[str, Values | None]:
+    """Return what the robot reported, nothing where it reported nothing."""
+    if MEASURED.name not in columns:
+        return {}
+    found = columns[MEASURED.name]
+    if not np.array_equal(found.log_time_ns, pose.log_time_ns):
+        expected = f"the times of the {len(pose)} poses"
+        raise LogError(f"topic {found.topic}: expected {expected}, found {len(found)} others")
+    names = {"measured_speed_m_s": "linear.x", "measured_turn_rate_rad_s": "angular.z"}
+    return {
+        name: _unless_nan(head, f"poses.{name}", found.fields[field])
+        for name, field in names.items()
+    }
 
 
 def _build_sensed(

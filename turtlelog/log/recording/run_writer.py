@@ -20,6 +20,7 @@ from turtlelog.log.recording.topics import (
     EVENT,
     GOAL,
     LAW_STATE,
+    MEASURED,
     PHASE,
     POSE,
     POSE64,
@@ -75,6 +76,7 @@ def build_messages(run: Run) -> tuple[TopicColumns, ...]:
         _build_goal(run),
         *_build_poses(run.poses),
         *_build_sensed(run.poses),
+        *_build_measured(run.poses),
         _build_samples(run.samples),
         *_build_states(run),
         *_build_references(run),
@@ -181,6 +183,14 @@ def _build_sensed(poses: PoseColumns) -> Iterator[TopicColumns]:
     yield _collect(SENSED, time_ns, place | none, sequence)
     if not _fits_float32(rows[has]):
         yield _collect(SENSED64, time_ns, place, sequence)
+
+
+def _build_measured(poses: PoseColumns) -> Iterator[TopicColumns]:
+    speed, turn_rate = poses.measured_speed_m_s, poses.measured_turn_rate_rad_s
+    if speed is not None or turn_rate is not None:
+        found = {"linear.x": speed, "angular.z": turn_rate}
+        columns = {name: _or_nan(values, len(poses)) for name, values in found.items()}
+        yield _collect(MEASURED, poses.time_ns, columns)
 
 
 def _build_shaped(samples: SampleColumns) -> Iterator[TopicColumns]:

@@ -47,6 +47,9 @@ SENSED: Final = Topic("/turtle1/sensed_pose", "turtlesim/msg/Pose")
 SENSED64: Final = Topic("/turtle1/sensed_pose64", "geometry_msgs/msg/Pose2D")
 """The same, only where 32-bit floats would lose something; a reader prefers them."""
 
+MEASURED: Final = Topic("/turtle1/measured", "geometry_msgs/msg/Twist")
+"""What the robot reported of its motion, one message per pose, by the pose's number and time."""
+
 CONTROL: Final = Topic("/turtle1/control", "turtlelog_msgs/msg/ControlSample")
 """One message per sample, at the time at which its pose was answered."""
 
@@ -99,7 +102,7 @@ OF_SENSING: Final = (SENSED, SENSED64)
 TOPIC_NAMES: Final = frozenset(
     {
         *(topic.name for topic in (*_POSES, *OF_SENSING, CONTROL, SHAPED, *_AFTER_SAMPLES)),
-        *(LAW_STATE, REFERENCE.name, REFERENCE64.name),
+        *(MEASURED.name, LAW_STATE, REFERENCE.name, REFERENCE64.name),
     }
 )
 """Names of all that a recording may hold."""
@@ -207,6 +210,7 @@ def list_topics(
     *,
     has_sensing: bool = False,
     has_shaping: bool = False,
+    has_measured: bool = False,
 ) -> tuple[Topic, ...]:
     """Return the topics of a recording in the order in which messages of one time stand.
 
@@ -215,8 +219,10 @@ def list_topics(
         kind: The law's name, which the type of its states is called after.
         has_sensing: Whether the controller reads poses through a sensor.
         has_shaping: Whether the wanted commands are shaped.
+        has_measured: Whether the robot reported how it moves.
     """
     sensed, shaped = OF_SENSING if has_sensing else (), (SHAPED,) if has_shaping else ()
+    sensed = (*sensed, MEASURED) if has_measured else sensed
     if declaration is None:
         return (*_POSES, *sensed, CONTROL, *shaped, *_AFTER_SAMPLES)
     states = (Topic(LAW_STATE, name_state_type(kind)),) if declaration.states else ()

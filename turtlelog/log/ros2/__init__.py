@@ -1,20 +1,25 @@
 """Bags that ROS 2 or another recorder wrote -> Run, and what makes a folder a bag."""
 
-from turtlelog.log.ros2.bag_folder import (
+from turtlelog.log.ros2.bag_folder import list_bag_files, read_bag_info
+from turtlelog.log.ros2.bag_metadata import (
     METADATA_FILE,
     BagMetadata,
+    BagPart,
     BagTopic,
     format_bag_metadata,
-    list_bag_files,
     parse_bag_metadata,
-    read_bag_info,
 )
 from turtlelog.log.ros2.bag_reader import read_bag
+from turtlelog.log.ros2.bag_topics import COMMAND_TYPES, POSE_TYPES, choose_pose_topic
 
 __all__ = [
+    "COMMAND_TYPES",
     "METADATA_FILE",
+    "POSE_TYPES",
     "BagMetadata",
+    "BagPart",
     "BagTopic",
+    "choose_pose_topic",
     "format_bag_metadata",
     "list_bag_files",
     "parse_bag_metadata",

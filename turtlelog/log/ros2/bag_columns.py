@@ -11,6 +11,7 @@ from turtlelog.angles import wrap_angle
 from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.planar import compute_tilt
+from turtlelog.log.ros2.stamps import Stamps, read_stamps
 
 Fields = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
@@ -167,12 +168,32 @@ class OrderedRows:
         columns: By name, each of shape (n,).
         late: Rows that stood behind a later one.
         duplicates: Rows that were there twice, to the last bit, and were dropped.
+        stamp_ns: When each was stamped [ns], shape (n,); None where the type has no stamps.
     """
 
     time_ns: NDArray[np.int64]
     columns: Mapping[str, Values]
     late: int
     duplicates: int
+    stamp_ns: NDArray[np.int64] | None = None
+
+    @property
+    def stamps(self) -> Stamps:
+        """Both times of each row."""
+        return Stamps(log_ns=self.time_ns, stamp_ns=self.stamp_ns)
+
+    def take(
+        self,
+        rows: NDArray[np.int64] | NDArray[np.bool_],
+        time_ns: NDArray[np.int64] | None = None,
+    ) -> "OrderedRows":
+        """Return some of the rows, in any order, and where it is given at times of their own."""
+        return replace(
+            self,
+            time_ns=self.time_ns[rows] if time_ns is None else time_ns,
+            columns={name: column[rows] for name, column in self.columns.items()},
+            stamp_ns=None if self.stamp_ns is None else self.stamp_ns[rows],
+        )
 
 
 def order_rows(
@@ -191,16 +212,19 @@ def order_rows(
         np.concatenate([columns.publish_time_ns for columns in found]),
         np.concatenate([columns.sequence for columns in found]),
     ]
+    found_stamps = [read_stamps(columns) for columns in found]
+    known = [of_file for of_file in found_stamps if of_file is not None]
+    stamp_ns = np.concatenate(known) if len(known) == len(found) else None
+    stamps += [] if stamp_ns is None else [stamp_ns]
     late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
     order = np.argsort(time_ns, kind="stable")
     contents = [column[order] for column in (*stamps, *columns.values())]
     kept = order[~_find_duplicates(time_ns[order], contents)]
-    return OrderedRows(
-        time_ns=time_ns[kept],
-        columns={name: column[kept] for name, column in columns.items()},
-        late=late,
-        duplicates=len(order) - len(kept),
+    duplicates = len(order) - len(kept)
+    rows = OrderedRows(
+        time_ns=time_ns, columns=columns, late=late, duplicates=duplicates, stamp_ns=stamp_ns
     )
+    return rows.take(kept)
 
 
 def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedRows, int]:
@@ -208,8 +232,7 @@ def drop_not_finite(rows: OrderedRows, names: Collection[str]) -> tuple[OrderedR
     kept = np.logical_and.reduce([np.isfinite(rows.columns[name]) for name in names])
     if kept.all():
         return rows, 0
-    columns = {name: column[kept] for name, column in rows.columns.items()}
-    return replace(rows, time_ns=rows.time_ns[kept], columns=columns), int((~kept).sum())
+    return rows.take(kept), int((~kept).sum())
 
 
 def separate_times(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.int64], int]:

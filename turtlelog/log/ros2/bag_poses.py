@@ -14,6 +14,7 @@ from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_columns import find_pose_shape
 from turtlelog.log.ros2.bag_topics import (
     TRANSFORMS,
+    NoPosesError,
     Pick,
     choose_pose_topic,
     list_by_fields,
@@ -124,9 +125,7 @@ def _pick(bag: Bag, topics: Collection[TopicInfo], asked: str | None) -> Pick:
     """Return the topic by its type, or else by its fields, which only reading tells."""
     try:
         return choose_pose_topic(topics, asked)
-    except LogError:
-        if asked is not None:
-            raise
+    except NoPosesError:
         for topic in list_by_fields(topics):
             if _holds_poses(bag, topic.topic):
                 return Pick(topic=topic)
@@ -168,7 +167,9 @@ def _trace_poses(
             f"topic {topic}: expected {chosen.world} -> {chosen.robot} at one time at least, found"
             f" none after {held[0].describe()} began"
         )
-    prefix = chosen.robot.rpartition("/")[0]
+    prefix, _, name = chosen.robot.rpartition("/")
+    if not prefix and any(one.topic.startswith(f"/{name}/") for one in topics):
+        prefix = name  # as /turtle1/cmd_vel is of turtle1
     return PoseSource(
         topic=TopicInfo(topic=topic, type=TRANSFORM, count=len(columns)),
         found=[{topic: columns}],

@@ -1,6 +1,7 @@
 """Bag -> Run: which of its topics, and what they hold."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 
 from turtlelog.display import describe_count
 from turtlelog.errors import LogError
+from turtlelog.log.engine.opening import strip_suffixes
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, TopicInfo
 from turtlelog.log.planar import describe_plane
-from turtlelog.log.read_choice import ReadChoice, ReadOptions
+from turtlelog.log.read_choice import CHOSEN, ReadChoice, ReadOptions, TimeSource
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,
@@ -23,7 +25,8 @@ from turtlelog.log.recording.topics import (
     SENSED,
     SHAPED,
 )
-from turtlelog.log.ros2.bag import open_bag
+from turtlelog.log.ros2.bag import Bag, open_bag
+from turtlelog.log.ros2.bag_clock import time_rows
 from turtlelog.log.ros2.bag_columns import (
     Fields,
     OrderedRows,
@@ -37,6 +40,7 @@ from turtlelog.log.ros2.bag_columns import (
 )
 from turtlelog.log.ros2.bag_poses import Found, PoseSource, find_poses, note_pick
 from turtlelog.log.ros2.bag_references import Track, add_references
+from turtlelog.log.ros2.bag_samples import add_samples
 from turtlelog.log.ros2.bag_topics import Pick, choose_command_topic
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
@@ -53,9 +57,11 @@ _SENSED: Final = (SENSED.name, SENSED.schema)
 def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     """Return the run in a bag of ROS 2, or in an MCAP file by another recorder.
 
-    Times count from the first pose or command. Rows are sorted by time and exact duplicates
-    dropped; of several poses of one time the later ones move on by 1 ns each. The run's notes count
-    all of it, and say which topics were chosen, among which others.
+    Poses with stamps are timed by these, mapped to the recorder's clock, and those of nearly one
+    time left out (`time_rows`). Times count from the first pose or command. Rows are sorted by time
+    and exact duplicates dropped; of several poses without stamps of one time the later ones move on
+    by 1 ns each. The run's notes count all of it, and say which topics were chosen, among which
+    others.
 
     Args:
         path: A folder with `metadata.yaml`, or a lone file.
@@ -68,21 +74,32 @@ def read_bag(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     """
     choice, bag = ReadChoice(**options), open_bag(path)
     distinct = bag.topics
-    with name_file(bag.path, expected="a bag"):
+    with _name_once(bag):
         source = find_poses(bag, distinct, choice)
         commands = choose_command_topic(distinct, choice.command_topic, pose_topic=source.home)
         names = {commands.topic.topic} if commands else set()
         if source.topic.topic == POSE.name:
             names |= {topic.topic for topic in distinct if (topic.topic, topic.type) == _SENSED}
         found = [*source.found, *bag.read(names)]
-        run, track = _build_run(bag.path, found, source, commands)
+        run, track = _build_run(bag.path, found, source, commands, choice.time)
         run = add_references(run, bag, source, track, choice)
+        if source.topic.topic == POSE.name:
+            run = add_samples(run, bag, int(track.time_ns[0] - run.poses.time_ns[0]))
     notes = {**run.notes, **_note_rest(distinct, run), **_join_notes(bag.infos.values())}
     return replace(run, notes={**notes, CHOSEN: describe_chosen(notes)})
 
 
-CHOSEN: Final = "chosen"
-"""Note in one line on the topics that were chosen, for who asked; it goes into no recording."""
+@contextmanager
+def _name_once(bag: Bag) -> Iterator[None]:
+    """Name the bag in errors, but in those that name one of its files."""
+    try:
+        with name_file(bag.path, expected="a bag"):
+            yield
+    except LogError as err:
+        text = str(err).removeprefix(f"{bag.path}: ")
+        if not any(text.startswith(f"{file}: ") for file in bag.infos):
+            raise
+        raise LogError(text) from err
 
 
 def describe_chosen(notes: Mapping[str, str]) -> str:
@@ -110,7 +127,8 @@ _OPTIONS: Final = {
 def _note_rest(topics: Iterable[TopicInfo], run: Run) -> dict[str, str]:
     """Return a note on the topics of a recording of ours, which only one of ours is read with."""
     sensed = (SENSED,) if run.poses.sensed_xy_m is None else ()
-    own = {topic.name: topic.schema for topic in (CONTROL, REFERENCE64, SHAPED, *sensed)}
+    control = () if len(run.samples) else (CONTROL,)
+    own = {topic.name: topic.schema for topic in (*control, REFERENCE64, SHAPED, *sensed)}
     rest = [
         f"{topic.count} of {topic.topic}"
         for topic in topics
@@ -125,7 +143,7 @@ def _join_notes(infos: Iterable[RecordingInfo]) -> dict[str, str]:
 
 
 def _build_run(
-    path: Path, found: Found, source: PoseSource, command_pick: Pick | None
+    path: Path, found: Found, source: PoseSource, command_pick: Pick | None, time: TimeSource
 ) -> tuple[Run, Track]:
     """Return the run, and where the robot was by the recorder's clock."""
     poses = _order(found, source.topic, extract_poses)
@@ -135,6 +153,16 @@ def _build_run(
         commands = _order(found, command_pick.topic, extract_commands)
         commands, dropped_commands = drop_not_finite(commands, [*commands.columns])
         commands = commands if len(commands.time_ns) else None
+    track = Track(
+        time_ns=poses.time_ns,
+        xy_m=np.column_stack([poses.columns["x"], poses.columns["y"]]),
+        frame=source.frame,
+        tree=source.tree,
+    )
+    times = time_rows(poses.stamps, None if commands is None else commands.stamps, time)
+    poses = poses.take(times.poses.rows, times.poses.time_ns)
+    if commands is not None:
+        commands = commands.take(times.commands.rows, times.commands.time_ns)
     tables = [rows for rows in (poses, commands) if rows]
     start_ns = min(int(rows.time_ns[0]) for rows in tables)
     time_ns, moved = separate_times(poses.time_ns - start_ns)
@@ -142,7 +170,7 @@ def _build_run(
     name = path.resolve().name
     columns = poses.columns
     absent = () if "speed" in columns else ("poses.speed_m_s", "poses.turn_rate_rad_s")
-    sensed = _match_sensed(found, poses.time_ns, moved)
+    sensed = _match_sensed(found, track.time_ns, moved)
     notes = {
         "original_timestamp": _format_time(start_ns),
         **source.notes,
@@ -151,18 +179,18 @@ def _build_run(
         "moved_rows": str(moved),
         "wrapped_headings": str(wrapped),
         **_note_dropped(dropped, dropped_commands),
+        **times.notes,
     }
     plane = describe_plane(columns.get("z"), columns.get("tilt"))
     notes |= {} if plane is None else {"plane": plane}
     if command_pick is not None:
         notes |= note_pick("command_topic", command_pick)
-    xy_m = np.column_stack([columns["x"], columns["y"]])
     run = Run(
-        name=name if path.is_dir() else path.stem,
-        source=f"{'rosbag2' if path.is_dir() else 'mcap'}: {name}",
+        name=name if path.is_dir() else strip_suffixes(path),
+        source=f"{'mcap' if path.suffix == '.mcap' else 'rosbag2'}: {name}",
         poses=PoseColumns(
             time_ns=time_ns,
-            xy_m=xy_m,
+            xy_m=np.column_stack([columns["x"], columns["y"]]),
             heading_rad=heading_rad,
             speed_m_s=columns.get("speed"),
             turn_rate_rad_s=columns.get("turn_rate"),
@@ -173,10 +201,11 @@ def _build_run(
         ),
         commands=_build_commands(commands, start_ns),
         samples=_build_no_samples(),
+        clock=times.clock,
         absent=(*absent, *(() if commands else ("commands",)), *_NEVER_IN_BAGS),
         notes=notes,
     )
-    return run, Track(time_ns=poses.time_ns, xy_m=xy_m, frame=source.frame, tree=source.tree)
+    return run, track
 
 
 def _drop_nan(rows: OrderedRows, topic: str) -> tuple[OrderedRows, int]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import LogError, PathError
 from turtlelog.log.engine.topic_columns import TopicColumns
-from turtlelog.log.read_choice import ReadChoice
+from turtlelog.log.read_choice import ReadChoice, parse_goal
 from turtlelog.log.ros2.bag import Bag
 from turtlelog.log.ros2.bag_poses import PoseSource, read_tree
 from turtlelog.log.ros2.bag_topics import choose_goal_topic, choose_path_topics
@@ -26,6 +26,10 @@ recorded last is a few tenths of a second old. A plan ends at the goal, which is
 
 _AT_ROBOT_SHARE: Final = 0.1
 """The same as a share of the path's length: a trace of 2 m, at 1 m/s, may be 0.2 s old."""
+
+_MOST_PATHS: Final = 1000
+"""Messages of paths that are read where nobody asks for them. A trace that grows point by
+point takes 300 MB and 3 s; a plan of Nav2, one a second, lasts a quarter of an hour."""
 
 _MOST_LOOKED_AT: Final = 50
 """Messages of a path that are held against where the robot was: their median decides."""
@@ -59,7 +63,8 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
     goal_pick = None if given else choose_goal_topic(topics, pose_topic=source.home)
     plans = choose_path_topics(topics, choice.path_topic, pose_topic=source.home)
     goals = [] if goal_pick is None else _collect(bag, goal_pick.topic.topic)
-    paths = [] if not plans else _collect(bag, plans[0].topic)
+    is_long = bool(plans) and choice.path_topic is None and plans[0].count > _MOST_PATHS
+    paths = [] if not plans or is_long else _collect(bag, plans[0].topic)
     named = {_name_frame(columns) for columns in (*goals, *paths) if len(columns)}
     if track.frame and not track.tree and named - {track.frame, ""}:
         track = replace(track, tree=read_tree(bag, topics, source.home))
@@ -79,16 +84,17 @@ def add_references(run: Run, bag: Bag, source: PoseSource, track: Track, choice:
             notes["path_topic"] = f"{plans[0].topic} ({plans[0].type})"
             points = {"path.kind": "waypoints", "path.points": path.points}
             changes["parameters"] = {**run.parameters, **points}
+    if is_long:
+        said = f"{plans[0].count} messages, more than {_MOST_PATHS}: --path-topic reads them"
+        notes["path"] = f"{plans[0].topic}: left out: {said}"
     known = {name for name, value in changes.items() if value is not None}
     absent = tuple(name for name in run.absent if name not in known)
     return replace(run, absent=absent, notes={**run.notes, **notes}, **changes)
 
 
 def _take_given(given: tuple[float, ...]) -> "FoundGoal":
-    if len(given) not in (2, 3) or not all(map(math.isfinite, given)):
-        raise LogError(f"goal: expected x, y [m] and perhaps a heading [rad], found {given!r:.60}")
-    x_m, y_m, *heading_rad = map(float, given)
-    return FoundGoal(xy_m=(x_m, y_m), heading_rad=[*heading_rad, None][0], note="as asked")
+    xy_m, heading_rad = parse_goal(given)
+    return FoundGoal(xy_m=xy_m, heading_rad=heading_rad, note="as asked")
 
 
 def _collect(bag: Bag, topic: str) -> list[TopicColumns]:

@@ -8,7 +8,7 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.info import TopicInfo
-from turtlelog.log.recording.topics import POSE64, SHAPED, VELOCITY64
+from turtlelog.log.recording.topics import MEASURED, POSE64, SHAPED, VELOCITY64
 
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 PATH: Final = "nav_msgs/msg/Path"
@@ -42,7 +42,7 @@ _TIERS: Final = {
 
 _ROS_TYPE: Final = re.compile(r"\w+/(?:msg|srv|action)/\w+")
 
-_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name})
+_NO_COMMANDS: Final = frozenset({VELOCITY64.name, SHAPED.name, MEASURED.name})
 """Topics of a recording of ours with the type of commands that nobody published as one."""
 
 _NO_POSES: Final = frozenset({POSE64.name})
@@ -75,6 +75,10 @@ _POSE_NAMES: Final = (
 )
 
 
+class NoPosesError(LogError):
+    """No topic is of a type of poses."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pick:
     """A topic that was chosen.
@@ -105,7 +109,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
     fitting = _drop_two_types(usual, present)
     if not fitting:
-        raise LogError(f"expected poses ({', '.join(POSE_TYPES)}), found {_describe(present)}")
+        raise NoPosesError(f"expected poses ({', '.join(POSE_TYPES)}), found {_describe(present)}")
     commands = [topic.topic for topic in present if topic.type in COMMAND_TYPES]
     ranks = {topic: _rank_poses(topic, commands) for topic in fitting}
     best = [topic for topic in fitting if ranks[topic] == min(ranks.values())]

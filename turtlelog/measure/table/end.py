@@ -19,6 +19,7 @@ Values = NDArray[np.float64]
 
 _NO_GOAL: Final = Missing(status=Status.ABSENT, reason="the goal is not known")
 _NO_BEARING: Final = Missing(status=Status.ABSENT, reason="the goal bearing is not known")
+_NO_HEADING: Final = Missing(status=Status.ABSENT, reason="the goal has no heading")
 
 
 @run_metric(
@@ -29,7 +30,9 @@ _NO_BEARING: Final = Missing(status=Status.ABSENT, reason="the goal bearing is n
 def _compute_heading_error(context: RunContext, at_s: float | None = None) -> Result:
     error_rad = _find_heading_error(context, at_s)
     if error_rad is None:
-        return _NO_BEARING
+        run = context.run
+        is_robot = run.goal_xy_m is not None and not run.declaration.loops and not len(run.samples)
+        return _NO_HEADING if is_robot else _NO_BEARING
     return _find_cut(context, at_s) or Found(degrees(abs(error_rad)), _tell_time(context, at_s))
 
 
@@ -99,7 +102,7 @@ def _find_heading_error(context: RunContext, at_s: float | None) -> float | None
             return None
         return float(recorded.values[_find_row(time_s, at_s)])
     signal = context.get_signal("heading")
-    if signal is None or not len(run.samples):
+    if signal is None or (run.declaration.loops and not len(run.samples)):
         return None
     heading_rad = _read_at(time_s, signal.values, at_s)
     return wrap_angle(_read_reference_at(time_s, reference, at_s) - heading_rad)

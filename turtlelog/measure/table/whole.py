@@ -53,20 +53,27 @@ def _on_distance(
 @run_metric(
     "run.time_to_goal",
     "s",
-    "Time after which the distance stays within 2 % (or `band`) of its initial value.",
+    "Time after which the distance stays within 2 % (or `band`) of its initial value, or within"
+    " `goal_tolerance_m`.",
     is_awaited=True,
 )
 @_on_distance
 def _compute_time_to_goal(context: RunContext, time_s: Values, distance_m: Values) -> Result:
     first_m, band = float(distance_m[0]), context.settings.band
+    near_m = context.settings.goal_tolerance_m
     arrived_s = step_response.find_settling_time(
-        time_s, distance_m, initial=first_m, reference=0.0, band=band
+        time_s,
+        distance_m,
+        initial=first_m if near_m is None else 1.0,
+        reference=0.0,
+        band=band if near_m is None else near_m,
     )
     if arrived_s is None:
-        reason = f"the run ends further from the goal than {100.0 * band:g} % of its first distance"
+        far = f"{100.0 * band:g} % of its first distance" if near_m is None else f"{near_m:g} m"
+        reason = f"the run ends further from the goal than {far}"
         return Missing(status=Status.NOT_REACHED, reason=reason)
     if not came_to_rest(context.run):
-        half_width = band * first_m
+        half_width = band * first_m if near_m is None else near_m
         missing = require_hold(time_s, distance_m, arrived_s, reference=0.0, half_width=half_width)
         if missing is not None:
             return missing

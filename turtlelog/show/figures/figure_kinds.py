@@ -22,15 +22,16 @@ from turtlelog.show.figures.needs import (
 from turtlelog.show.figures.panels import (
     Draw,
     draw_along_error,
-    draw_columns,
     draw_command,
     draw_error_magnitude,
+    draw_overview,
     draw_plane,
     draw_signal,
     draw_stack,
     draw_states,
     draw_track,
     draw_wanted,
+    has_one_plane,
 )
 from turtlelog.show.figures.sampled_loops import (
     draw_bode,
@@ -38,6 +39,7 @@ from turtlelog.show.figures.sampled_loops import (
     draw_root_locus,
     draw_step,
 )
+from turtlelog.show.robot_curves import lack_samples
 from turtlelog.show.shared_curves import (
     Command,
     list_loops,
@@ -137,7 +139,11 @@ class FigureKind:
         return (*found, *self.list_more(runs))
 
     def find_height(self, runs: Sequence[Run]) -> float:
-        """Return its height over its width: fewer panels need less."""
+        """Return its height over its width: fewer panels need less, and beside a plane more."""
+        if self.draw is draw_plane and has_one_plane(runs):
+            return 1.0
+        if self.arrange is draw_overview and lack_samples(runs):
+            return 0.31 + 0.08 * len(self.choose_panels(runs))
         kept, usual = len(self.choose_panels(runs)), sum(panel.is_usual for panel in self.panels)
         return self.height * (1.0 + kept) / (1.0 + usual)
 
@@ -362,7 +368,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             list_more=lambda runs: (
                 list_state_panels(runs, of_commands=True) if len(runs) == 1 else ()
             ),
-            arrange=draw_columns,
+            arrange=draw_overview,
             height=0.85,
         ),
     },

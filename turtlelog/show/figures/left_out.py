@@ -15,12 +15,17 @@ from turtlelog.show.figures.figure_kinds import (
 )
 from turtlelog.show.figures.needs import GOAL, SAMPLES, find_lacks
 from turtlelog.show.figures.page import label_runs
+from turtlelog.show.figures.panels import has_one_plane
+from turtlelog.show.robot_curves import lack_samples
 from turtlelog.show.tracked_path import ON_PATH_M, find_worst_place, list_paths
 
 _MOST_NAMED: Final = 3
 """So many runs are named that a figure does not show; of more it is said how many."""
 
 _ARRIVAL: Final = f"one goal, and a run that ends within {format_length(ARRIVED_M)} of it"
+
+_OF_MOTION: Final = frozenset({GOAL, "speed commands", "turn rate commands"})
+"""What a recording without samples may have all the same."""
 
 _DEPARTURE: Final = f"one path, and a run that is more than {format_length(ON_PATH_M)} off it"
 
@@ -40,22 +45,55 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
             for words in dict.fromkeys(filter(None, lacks)):
                 lacking = tuple(number for number, lack in enumerate(lacks) if lack == words)
                 left_out.setdefault((words, lacking), []).append(part)
+    if lack_samples(runs):
+        left_out = _join_controller(left_out, has_tables=names is None)
     lines = [_describe(words, lacking, parts, runs) for (words, lacking), parts in left_out.items()]
-    if names is None and not has_table1(runs):
+    if names is None and not has_table1(runs) and not lack_samples(runs):
         needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
         lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
+    return (*lines, *_tell_states(runs, shown), *_tell_close_up(runs, shown))
+
+
+def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
     states = list_state_panels(runs, most=sys.maxsize)
-    if "states" in shown and len(states) > MOST_STATES:
-        lines.append(
-            f"left out states (from {states[MOST_STATES].name} on):"
-            f" expected at most {MOST_STATES} panels, found {len(states)}"
-        )
-    if "plane" in shown and find_close_up(runs) is None and find_worst_place(runs) is None:
-        part, expected = ("how each run ends", _ARRIVAL)
-        if list_paths(runs):
-            part, expected = ("furthest off the path", _DEPARTURE)
-        lines.append(f"left out plane ({part}): expected {expected}, found none")
-    return tuple(lines)
+    if "states" not in shown or len(states) <= MOST_STATES:
+        return []
+    return [
+        f"left out states (from {states[MOST_STATES].name} on):"
+        f" expected at most {MOST_STATES} panels, found {len(states)}"
+    ]
+
+
+def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
+    """Say what does not stand beside the plane; of runs without samples and goal nothing should."""
+    if has_one_plane(runs) and not any(run.goal_xy_m for run in runs):
+        return []
+    if "plane" not in shown or find_close_up(runs) or find_worst_place(runs):
+        return []
+    part, expected = ("how each run ends", _ARRIVAL)
+    if list_paths(runs):
+        part, expected = ("furthest off the path", _DEPARTURE)
+    return [f"left out plane ({part}): expected {expected}, found none"]
+
+
+_Left = dict[tuple[str, tuple[int, ...]], list[str]]
+"""What is left out, by what is missing, and which runs lack it."""
+
+
+def _join_controller(left_out: _Left, *, has_tables: bool) -> _Left:
+    """Name what is of a controller in one line: without its samples there is nothing to miss."""
+    of_motion: _Left = {}
+    of_controller: list[str] = []
+    for (words, lacking), parts in left_out.items():
+        if words in _OF_MOTION:
+            of_motion[words, lacking] = parts
+        else:
+            of_controller += [part for part in parts if not part.startswith("panel (")]
+            everyone = lacking
+    if not of_controller:
+        return of_motion
+    tables = ["table1.tex"] if has_tables else []
+    return {(SAMPLES, everyone): [*of_controller, *tables], **of_motion}
 
 
 def has_table1(runs: Sequence[Run]) -> bool:

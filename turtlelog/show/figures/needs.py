@@ -19,8 +19,9 @@ _STATES: Final = "states of its law that are not always 0"
 
 
 def _lack_command(run: Run, command: Command, *, is_alone: bool) -> str:
-    """Say whether there is something to draw: among several runs that is what was commanded."""
-    found = read_command(run, command) or (read_applied(run, command) if is_alone else None)
+    """Say whether there is something to draw: among several runs no applied rates are."""
+    found = read_command(run, command) or read_curve(run, f"measured_{command}")
+    found = found or (read_applied(run, command) if is_alone else None)
     return "" if found else f"{command.replace('_', ' ')} commands"
 
 

@@ -104,7 +104,7 @@ _MOST_LETTERS: Final = 28
 _NAMES: Final = frozenset(
     {
         *("goal", "goal bearing", "goal heading", "zero", "ideal", "limit", "path", "start"),
-        *("tolerance", "sensed", "dropped out", "disturbance"),
+        *("tolerance", "sensed", "dropped out", "disturbance", "end", "outlier"),
         *(AIMED, BEARING_NOW),
     }
 )

@@ -46,6 +46,7 @@ from turtlelog.show.figures.tracking_panels import (
     draw_ways_to_reference,
     draw_worst_place,
 )
+from turtlelog.show.robot_curves import lack_samples, part_path, read_measured
 from turtlelog.show.shared_curves import (
     REFERENCE as AIMED,
     Command,
@@ -83,6 +84,21 @@ _WORDS_POINTS: Final = 6.5
 _RING: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
 )
+
+_MEASURED: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linestyle": "-", "linewidth": 0.8, "zorder": 1.9}
+)
+_COMMANDED: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linestyle": (0, (1, 1.5)), "linewidth": 0.8, "zorder": 1.8, "label": "commanded"}
+)
+"""Commands beside measured rates of the same run, in its colour."""
+
+_OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
+    {"linestyle": "", "marker": "v", "markersize": 4.0, "clip_on": False, "label": "outlier"}
+)
+
+_OUTLIER_ROOM: Final = 0.15
+"""Of an axis' length, for a line of words on outliers below the curves."""
 
 Draw = Callable[[Axes, Sequence[Run]], None]
 """Draws one panel of some runs."""
@@ -156,18 +172,20 @@ def draw_error_magnitude(axes: Axes, runs: Sequence[Run], *, signal: str, label:
 
 
 def draw_command(axes: Axes, runs: Sequence[Run], *, command: Command, label: str) -> None:
-    """Draw a command: of one run wanted, commanded and applied, of several what was commanded."""
+    """Draw a command: of one run wanted, commanded and applied, of several what was commanded.
+
+    Beside it is what the robot measured, without outliers, which are named at the lower edge.
+    """
     _draw_limits(axes, runs, command)
     if len(runs) == 1:
         if (pushed_s := find_disturbance(runs[0])) is not None:
             axes.axvspan(*pushed_s, **PUSHED)
         _draw_stages(axes, runs[0], command)
     else:
-        for run, looks in _style_runs(runs):
-            if (curve := read_command(run, command)) is not None:
-                draw_curve(axes, curve, **looks)
+        _draw_commands(axes, runs, command)
     _finish(axes, runs, f"{label} [{COMMAND_UNITS[command]}]")
     _keep_to_limits(axes, runs, command)
+    _name_outliers(axes, runs, command)
 
 
 def draw_wanted(axes: Axes, runs: Sequence[Run], *, command: Command, label: str) -> None:
@@ -206,12 +224,49 @@ def draw_columns(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) ->
             axes.tick_params(labelbottom=True)
 
 
+def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -> None:
+    """Draw panels in two columns; of runs without samples over each other, beside the plane."""
+    if not lack_samples(runs):
+        draw_columns(figure, runs, panels)
+        return
+    grid = figure.add_gridspec(len(panels), 2, width_ratios=(1.0, 1.25))
+    plane = figure.add_subplot(grid[:, 0])
+    _draw_paths(plane, runs)
+    _show_all(plane, runs)
+    shared: Axes | None = None
+    for number, panel in enumerate(panels):
+        shared = axes = figure.add_subplot(grid[number, 1], sharex=shared)
+        panel(axes, runs)
+        # Low panels have no room for a unit beside its name.
+        axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
+        if number + 1 < len(panels):
+            axes.set_xlabel("")
+            axes.tick_params(labelbottom=False)
+
+
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the paths from start to goal, and beside them, where runs arrive, how each ends."""
     close_up = find_close_up(runs)
     worst = find_worst_place(runs) if close_up is None else None
     grid = figure.subplots(1, 2 if close_up or worst else 1, squeeze=False)[0]
     _draw_paths(grid[0], runs)
+    _show_all(grid[0], runs)
+    if len(grid) > 1 or not lack_samples(runs):
+        grid[0].set(title="whole paths")
+    if close_up is not None:
+        _draw_paths(grid[1], runs)
+        _close_up(grid[1], runs, close_up, _measure_letters(figure))
+    if worst is not None:
+        _draw_paths(grid[1], runs)
+        _show_worst(grid[1], runs, worst, _measure_letters(figure))
+
+
+def has_one_plane(runs: Sequence[Run]) -> bool:
+    """Whether nothing stands beside the plane, of runs without samples."""
+    return lack_samples(runs) and find_close_up(runs) is None and find_worst_place(runs) is None
+
+
+def _show_all(axes: Axes, runs: Sequence[Run]) -> None:
     points = np.concatenate(
         [
             *(run.poses.xy_m for run in runs),
@@ -220,14 +275,7 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
             *map(outline_path, list_paths(runs)),
         ]
     )
-    _show_square(grid[0], points.min(axis=0), points.max(axis=0), 0.08)
-    grid[0].set(title="whole paths")
-    if close_up is not None:
-        _draw_paths(grid[1], runs)
-        _close_up(grid[1], runs, close_up, _measure_letters(figure))
-    if worst is not None:
-        _draw_paths(grid[1], runs)
-        _show_worst(grid[1], runs, worst, _measure_letters(figure))
+    _show_square(axes, points.min(axis=0), points.max(axis=0), 0.08)
 
 
 def _are_alike(one: Curve, other: Curve) -> bool:
@@ -292,15 +340,46 @@ def _draw_stages(axes: Axes, run: Run, command: Command) -> None:
     lines = choose_lines(4)
     # The plant tells its speed without a sign.
     applied = "|applied|" if command == "speed" else "applied"
+    measured = read_measured(run, command)
     stages = (
         ("wanted", read_curve(run, f"wanted_{command}"), {**lines[1], "linewidth": 0.9}),
         ("shaped", read_curve(run, f"shaped_{command}"), {**lines[3], "linewidth": 0.9}),
         ("commanded", read_command(run, command), {**lines[0], "linewidth": 1.7}),
         (applied, read_applied(run, command), {**lines[2], "linewidth": 0.8}),
+        ("measured", None if measured is None else measured.curve, {**lines[2], **_MEASURED}),
     )
     for name, curve, looks in stages:
         if curve is not None:
             draw_curve(axes, curve, **looks, label=name)
+
+
+def _draw_commands(axes: Axes, runs: Sequence[Run], command: Command) -> None:
+    """Draw what was commanded of several runs, finer where the answer was measured as well."""
+    for run, looks in _style_runs(runs):
+        curve, measured = read_command(run, command), read_measured(run, command)
+        if measured is not None:
+            draw_curve(axes, measured.curve, **looks)
+            looks = {**looks, **_COMMANDED}
+        if curve is not None:
+            draw_curve(axes, curve, **looks)
+
+
+def _name_outliers(axes: Axes, runs: Sequence[Run], command: Command) -> None:
+    """Name the outliers that the axis leaves out, with a mark at each one's time."""
+    lines = []
+    for (run, looks), name in zip(_style_runs(runs), label_runs(runs), strict=True):
+        measured = read_measured(run, command)
+        if measured is None or not (words := measured.name_outliers()):
+            continue
+        color = choose_lines(4)[2]["color"] if len(runs) == 1 else looks["color"]
+        at_s, edge = measured.outliers.time_s, axes.get_xaxis_transform()
+        axes.plot(at_s, np.zeros(len(at_s)), transform=edge, color=color, **_OUTLIER)
+        lines.append(words if len(runs) == 1 else f"{name}: {words}")
+    if lines:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low - _OUTLIER_ROOM * len(lines) * (high - low), high)
+        text = axes.text(0.99, 0.03, "\n".join(lines), fontsize=_WORDS_POINTS, color="0.3")
+        text.set(transform=axes.transAxes, ha="right", va="bottom")
 
 
 def _keep_to_limits(axes: Axes, runs: Sequence[Run], command: Command) -> None:
@@ -328,10 +407,13 @@ def _draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     draw_ways_to_reference(axes, runs)
     for run, name, looks in zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True):
         xy_m = run.poses.xy_m
-        draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks, label=name)
+        driven_m = part_path(run)
+        draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks, label=name)
         if len(runs) == 1 and run.poses.sensed_xy_m is not None:
             draw_points(axes, *run.poses.sensed_xy_m.T, **SENSED)
-        axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
+        (end,) = axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
+        if lack_samples(runs) and len(runs) == 1:
+            end.set_label("end")
         for aims_m in _list_aims([run]) if has_own_way(run) else ():
             draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM}, label=AIMED)
     starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)

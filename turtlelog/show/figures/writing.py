@@ -29,6 +29,7 @@ from turtlelog.show.figures.figure_kinds import (
 )
 from turtlelog.show.figures.left_out import has_table1
 from turtlelog.show.figures.page import LOOKS, Page, add_legend
+from turtlelog.show.figures.panels import has_one_plane
 from turtlelog.show.output_files import replace_together
 from turtlelog.show.table_formats import format_latex
 
@@ -59,7 +60,8 @@ def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None
         ShowError: Where there is no such figure, or the runs do not hold what it needs.
     """
     kind, page = _find_kind(name, runs), page or Page()
-    if name in _WIDE or (runs and name in _WIDE_OF_RUNS):
+    is_alone = name == "plane" and has_one_plane(runs)
+    if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
         page = Page(text_width_mm=page.text_width_mm, columns=2)
     with mpl.rc_context(dict(LOOKS)):
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))

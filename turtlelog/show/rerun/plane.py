@@ -15,6 +15,7 @@ from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.timelines import RunStream, Values, choose_trace_rows
 from turtlelog.show.rerun.world import UPWARD
+from turtlelog.show.robot_curves import find_jump_rows, lack_samples, read_pace
 from turtlelog.show.tracked_path import has_own_way, read_way_to_reference
 
 _SPEED_LEVELS: Final = 16
@@ -51,12 +52,15 @@ class SpeedTrace:
 def draw_trace(run_stream: RunStream, run: Run, color: Color) -> None:
     """Draw the whole path in one colour."""
     run_stream.log(entities.PLANE, UPWARD)
-    strip = run.poses.xy_m[choose_trace_rows(run)]
-    _log_strips(run_stream, entities.PATH, [strip], [color], _TRACE_RADIUS)
+    strips = _part_strip(run)
+    _log_strips(run_stream, entities.PATH, strips, [color] * len(strips), _TRACE_RADIUS)
 
 
 def draw_trace_by_phase(run_stream: RunStream, run: Run) -> None:
     """Draw the whole path, each stretch in the colour of its phase."""
+    if lack_samples([run]):
+        draw_trace(run_stream, run, palette.START)
+        return
     run_stream.log(entities.PLANE, UPWARD)
     kept = choose_trace_rows(run)
     phases = _find_phases(run)[kept]
@@ -68,11 +72,17 @@ def draw_trace_by_phase(run_stream: RunStream, run: Run) -> None:
     _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
 
 
+def _part_strip(run: Run) -> list[Values]:
+    """Return the path in strips, parted where nobody drove from one pose to the next."""
+    rows = np.arange(len(run.poses))[choose_trace_rows(run)]
+    strips = np.split(run.poses.xy_m[rows], np.searchsorted(rows, find_jump_rows(run)))
+    return [strip for strip in strips if len(strip)]
+
+
 def build_speed_trace(run: Run) -> SpeedTrace | None:
     """Return the whole path in colours of its speed, None where nothing moves."""
     kept = choose_trace_rows(run)
-    xy_m, time_ns = run.poses.xy_m[kept], run.poses.time_ns[kept]
-    speed_m_s = np.hypot(*np.diff(xy_m, axis=0).T) / (np.diff(time_ns) / 1e9)
+    xy_m, speed_m_s = run.poses.xy_m[kept], read_pace(run, np.arange(len(run.poses))[kept])
     highest = float(speed_m_s.max(initial=0.0))
     if not 0.0 < highest < np.inf:
         return None

@@ -14,6 +14,7 @@ from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.timelines import RunStream, Times, Values, build_index
+from turtlelog.show.robot_curves import read_measured
 from turtlelog.show.shared_curves import (
     Command,
     find_limits,
@@ -51,6 +52,7 @@ _COMMANDED_WIDTH: Final = 3.0
 _THIN_WIDTH: Final = 1.25
 _SENSED_SIZE: Final = 0.75
 _DROPPED_SIZE: Final = 2.5
+_OUTLIER_SIZE: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,10 +117,16 @@ def list_series(run: Run) -> tuple[Series, ...]:
         *_list_aims(run),
         *_list_sensed(run),
         *_list_states(run),
+        *_list_measured(run, entities.SPEED, "speed"),
         *_list_commands(run, entities.SPEED, "speed"),
+        *_list_measured(run, entities.TURN_RATE, "turn_rate"),
         *_list_commands(run, entities.TURN_RATE, "turn_rate"),
     )
-    return tuple(curves for curves in series if len(curves.time_ns) > 1)
+    return tuple(
+        curves
+        for curves in series
+        if len(curves.time_ns) > 1 or curves.entity.endswith(f"/{entities.OUTLIERS}")
+    )
 
 
 def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...]:
@@ -128,16 +136,22 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
     """
     main = [series for series in list_series(run) if series.is_main]
     has_track = any(series.entity == entities.ALONG_TRACK for series in main)
-    return tuple(
-        replace(
-            series,
-            labels=_name_curves(name, series.labels),
-            colors=(color,) * len(series.labels),
-            width=LINE_WIDTH,
+    measured = {series.plot for series in main if series.entity.endswith(f"/{entities.MEASURED}")}
+    found = []
+    for series in main:
+        if has_track and series.entity == entities.POSITION:
+            continue
+        is_beside = series.plot in measured and series.holds
+        shown = f"{name} {entities.COMMANDED}" if is_beside else name
+        found.append(
+            replace(
+                series,
+                labels=_name_curves(shown, series.labels),
+                colors=(color,) * len(series.labels),
+                width=_THIN_WIDTH if is_beside else LINE_WIDTH,
+            )
         )
-        for series in main
-        if not (has_track and series.entity == entities.POSITION)
-    )
+    return tuple(found)
 
 
 def list_references(runs: Sequence[Run]) -> tuple[LevelLines, ...]:
@@ -227,6 +241,35 @@ def _list_commands(run: Run, plot: str, command: Command) -> Iterator[Series]:
             width=_COMMANDED_WIDTH if is_main else _THIN_WIDTH,
             holds=True,
             is_main=is_main,
+        )
+
+
+def _list_measured(run: Run, plot: str, command: Command) -> Iterator[Series]:
+    """Yield what a robot measured, and as points what no range has room for."""
+    measured = read_measured(run, command)
+    if measured is None:
+        return
+    curve, outliers = measured.curve, measured.outliers
+    found = Series(
+        entity=f"{plot}/{entities.MEASURED}",
+        labels=("measured",),
+        colors=(palette.MEASURED,),
+        time_ns=curve.time_ns,
+        values=curve.values[:, np.newaxis],
+        width=_THIN_WIDTH,
+    )
+    yield found
+    if len(outliers.values):
+        yield replace(
+            found,
+            entity=f"{plot}/{entities.MEASURED}/{entities.OUTLIERS}",
+            labels=(measured.name_outliers(),),
+            time_ns=outliers.time_ns,
+            values=outliers.values[:, np.newaxis],
+            width=_OUTLIER_SIZE,
+            is_main=False,
+            is_measured=False,
+            marker="cross",
         )
 
 

@@ -24,6 +24,7 @@ from turtlelog.show.close_up import (
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.robot_curves import is_turtlesim
 from turtlelog.show.tracked_path import WorstPlace, label_worst_place, list_paths, outline_path
 
 _WORLD_MARGIN = 0.03
@@ -63,11 +64,11 @@ class Bounds:
 
 
 def is_in_world(runs: Sequence[Run]) -> bool:
-    """Whether every pose lies in turtlesim's world; a physical robot's need not.
+    """Whether every pose lies in turtlesim's world.
 
-    A robot that is known to have no walls is not in it, wherever it drives.
+    A robot that is no turtle, or is known to have no walls, is not in it, wherever it drives.
     """
-    if any(find_plant(run) != TURTLESIM for run in runs):
+    if any(find_plant(run) != TURTLESIM or not is_turtlesim(run) for run in runs):
         return False
     places = [_list_places(run) for run in runs]
     return all(xy_m.min() >= 0.0 and xy_m.max() <= WORLD_SIZE_M for xy_m in places)

@@ -1,0 +1,249 @@
+"""Bags of a robot in the commands that measure, compare and check."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from tests.log.ros2.bags import START_NS, Said, make_command, make_odometry, make_vector, write_mcap
+from tests.measure.driven import publish, respond
+from turtlelog.check.failure_report import describe_failure
+from turtlelog.check.spec import Check
+
+STEPS = [(1.0, 0.2), (3.0, 0.0)]
+
+
+def write_robot(path: Path, *, commands: bool = True, gain: float = 1.0) -> Path:
+    """Write a robot that answers a step of its speed, with a time constant of 0.1 s."""
+    time_s = np.arange(0.0, 5.0, 0.05)
+    rates, ways = respond(time_s, [(at, gain * value) for at, value in STEPS], 0.1)
+    said = [_tell_odometry(*row) for row in zip(time_s, rates, ways, strict=True)]
+    if commands:
+        at_s, values = publish([(0.5, 0.0), *STEPS], 4.5)
+        said += [_tell_command(*row) for row in zip(at_s, values, strict=True)]
+    write_mcap(path, sorted(said, key=lambda one: one.time_ns))
+    return path
+
+
+def _tell_odometry(at_s: float, rate: float, way: float) -> Said:
+    said = make_odometry(yaw_rad=0.0, speed=(rate, 0.0), turn_rate=0.0)
+    pose = {"position": make_vector(way), "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    values = {**said.values, "pose": {"pose": pose, "covariance": [0.0] * 36}}
+    return replace(said, values=values, time_ns=START_NS + round(at_s * 1e9))
+
+
+def _tell_command(at_s: float, value: float) -> Said:
+    said = make_command(topic="/cmd_vel", time_ns=START_NS + round(at_s * 1e9))
+    values = {"linear": make_vector(value), "angular": make_vector()}
+    return replace(said, values=values)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_robot(tmp_path_factory.mktemp("robot") / "robot.mcap")
+
+
+@pytest.fixture(scope="module")
+def silent(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_robot(tmp_path_factory.mktemp("silent") / "silent.mcap", commands=False)
+
+
+def test_the_table_of_a_bag_shows_what_it_has_and_what_would_add_more(
+    call: Call, robot: Path
+) -> None:
+    answer = call("metrics", robot)
+    assert (answer.code, answer.err) == (0, "")
+    assert "absent" not in answer.out
+    for name in ("run.path_length", "run.speed_lag", "run.speed_rise_time", "run.rest_share"):
+        assert name in answer.out
+    assert "Measured rates are those that the robot reports." in answer.out
+    assert "No goal: --goal X,Y adds final.position_error and run.time_to_goal." in answer.out
+    assert "No samples of a controller" in answer.out
+    assert "No commands" not in answer.out
+
+
+def test_the_table_of_a_bag_without_commands_says_what_would_add_them(
+    call: Call, silent: Path
+) -> None:
+    answer = call("metrics", silent)
+    assert "run.speed_lag" not in answer.out
+    assert "No commands: --command-topic TOPIC adds" in answer.out
+    assert "absent" in call("metrics", silent, "--all").out
+
+
+def test_json_and_csv_hold_every_metric_of_a_bag(call: Call, robot: Path) -> None:
+    (found,) = call("metrics", robot, "--json").json
+    assert [one["id"] for one in found["metrics"]] == list(
+        tl.measure.list_metrics(tl.Declaration())
+    )
+    status = {one["id"]: one["status"] for one in found["metrics"]}
+    assert (status["final.position_error"], status["run.speed_lag"]) == ("absent", "ok")
+
+
+def test_a_bag_beside_a_recording_has_the_rows_of_both(call: Call, robot: Path, kp4: Path) -> None:
+    rows = {
+        words[0]: words[2:]
+        for line in call("metrics", robot, kp4).out.splitlines()
+        if (words := line.split()) and "." in words[0]
+    }
+    assert set(rows["run.path_length"]).isdisjoint({"-", "absent"})
+    assert set(rows["run.speed_lag"]).isdisjoint({"-", "absent"})
+    assert "-" in rows["rotate.overshoot"]
+    assert "absent" in rows["final.position_error"]
+    assert rows.keys() > set(tl.measure.list_essential_metrics(tl.read_run(kp4)))
+
+
+def test_the_table_of_a_recording_alone_is_that_of_its_law(call: Call, kp4: Path) -> None:
+    rows = [line.split()[0] for line in call("metrics", kp4).out.splitlines() if "." in line[:20]]
+    essential = tl.measure.list_essential_metrics(tl.read_run(kp4).declaration)
+    assert [
+        name for name in rows if name in tl.measure.list_metrics(tl.read_run(kp4).declaration)
+    ] == [*essential]
+
+
+def test_bags_are_compared_by_what_they_have(
+    call: Call, robot: Path, silent: Path, kp4: Path
+) -> None:
+    out = call("compare", robot, silent).out
+    assert "position" not in out.split("No goal")[0]
+    assert "measured" in out
+    mixed = call("compare", robot, kp4).out
+    assert "rotate" in mixed
+    assert "measured" in mixed
+
+
+def test_a_bag_against_a_reference_is_told_how_far_off_its_path_it_is(
+    call: Call, robot: Path, tmp_path: Path
+) -> None:
+    slower = write_robot(tmp_path / "slower.mcap", gain=0.5)
+    answer = call("compare", "--reference", robot, slower)
+    told = " ".join(answer.out.split())
+    # It stays on the line that the reference drove, and falls back by half of 0.4 m.
+    assert "slower: up to 0 m from the path of robot" in told
+    assert "at equal times up to 0.2 m apart" in told
+    found = call("compare", "--reference", robot, slower, "--json").json["runs"][0]["path_error"]
+    assert found["largest_m"] == pytest.approx(0.0, abs=1e-12)
+    assert found["largest_apart_m"] == pytest.approx(0.2, abs=1e-4)
+    assert 0.0 < found["rms_apart_m"] < 0.2
+
+
+def test_a_recording_against_a_bag_has_values_of_both(call: Call, robot: Path, kp4: Path) -> None:
+    for pair in ((robot, kp4), (kp4, robot)):
+        table = call("compare", "--reference", *pair).out.split("Largest differences")[0]
+        (row,) = (line for line in table.splitlines() if line.startswith("paper-kp4"))
+        assert row.split().count("-") == 0
+
+
+@pytest.mark.parametrize(("bound", "code"), [(0.19, 1), (0.21, 0)])
+def test_the_commands_of_a_bag_are_checked(
+    call: Call, robot: Path, bound: float, code: int
+) -> None:
+    answer = call("check", robot, "--expect", f"always(abs(speed) <= {bound})", "--json")
+    assert answer.code == code
+    (result,) = answer.json["results"]
+    assert (result["value"], result["decided"]) == (0.2, True)
+    assert result["first_violation_s"] == (1.0 if code else None)
+
+
+def test_without_commands_a_check_of_them_is_undecided_and_says_why(
+    call: Call, silent: Path
+) -> None:
+    answer = call("check", silent, "--expect", "always(abs(speed) <= 1.5)", "--json")
+    (result,) = answer.json["results"]
+    assert (answer.code, result["verdict"], result["decided"]) == (1, "FAIL", False)
+    assert result["reason"] == "no value: speed (the recording holds no commands)"
+
+
+def test_what_names_more_than_commands_is_judged_from_the_first_one(
+    call: Call, robot: Path
+) -> None:
+    answer = call("check", robot, "--expect", "always(x < 1 and abs(speed) <= 0.3)", "--json")
+    (result,) = answer.json["results"]
+    assert (answer.code, result["verdict"]) == (0, "PASS")
+    assert result["reason"] == "judged from the first command on, at 0.500 s"
+
+
+def test_several_formulas_are_checked_without_a_file(call: Call, robot: Path) -> None:
+    answer = call("check", robot, "--expect", "run.path_length <= 0.1", "--expect", "always(x < 1)")
+    assert answer.code == 1
+    assert "PASS  always(x < 1)" in answer.out
+    assert "FAIL  run.path_length <= 0.1" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--expect", "always(speed <"], "--expect: column 15: expected a number or name"),
+        (["--expect", "x < 1", "--reference", "x.mcap"], "--reference: expected no --expect"),
+    ],
+)
+def test_a_formula_that_cannot_be_judged_is_refused(
+    call: Call, robot: Path, words: list[str], line: str
+) -> None:
+    answer = call("check", robot, *words)
+    assert (answer.code, answer.out) == (2, "")
+    assert line in answer.err
+
+
+def test_a_first_specification_of_a_bag_holds_bounds_that_it_passes(
+    call: Call, robot: Path, tmp_path: Path
+) -> None:
+    spec = tmp_path / "spec.toml"
+    assert call("check", "--init", robot, "-o", spec).code == 0
+    text = spec.read_text(encoding="utf-8")
+    assert "no value here" not in text
+    assert 'holds = "always(abs(speed) <= 0.22)"' in text
+    assert "run.speed_lag <= " in text
+    assert call("check", spec, robot).code == 0
+    faster = write_robot(tmp_path / "faster.mcap", gain=1.5)
+    answer = call("check", spec, faster, "--json")
+    failed = {one["check"] for one in answer.json["results"] if one["verdict"] == "FAIL"}
+    assert {"run.path_length", "run.measured_speed_max"} <= failed
+    assert "speed" not in failed
+
+
+@pytest.mark.parametrize(
+    "formula",
+    ["always(abs(speed) <= 0.1)", "run.path_length <= 0.1", "run.measured_speed_max <= 0.1"],
+)
+def test_around_a_violation_a_bag_shows_values(robot: Path, formula: str) -> None:
+    recording = tl.check.Recording(robot)
+    lines = recording.describe(*recording.holds(formula).results)
+    (first,) = (row for row, line in enumerate(lines) if "first violated" in line)
+    table = [line.split() for line in lines[first + 1 :] if line.startswith("    ")]
+    assert len(table) >= 6
+    assert not any("-" in cells for cells in table)
+    assert any("(the recording's clock, from the first pose)" in line for line in lines)
+
+
+def test_a_command_between_two_poses_has_its_own_line(robot: Path) -> None:
+    run = tl.read_run(robot)
+    moved = replace(run.commands, time_ns=run.commands.time_ns + 10_000_000)
+    run = replace(run, commands=moved)
+    formula = tl.expressions.parse_expression("always(abs(speed) <= 0.1)")
+    spec = tl.Spec(checks=(Check(name="speed", kind="holds", formula=formula),))
+    (result,) = tl.check.check_runs(spec, [("robot", run)])
+    lines = describe_failure(run, result)
+    (marked,) = (line for line in lines if line.lstrip().startswith(">"))
+    assert marked.split() == [">", "1.010", "0.2"]
+
+
+def test_metrics_of_a_bag_are_asked_for_in_tests(robot: Path) -> None:
+    recording = tl.check.Recording(robot)
+    assert recording.metric("run.path_length") == pytest.approx(0.4, abs=1e-3)
+    lag = recording.metric("run.speed_lag")
+    assert lag <= 0.1
+    assert lag == pytest.approx(0.1 * math.log(2.0), abs=0.02)
+    with pytest.raises(tl.check.MissingValueError, match="the goal is not known"):
+        assert recording.metric("final.position_error") <= 1.0
+    with pytest.raises(tl.TurtlelogError, match=r"expected run\.path_length"):
+        recording.metric("run.path_lenght")
+
+
+def test_a_bag_has_no_json_that_is_not_json(call: Call, silent: Path) -> None:
+    json.loads(call("metrics", silent, "--json").out, parse_constant=lambda _: pytest.fail("NaN"))

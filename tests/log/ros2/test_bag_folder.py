@@ -1,0 +1,206 @@
+import re
+import sqlite3
+from pathlib import Path
+
+import pytest
+import zstandard
+
+from tests.log.ros2.bags import (
+    TICK_NS,
+    make_command,
+    make_poses,
+    write_mcap,
+    write_metadata,
+    write_sqlite,
+)
+from tests.log.runs import find_shared
+from turtlelog.errors import LogError
+from turtlelog.log import read_columns, read_info, read_run
+from turtlelog.log.engine import limits
+from turtlelog.log.ros2 import list_bag_files, parse_bag_metadata, read_bag, read_bag_info
+from turtlelog.log.ros2.bag import open_bag
+
+METADATA = "metadata.yaml"
+
+
+def write_split(folder: Path, *names: str) -> Path:
+    """Write three poses into each file, one after the other, as SQLite or MCAP."""
+    poses = make_poses(3 * len(names))
+    for number, name in enumerate(names):
+        write = write_sqlite if name.endswith(".db3") else write_mcap
+        write(folder / name, poses[3 * number : 3 * number + 3])
+    return folder
+
+
+def note(folder: Path) -> str | None:
+    run = read_bag(folder)
+    assert run.poses.time_ns.tolist() == [row * TICK_NS for row in range(len(run.poses))]
+    assert run.notes["sorted_rows"] == "0"
+    assert read_bag_info(folder).notes.get("bag_files") == run.notes.get("bag_files")
+    return run.notes.get("bag_files")
+
+
+@pytest.mark.parametrize("suffix", [".db3", ".mcap"])
+def test_a_bag_without_metadata_is_read_in_the_order_of_numbers(
+    suffix: str, tmp_path: Path
+) -> None:
+    names = [f"bag_{number}{suffix}" for number in (2, 9, 10)]
+    write_split(tmp_path, *names)
+    assert note(tmp_path) == f"metadata.yaml is missing; in order of name: {', '.join(names)}"
+    assert read_bag_info(tmp_path).duration_s == pytest.approx(8 * 0.016)
+
+
+def test_a_bag_of_several_files_in_sqlite_is_read_in_its_own_order(tmp_path: Path) -> None:
+    write_metadata(write_split(tmp_path, "b.db3", "a.db3"), ["b.db3", "a.db3"], storage="sqlite3")
+    assert note(tmp_path) is None
+
+
+@pytest.mark.parametrize("text", ["", "rosbag2_bagfile_information:\n  ? x\n", "\x00", "{"])
+def test_a_bag_whose_metadata_is_broken_is_read_and_says_so(text: str, tmp_path: Path) -> None:
+    write_split(tmp_path, "a.db3")
+    (tmp_path / METADATA).write_text(text)
+    found = note(tmp_path)
+    assert found is not None
+    assert re.search(r"metadata\.yaml: .*expected .*; in order of name: a\.db3$", found)
+
+
+def test_a_file_that_was_renamed_is_read_and_named(tmp_path: Path) -> None:
+    write_split(tmp_path, "z.db3", "b.db3", "c.db3")
+    write_metadata(tmp_path, ["a.db3", "b.db3", "c.db3"], storage="sqlite3")
+    assert note(tmp_path) == "metadata.yaml names a.db3, not in the folder; read instead: z.db3"
+
+
+def test_a_robots_bag_with_a_renamed_file_says_so() -> None:
+    [info] = open_bag(find_shared("robots", "amcl_pose")).infos.values()
+    expected = (
+        "names rosbag2_2024_12_16-11_24_20_0.db3, not in the folder; read instead: rosbag.db3"
+    )
+    assert info.notes["bag_files"] == f"metadata.yaml {expected}"
+
+
+def test_files_that_were_all_renamed_are_read_in_order(tmp_path: Path) -> None:
+    write_split(tmp_path, "new_9.db3", "new_10.db3")
+    write_metadata(tmp_path, ["old_0.db3", "old_1.db3"], storage="sqlite3")
+    expected = "names old_0.db3, old_1.db3, not in the folder; read instead: new_9.db3, new_10.db3"
+    assert note(tmp_path) == f"metadata.yaml {expected}"
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [(["a.db3", "b.db3", "c.db3"], "none"), (["c.db3"], "a.db3, b.db3")],
+)
+def test_a_file_that_may_be_any_is_missing(names: list[str], found: str, tmp_path: Path) -> None:
+    write_metadata(write_split(tmp_path, "a.db3", "b.db3"), names, storage="sqlite3")
+    with pytest.raises(LogError, match=f"expected the file c.db3, found {found}$"):
+        read_bag(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["/home/robot/bag/a.db3", "../elsewhere/a.db3", "C:\\bag\\a.db3"])
+def test_what_is_read_lies_in_the_folder(name: str, tmp_path: Path) -> None:
+    for made in ("elsewhere", "bag"):
+        (tmp_path / made).mkdir()
+    write_split(tmp_path / "elsewhere", "a.db3")
+    folder = write_metadata(tmp_path / "bag", [f"'{name}'"])
+    with pytest.raises(LogError, match=r"metadata\.yaml: relative_file_paths: expected the file"):
+        list_bag_files(folder)
+    write_split(folder, "a.db3")
+    assert list_bag_files(folder) == (folder / "a.db3",)
+    assert note(folder) == f"metadata.yaml names {name}, not in the folder; read instead: a.db3"
+
+
+def test_a_bag_of_two_storages_is_refused(tmp_path: Path) -> None:
+    write_split(tmp_path, "a.db3", "b.mcap")
+    line = r"expected files of one storage, found MCAP beside SQLite: a\.db3, b\.mcap$"
+    with pytest.raises(LogError, match=line):
+        read_bag(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "files"),
+    [
+        ("[a.db3]", ("a.db3",)),
+        ("[ 'a, b.db3' , \"c.db3\",d 1.db3 ] # two", ("a, b.db3", "c.db3", "d 1.db3")),
+        ("[a.db3,]", ("a.db3",)),
+    ],
+)
+def test_names_may_stand_within_brackets(text: str, files: tuple[str, ...]) -> None:
+    lines = ["rosbag2_bagfile_information:", "  storage_identifier: sqlite3"]
+    lines += [f"  relative_file_paths: {text}", "  duration: {nanoseconds: 5}"]
+    found = parse_bag_metadata("\n".join(lines))
+    assert (found.files, found.duration_ns) == (files, 5)
+
+
+def test_a_topic_of_two_types_in_two_files_is_one_line(tmp_path: Path) -> None:
+    write_sqlite(tmp_path / "a.db3", make_poses(3))
+    write_sqlite(tmp_path / "b.db3", [make_command(topic="/turtle1/pose")])
+    with pytest.raises(LogError, match="topic /turtle1/pose: expected messages of one type"):
+        read_bag(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".db3", ".mcap"])
+def test_a_lone_compressed_file_is_read(suffix: str, tmp_path: Path) -> None:
+    plain = write_split(tmp_path, f"a{suffix}") / f"a{suffix}"
+    packed = tmp_path / "packed" / f"a{suffix}.zstd"
+    packed.parent.mkdir()
+    data = plain.read_bytes()
+    # Two frames, as parallel compressors write, the second without its size.
+    first = zstandard.compress(data[:100])
+    second = zstandard.ZstdCompressor(write_content_size=False).compress(data[100:])
+    packed.write_bytes(first + second)
+    run = read_run(packed)
+    assert (len(run.poses), run.name, run.source) == (3, "a", f"rosbag2: a{suffix}.zstd")
+    assert read_info(packed).topics == read_info(plain).topics
+    assert note(packed.parent) is not None
+    assert [*packed.parent.iterdir()] == [packed]
+    packed.write_bytes((first + second)[:-3])
+    with pytest.raises(LogError, match=r"zstd: expected sound zstd data, found the end of the"):
+        read_info(packed)
+    packed.write_bytes(first + b"\x28\xb5\x2f\xfd" + bytes(50))
+    with pytest.raises(LogError, match=r"zstd: expected sound zstd data, found"):
+        read_info(packed)
+
+
+def test_a_file_that_unpacks_to_far_more_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = {**limits._BASES, limits.UNPACKED: (2**20, 64)}
+    monkeypatch.setattr(limits, "_BASES", small)
+    file = tmp_path / "a.db3.zstd"
+    file.write_bytes(zstandard.compress(bytes(2**24)))
+    most = 2**20 + 64 * file.stat().st_size
+    line = f"expected up to {most} bytes in a compressed file of {file.stat().st_size}, found more"
+    with pytest.raises(LogError, match=rf"a\.db3\.zstd: {line}$"):
+        read_info(file)
+
+
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        (zstandard.compress(bytes(2**27)), "found"),
+        (b"\x28\xb5\x2f\xfd" + bytes(30), "expected sound zstd data, found"),
+        (zstandard.compress(b"\x00\x01\x00\x00" + bytes(8)), "expected 24 bytes, found 12"),
+    ],
+    ids=["bomb", "damaged", "short"],
+)
+def test_messages_that_unpack_to_something_else_are_one_line(
+    data: bytes, line: str, tmp_path: Path
+) -> None:
+    file = write_sqlite(tmp_path / "a.db3", make_poses(2))
+    connection = sqlite3.connect(file)
+    connection.execute("UPDATE messages SET data = ?", (data,))
+    connection.commit()
+    connection.close()
+    with pytest.raises(LogError, match=rf"a\.db3: rows from 1: topic /turtle1/pose: .*{line}"):
+        read_columns(file)
+
+
+def test_a_bag_of_ros_1_is_told_with_the_command_that_converts_it(tmp_path: Path) -> None:
+    file = tmp_path / "a b.bag"
+    file.write_bytes(b"#ROSBAG V2.0\n" + bytes(50))
+    command = f"rosbags-convert --src '{file}' --dst '{tmp_path / 'a b'}'"
+    for read in (read_run, read_info, read_bag, read_columns):
+        with pytest.raises(LogError) as caught:
+            read(file)
+        assert str(caught.value).endswith(f"found one of ROS 1: convert it with {command}")
+    with pytest.raises(LogError, match=r"found the bag of ROS 1 a b\.bag: name that file"):
+        read_run(tmp_path)

@@ -1,0 +1,347 @@
+"""Tables that other people's programs write, as runs."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.log.runs import assert_same, simulate_short_run
+from turtlelog.errors import LogError
+from turtlelog.log import export_csv, export_tum
+from turtlelog.log.any_file import read_file_info, read_run
+from turtlelog.log.importers.exported_tables import require_same_poses
+
+ROWS = [(0.0, 1.0, 2.0, 0.5), (0.1, 1.5, 2.5, 0.75), (0.2, 2.0, 3.0, 1.0)]
+
+
+def write(path: Path, header: str, *rows: Any, suffix: str = "csv", sign: str = ",") -> Path:
+    lines = [row if isinstance(row, str) else sign.join(map(str, row)) for row in rows]
+    file = path / f"drive.{suffix}"
+    file.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
+    return file
+
+
+def test_a_table_is_read_and_says_what_it_took(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        "time [s],x [m],y_mm,yaw (deg),v,yaw_rate_deg_s,cmd_v,cmd_w,battery",
+        *[(0, 1, 2000, 0, 0.25, 90, 0.5, 1, 12), (0.1, 1.5, 2500, 45, 0.5, 180, 0.75, 2, 12)],
+    )
+    run = read_run(path)
+    assert (run.name, run.source) == ("drive", "table: drive.csv")
+    assert run.poses.time_ns.tolist() == [0, 100_000_000]
+    assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.5]]
+    assert run.poses.heading_rad == pytest.approx([0, math.pi / 4])
+    assert run.poses.speed_m_s is None
+    assert run.poses.measured_speed_m_s is not None
+    assert run.poses.measured_speed_m_s.tolist() == [0.25, 0.5]
+    assert run.poses.measured_turn_rate_rad_s == pytest.approx([math.pi / 2, math.pi])
+    assert run.commands.time_ns.tolist() == [0, 100_000_000]
+    assert run.commands.speed_m_s.tolist() == [0.5, 0.75]
+    assert run.commands.turn_rate_rad_s.tolist() == [1.0, 2.0]
+    assert run.notes["columns"] == (
+        "t from time [s], x from x [m], y from y_mm [mm], heading from yaw (deg),"
+        " speed from v [m/s, assumed], turn_rate from yaw_rate_deg_s [deg/s],"
+        " command_speed from cmd_v [m/s, assumed], command_turn_rate from cmd_w [rad/s, assumed];"
+        " not read: battery; --column command_turn_rate='cmd_w [UNIT]' names another unit"
+    )
+    assert "samples" in run.absent
+    assert "commands" not in run.absent
+
+
+NAMES = [
+    "t,x,y,heading",
+    "time,pos_x,pos_y,theta",
+    "timestamp,x_m,y_m,heading_rad",
+    "%time,field.pose.pose.position.x,field.pose.pose.position.y,yaw",
+    "__time,/odom/pose/pose/position/x,/odom/pose/pose/position/y,/odom/yaw",
+    "header.stamp,position.x,position.y,psi",
+    "Time (s),X (m),Y (m),Yaw (rad)",
+    "elapsed_time,px,py,yaw_angle",
+]
+
+
+@pytest.mark.parametrize("header", NAMES)
+def test_usual_names_of_columns_are_known(header: str, tmp_path: Path) -> None:
+    run = read_run(write(tmp_path, header, *ROWS))
+    assert run.poses.time_ns.tolist() == [0, 100_000_000, 200_000_000]
+    assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.5], [2.0, 3.0]]
+    assert run.poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("speed", "turn_rate"),
+    [
+        ("cmd_v", "cmd_w"),
+        ("v_cmd", "omega_cmd"),
+        ("command_speed", "command_turn_rate"),
+        ("/cmd_vel/linear/x", "/cmd_vel/angular/z"),
+        ("cmd_vel.twist.linear.x", "cmd_vel.twist.angular.z"),
+    ],
+)
+def test_commands_are_told_from_what_is_measured(
+    speed: str, turn_rate: str, tmp_path: Path
+) -> None:
+    header = f"t,x,y,yaw,{speed},{turn_rate},odom.twist.twist.linear.x,measured_turn_rate"
+    run = read_run(write(tmp_path, header, (0, 0, 0, 0, 1, 2, 3, 4)))
+    assert (run.commands.speed_m_s[0], run.commands.turn_rate_rad_s[0]) == (1.0, 2.0)
+    assert run.poses.measured_speed_m_s == [3.0]
+    assert run.poses.measured_turn_rate_rad_s == [4.0]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "sign", "point"),
+    [
+        ("csv", ";", ","),
+        ("csv", "; ", "."),
+        ("tsv", "\t", ","),
+        ("txt", "  ", "."),
+        ("txt", " ", ","),
+    ],
+)
+def test_delimiters_and_decimal_commas(suffix: str, sign: str, point: str, tmp_path: Path) -> None:
+    rows = [sign.join(str(cell).replace(".", point) for cell in row) for row in ROWS]
+    names = sign.join(["t [s]", "x", "y", "yaw [rad]"])
+    path = write(tmp_path, f"# a drive\n\n{names}", *rows, "# end", suffix=suffix)
+    assert read_run(path).poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.5], [2.0, 3.0]]
+
+
+def test_a_comment_may_name_the_columns(tmp_path: Path) -> None:
+    path = write(tmp_path, "# made by hand\n# t x y theta", *ROWS, suffix="txt", sign=" ")
+    assert read_run(path).poses.heading_rad.tolist() == [0.5, 0.75, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("header", "first", "second"),
+    [
+        ("time_ns", "1700000000123456789", "1700000000223456790"),
+        ("time", "1700000000123456789", "1700000000223456790"),
+        ("stamp", "1700000000.123456789", "1700000000.223456790"),
+        ("t_ms", "1700000000123.456789", "1700000000223.45679"),
+        ("timestamp", "1700000000123456.789", "1700000000223456.790"),
+        ("time", "2023-11-14T22:13:20.123456789Z", "2023-11-14 23:13:20.223456790+01:00"),
+        ("time", "2023-11-14 22:13:20.123456789", "2023-11-14 22:13:20,223456790"),
+    ],
+)
+def test_absolute_times_keep_every_digit(
+    header: str, first: str, second: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path, f"{header};x;y;yaw", (first, 0, 0, 0), (second, 1, 0, 0), sign=";")
+    run = read_run(path)
+    assert run.poses.time_ns.tolist() == [0, 100_000_001]
+    assert run.notes["original_timestamp"] == "2023-11-14T22:13:20.123456789Z"
+
+
+def test_seconds_and_nanoseconds_are_one_time(tmp_path: Path) -> None:
+    header = "header.stamp.sec,header.stamp.nanosec,x,y,yaw"
+    run = read_run(write(tmp_path, header, (5, 999_999_999, 0, 0, 0), (6, 1, 0, 0, 0)))
+    assert run.poses.time_ns.tolist() == [0, 2]
+    assert run.notes["original_timestamp"] == "5.999999999 s"
+
+
+def test_quaternions_give_the_heading_and_say_a_tilt(tmp_path: Path) -> None:
+    header = "t,x,y,z,qx,qy,qz,qw"
+    rows = [(0, 0, 0, 0, 0, 0, math.sin(0.4), math.cos(0.4)), (1, 0, 0, 0.5, 0, 0, 0, 2)]
+    run = read_run(write(tmp_path, header, *rows))
+    assert run.poses.heading_rad == pytest.approx([0.8, 0.0], abs=1e-15)
+    assert run.notes["plane"] == (
+        "the robot leaves the plane: its height varies by 0.5 m; only x, y and heading are kept"
+    )
+    path = write(tmp_path, header, rows[0], (1, 0, 0, 0, 0, 0, 0, 0))
+    with pytest.raises(LogError, match="line 3, column qw: expected a rotation of a length other"):
+        read_run(path)
+
+
+def test_columns_are_mapped_by_the_user(tmp_path: Path) -> None:
+    path = write(tmp_path, "clock,east,north,psi [deg],w", (0, 1, 2, 90, 3), (20, 1, 2, 180, 3))
+    columns = {"t": "clock [ms]", "x": "east", "y": "north", "heading": "psi [deg]"}
+    run = read_run(path, columns=columns)
+    assert run.poses.time_ns.tolist() == [0, 20_000_000]
+    assert run.poses.heading_rad[0] == pytest.approx(math.pi / 2)
+    in_rad = read_run(path, columns={**columns, "heading": "psi [deg] [rad]"})
+    assert in_rad.notes["columns"].startswith("t from clock [ms], x from east [m, assumed]")
+    assert in_rad.poses.heading_rad[0] == pytest.approx(90 - 28 * math.pi)
+
+
+def test_what_a_mapping_lacks_is_one_line(tmp_path: Path) -> None:
+    path = write(tmp_path, "t,x,y,psi,x", *[(0, 0, 0, 0, 0)])
+    for columns, message in (
+        ({"heading": "phi"}, "--column heading=phi: expected a column of the table, found t, x, y"),
+        ({"heading": "psi [m]"}, r"expected a unit of rad, deg, found m"),
+        ({"bearing": "psi"}, "--column bearing: expected one of t, t_nanosec, x, y, z, heading"),
+        ({"x": "x"}, "column x: expected one of that name, found 2"),
+    ):
+        with pytest.raises(LogError, match=r"drive\.csv: ") as caught:
+            read_run(path, columns=columns)
+        assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("step", "unit"),
+    [
+        (6.3, "rad, assumed"),  # where radians are wrapped, and where an odometer starts anew
+        (40.0, "rad, assumed"),
+        (329.0, "rad, assumed"),
+        (331.0, "deg, as it steps by a turn of these"),
+        (359.0, "deg, as it steps by a turn of these"),
+        (362.0, "rad, assumed"),
+    ],
+)
+def test_degrees_without_a_unit_are_told_by_where_they_wrap(
+    step: float, unit: str, tmp_path: Path
+) -> None:
+    run = read_run(write(tmp_path, "t,x,y,yaw", (0, 0, 0, 0.0), (0.1, 0, 0, step)))
+    assert f"yaw [{unit}]" in run.notes["columns"]
+    expected = math.radians(step) if unit.startswith("deg") else step
+    assert math.cos(run.poses.heading_rad[1] - expected) == pytest.approx(1.0)
+
+
+def test_times_that_are_no_seconds_need_a_unit(tmp_path: Path) -> None:
+    path = write(tmp_path, "t,x,y,yaw", (0, 0, 0, 0), (1001, 0, 0, 0))
+    with pytest.raises(LogError, match=r"column t: .* found steps of 1001, which are no seconds"):
+        read_run(path)
+    assert read_run(path, columns={"t": "t [us]"}).poses.time_ns[1] == 1_001_000
+    path = write(tmp_path, "t,x,y,yaw", (0, 0, 0, 0), (999, 0, 0, 0))
+    assert read_run(path).poses.time_ns[1] == 999_000_000_000
+
+
+def test_rows_are_sorted_and_counted(tmp_path: Path) -> None:
+    rows = [ROWS[1], ROWS[0], ROWS[1], ROWS[2], (0.2, 9, 9, 9), (0.3, "", "nan", 0)]
+    run = read_run(write(tmp_path, "t,x,y,yaw", *rows))
+    assert run.poses.time_ns.tolist() == [0, 100_000_000, 200_000_000, 200_000_001]
+    names = ("sorted_rows", "dropped_duplicates", "moved_rows", "wrapped_headings")
+    assert [run.notes[name] for name in names] == ["1", "1", "1", "1"]
+    assert run.notes["rows_without_pose"] == "1 of 5"
+
+
+def test_rows_may_lack_a_command_or_a_measurement(tmp_path: Path) -> None:
+    rows = [(0, 0, 0, 0, 1, ""), (1, 0, 0, 0, "", 2), (2, 0, 0, 0, "NaN", 2)]
+    run = read_run(write(tmp_path, "t,x,y,yaw,cmd_v,speed", *rows))
+    assert run.commands.time_ns.tolist() == [0]
+    assert run.commands.turn_rate_rad_s.tolist() == [0.0]
+    assert run.notes["rows_without_command"] == "2 of 3"
+    assert run.poses.measured_speed_m_s is None
+    assert run.notes["measured_speed"] == "not read: 1 of 3 poses lack it"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,x,y\n0,0,0\n", "expected columns for heading, found t, x, y: --column heading='NAME"),
+        ("a,b\n0,0\n", "expected columns for t, x, y, heading, found a, b: --column t='NAME"),
+        ("t,x,pos_x,y,yaw\n0,0,0,0,0\n", "expected one for x, found x and pos_x: --column x='x'"),
+        ("t,x,y,yaw\n0,0,0,0\n1,zero,0,0\n", "line 3, column x: expected a number, found 'zero'"),
+        ("t,x,y,yaw\n# c\n0,inf,0,0\n", "line 3, column x: expected a finite number, found 'inf'"),
+        ("t,x,y,yaw\n,0,0,0\n", "line 2, column t: expected a time, found ''"),
+        ("t,x,y,yaw\n1e999999999,0,0,0\n", "line 2, column t: expected a finite number"),
+        ("t_s,x,y,yaw\n1e999999999,0,0,0\n", "line 2, column t_s: expected a time"),
+        ("t_s,x,y,yaw\n-1e-999999999,0,0,\n", "expected rows with x, y and heading, found none"),
+        ("t,x,y,yaw\n2024-13-01T00:00:00,0,0,0\n", "line 2, column t: expected a time"),
+        ("t,x,y,yaw\n0,0,0\n", "line 2: expected 4 cells, found 3"),
+        ("t,x,y,yaw\n", "expected rows below the header t, x, y, yaw, found none"),
+        ("0,0,0,0\n1,0,0,0\n", "expected a header that names the columns, or the 8 columns of a"),
+        ("", "expected a table, found no rows"),
+        ("# t\n", "expected a table, found no rows"),
+        ('t,x,y,yaw\n"0,0,0,0\n', "line 2: expected cells, found"),
+        ("t,x,y,yaw\n0,0,0,\xff", "byte 16: expected UTF-8 text, found 0xff"),
+    ],
+)
+def test_wrong_table_is_one_line(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(LogError, match=r"drive\.csv: ") as caught:
+        read_run(path)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_own_tables_are_read_as_ever(tmp_path: Path) -> None:
+    run = simulate_short_run()
+    export_csv(run, tmp_path / "own.csv")
+    assert_same(read_run(tmp_path / "own.csv").poses, run.poses)
+    assert "columns" not in read_run(tmp_path / "own.csv").notes
+
+
+def test_parquet_of_other_programs_is_read(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    stamps = np.array([1_700_000_000_000_000, 1_700_000_000_100_000], dtype="datetime64[us]")
+    pose = pa.array([{"x": 1.0, "y": 2.0}, {"x": 1.5, "y": None}, {"x": 2.0, "y": 3.0}][:2])
+    table = {"stamp": stamps, "position": pose, "yaw_deg": [90, 180], "cmd_v": [None, 0.5]}
+    parquet.write_table(pa.table(table), tmp_path / "drive.parquet")
+    run = read_run(tmp_path / "drive.parquet")
+    assert run.poses.xy_m.tolist() == [[1.0, 2.0]]
+    assert run.poses.heading_rad == pytest.approx([math.pi / 2])
+    assert run.commands.time_ns.tolist() == [100_000_000]
+    assert run.notes["original_timestamp"] == "2023-11-14T22:13:20.000000000Z"
+    parquet.write_table(
+        pa.table({"t": [0], "x": ["a"], "y": [0], "yaw": [0]}), tmp_path / "a.parquet"
+    )
+    with pytest.raises(LogError, match="row 1, column x: expected a number, found 'a'"):
+        read_run(tmp_path / "a.parquet")
+
+
+def test_goal_and_info_of_a_table(tmp_path: Path) -> None:
+    path = write(tmp_path, "t,x,y,yaw", *ROWS)
+    run = read_run(path, goal=(3.0, 4.0, 0.5))
+    assert (run.goal_xy_m, run.goal_heading_rad) == ((3.0, 4.0), 0.5)
+    assert "goal_xy_m" not in run.absent
+    assert read_file_info(path).notes["rows"] == "3 poses, 0 commands, 0 samples"
+
+
+def test_a_tum_trajectory_is_read(tmp_path: Path) -> None:
+    rows = ["1700000000.5 1 2 0 0 0 0 1", "1700000001.5 1.5 2 0.2 0 0 1 1"]
+    for suffix in ("tum", "txt"):
+        run = read_run(write(tmp_path, "# made by hand", *rows, suffix=suffix))
+        assert run.source == f"tum: drive.{suffix}"
+        assert run.poses.time_ns.tolist() == [0, 1_000_000_000]
+        assert run.poses.xy_m.tolist() == [[1.0, 2.0], [1.5, 2.0]]
+        assert run.poses.heading_rad.tolist() == [0.0, math.pi / 2]
+        assert run.notes["columns"].startswith("t from timestamp [s], x from tx [m], y from ty [m]")
+        assert "height varies by 0.2 m" in run.notes["plane"]
+        assert run.notes["original_timestamp"] == "2023-11-14T22:13:20.500000000Z"
+
+
+def test_a_tum_trajectory_comes_back_to_the_last_bit(tmp_path: Path) -> None:
+    run = simulate_short_run()
+    (path,) = export_tum(run, tmp_path / "kp4.tum")
+    lines = path.read_text(encoding="ascii").splitlines()
+    assert {len(line.split(" ")) for line in lines} == {8}
+    assert lines[1].startswith("0.016000000 ")
+    found = read_run(path).poses
+    assert found.time_ns.tolist() == run.poses.time_ns.tolist()
+    assert found.xy_m.tolist() == run.poses.xy_m.tolist()
+    assert np.abs(found.heading_rad - run.poses.heading_rad).max() < 1e-15
+    require_same_poses(path, run, read_run(path))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "column"),
+    [("0.016000000", "0.016000001", "time_ns"), (" 5.5", " 5.6", "xy_m"), ("1.0\n", "0.9\n", "")],
+)
+def test_a_trajectory_that_is_not_what_was_written_is_refused(
+    old: str, new: str, column: str, tmp_path: Path
+) -> None:
+    run = simulate_short_run()
+    (path,) = export_tum(run, tmp_path / "kp4.tum")
+    path.write_text(path.read_text().replace(old, new))
+    if not column:  # a quaternion of another length is the same rotation
+        require_same_poses(path, run, read_run(path))
+        return
+    with pytest.raises(LogError, match=rf"kp4\.tum: .* found other values in {column}"):
+        require_same_poses(path, run, read_run(path))
+
+
+@pytest.mark.parametrize("turned", [1.5e-15, 3e-15])
+def test_headings_may_be_rounded_but_no_more(turned: float, tmp_path: Path) -> None:
+    run = simulate_short_run()
+    poses = replace(run.poses, heading_rad=np.full(len(run.poses), 1.5))
+    other = replace(run, poses=replace(poses, heading_rad=poses.heading_rad + turned))
+    if turned < 2e-15:
+        require_same_poses(tmp_path, replace(run, poses=poses), other)
+    else:
+        with pytest.raises(LogError, match="other values in heading_rad"):
+            require_same_poses(tmp_path, replace(run, poses=poses), other)

@@ -1,0 +1,155 @@
+"""Jumps and gaps of any robot's poses: what is one, and what is none."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.log.runs import find_shared, make_bare_run, simulate_preset
+from turtlelog import Run, read_run
+from turtlelog.angles import wrap_angle
+from turtlelog.measure.breaks import describe_breaks, find_gaps, find_jumps
+from turtlelog.run import PoseColumns
+
+Values = NDArray[np.float64]
+
+
+def make_robot(
+    speed: Any = 0.2, turn_rate: Any = 0.1, *, count: int = 200, hz: float = 20.0
+) -> Run:
+    """Return a run of a robot at some rates, along arcs."""
+    speed, turn_rate = (np.broadcast_to(rate, count - 1) for rate in (speed, turn_rate))
+    heading = np.r_[0.0, np.cumsum(turn_rate / hz)]
+    mean = 0.5 * (heading[1:] + heading[:-1])
+    steps = np.column_stack([speed * np.cos(mean), speed * np.sin(mean)]) / hz
+    poses = PoseColumns(
+        time_ns=np.arange(count) * round(1e9 / hz),
+        xy_m=np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]),
+        heading_rad=np.asarray(wrap_angle(heading)),
+    )
+    run = make_bare_run()
+    samples = replace(run.samples, pose_sequence=np.zeros_like(run.samples.pose_sequence))
+    return replace(run, poses=poses, samples=samples)
+
+
+def move(run: Run, row: int, ahead_m: float = 0.0, turned_rad: float = 0.0) -> Run:
+    """Return the run with all poses from a row on moved forward, and turned where they are."""
+    xy_m, heading_rad = run.poses.xy_m.copy(), run.poses.heading_rad.copy()
+    along = 0.5 * (heading_rad[row] + heading_rad[row - 1])
+    xy_m[row:] += ahead_m * np.array([np.cos(along), np.sin(along)])
+    heading_rad[row:] += turned_rad
+    poses = replace(run.poses, xy_m=xy_m, heading_rad=wrap_angle(heading_rad))
+    return replace(run, poses=poses)
+
+
+def list_rows(run: Run) -> list[int]:
+    return [jump.row for jump in find_jumps(run)]
+
+
+def test_the_step_back_of_a_real_robot_is_found() -> None:
+    run = read_run(find_shared("robots", "tb3"))
+    (jump,) = find_jumps(run)
+    assert jump.moved_m == pytest.approx(-0.00726, abs=1e-5)
+    # It is where its odometry reports a turn rate of -143.6 rad/s.
+    assert run.poses.measured_turn_rate_rad_s is not None
+    assert jump.row == int(np.abs(run.poses.measured_turn_rate_rad_s).argmax())
+    assert describe_breaks(run)["jumps"].startswith("1 jump, 0.00726 m back and +0.709 deg at 31.")
+
+
+@pytest.mark.parametrize(
+    ("parts", "jumps", "gaps"),
+    [
+        (("robots", "tf_only"), 0, 1),
+        (("robots", "sim_time"), 0, 0),
+        (("ros2", "turtlesim_jazzy"), 0, 3),
+    ],
+)
+def test_other_real_robots_break_where_they_do(
+    parts: tuple[str, ...], jumps: int, gaps: int
+) -> None:
+    run = read_run(find_shared(*parts))
+    assert (len(find_jumps(run)), len(find_gaps(run))) == (jumps, gaps)
+
+
+@pytest.mark.parametrize(("times", "is_found"), [(3.1, True), (2.9, False)])
+def test_a_step_far_beyond_the_fastest_is_a_jump(times: float, *, is_found: bool) -> None:
+    run = move(make_robot(np.repeat([0.0, 1.0, 0.0], [80, 39, 80])), 100, 0.05 * (times - 1.0))
+    assert list_rows(run) == ([100] if is_found else [])
+
+
+@pytest.mark.parametrize(("ahead_m", "is_found"), [(0.0151, True), (0.0149, False)])
+def test_what_a_robot_can_reach_from_rest_is_no_jump(ahead_m: float, *, is_found: bool) -> None:
+    # 2 m/s2 for 50 ms are 0.1 m/s; three times that for 50 ms, 15 mm.
+    assert list_rows(move(make_robot(0.0, 0.0), 100, ahead_m)) == ([100] if is_found else [])
+
+
+@pytest.mark.parametrize(("turned_rad", "is_found"), [(0.0751, True), (0.0749, False)])
+def test_what_a_robot_can_turn_from_rest_is_no_jump(turned_rad: float, *, is_found: bool) -> None:
+    run = move(make_robot(0.0, 0.0), 100, turned_rad=turned_rad)
+    assert list_rows(run) == ([100] if is_found else [])
+
+
+@pytest.mark.parametrize(("back", "is_found"), [(3.3, True), (2.7, False)])
+def test_a_single_step_back_on_a_steady_way_is_a_jump(back: float, *, is_found: bool) -> None:
+    # The way varies by 0.1 m/s around 0.2 m/s; a step back is off that by some times as much.
+    speed = 0.2 + 0.05 * np.sin(np.arange(199))
+    speed[100] = 0.2 - 0.1 * back
+    assert list_rows(make_robot(speed)) == ([101] if is_found else [])
+
+
+def test_two_steps_back_are_motion() -> None:
+    speed = 0.2 + 0.05 * np.sin(np.arange(199))
+    speed[100:102] = -0.3
+    assert list_rows(make_robot(speed)) == []
+
+
+def test_what_turtlesim_says_it_applied_is_no_jump() -> None:
+    run = simulate_preset("plant-impulse")
+    assert list_rows(run) == []
+    poses = replace(run.poses, speed_m_s=None, turn_rate_rad_s=None)
+    assert list_rows(replace(run, poses=poses)) != []
+
+
+@pytest.mark.parametrize(("steps", "is_found"), [(4.1, True), (3.9, False)])
+def test_a_long_step_in_time_is_a_gap(steps: float, *, is_found: bool) -> None:
+    run = make_robot()
+    time_ns = run.poses.time_ns.copy()
+    time_ns[100:] += round((steps - 1.0) * 50_000_000)
+    run = replace(run, poses=replace(run.poses, time_ns=time_ns))
+    assert [gap.row for gap in find_gaps(run)] == ([100] if is_found else [])
+    assert ("gaps" in describe_breaks(run)) == is_found
+
+
+@pytest.mark.parametrize(("every", "gaps"), [(17, 0), (21, 9)])
+def test_steps_that_are_usual_are_no_gaps(every: int, gaps: int) -> None:
+    run = make_robot()
+    time_ns = run.poses.time_ns + np.arange(200) // every * 400_000_000
+    assert len(find_gaps(replace(run, poses=replace(run.poses, time_ns=time_ns)))) == gaps
+
+
+def test_clean_robots_have_neither() -> None:
+    random = np.random.default_rng(5)
+    found: list[Any] = []
+    for number in range(60):
+        count = int(random.integers(20, 1500))
+        hz = float(random.choice([5.0, 10.0, 20.0, 50.0]))
+        rows = np.arange(count - 1) // round(2.0 * hz)
+        speed, turn_rate = random.uniform(-0.5, 1.0, 900)[rows], random.normal(0.0, 1.0, 900)[rows]
+        run = make_robot(speed, turn_rate, count=count, hz=hz)
+        draw = (random.normal, random.laplace, random.uniform)[number % 3]
+        noise = draw(-1.0, 1.0, (count, 3)) * 10.0 ** random.uniform(-6.0, -2.0)
+        jitter_ns = np.rint(random.uniform(0.0, 0.2, count) * 1e9 / hz).astype(np.int64)
+        poses = PoseColumns(
+            time_ns=run.poses.time_ns + jitter_ns,
+            xy_m=run.poses.xy_m + noise[:, :2],
+            heading_rad=wrap_angle(run.poses.heading_rad + noise[:, 2]),
+        )
+        found += describe_breaks(replace(run, poses=poses)).values()
+    assert found == []
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_few_poses_do_not_break(count: int) -> None:
+    assert describe_breaks(make_robot(0.2, count=count)) == {}

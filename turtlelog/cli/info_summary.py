@@ -1,0 +1,240 @@
+"""What a file is, in one sentence, and what would unlock what it lacks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import turtlelog as tl
+from turtlelog.display import describe_count, join_words
+from turtlelog.errors import LogError, TurtlelogError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from turtlelog import Run
+    from turtlelog.log import RecordingInfo, TopicInfo
+
+LARGEST_BYTES: Final = 64 * 2**20
+"""Of a bag whose poses are read unasked [bytes]: of MCAP or SQLite that is less than a second."""
+
+_MOST_TRANSFORMS: Final = 20_000
+"""Messages of transforms that are read unasked: each takes some 20 us, more than others do."""
+
+_FEWEST_RATED: Final = 20
+"""Fewer messages are counted, and no rate is told of them."""
+
+_STEADY: Final = 3.0
+"""Messages whose quick and slow steps (a tenth of them each) differ by more have no rate."""
+
+_TOLD: Final = (
+    *("clock", "plane", "dropped_nan", "held_transforms", "dropped_before_transforms"),
+    *("other_pose_topics", "other_frames", "other_command_topics"),
+)
+"""Notes of a run on the bag that it was read from."""
+
+_SHOWN_TOPICS: Final = 3
+
+_CONTROL: Final = "turtlelog_msgs/msg/ControlSample"
+_TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """What a file is.
+
+    Attributes:
+        text: One sentence without a full stop.
+        missing: What it lacks, each with what that would unlock.
+        clock: What times its poses, as in JSON; None where there is one clock, or nobody looked.
+        notes: On its poses, by name.
+    """
+
+    text: str
+    missing: tuple[str, ...] = ()
+    clock: Mapping[str, Any] | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+def summarise(path: Path, info: "RecordingInfo", *, is_asked: bool = False) -> Summary:
+    """Return what a file is: of a bag as its poses and commands tell, where it is not large.
+
+    Args:
+        path: The file.
+        info: What is in it.
+        is_asked: Read a large one, too.
+    """
+    if info.format_version is not None:
+        return Summary(text=_summarise_own(info))
+    if not is_asked and (large := _find_large(path, info)):
+        note = f"not looked at, {large}: info --clock does"
+        return Summary(text=_summarise_topics(info, ""), notes={"clock": note})
+    try:
+        run = tl.log.read_as_chosen(path, tl.log.ReadChoice(allow_partial=True))
+    except TurtlelogError as err:
+        reason = str(err).removeprefix(f"{path}: ")
+        return Summary(text=_summarise_topics(info, reason), missing=_list_needs(info))
+    return _summarise_run(run, info)
+
+
+def _summarise_own(info: "RecordingInfo") -> str:
+    law, plant = info.parameters.get("law.kind"), info.parameters.get("plant.kind", "turtlesim")
+    origin = "" if info.source == "simulation" else f", from {info.source}"
+    what = f"{law} on {plant}" if law and info.scenario else f"{law or 'a run'}"
+    counts = [
+        describe_count(sum(topic.count for topic in info.topics if topic.type == kind), noun)
+        for kind, noun in ((_CONTROL, "sample"), ("turtlesim/msg/Pose", "pose"))
+    ]
+    length = "" if info.duration_s is None else f" in {info.duration_s:.1f} s"
+    return f"a recording of turtlelog's{origin}: {what}, {join_words(counts)}{length}"
+
+
+def _find_large(path: Path, info: "RecordingInfo") -> str:
+    """Return why a file is too large to be read unasked, empty where it is not."""
+    if not info.topics:
+        return ""  # tables and logs are read as a whole in any case
+    path, _ = tl.log.split_topic(path)
+    files = [found for found in path.rglob("*") if found.is_file()] if path.is_dir() else [path]
+    size = sum(found.stat().st_size for found in files if found.exists())
+    if size > LARGEST_BYTES:
+        return f"{size / 2**20:,.0f} MiB"
+    transforms = sum(topic.count for topic in info.topics if topic.type == _TRANSFORMS)
+    others = any(_is_poses(topic) and topic.type != _TRANSFORMS for topic in info.topics)
+    if transforms > _MOST_TRANSFORMS and not others:
+        return f"{transforms:,} messages of transforms"
+    return ""
+
+
+def _is_poses(topic: "TopicInfo") -> bool:
+    return topic.count > 0 and topic.type in tl.log.ros2.POSE_TYPES
+
+
+def _summarise_topics(info: "RecordingInfo", reason: str) -> str:
+    """Return what the topics alone tell, and why the poses could not be read."""
+    poses = [topic for topic in info.topics if _is_poses(topic)]
+    if not poses:
+        return _summarise_others(info)
+    try:
+        chosen = tl.log.ros2.choose_pose_topic(info.topics, None).topic
+    except LogError as err:
+        return f"poses, of which none is chosen: {reason or err}"
+    if reason:
+        return f"poses on {chosen.topic}, which cannot be read: {reason}"
+    kind = "turtlesim" if chosen.type.startswith("turtlesim") else "a robot"
+    rate = ""
+    if info.duration_s and chosen.count >= _FEWEST_RATED:
+        rate = f", {_format_hz(chosen.count / info.duration_s)} on the average"
+    end = "" if kind == "turtlesim" else "; not turtlesim"
+    return f"{kind}: {describe_count(chosen.count, 'pose')} on {chosen.topic}{rate}{end}"
+
+
+def _summarise_others(info: "RecordingInfo") -> str:
+    """Return what a file without poses holds."""
+    present = sorted((topic for topic in info.topics if topic.count), key=lambda one: -one.count)
+    if not present:
+        return "no poses, nothing to measure: there are no messages"
+    names = [f"{topic.topic} ({topic.type or 'no type'})" for topic in present[:_SHOWN_TOPICS]]
+    more = len(present) - len(names)
+    others = [f"{more} more"] if more > 0 else []
+    return f"no poses, nothing to measure: messages on {join_words([*names, *others])}"
+
+
+def _list_needs(info: "RecordingInfo") -> tuple[str, ...]:
+    if any(_is_poses(topic) for topic in info.topics):
+        return ()
+    return ("to be measured it needs nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped or /tf",)
+
+
+def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
+    notes = {name: run.notes[name] for name in _TOLD if name in run.notes}
+    notes |= tl.measure.describe_breaks(run) if run.poses.speed_m_s is None else {}
+    notes |= tl.measure.describe_outliers(run)
+    clock = run.clock
+    return Summary(
+        text=_describe_run(run),
+        missing=tuple(_list_missing(run, info)),
+        clock=None
+        if clock is None
+        else {
+            "used": clock.used,
+            "ratio": clock.ratio,
+            "offset_s": clock.offset_s,
+            "jitter_s": clock.jitter_s,
+        },
+        notes=notes,
+    )
+
+
+def _describe_run(run: "Run") -> str:
+    pose_topic = _name_topic(run, "pose_topic")
+    is_turtlesim = run.notes.get("pose_topic", "").partition("(")[2].startswith("turtlesim")
+    rate = _describe_rate(run.poses.time_ns)
+    kind = "turtlesim" if is_turtlesim else "a robot"
+    if not pose_topic:
+        kind = "a log of a controller" if len(run.samples) else "poses in a table"
+    amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
+    amount += f" {rate}" if rate and not pose_topic else ""
+    parts = [f"{pose_topic} {amount}" if pose_topic and rate else f"{amount}{_on(pose_topic)}"]
+    if len(run.samples):
+        parts.append(describe_count(len(run.samples), "sample"))
+    elif len(run.commands):
+        parts.append(_describe_commands(run))
+    else:
+        parts.append("no commands")
+    end = "; not turtlesim" if kind == "a robot" else ""
+    return f"{kind}: {', '.join(parts)}{end}"
+
+
+def _on(topic: str) -> str:
+    return f" on {topic}" if topic else ""
+
+
+def _describe_commands(run: "Run") -> str:
+    topic, rate = _name_topic(run, "command_topic"), _describe_rate(run.commands.time_ns)
+    if rate:
+        return f"commands{_on(topic)} {rate}"
+    return f"{describe_count(len(run.commands), 'command')}{_on(topic)}"
+
+
+def _name_topic(run: "Run", note: str) -> str:
+    """Return a topic, and of transforms their frames; empty where there is none."""
+    name, _, rest = run.notes.get(note, "").partition(" (")
+    frames = rest.partition("): ")[2]
+    return f"{name} ({frames})" if frames else name
+
+
+def _describe_rate(time_ns: "NDArray[Any]") -> str:
+    """Return how often messages come, empty where that is not steady."""
+    import numpy as np
+
+    if len(time_ns) < _FEWEST_RATED:
+        return ""
+    step_ns = np.diff(time_ns)
+    quick, slow = np.quantile(step_ns, [0.1, 0.9])
+    if quick <= 0 or slow > _STEADY * quick:
+        return ""
+    # Without gaps and bursts; a step that was long makes the next one short.
+    usual_ns = step_ns[(step_ns >= quick) & (step_ns <= slow)]
+    return f"at {_format_hz(1e9 / float(usual_ns.mean()))}"
+
+
+def _format_hz(rate: float) -> str:
+    """Return a rate in three digits: 62.5 Hz, 20 Hz."""
+    return f"{float(f'{rate:.3g}'):g} Hz"
+
+
+def _list_missing(run: "Run", info: "RecordingInfo") -> Sequence[str]:
+    if len(run.samples):
+        return []
+    found = []
+    if not len(run.commands):
+        types = tl.log.ros2.COMMAND_TYPES
+        is_there = any(topic.count and topic.type in types for topic in info.topics)
+        what = "--command-topic TOPIC" if is_there else "a recorded Twist or TwistStamped"
+        found.append(f"no commands: {what} adds lags, tracking errors and steps")
+    if run.goal_xy_m is None:
+        found.append("no goal: --goal X,Y adds final.position_error and run.time_to_goal")
+    found.append(
+        "no samples of a controller: a recording of turtlelog's holds them, for metrics of loops"
+    )
+    return found

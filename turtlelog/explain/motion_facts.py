@@ -1,0 +1,175 @@
+"""What poses and commands tell of a recording without a controller's samples."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import ReplayError
+from turtlelog.measure import Outlier, list_outliers
+from turtlelog.measure.breaks import PoseGap, PoseJump, find_gaps, find_jumps
+from turtlelog.plants import LAGGED, find_plant
+from turtlelog.replay import PlantReplay, follow_commands, replay_plant
+from turtlelog.run import Run
+
+_SPREAD: Final = (5.0, 95.0)
+"""Percentiles between which the usual periods lie: nine of ten."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Periods:
+    """Times from one row of a table to the next.
+
+    Attributes:
+        usual_ns: The median [ns].
+        low_ns: Nine of ten lie between this [ns],
+        high_ns: and this [ns].
+        longest_ns: The longest [ns].
+        longest_at_ns: When that began [ns].
+    """
+
+    usual_ns: float
+    low_ns: float
+    high_ns: float
+    longest_ns: int
+    longest_at_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Largest:
+    """The command of the largest magnitude on an axis.
+
+    Attributes:
+        signal: `speed`, `lateral_speed` or `turn_rate`.
+        unit: Of it.
+        value: With its sign.
+        time_ns: When it was published first [ns].
+    """
+
+    signal: str
+    unit: str
+    value: float
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Delays:
+    """How long after its publication a pose of turtlesim's shows a command.
+
+    Attributes:
+        counts: By ticks of dead time, how many commands: 0 is the first pose after the command.
+        low_ns: The shortest time from a command to the pose that shows it [ns].
+        median_ns: The usual one [ns].
+        high_ns: The longest [ns].
+    """
+
+    counts: dict[int, int]
+    low_ns: int
+    median_ns: float
+    high_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionFacts:
+    """What poses and commands tell without the samples of a controller.
+
+    Attributes:
+        name: Of the run.
+        kind: Whose poses these are.
+        poses: Times from one to the next; None of fewer than two.
+        commands: Likewise.
+        largest: Commands of the largest magnitude on each axis that is used.
+        outliers: Measured rates that their neighbours contradict.
+        jumps: Steps that a robot cannot have driven; of turtlesim the replay has them.
+        gaps: Stretches without poses; likewise.
+        replay: The commands through turtlesim's plant; None of another robot.
+        refused: Why turtlesim's plant could not be replayed; empty where it was, or is another.
+        delays: Of turtlesim; None where no pose shows a command.
+    """
+
+    name: str
+    kind: Literal["turtlesim", "robot"]
+    poses: Periods | None
+    commands: Periods | None
+    largest: tuple[Largest, ...]
+    outliers: tuple[Outlier, ...]
+    jumps: tuple[PoseJump, ...]
+    gaps: tuple[PoseGap, ...]
+    replay: PlantReplay | None
+    refused: str
+    delays: Delays | None
+
+
+def read_motion_facts(run: Run) -> MotionFacts:
+    """Return what the poses and commands of a run tell, with or without samples."""
+    # Of all robots only turtlesim publishes what it applied.
+    is_turtlesim = run.poses.speed_m_s is not None and find_plant(run).name != LAGGED
+    replay, refused = None, ""
+    if is_turtlesim:
+        try:
+            replay = replay_plant(run)
+        except ReplayError as err:
+            refused = str(err)
+    return MotionFacts(
+        name=run.name,
+        kind="turtlesim" if is_turtlesim else "robot",
+        poses=_measure_periods(run.poses.time_ns),
+        commands=_measure_periods(run.commands.time_ns),
+        largest=_find_largest(run),
+        outliers=list_outliers(run),
+        jumps=find_jumps(run) if replay is None else (),
+        gaps=find_gaps(run) if replay is None else (),
+        replay=replay,
+        refused=refused,
+        delays=None if replay is None else _measure_delays(run),
+    )
+
+
+def _measure_periods(time_ns: NDArray[np.int64]) -> Periods | None:
+    if len(time_ns) < 2:
+        return None
+    period_ns = np.diff(time_ns)
+    low_ns, high_ns = np.percentile(period_ns, _SPREAD)
+    longest = int(period_ns.argmax())
+    return Periods(
+        usual_ns=float(np.median(period_ns)),
+        low_ns=float(low_ns),
+        high_ns=float(high_ns),
+        longest_ns=int(period_ns[longest]),
+        longest_at_ns=int(time_ns[longest]),
+    )
+
+
+def _find_largest(run: Run) -> tuple[Largest, ...]:
+    commands = run.commands
+    columns = (
+        ("speed", "m/s", commands.speed_m_s),
+        ("lateral_speed", "m/s", commands.lateral_speed_m_s),
+        ("turn_rate", "rad/s", commands.turn_rate_rad_s),
+    )
+    found = []
+    for signal, unit, values in columns:
+        if values.any():
+            row = int(np.abs(values).argmax())
+            at_ns = int(commands.time_ns[row])
+            found.append(Largest(signal=signal, unit=unit, value=float(values[row]), time_ns=at_ns))
+    return tuple(found)
+
+
+def _measure_delays(run: Run) -> Delays | None:
+    command, pose = follow_commands(run).T
+    if not len(command):
+        return None
+    published_ns = run.commands.time_ns[command]
+    # A command may answer the pose of its own time. A recorder may stamp one behind the pose
+    # that shows it: that is no dead time.
+    ticks = np.maximum(pose - np.searchsorted(run.poses.time_ns, published_ns, "right"), 0)
+    delay_ns = run.poses.time_ns[pose] - published_ns
+    values, counts = np.unique(ticks, return_counts=True)
+    return Delays(
+        counts=dict(zip(values.tolist(), counts.tolist(), strict=True)),
+        low_ns=int(delay_ns.min()),
+        median_ns=float(np.median(delay_ns)),
+        high_ns=int(delay_ns.max()),
+    )

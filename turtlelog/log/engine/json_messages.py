@@ -1,0 +1,229 @@
+"""Messages in JSON -> rows, by the JSON schema that the file holds."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final, Literal
+
+import msgspec
+import numpy as np
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.message_types import LONGEST_TEXT, Column
+
+JsonKind = Literal["number", "integer", "boolean", "string", "any"]
+
+LONGEST_MESSAGE: Final = 2**24
+"""Bytes of a message that is read: as objects it may take thirty times as many."""
+
+_MOST_FIELDS: Final = 10_000  # objects referred to by objects multiply
+_DEEPEST: Final = 64
+
+_KINDS: Final[tuple[JsonKind, ...]] = ("number", "integer", "boolean", "string")
+_EXPECTED: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "number": "a number",
+        "integer": "a whole number",
+        "boolean": "true or false",
+        "string": "a text",
+    }
+)
+_NUMBERS: Final = MappingProxyType({"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf})
+"""How writers that follow protobuf's JSON put numbers that JSON lacks."""
+
+_ABSENT: Final = object()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JsonField:
+    """One value in each message.
+
+    Attributes:
+        path: Names of the objects around it, then its own.
+        kind: What its schema expects; `any` of arrays, of objects without properties, and where
+            the schema allows several kinds.
+    """
+
+    path: tuple[str, ...]
+    kind: JsonKind
+
+    @property
+    def name(self) -> str:
+        """The path as a dotted name."""
+        return ".".join(self.path)
+
+
+def read_json_schema(name: str, data: bytes) -> tuple[JsonField, ...]:
+    """Return the fields of messages that a schema in `jsonschema` describes.
+
+    Raises:
+        LogError: Where it is no JSON, or describes no object with properties.
+    """
+    if len(data) > LONGEST_TEXT:
+        raise LogError(f"schema {name}: expected up to {LONGEST_TEXT} bytes, found {len(data)}")
+    try:
+        schema = json.loads(data)
+    except (ValueError, RecursionError) as err:
+        raise LogError(f"schema {name}: expected JSON, found: {err}") from err
+    fields: dict[str, JsonField] = {}
+    for field in _list_fields(name, schema, schema, ()):
+        if not field.path or field.name.startswith("#"):
+            found = repr(field.name[:40]) if field.path else "none"
+            raise LogError(f"schema {name}: expected an object with named fields, found {found}")
+        if field.name in fields:
+            raise LogError(f"schema {name}: expected names that differ, found {field.name} twice")
+        fields[field.name] = field
+        if len(fields) > _MOST_FIELDS:
+            raise LogError(f"schema {name}: expected up to {_MOST_FIELDS} fields, found more")
+    return tuple(fields.values())
+
+
+def keep_flat(fields: Sequence[JsonField]) -> tuple[JsonField, ...]:
+    """Return the fields that are numbers and texts."""
+    return tuple(field for field in fields if field.kind != "any")
+
+
+def decode_json(fields: Sequence[JsonField], messages: Sequence[bytes]) -> dict[str, Column]:
+    """Return the fields of messages as columns, by dotted name.
+
+    Numbers that a message lacks are NaN, texts empty, anything else None. Of whole numbers and
+    truth values, of which there is no NaN, the column is then one of floats.
+
+    Raises:
+        LogError: Where a message is no JSON object, or a value is not of its field's kind.
+    """
+    columns: list[list[Any]] = [[] for _ in fields]
+    for row, data in enumerate(messages):  # one at a time: objects are larger than their text
+        found = _decode(row, data)
+        for field, column in zip(fields, columns, strict=True):
+            value = _take(field, row, found)
+            is_there = value is not _ABSENT and value is not None
+            column.append(_convert(field, row, value) if is_there else None)
+    pairs = zip(fields, columns, strict=True)
+    return {field.name: _build_column(field.kind, column) for field, column in pairs}
+
+
+def _list_fields(name: str, schema: Any, root: Any, path: tuple[str, ...]) -> Iterator[JsonField]:
+    schema = _resolve(name, schema, root)
+    properties = schema.get("properties")
+    if not isinstance(properties, dict):
+        yield JsonField(path=path, kind=_find_kind(schema))
+        return
+    if len(path) > _DEEPEST:
+        raise LogError(f"schema {name}: expected types that end, found one that holds itself")
+    for key, inner in properties.items():
+        yield from _list_fields(name, inner, root, (*path, key))
+
+
+def _resolve(name: str, schema: Any, root: Any) -> dict[str, Any]:
+    """Return a schema itself: what a reference names, the one kind beside null."""
+    for _ in range(_DEEPEST):
+        if not isinstance(schema, dict):
+            return {}
+        choices = [
+            choice
+            for choice in schema.get("anyOf") or schema.get("oneOf") or ()
+            if choice != {"type": "null"}
+        ]
+        if "$ref" in schema:
+            schema = _follow(name, str(schema["$ref"]), root)
+        elif len(choices) == 1:
+            schema = choices[0]
+        else:
+            return schema
+    raise LogError(f"schema {name}: expected references that end, found one to itself")
+
+
+def _follow(name: str, reference: str, root: Any) -> Any:
+    found = root
+    for part in reference.removeprefix("#").split("/")[1:]:
+        found = found.get(part) if isinstance(found, dict) else None
+    if found is None or not reference.startswith("#"):
+        raise LogError(f"schema {name}: expected what {reference[:60]!r} names, found nothing")
+    return found
+
+
+def _find_kind(schema: Mapping[str, Any]) -> JsonKind:
+    named = schema.get("type")
+    kinds = [kind for kind in (named if isinstance(named, list) else [named]) if kind != "null"]
+    if set(kinds) == {"integer", "number"}:
+        kinds = ["number"]
+    known = [kind for kind in _KINDS if kinds == [kind]]
+    return known[0] if known else "any"
+
+
+def _decode(row: int, data: bytes) -> dict[str, Any]:
+    if len(data) > LONGEST_MESSAGE:
+        most = LONGEST_MESSAGE
+        raise LogError(f"message {row}: expected up to {most} bytes of JSON, found {len(data)}")
+    try:
+        try:
+            found = msgspec.json.decode(data)
+        except msgspec.DecodeError:
+            # Python writes NaN and Infinity, which JSON does not have.
+            found = json.loads(data)
+    except (ValueError, RecursionError) as err:
+        raise LogError(f"message {row}: expected JSON, found {data[:40]!r}: {err}") from err
+    if not isinstance(found, dict):
+        raise LogError(f"message {row}: expected a JSON object, found {data[:40]!r}")
+    return found
+
+
+def _take(field: JsonField, row: int, found: Any) -> Any:
+    """Return a field's value, `_ABSENT` where an object on its path is absent or null."""
+    for depth, key in enumerate(field.path):
+        if found is None or found is _ABSENT:
+            return _ABSENT
+        if not isinstance(found, dict):
+            place = ".".join(field.path[:depth])
+            text = repr(found)[:40]
+            raise LogError(f"message {row}: {place}: expected an object, found {text}")
+        found = found.get(key, _ABSENT)
+    return found
+
+
+def _convert(field: JsonField, row: int, value: Any) -> Any:
+    """Return a value as its column holds it.
+
+    Raises:
+        LogError: Where it is of another kind.
+    """
+    kind, is_number = field.kind, isinstance(value, int | float) and not isinstance(value, bool)
+    if kind == "any":
+        return value
+    if kind == "number":
+        if is_number:
+            return _widen(value)
+        if isinstance(value, str) and value in _NUMBERS:
+            return _NUMBERS[value]
+    elif kind == "integer":
+        if is_number and value == value // 1 and abs(value) < math.inf:
+            return int(value)
+    elif isinstance(value, bool if kind == "boolean" else str):
+        return value
+    found = repr(value)[:40]
+    raise LogError(f"message {row}: {field.name}: expected {_EXPECTED[kind]}, found {found}")
+
+
+def _widen(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def _build_column(kind: JsonKind, values: list[Any]) -> Column:
+    if kind in {"any", "string"}:
+        column = np.empty(len(values), dtype=object)
+        for row, value in enumerate(values):
+            column[row] = "" if value is None and kind == "string" else value
+        return column
+    has_gaps = any(value is None for value in values)
+    if kind == "number" or has_gaps:
+        return np.array([math.nan if v is None else _widen(v) for v in values], dtype=np.float64)
+    try:
+        return np.array(values, dtype=np.bool_ if kind == "boolean" else np.int64)
+    except OverflowError:
+        return np.array([_widen(value) for value in values], dtype=np.float64)

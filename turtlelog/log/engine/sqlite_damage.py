@@ -1,0 +1,133 @@
+"""A damaged bag in SQLite, row by row: what SQLite still gives, and where it gives nothing.
+
+A table is a tree of pages in order of the rows' numbers. Where a page is lost, so are the rows in
+it; those after it are found by the least number from which on SQLite answers again.
+"""
+
+import sqlite3
+from collections.abc import Generator, Iterator
+from pathlib import Path
+from typing import Final
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.limits import DAMAGES
+from turtlelog.log.engine.sqlite_source import (
+    Row,
+    SqliteRows,
+    SqliteSource,
+    describe_sqlite_error,
+    measure_pages,
+)
+from turtlelog.log.engine.walk import Loss, Section
+
+_BATCH: Final = 4096  # rows
+_BATCH_BYTES: Final = 2**22
+_LEAST, _MOST = -(2**63), 2**63 - 1  # numbers of rows
+
+_QUERY: Final = (
+    "SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid > ? ORDER BY rowid"
+)
+
+
+def walk_damaged(source: SqliteSource, path: Path) -> Iterator[Section | Loss]:
+    """Yield the messages of a bag as sections of records, and what could not be read.
+
+    Args:
+        source: The bag, opened as damaged.
+        path: The file, for its size.
+    """
+    size, claimed, _ = measure_pages(path)
+    rows, held, left = SqliteRows(), 0, source.size
+    for found in _walk_rows(source):
+        if isinstance(found, str):
+            yield Loss(start=0, end=size, reason=found)
+            continue
+        number, *values = found
+        if (fault := source.find_fault_of(tuple(values))) is not None:
+            yield Loss(start=0, end=size, reason=f"messages: row {number}: {fault}")
+            continue
+        left -= rows.take([tuple(values)])
+        held += 1
+        if left < 0:
+            yield Loss(start=0, end=size, reason="expected messages of the size of the file")
+            break
+        if held == _BATCH or rows.size > _BATCH_BYTES:
+            yield _make_section(source, rows)
+            rows, held = SqliteRows(), 0
+    if held:
+        yield _make_section(source, rows)
+    if size < claimed:
+        reason = f"expected a file of {claimed} bytes, found its end: cut short"
+        yield Loss(start=size, end=claimed, reason=reason)
+
+
+def _make_section(source: SqliteSource, rows: SqliteRows) -> Section:
+    data = source.build_block(rows, 1).data
+    return Section(data=data, start=0, is_chunk=True, is_checked=False)
+
+
+def _walk_rows(source: SqliteSource) -> Iterator[Row | str]:
+    """Yield the rows that SQLite still gives, each with its number; where it gives none, why."""
+    last: int | None = _LEAST
+    while last is not None:
+        last, error = yield from _walk_sound(source, last)
+        if error is None:
+            return
+        try:
+            source.catalogue.allowance.spend(DAMAGES)
+        except LogError as err:
+            yield str(err)
+            return
+        # The cursor steps ahead: the row that it was about to give may be sound.
+        row = _read_row(source, last)
+        if row:
+            yield row
+            last = int(row[0])
+        elif row is None:
+            after = _find_next(source, last)
+            since = "the first row" if last == _LEAST else f"row {last + 1}"
+            until = "the last" if after is None else f"row {after - 1}"
+            yield f"messages from {since} to {until}: {describe_sqlite_error(error)}"
+            last = None if after is None else after - 1
+        else:
+            return
+
+
+def _walk_sound(
+    source: SqliteSource, last: int
+) -> Generator[Row, None, tuple[int, sqlite3.Error | None]]:
+    """Yield rows behind one until something is wrong; return the last row's number, and what."""
+    try:
+        for row in source.execute(_QUERY, last):
+            if row[0] <= last:
+                return last, sqlite3.DatabaseError("rows out of order")
+            last = row[0]
+            yield row
+    except sqlite3.Error as err:
+        return last, err
+    return last, None
+
+
+def _read_row(source: SqliteSource, after: int) -> Row | None:
+    """Return the first row behind another, () behind the last; None where it cannot be read."""
+    try:
+        found: Row | None = source.execute(f"{_QUERY} LIMIT 1", after).fetchone()
+    except sqlite3.Error:
+        return None
+    return () if found is None else found
+
+
+def _find_next(source: SqliteSource, after: int) -> int | None:
+    """Return the number of the first row behind a gap that can be read; None without one."""
+    lost = max(after, 0)
+    step, found = 1, None
+    while lost + step <= _MOST and (found := _read_row(source, lost + step)) is None:
+        step *= 2
+    if found is None:
+        return None
+    least, most = step // 2, step  # the row after the one is lost, that after the other is not
+    while most - least > 1:
+        middle = (least + most) // 2
+        nearer = _read_row(source, lost + middle)
+        least, most, found = (middle, most, found) if nearer is None else (least, middle, nearer)
+    return int(found[0]) if found else None

@@ -1,0 +1,209 @@
+"""A plain table of a drive, CSV, Parquet or TUM -> Run."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import wrap_angle
+from turtlelog.errors import LogError, RunError
+from turtlelog.log.error_boundary import name_file
+from turtlelog.log.importers.table_cells import Cells, Times, Values
+from turtlelog.log.importers.table_columns import Choice, choose_columns
+from turtlelog.log.importers.table_text import PlainTable, read_plain_table
+from turtlelog.log.planar import compute_tilt, describe_plane
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+_NEVER: Final = (
+    *("poses.speed_m_s", "poses.turn_rate_rad_s", "samples", "goal_xy_m", "goal_heading_rad"),
+    *("parameters", "stop_reason", "events"),
+)
+_QUATERNION: Final = ("qx", "qy", "qz", "qw")
+_NEEDED: Final = ("t", "x", "y", "heading")
+
+_FARTHEST_RAD: Final = np.nextafter(np.float32(np.pi), np.float32(4.0))
+"""Within a float32 step of pi, as turtlesim's own headings are."""
+
+_OTHERS: Final = ("z", "speed", "turn_rate", "command_speed", "command_turn_rate")
+
+
+def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = None) -> Run:
+    """Return the run in a table with a header, or in a TUM trajectory.
+
+    Columns and units are told by their names, or else by `columns`; the note `columns` says which
+    was taken for what. Rows are sorted by time, and rows that are there twice dropped; of several
+    poses of one time the later ones move on by 1 ns each. The notes count all of it.
+
+    Args:
+        path: Text with commas, semicolons, tabs or blanks between cells, or a Parquet file.
+        columns: The columns of what their names do not tell, as `{"heading": "psi [deg]"}`.
+
+    Raises:
+        LogError: One line with the file, the row and the column, where the table is wrong.
+    """
+    path = Path(path)
+    with name_file(path, expected="a table"):
+        table = read_plain_table(path)
+        chosen = choose_columns(table.names, columns or {}, table.units)
+        _require_columns(table, chosen)
+        try:
+            return _build_run(path, Cells(table, chosen))
+        except RunError as err:
+            raise LogError(str(err)) from err
+
+
+def _require_columns(table: PlainTable, chosen: Mapping[str, Choice]) -> None:
+    has_quaternion = all(name in chosen for name in _QUATERNION)
+    missing = [
+        name
+        for name in _NEEDED
+        if name not in chosen and not (name == "heading" and has_quaternion)
+    ]
+    if missing:
+        found = ", ".join(table.names)[:160]
+        raise LogError(
+            f"expected columns for {', '.join(missing)}, found {found}:"
+            f" --column {missing[0]}='NAME [UNIT]' says which"
+        )
+
+
+def _build_run(path: Path, cells: Cells) -> Run:
+    values = {
+        "x": cells.require("x"),
+        "y": cells.require("y"),
+        **_read_rotation(cells),
+        **{name: found for name in _OTHERS if (found := cells.read(name)) is not None},
+    }
+    time_ns, values, notes = _order_rows(cells.time_ns, values)
+    places = np.column_stack([values[name] for name in ("x", "y", "heading")])
+    has_pose = np.asarray(np.isfinite(places).all(axis=1))
+    if not has_pose.any():
+        raise LogError("expected rows with x, y and heading, found none")
+    commands = _build_commands(time_ns, values)
+    start_ns = int(min([time_ns[has_pose][0], *commands.time_ns[:1]]))
+    poses = {name: column[has_pose] for name, column in values.items()}
+    absent = [*_NEVER, *(() if len(commands) else ("commands",))]
+    pose_time_ns, moved = _separate(time_ns[has_pose] - start_ns)
+    far = np.abs(poses["heading"]) > _FARTHEST_RAD
+    notes = {
+        "columns": cells.describe(),
+        **_describe_start(start_ns),
+        **notes,
+        "moved_rows": str(moved),
+        "wrapped_headings": str(int(far.sum())),
+        **_describe_gaps(values, has_pose, commands),
+        **_describe_plane(poses),
+    }
+    nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
+    return Run(
+        name=path.stem,
+        source=f"{'table' if cells.table.has_header else 'tum'}: {path.name}",
+        poses=PoseColumns(
+            time_ns=pose_time_ns,
+            xy_m=np.column_stack([poses["x"], poses["y"]]),
+            heading_rad=np.where(far, wrap_angle(poses["heading"]), poses["heading"]),
+            measured_speed_m_s=_keep_whole(poses.get("speed")),
+            measured_turn_rate_rad_s=_keep_whole(poses.get("turn_rate")),
+        ),
+        commands=replace(commands, time_ns=commands.time_ns - start_ns),
+        samples=SampleColumns(
+            time_ns=none,
+            sequence=none,
+            pose_sequence=none,
+            phase=none,
+            speed_m_s=nothing,
+            turn_rate_rad_s=nothing,
+        ),
+        absent=tuple(absent),
+        notes=notes,
+    )
+
+
+def _read_rotation(cells: Cells) -> dict[str, Values]:
+    """Return headings, and of quaternions the tilt."""
+    heading = cells.read("heading")
+    if heading is not None:
+        return {"heading": heading}
+    x, y, z, w = (cells.require(name) for name in _QUATERNION)
+    empty = x**2 + y**2 + z**2 + w**2 == 0.0
+    if empty.any():
+        cells.refuse("qw", int(empty.argmax()), "a rotation of a length other than 0")
+    heading = np.arctan2(2.0 * (w * z + x * y), w**2 + x**2 - y**2 - z**2)
+    return {"heading": heading, "tilt": compute_tilt(x, y, z, w)}
+
+
+def _order_rows(
+    time_ns: Times, values: Mapping[str, Values]
+) -> tuple[Times, dict[str, Values], dict[str, str]]:
+    """Return the rows by time, each once, and notes on what that took."""
+    late = int((time_ns < np.maximum.accumulate(time_ns)).sum())
+    order = np.argsort(time_ns, kind="stable")
+    rows = np.column_stack([time_ns[order].view(np.float64), *(v[order] for v in values.values())])
+    bits = rows.view(np.int64)
+    kept = np.concatenate([[True], (bits[1:] != bits[:-1]).any(axis=1)])
+    notes = {"sorted_rows": str(late), "dropped_duplicates": str(int((~kept).sum()))}
+    ordered = {name: column[order][kept] for name, column in values.items()}
+    return time_ns[order][kept], ordered, notes
+
+
+def _separate(time_ns: Times) -> tuple[Times, int]:
+    """Return times of which each is later than the one before, and how many moved."""
+    rows = np.arange(len(time_ns))
+    rising = np.maximum.accumulate(time_ns - rows) + rows
+    return rising, int((rising != time_ns).sum())
+
+
+def _build_commands(time_ns: Times, values: Mapping[str, Values]) -> CommandColumns:
+    """Return a command for each row that has one; what the table has no column for is 0."""
+    zeros = np.zeros(len(time_ns))
+    found = [values.get(name, zeros) for name in ("command_speed", "command_turn_rate")]
+    has = np.isfinite(found).all(axis=0)
+    if "command_speed" not in values and "command_turn_rate" not in values:
+        has = np.zeros(len(time_ns), dtype=np.bool_)
+    return CommandColumns(
+        time_ns=time_ns[has],
+        speed_m_s=found[0][has],
+        lateral_speed_m_s=zeros[has],
+        turn_rate_rad_s=found[1][has],
+    )
+
+
+def _keep_whole(values: Values | None) -> Values | None:
+    """Return a column of which every row is known."""
+    return None if values is None or np.isnan(values).any() else values
+
+
+def _describe_gaps(
+    values: Mapping[str, Values], has_pose: NDArray[np.bool_], commands: CommandColumns
+) -> dict[str, str]:
+    """Return notes on rows that lack something."""
+    notes, rows = {}, len(has_pose)
+    if missing := rows - int(has_pose.sum()):
+        notes["rows_without_pose"] = f"{missing} of {rows}"
+    if len(commands) and (missing := rows - len(commands)):
+        notes["rows_without_command"] = f"{missing} of {rows}"
+    for name in ("speed", "turn_rate"):
+        gaps = int(np.isnan(values[name][has_pose]).sum()) if name in values else 0
+        if gaps:
+            notes[f"measured_{name}"] = f"not read: {gaps} of {int(has_pose.sum())} poses lack it"
+    return notes
+
+
+def _describe_plane(poses: Mapping[str, Values]) -> dict[str, str]:
+    told = describe_plane(poses.get("z"), poses.get("tilt"))
+    return {} if told is None else {"plane": told}
+
+
+def _describe_start(start_ns: int) -> dict[str, str]:
+    """Return a note on when a table begins that does not count from 0."""
+    if not start_ns:
+        return {}
+    seconds, nanoseconds = divmod(start_ns, 1_000_000_000)
+    if start_ns < 1e18:
+        return {"original_timestamp": f"{start_ns / 1e9:.9f} s"}
+    text = f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
+    return {"original_timestamp": text}

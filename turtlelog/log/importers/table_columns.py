@@ -1,0 +1,279 @@
+"""Which column of a plain table holds what, and in which unit: by its name, or as asked for."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+from turtlelog.errors import LogError
+
+Quantity = Literal["time", "length", "angle", "speed", "turn_rate", "number"]
+
+QUANTITIES: Final[Mapping[str, Quantity]] = MappingProxyType(
+    {
+        "t": "time",
+        "t_nanosec": "time",
+        "x": "length",
+        "y": "length",
+        "z": "length",
+        "heading": "angle",
+        "qx": "number",
+        "qy": "number",
+        "qz": "number",
+        "qw": "number",
+        "speed": "speed",
+        "turn_rate": "turn_rate",
+        "command_speed": "speed",
+        "command_turn_rate": "turn_rate",
+    }
+)
+"""What a table may hold; `speed` and `turn_rate` are what the robot measured."""
+
+UNITS: Final[Mapping[Quantity, Mapping[str, float]]] = MappingProxyType(
+    {
+        "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+        "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+        "angle": {"rad": 1.0, "deg": math.pi / 180.0},
+        "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1.0 / 3.6},
+        "turn_rate": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0},
+        "number": {"1": 1.0},
+    }
+)
+"""Units by what they measure, the usual one first, each as a multiple of it."""
+
+_SPELLINGS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+        **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), "ms"),
+        **dict.fromkeys(("us", "usec", "micros", "microseconds", "µs", "μs"), "us"),
+        **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanoseconds"), "ns"),
+        **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
+        **{name: name for name in ("cm", "mm", "rpm", "1")},
+        **dict.fromkeys(("rad", "rads", "radian", "radians"), "rad"),
+        **dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), "deg"),
+        **dict.fromkeys(("m/s", "m_s", "mps", "m_per_s"), "m/s"),
+        **dict.fromkeys(("cm/s", "cm_s"), "cm/s"),
+        **dict.fromkeys(("mm/s", "mm_s"), "mm/s"),
+        **dict.fromkeys(("km/h", "km_h", "kmh", "kph"), "km/h"),
+        **dict.fromkeys(("rad/s", "rad_s", "radps", "rad_per_s", "rads/s"), "rad/s"),
+        **dict.fromkeys(("deg/s", "deg_s", "degps", "dps", "deg_per_s", "°/s"), "deg/s"),
+    }
+)
+"""Units as people write them."""
+
+_NAMES: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "t": "t time timestamp timestamps stamp header_stamp header_stamp_sec header_stamp_secs"
+        " stamp_sec stamp_secs elapsed elapsed_time sim_time ros_time sec secs seconds",
+        "t_nanosec": "",  # only beside the seconds
+        **{
+            axis: f"{axis} pos_{axis} position_{axis} p{axis} {axis}_pos {axis}_position {axis}pos"
+            f" pose_{axis} t{axis} pose_position_{axis} pose_pose_position_{axis}"
+            f" transform_translation_{axis} translation_{axis}"
+            for axis in "xyz"
+        },
+        "heading": "heading yaw theta psi pos_theta pose_theta heading_angle yaw_angle"
+        " orientation_yaw pose_yaw",
+        **{
+            f"q{axis}": f"q{axis} q_{axis} quat_{axis} quaternion_{axis} orientation_{axis}"
+            f" rotation_{axis} pose_orientation_{axis} pose_pose_orientation_{axis}"
+            f" transform_rotation_{axis}"
+            for axis in "xyzw"
+        },
+        "speed": "speed v vel velocity linear_velocity linear_speed lin_vel forward_speed linear_x"
+        " vel_linear_x twist_linear_x twist_twist_linear_x",
+        "turn_rate": "turn_rate omega w wz yaw_rate yawrate angular_velocity angular_speed"
+        " ang_vel angular_z vel_angular_z twist_angular_z twist_twist_angular_z",
+    }
+)
+"""Names of columns, in small letters and with _ for anything else, by what they hold."""
+
+_COMMANDS: Final = frozenset({"cmd", "command", "commanded", "commands"})
+_OTHERS: Final = frozenset({"measured", "meas", "actual", "odom", "field", "robot", "data"})
+"""Words that say no more than that a robot measured it."""
+
+_WANTED: Final = frozenset(
+    {
+        *("goal", "target", "ref", "reference", "desired", "setpoint", "start"),
+        *("error", "err", "cov", "covariance", "std", "var", "sigma"),
+    }
+)
+"""Words of columns that hold something else than where the robot is and what it does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A column of a table, and what it holds.
+
+    Attributes:
+        field: What it holds, a key of `QUANTITIES`.
+        column: Its place in the table, from 0.
+        name: As the header writes it.
+        unit: A key of `UNITS`; None where neither the name nor the user says it.
+    """
+
+    field: str
+    column: int
+    name: str
+    unit: str | None
+
+    @property
+    def units(self) -> Mapping[str, float]:
+        """The units that it may have."""
+        return UNITS[QUANTITIES[self.field]]
+
+
+def choose_columns(
+    names: Sequence[str], asked: Mapping[str, str], units: Mapping[str, str]
+) -> dict[str, Choice]:
+    """Return the columns that hold something known, by what they hold.
+
+    Args:
+        names: As the header writes them.
+        asked: Columns by what they hold, as the user says: a name, with a unit in brackets or not.
+        units: Of columns whose kind tells it.
+
+    Raises:
+        LogError: Where a column that is asked for is not there, or several can be meant.
+    """
+    chosen: dict[str, Choice] = {}
+    for field, text in asked.items():
+        if field not in QUANTITIES:
+            known = ", ".join(QUANTITIES)
+            raise LogError(f"--column {field}: expected one of {known}, found {field!r}")
+        chosen[field] = _find_asked(field, text, names)
+    taken, pair = {choice.column for choice in chosen.values()}, _find_stamp(names)
+    for field in QUANTITIES:
+        if field not in chosen:
+            guess = _guess(field, names, {*taken, *pair})
+            if guess is not None:
+                chosen[field] = guess
+    if "t" not in chosen and pair and "t_nanosec" not in chosen:
+        for field, unit, place in zip(("t", "t_nanosec"), ("s", "ns"), pair, strict=True):
+            chosen[field] = Choice(field=field, column=place, name=names[place], unit=unit)
+    found = {field: _fill_unit(choice, units.get(choice.name)) for field, choice in chosen.items()}
+    return {field: found[field] for field in QUANTITIES if field in found}
+
+
+def _fill_unit(choice: Choice, unit: str | None) -> Choice:
+    if choice.unit is not None or unit not in choice.units:
+        return choice
+    return Choice(field=choice.field, column=choice.column, name=choice.name, unit=unit)
+
+
+def _find_asked(field: str, text: str, names: Sequence[str]) -> Choice:
+    """Return the column that the user names, with the unit in the user's brackets or its own."""
+    for name, unit in _list_readings(field, text):
+        matches = [place for place, known in enumerate(names) if known.strip() == name]
+        if len(matches) > 1:
+            raise LogError(f"column {name}: expected one of that name, found {len(matches)}")
+        if matches:
+            unit = unit or _split_name(field, names[matches[0]], is_asked=True)[1]
+            return Choice(field=field, column=matches[0], name=name, unit=unit)
+    found = ", ".join(names)[:160]
+    raise LogError(f"--column {field}={text}: expected a column of the table, found {found}")
+
+
+def _list_readings(field: str, text: str) -> list[tuple[str, str | None]]:
+    """Return name and unit that a user's text may mean: `psi [deg]` is a name, or psi in deg."""
+    readings: list[tuple[str, str | None]] = [(text.strip(), None)]
+    match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip())
+    if match is not None:
+        unit = _read_unit(field, match[2])
+        if unit is None:
+            known = ", ".join(UNITS[QUANTITIES[field]])
+            raise LogError(f"--column {field}={text}: expected a unit of {known}, found {match[2]}")
+        readings.append((match[1], unit))
+    return readings
+
+
+def _guess(field: str, names: Sequence[str], taken: set[int]) -> Choice | None:
+    """Return the column whose name says most clearly that it holds this.
+
+    Raises:
+        LogError: Where two say it as clearly.
+    """
+    ranked: dict[int, list[Choice]] = {}
+    for place, name in enumerate(names):
+        if place in taken:
+            continue
+        base, unit = _split_name(field, name)
+        rank = _rank(field, base)
+        if rank is not None:
+            choice = Choice(field=field, column=place, name=name.strip(), unit=unit)
+            ranked.setdefault(rank, []).append(choice)
+    if not ranked:
+        return None
+    best = ranked[min(ranked)]
+    if len(best) > 1:
+        found = " and ".join(choice.name for choice in best)
+        raise LogError(
+            f"columns: expected one for {field}, found {found}:"
+            f" --column {field}='{best[0].name}' chooses"
+        )
+    return best[0]
+
+
+def _find_stamp(names: Sequence[str]) -> tuple[int, ...]:
+    """Return the places of seconds and nanoseconds that are one time, nothing without such."""
+    places = {_simplify(name): place for place, name in enumerate(names)}
+    for base, place in places.items():
+        match = re.fullmatch(r"(|(?:.*_)?stamp_)(?:nanosec|nsec)(s?)", base)
+        seconds = None if match is None else places.get(f"{match[1]}sec{match[2]}")
+        if seconds is not None:
+            return seconds, place
+    return ()
+
+
+def _rank(field: str, base: str) -> int | None:
+    """Return how clearly a name says what it holds, 0 the most; None where it does not."""
+    words = base.split("_")
+    is_command = not _COMMANDS.isdisjoint(words)
+    if is_command != field.startswith("command_") or not _WANTED.isdisjoint(words):
+        return None
+    known = _NAMES[field.removeprefix("command_")].split()
+    rest = [word for word in words if word not in _COMMANDS]
+    short = [word for word in rest if word not in _OTHERS]
+    for rank, tried in enumerate((rest, short)):
+        if "_".join(tried) in known:
+            return rank
+    # What stands before is a topic: /odom/pose/pose/position/x, cmd_vel.linear.x.
+    tails = ("_".join(short[place:]) for place in range(1, len(short) - 1))
+    return 2 if any(tail in known for tail in tails) else None
+
+
+def _split_name(field: str, name: str, *, is_asked: bool = False) -> tuple[str, str | None]:
+    """Return a name in small letters without its unit, and the unit, if it is one of this field.
+
+    Args:
+        field: What the column holds, or may hold.
+        name: Of the column.
+        is_asked: Whether the user says that it holds this; otherwise what stands before the unit
+            has to say it.
+    """
+    text = name.strip().lower()
+    match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]", text)
+    if match is not None and (unit := _read_unit(field, match[2])) is not None:
+        return _simplify(match[1]), unit
+    words = _simplify(text).split("_")
+    for count in range(min(3, len(words) - 1), 0, -1):  # deg_per_s, m_s, rad
+        unit, rest = _read_unit(field, "_".join(words[-count:])), "_".join(words[:-count])
+        if unit is not None and (is_asked or _rank(field, rest) is not None):
+            return rest, unit
+    return "_".join(words), None
+
+
+def _simplify(text: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+
+
+def _read_unit(field: str, text: str) -> str | None:
+    """Return a unit of a field, None where the text is none of its units."""
+    plain = text.strip().lower().replace(" ", "").replace("^-1", "").replace("·", "_")
+    quantity = QUANTITIES[field]
+    if quantity == "speed" and plain == "ms":  # of a speed nobody means milliseconds
+        return "m/s"
+    unit = _SPELLINGS.get(plain)
+    return unit if unit in UNITS[quantity] else None

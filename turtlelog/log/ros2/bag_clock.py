@@ -1,0 +1,206 @@
+"""When the poses and commands of a bag happened: their stamps, held against the recorder's clock.
+
+A message has two times: when its publisher stamped it, and when the recorder received it, its log
+time. Between them lie the offset of two clocks, and the transport of the message. Stamps are
+steadier, and the recorder's clock is the one that commands without stamps have: so poses are timed
+by their stamps, mapped to the recorder's clock by the messages that were transported fastest. How
+long those took stays unknown; all times of poses are early by it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count
+from turtlelog.errors import LogError
+from turtlelog.log.read_choice import TimeSource
+from turtlelog.log.ros2.stamps import (
+    StampClock,
+    Stamps,
+    TimesNs,
+    place_log_times,
+    read_stamp_clock,
+)
+from turtlelog.run import Clock
+
+CLOCK: Final = "clock"
+"""Note on what times a run's poses."""
+
+CLOSE_ROWS: Final = "close_rows"
+"""Note on poses of nearly one time that were left out."""
+
+_CLOSEST_NS: Final = 1_000_000
+"""Two poses closer than this [ns] tell no rate: noise of 0.2 mm becomes 0.2 m/s and more."""
+
+_CLOSEST_SHARE: Final = 0.25
+"""But a motion capture at 2 kHz may: only closer than this share of the usual step are poses
+close."""
+
+_SAME_CLOCK_NS: Final = 1_000_000_000
+"""Stamps of commands are of the poses' simulation where they lie this close [ns] to when the
+commands were received: two simulations, or a clock of the wall, are further apart."""
+
+_SHOWN_DRIFT_NS: Final = 1_000_000
+"""A drift that adds up to less [ns] is not worth a word."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimedRows:
+    """The rows of a topic in order of the times that are used.
+
+    Attributes:
+        rows: Of the rows that were given, shape (m,).
+        time_ns: As of the recorder's clock [ns], shape (m,), not decreasing.
+    """
+
+    rows: NDArray[np.int64]
+    time_ns: TimesNs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BagTimes:
+    """When the poses and commands of a bag happened.
+
+    Attributes:
+        poses: Those that are kept.
+        commands: All of them.
+        clock: What times the poses, None where they have no stamps.
+        notes: What was done, in words, for the notes of a run.
+    """
+
+    poses: TimedRows
+    commands: TimedRows
+    clock: Clock | None = None
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+
+def time_rows(poses: Stamps, commands: Stamps | None, time: TimeSource) -> BagTimes:
+    """Return when poses and commands happened, on one timeline.
+
+    That is the recorder's clock. Where the stamps' seconds are others than its own, as in
+    simulation, they are those of the motion: the timeline has the stamps' seconds, and commands
+    are mapped to it. Commands with usable stamps of their own are timed by these, as poses are.
+
+    Args:
+        poses: Of the pose topic, in order of log time.
+        commands: Of the command topic likewise; None where there is none.
+        time: `auto`: poses by their stamps where these are usable, otherwise by the log.
+
+    Raises:
+        LogError: Where stamps are asked for, and no pose has a usable one.
+    """
+    commands = commands or Stamps(log_ns=np.empty(0, dtype=np.int64))
+    if poses.stamp_ns is None:
+        if time == "stamp":
+            raise LogError("time: expected poses with stamps, found a type without: take log")
+        return BagTimes(poses=_sort(poses.log_ns), commands=_sort(commands.log_ns))
+    found = read_stamp_clock(poses)
+    if time == "stamp" and found.pace is None:
+        raise LogError(f"time: expected usable stamps of poses, but {found.reason}: take log")
+    if time == "log" or (time == "auto" and found.reason):
+        text = f"poses are timed by the recorder's clock, {_describe_log(found)}"
+        return _build(_sort(poses.log_ns), _sort(commands.log_ns), _make_clock(found, "log"), text)
+    text = f"poses are timed by their stamps{_describe(found)}"
+    commands_ns, how = _time_commands(commands, poses, found)
+    return _build(_sort(found.time_ns), _sort(commands_ns), _make_clock(found, "stamp"), text + how)
+
+
+def _time_commands(commands: Stamps, poses: Stamps, found: StampClock) -> tuple[TimesNs, str]:
+    """Return when commands happened, on the timeline of the poses, and how that is known."""
+    if not len(commands.log_ns):
+        return commands.log_ns, ""
+    own = read_stamp_clock(commands)
+    if not found.is_other_pace:
+        if own.reason or own.is_other_pace:
+            return commands.log_ns, "; commands by the recorder's clock"
+        return own.time_ns, "; commands by their stamps, likewise"
+    placed_ns = place_log_times(found, poses.log_ns, commands.log_ns)
+    if not own.reason and not found.jumps and commands.stamp_ns is not None:
+        stamped_ns = commands.stamp_ns + (found.offset_ns or 0)
+        if np.abs(stamped_ns - placed_ns).max() < _SAME_CLOCK_NS:
+            return stamped_ns, "; commands by their stamps of the same clock"
+    return placed_ns, "; commands are mapped to it by the poses that were received with them"
+
+
+def _make_clock(found: StampClock, used: Literal["log", "stamp"]) -> Clock:
+    offset, jitter = found.offset_ns, found.jitter_ns
+    return Clock(
+        used=used,
+        ratio=found.pace,
+        offset_s=None if offset is None else offset / 1e9,
+        jitter_s=None if jitter is None else jitter / 1e9,
+    )
+
+
+def _describe_log(found: StampClock) -> str:
+    """Return why the log's times are used, and what that means for rates."""
+    if found.reason:
+        return f"as {found.reason}"
+    text = "as asked"
+    if found.is_other_pace:
+        text += f": rates are those of the motion times {found.pace:.3g}, the stamps' pace"
+    return text
+
+
+def _describe(found: StampClock) -> str:
+    """Return how the stamps stand to the recorder's clock, in words that follow `stamps`."""
+    texts = []
+    pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
+    if found.is_other_pace:
+        texts.append(
+            f", whose seconds are a simulation's: {found.stamps_span_ns / 1e9:.1f} s in"
+            f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {pace:.3g}"
+        )
+    else:
+        texts.append(
+            f" {_format_offset(offset_ns)}, mapped to the recorder's clock by the fastest message,"
+            f" whose transport is unknown; usually it takes {jitter_ns / 1e6:.1f} ms more"
+        )
+        if abs(pace - 1.0) * found.log_span_ns > max(jitter_ns, _SHOWN_DRIFT_NS):
+            texts.append(f"; their clock drifts by {(pace - 1.0) * 1e6:+.0f} ppm, taken out")
+    if found.jumps:
+        texts.append(f"; their clock was set {describe_count(found.jumps, 'time')}")
+    if found.odd:
+        texts.append(f"; {found.odd} without a usable stamp by when they were received")
+    if found.disordered:
+        texts.append(f"; {found.disordered} received out of order are sorted")
+    return "".join(texts)
+
+
+def _format_offset(offset_ns: int) -> str:
+    """Return an offset with a sign, and no milliseconds of decades."""
+    sign, offset_s = "-" if offset_ns < 0 else "+", abs(offset_ns) / 1e9
+    return f"{sign} {offset_s:.3f} s" if offset_s < 1000.0 else f"{sign} {offset_s:.0f} s"
+
+
+def _build(poses: TimedRows, commands: TimedRows, clock: Clock, text: str) -> BagTimes:
+    """Return times of stamped poses, without those of nearly one time."""
+    kept = _find_apart(poses.time_ns)
+    notes = {CLOCK: text}
+    close = int(len(kept) - kept.sum())
+    if close:
+        notes[CLOSE_ROWS] = str(close)
+        notes[CLOCK] += f"; {describe_count(close, 'pose')} less than 1 ms before another left out"
+    poses = TimedRows(rows=poses.rows[kept], time_ns=poses.time_ns[kept])
+    return BagTimes(poses=poses, commands=commands, clock=clock, notes=notes)
+
+
+def _find_apart(time_ns: TimesNs) -> NDArray[np.bool_]:
+    """Return which rows no other one follows so closely that no rate can be told.
+
+    Of close ones the last stays: of poses that were held up, it is the one whose time is right.
+    """
+    step_ns = np.diff(time_ns)
+    moving_ns = step_ns[step_ns > 0]
+    if not len(moving_ns):
+        return np.ones(len(time_ns), dtype=bool)
+    least_ns = min(_CLOSEST_NS, _CLOSEST_SHARE * float(np.median(moving_ns)))
+    return np.append(step_ns >= least_ns, True)
+
+
+def _sort(time_ns: TimesNs) -> TimedRows:
+    rows = np.argsort(time_ns, kind="stable")
+    return TimedRows(rows=rows, time_ns=time_ns[rows])

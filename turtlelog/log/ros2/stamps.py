@@ -1,0 +1,323 @@
+"""What the stamps of a topic tell: whether they are usable, of which clock, and how it goes."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from turtlelog.display import describe_count
+from turtlelog.log.engine.topic_columns import TopicColumns
+
+TimesNs = NDArray[np.int64]
+Rows = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+_FIELDS: Final = tuple(
+    (f"{place}.sec", f"{place}.{rest}")
+    for place in ("header.stamp", "stamp", "timestamp")
+    for rest in ("nanosec", "nsec")
+)
+"""Where stamps stand: in headers of ROS 2, in types of one's own, in messages of Foxglove."""
+
+_MOST_DRIFT: Final = 2e-3
+"""Two clocks of computers differ by less: quartz by some 1e-4, set straight by at most 5e-4 each
+way. Stamps that go faster or slower are those of a simulation."""
+
+_PARTED_NS: Final = 100_000_000
+"""Two clocks that part by less [ns] over a recording may be one, with a transport that changes."""
+
+_LATE_SPREADS: Final = 3.0
+"""So may clocks that part by less than this many times what the transport usually varies by."""
+
+_LATE_NS: Final = 1_000_000_000
+"""Clocks that part by more [ns] are two, however the transport varies."""
+
+_JUMP_NS: Final = 500_000_000
+"""From this step between the clocks on [ns], one was set forward: the transport changes by less."""
+
+_JUMP_STEPS: Final = 3.0
+"""And this many usual steps: of a pose every second, some can have been lost."""
+
+_JUMP_ROWS: Final = 5
+"""Messages that say that a clock was set: fewer are late, or badly stamped."""
+
+_NEAR_ROWS: Final = 3
+"""Messages on either side that say which stamps belong here."""
+
+_LEAST_STAMPED: Final = 0.5
+"""Of messages need a stamp, or else most times would be guessed between them."""
+
+_LEAST_ADVANCES: Final = 0.25
+"""Of messages need a stamp of their own. Some programs publish each pose several times, others
+never set the time again."""
+
+_STRETCH_ROWS: Final = 20
+"""Messages between two jumps on average; a clock that is set more often tells no time."""
+
+_BINS: Final = 512
+"""Pieces of the time whose fastest messages say how two clocks drift."""
+
+_QUARTERS: Final = 4
+"""Pieces each of which has a message that was transported about as fast as any."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stamps:
+    """The times of a topic's messages, in order of log time.
+
+    Attributes:
+        log_ns: When each was received, by the recorder's clock [ns], shape (n,).
+        stamp_ns: When each was stamped, by the clock of who did [ns], shape (n,); None where the
+            type has no stamps.
+    """
+
+    log_ns: TimesNs
+    stamp_ns: TimesNs | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StampClock:
+    """What stamps tell.
+
+    Attributes:
+        reason: Why they are not usable; empty where they are.
+        time_ns: When each message was stamped, on the timeline of the recorder's clock or, at
+            another pace, on one of the stamps' seconds from the first log time [ns], shape (n,).
+            Log times where nothing better is known.
+        pace: Seconds of the stamps per second of the recorder; None where they tell nothing.
+        is_other_pace: Whether that is beyond what clocks of computers drift.
+        offset_ns: The recorder's time less the first stamp, by the fastest message [ns].
+        jitter_ns: Median of the transport less the least [ns]; None at another pace.
+        stamps_span_ns: From first to last stamp, jumps aside [ns].
+        log_span_ns: Of the same messages by the recorder's clock [ns].
+        jumps: How often the stamps' clock was set.
+        odd: Messages whose stamp is 0, or far off those of their neighbours.
+        disordered: Messages whose stamp is before one that arrived earlier.
+        known: Rows of the messages that are timed by their stamps.
+    """
+
+    reason: str
+    time_ns: TimesNs
+    pace: float | None = None
+    is_other_pace: bool = False
+    offset_ns: int | None = None
+    jitter_ns: int | None = None
+    stamps_span_ns: int = 0
+    log_span_ns: int = 0
+    jumps: int = 0
+    odd: int = 0
+    disordered: int = 0
+    known: Rows = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+
+
+def read_stamps(columns: TopicColumns) -> TimesNs | None:
+    """Return the stamps in the headers of messages [ns]; None where their type has none."""
+    fields = columns.fields
+    for seconds, rest in _FIELDS:
+        if seconds in fields and rest in fields:
+            whole, part = (fields[name].astype(np.int64) for name in (seconds, rest))
+            return np.asarray(whole * 1_000_000_000 + part)
+    return None
+
+
+def read_stamp_clock(stamps: Stamps) -> StampClock:
+    """Return what the stamps of a topic tell, with the times at which its messages were stamped."""
+    log_ns, stamp_ns = stamps.log_ns, stamps.stamp_ns
+    if stamp_ns is None or not len(log_ns):
+        return StampClock(reason="there are no stamps", time_ns=log_ns)
+    rows = np.flatnonzero(stamp_ns > 0)
+    rows = rows[~_find_strays(log_ns[rows], stamp_ns[rows])]
+    starts = _find_jumps(log_ns[rows], stamp_ns[rows])
+    reason = _judge(stamp_ns, rows, len(starts))
+    stretches = np.split(rows, starts)
+    if len(rows) and np.ptp(stamp_ns[rows]):
+        return _place(log_ns, stamp_ns, stretches, reason)
+    return StampClock(reason=reason, time_ns=log_ns, odd=len(log_ns) - len(rows))
+
+
+def _judge(stamp_ns: TimesNs, rows: Rows, jumps: int) -> str:
+    """Return why stamps are not usable, empty where they are."""
+    count, zeros = len(stamp_ns), int((stamp_ns <= 0).sum())
+    if zeros == count:
+        return "all stamps are 0"
+    if count == 1:
+        return "one pose tells no clock"
+    if len(rows) < _LEAST_STAMPED * count:
+        return f"{count - len(rows)} of {count} stamps are 0 or make no sense"
+    distinct = int(np.count_nonzero(np.diff(np.sort(stamp_ns[rows])))) + 1
+    if distinct < max(_LEAST_ADVANCES * count, 2):
+        return f"{count} poses share {describe_count(distinct, 'stamp')}"
+    if jumps > len(rows) / _STRETCH_ROWS:
+        return "the stamps' clock jumps to and fro"
+    return ""
+
+
+def _find_strays(log_ns: TimesNs, stamp_ns: TimesNs) -> NDArray[np.bool_]:
+    """Return which stamps are of another time than those of the messages on either side."""
+    late_ns = log_ns - stamp_ns
+    if len(late_ns) <= 2 * _NEAR_ROWS:
+        return np.zeros(len(late_ns), dtype=bool)
+    padded = np.pad(late_ns, _NEAR_ROWS, mode="reflect", reflect_type="odd")
+    usual_ns = np.median(sliding_window_view(padded, 2 * _NEAR_ROWS + 1), axis=1)
+    return np.asarray(np.abs(late_ns - usual_ns) > _LATE_NS + _find_least_jump(stamp_ns))
+
+
+def _find_least_jump(stamp_ns: TimesNs) -> float:
+    return max(_JUMP_NS, _JUMP_STEPS * float(np.median(np.abs(np.diff(stamp_ns)))))
+
+
+def _find_jumps(log_ns: TimesNs, stamp_ns: TimesNs) -> list[int]:
+    """Return the rows from which on the stamps' clock is another one, in order."""
+    starts = [0]
+    while len(starts) - 1 <= len(log_ns) / _STRETCH_ROWS:
+        jump = _find_jump(log_ns[starts[-1] :], stamp_ns[starts[-1] :])
+        if jump is None:
+            break
+        starts.append(starts[-1] + jump)
+    return starts[1:]
+
+
+def _find_jump(log_ns: TimesNs, stamp_ns: TimesNs) -> int | None:
+    """Return the first row from which on the stamps' clock is another one."""
+    if len(stamp_ns) < 2 * _JUMP_ROWS:
+        return None
+    # Set back: the messages after it are stamped before one that came earlier.
+    highest = np.maximum.accumulate(stamp_ns)[:-_JUMP_ROWS]
+    is_jump = sliding_window_view(stamp_ns[1:], _JUMP_ROWS).max(axis=1) < highest
+    # Set forward: they seem to be transported faster than the fastest so far.
+    late_ns = log_ns - stamp_ns
+    fastest = np.minimum.accumulate(late_ns)[:-_JUMP_ROWS]
+    least_ns = _find_least_jump(stamp_ns)
+    is_faster = sliding_window_view(late_ns[1:], _JUMP_ROWS).max(axis=1) < fastest - least_ns
+    is_jump |= is_faster & (np.diff(late_ns)[: len(fastest)] < -least_ns)
+    return int(is_jump.argmax()) + 1 if is_jump.any() else None
+
+
+def _place(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], reason: str) -> StampClock:
+    """Return the times of all messages, of a clock whose jumps are known."""
+    rows = np.concatenate(stretches)
+    spans = [(np.ptp(stamp_ns[stretch]), np.ptp(log_ns[stretch])) for stretch in stretches]
+    stamps_ns, passed_ns = (int(sum(span)) for span in zip(*spans, strict=True))
+    longest = max(stretches, key=len)
+    slope = _fit_slope(log_ns[longest], stamp_ns[longest])
+    late_ns = _measure_late(log_ns[longest], stamp_ns[longest], slope)
+    is_other = _is_other_pace(late_ns, abs(slope - 1.0) * stamps_ns, slope)
+    if is_other:
+        pace = stamps_ns / max(passed_ns, 1)
+        times = _chain(log_ns, stamp_ns, stretches, pace)
+    else:
+        slope = slope if abs(slope - 1.0) <= _MOST_DRIFT else 1.0
+        pace = 1.0 / slope
+        times = np.concatenate([_map(log_ns[own], stamp_ns[own], slope) for own in stretches])
+    time_ns = log_ns.copy()
+    time_ns[rows] = times
+    jitter_ns = None if is_other else int(np.median(log_ns[rows] - times))
+    clock = StampClock(
+        reason=reason,
+        time_ns=time_ns,
+        pace=pace,
+        is_other_pace=is_other,
+        offset_ns=int(times[0] - stamp_ns[rows[0]]),
+        jitter_ns=jitter_ns,
+        stamps_span_ns=stamps_ns,
+        log_span_ns=passed_ns,
+        jumps=len(stretches) - 1,
+        odd=len(log_ns) - len(rows),
+        disordered=sum(_count_disordered(stamp_ns[stretch]) for stretch in stretches),
+        known=rows,
+    )
+    odd = np.ones(len(log_ns), dtype=bool)
+    odd[rows] = False
+    if is_other:
+        time_ns[odd] = place_log_times(clock, log_ns, log_ns[odd])
+    else:
+        time_ns[odd] -= jitter_ns or 0
+    return clock
+
+
+def _is_other_pace(late_ns: Values, parted_ns: float, slope: float) -> bool:
+    """Return whether stamps have seconds of their own; `late_ns` is what a line leaves."""
+    # A simulation that paused: from then on every message is late.
+    quarters = [float(part.min()) for part in np.array_split(late_ns, _QUARTERS) if len(part)]
+    if max(quarters) > _LATE_NS:
+        return True
+    if abs(slope - 1.0) <= _MOST_DRIFT:
+        return False
+    spread_ns = _LATE_SPREADS * float(np.quantile(late_ns, 0.9))
+    return parted_ns > min(max(spread_ns, _PARTED_NS), _LATE_NS)
+
+
+def _fit_slope(log_ns: TimesNs, stamp_ns: TimesNs) -> float:
+    """Return the seconds of the recorder per second of the stamps, by the fastest messages.
+
+    Of all lines below which no message lies, that which is nearest to all of them: the edge of the
+    lower hull at their mean (Moon, Skelly and Towsley, 1999).
+    """
+    passed = (stamp_ns - stamp_ns[0]).astype(np.float64)
+    late = (log_ns - log_ns[0]) - passed
+    width = float(np.ptp(passed)) / _BINS
+    if not width:
+        return 1.0
+    bins = np.minimum(((passed - passed.min()) / width).astype(np.int64), _BINS - 1)
+    order = np.lexsort([late, bins])
+    first = order[np.r_[True, np.diff(bins[order]) > 0]]
+    hull: list[tuple[float, float]] = []
+    for point in zip(passed[first].tolist(), late[first].tolist(), strict=True):
+        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], point):
+            hull.pop()
+        hull.append(point)
+    mean = float(passed.mean())
+    after = next((i for i, (x, _) in enumerate(hull) if x >= mean and i), len(hull) - 1)
+    (x0, y0), (x1, y1) = hull[after - 1], hull[after]
+    return 1.0 + (y1 - y0) / (x1 - x0)
+
+
+def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _measure_late(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> Values:
+    """Return by how much later than the fastest each message was transported [ns]."""
+    late = (log_ns - log_ns[0]) - slope * (stamp_ns - stamp_ns[0])
+    return np.asarray(late - late.min())
+
+
+def _map(log_ns: TimesNs, stamp_ns: TimesNs, slope: float) -> TimesNs:
+    """Return where stamps lie on the recorder's clock, were the fastest transported in no time."""
+    passed = stamp_ns - stamp_ns[0]
+    # What the clocks drift by is small: so nothing is lost to floats.
+    mapped = log_ns[0] + passed + np.rint((slope - 1.0) * passed).astype(np.int64)
+    return np.asarray(mapped + (log_ns - mapped).min())
+
+
+def _chain(log_ns: TimesNs, stamp_ns: TimesNs, stretches: list[Rows], pace: float) -> TimesNs:
+    """Return stretches of stamps in their own seconds, one behind the other."""
+    times: list[TimesNs] = []
+    start, last = int(log_ns[stretches[0][0]]), stretches[0][0]
+    for rows in stretches:
+        if times:
+            start = int(times[-1].max() + np.rint(pace * (log_ns[rows[0]] - log_ns[last])))
+        times.append(start + stamp_ns[rows] - stamp_ns[rows[0]])
+        last = rows[-1]
+    return np.concatenate(times)
+
+
+def place_log_times(clock: StampClock, of_ns: TimesNs, log_ns: TimesNs) -> TimesNs:
+    """Return where times of the recorder lie on the timeline of stamps at another pace.
+
+    Args:
+        clock: Of the stamps.
+        of_ns: Log times of their messages [ns].
+        log_ns: What is looked for [ns], beyond the messages at the mean pace.
+    """
+    known, at_ns = of_ns[clock.known], np.maximum.accumulate(clock.time_ns[clock.known])
+    start_ns, inside = int(known[0]), np.clip(log_ns, known[0], known[-1])
+    at = np.interp(inside - start_ns, known - start_ns, at_ns - at_ns[0])
+    at += (clock.pace or 1.0) * (log_ns - inside)
+    return np.asarray(at_ns[0] + np.rint(at).astype(np.int64))
+
+
+def _count_disordered(stamp_ns: TimesNs) -> int:
+    return int((stamp_ns < np.maximum.accumulate(stamp_ns)).sum())

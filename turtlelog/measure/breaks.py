@@ -1,0 +1,205 @@
+"""Where the poses of any robot break: stretches without poses, and steps that it cannot have made.
+
+Of turtlesim, whose poses hold what was applied, a replay through its plant tells more.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from turtlelog.angles import subtract_headings
+from turtlelog.display import describe_count, join_words
+from turtlelog.measure.motion import GAP_STEPS
+from turtlelog.measure.outliers import (
+    GRAINS,
+    LOCAL_SPANS,
+    LONGEST_STEP_NS,
+    NEIGHBOURS,
+    find_grain,
+    find_outliers,
+)
+from turtlelog.run import PoseColumns, Run
+
+Values = NDArray[np.float64]
+
+_USUAL: Final = 0.95
+"""Share of steps in time that are usual: some robots publish at two rates, or while they move."""
+
+_FAST: Final = 3.0
+"""A step is a jump from this many times the greatest rate that lasts: a robot on the brink of that
+rate, and a pose that is late by a whole step, make 2 together."""
+
+_ACCELERATION: Final = (2.0, 10.0)
+"""What a robot reaches from rest [m/s2, rad/s2], where it was never seen to move so fast."""
+
+_ROUNDING: Final = 1e-5
+"""What the 32-bit rounding of two poses makes of a step [m, rad]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseGap:
+    """A stretch of time whose poses are missing: after start_ns, before end_ns.
+
+    Attributes:
+        row: Of the first pose after it.
+        start_ns: Time of the last pose before it [ns].
+        end_ns: Time of the first pose after it [ns].
+        usual_ns: Usual time between two poses [ns].
+    """
+
+    row: int
+    start_ns: int
+    end_ns: int
+    usual_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseJump:
+    """A step between two poses that the robot cannot have driven.
+
+    Attributes:
+        row: Of the first pose after it.
+        time_ns: Of that pose [ns].
+        moved_m: Forward along the heading, backward negative [m].
+        aside_m: To the left [m].
+        turned_rad: Counter-clockwise [rad].
+    """
+
+    row: int
+    time_ns: int
+    moved_m: float
+    aside_m: float
+    turned_rad: float
+
+
+def find_gaps(run: Run) -> tuple[PoseGap, ...]:
+    """Return the stretches of time without poses, each longer than four usual steps."""
+    time_ns = run.poses.time_ns
+    step_ns = np.diff(time_ns)
+    if not len(step_ns):
+        return ()
+    usual_ns = float(np.quantile(step_ns, _USUAL))
+    return tuple(
+        PoseGap(
+            row=row + 1,
+            start_ns=int(time_ns[row]),
+            end_ns=int(time_ns[row + 1]),
+            usual_ns=int(np.median(step_ns)),
+        )
+        for row in np.flatnonzero(step_ns > GAP_STEPS * usual_ns).tolist()
+    )
+
+
+def find_jumps(run: Run) -> tuple[PoseJump, ...]:
+    """Return the steps from pose to pose that the robot cannot have driven.
+
+    Those are the steps that are far beyond its greatest rate; single ones that neither the step
+    before nor the one after comes near, in the sense of `find_outliers`; and single ones against
+    the way of five steps on either side.
+    """
+    poses = run.poses
+    if len(poses) < 3:
+        return ()
+    steps = _measure_steps(poses)
+    step_ns = np.diff(poses.time_ns)
+    usual_ns = np.maximum(step_ns, np.median(step_ns))
+    moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
+    applied = [poses.speed_m_s, poses.turn_rate_rad_s]
+    is_jump = np.zeros(len(step_ns), dtype=bool)
+    for way, seen, acceleration in zip((moved, turned), applied, _ACCELERATION, strict=True):
+        rate = _find_lasting_rate(way / usual_ns * 1e9, seen)
+        reached = np.maximum(rate, acceleration * usual_ns / 1e9)
+        is_jump |= way > _FAST * reached * usual_ns / 1e9 + _ROUNDING
+    for name, way in zip(("ahead", "aside", "turned"), steps, strict=True):
+        rate = way / usual_ns * 1e9
+        # Aside a robot on wheels has next to no way, whose sign says nothing.
+        can_lead_back = (name != "aside") & (step_ns <= LONGEST_STEP_NS)
+        stands_out = _find_reversals(rate) & can_lead_back
+        stands_out[find_outliers(poses.time_ns[1:], rate)] = True
+        is_jump |= stands_out & (np.abs(way - _smooth(way)) > _ROUNDING)
+    return tuple(
+        PoseJump(
+            row=row + 1,
+            time_ns=int(poses.time_ns[row + 1]),
+            moved_m=float(steps[0][row]),
+            aside_m=float(steps[1][row]),
+            turned_rad=float(steps[2][row]),
+        )
+        for row in np.flatnonzero(is_jump).tolist()
+    )
+
+
+def describe_breaks(run: Run) -> dict[str, str]:
+    """Return a sentence on `jumps` and one on `gaps`, where there are some."""
+    found = {}
+    if jumps := find_jumps(run):
+        found["jumps"] = _describe_jumps(jumps, run.start_ns)
+    if gaps := find_gaps(run):
+        longest = max(gaps, key=lambda gap: gap.end_ns - gap.start_ns)
+        which = "" if len(gaps) == 1 else "the longest "
+        found["gaps"] = (
+            f"{describe_count(len(gaps), 'gap')}, {which}{_format_s(longest)} without a pose from"
+            f" {(longest.start_ns - run.start_ns) / 1e9:.1f} s; usual are"
+            f" {longest.usual_ns / 1e6:.0f} ms"
+        )
+    return found
+
+
+def _format_s(gap: PoseGap) -> str:
+    return f"{(gap.end_ns - gap.start_ns) / 1e9:.2f} s"
+
+
+def _describe_jumps(jumps: Sequence[PoseJump], start_ns: int) -> str:
+    largest = max(jumps, key=lambda jump: abs(jump.moved_m) + abs(jump.aside_m))
+    which = "" if len(jumps) == 1 else "the largest "
+    ways = {
+        "m ahead": largest.moved_m,
+        "m back": -largest.moved_m,
+        "m to the left": largest.aside_m,
+        "m to the right": -largest.aside_m,
+    }
+    parts = [f"{way:.3g} {unit}" for unit, way in ways.items() if way > _ROUNDING]
+    if abs(largest.turned_rad) > _ROUNDING:
+        parts.append(f"{np.degrees(largest.turned_rad):+.3g} deg")
+    at_s = (largest.time_ns - start_ns) / 1e9
+    return f"{describe_count(len(jumps), 'jump')}, {which}{join_words(parts)} at {at_s:.1f} s"
+
+
+def _measure_steps(poses: PoseColumns) -> tuple[Values, Values, Values]:
+    """Return each step along and across the mean heading of its two poses [m], and turned [rad]."""
+    turned_rad = subtract_headings(poses.heading_rad[1:], poses.heading_rad[:-1])
+    mean_rad = poses.heading_rad[:-1] + 0.5 * turned_rad
+    x_m, y_m = np.diff(poses.xy_m, axis=0).T
+    cos, sin = np.cos(mean_rad), np.sin(mean_rad)
+    return x_m * cos + y_m * sin, y_m * cos - x_m * sin, turned_rad
+
+
+def _find_reversals(rate: Values) -> NDArray[np.bool_]:
+    """Return which steps lead back in the midst of a steady way, further than this way varies."""
+    found = np.zeros(len(rate), dtype=bool)
+    if len(rate) <= 2 * NEIGHBOURS:
+        return found
+    windows = sliding_window_view(rate, 2 * NEIGHBOURS + 1)
+    near, own = np.delete(windows, NEIGHBOURS, axis=1), windows[:, NEIGHBOURS]
+    low, high = near.min(axis=1), near.max(axis=1)
+    is_back = ((low > 0.0) & (own < 0.0)) | ((high < 0.0) & (own > 0.0))
+    off = np.abs(own - np.median(near, axis=1))
+    least = np.maximum(LOCAL_SPANS * (high - low), GRAINS * find_grain(rate))
+    found[NEIGHBOURS:-NEIGHBOURS] = is_back & (off > least)
+    return found
+
+
+def _smooth(way: Values) -> Values:
+    """Return what each step is beside its two neighbours: the median of the three."""
+    padded = np.pad(way, 1, mode="edge")
+    return np.asarray(np.median(sliding_window_view(padded, 3), axis=1))
+
+
+def _find_lasting_rate(rate: Values, applied: Values | None) -> float:
+    """Return the greatest rate of two steps in a row, or that the plant says it applied."""
+    lasting = float(np.minimum(rate[1:], rate[:-1]).max())
+    return lasting if applied is None else max(lasting, float(np.abs(applied).max()))

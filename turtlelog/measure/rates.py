@@ -1,0 +1,177 @@
+"""How fast a robot moved, and what it was asked to do meanwhile: one axis at a time.
+
+Rates are those that the robot reports; turtlesim reports what it applied, the speed without a sign,
+which the poses give. Where none are reported they are differences of poses: the forward speed is
+the way along the mean heading over the time that it took. A difference of poses that are close in
+time is noise: 1 mm over 1 ms is 1 m/s. So of fast poses every n-th is taken.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.measure.outliers import find_outliers
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+Axis = Literal["speed", "turn_rate"]
+
+SHORTEST_S: Final = 0.05
+"""Time over which poses are differenced, about [s]: odometry at 20 Hz, the most usual, is taken
+pose by pose."""
+
+_LEAST_STEP: Final = 0.5
+"""A pose nearer to the one before than this share of the usual time between two is left out: pairs
+that arrive 0.1 ms apart make a speed of any size."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rates:
+    """The rate of one axis over time; times count from time zero of the run.
+
+    Attributes:
+        is_reported: Whether the robot reports them, instead of being differences of poses.
+        time_s: When each value holds [s], shape (n,), strictly increasing.
+        values: Rate [m/s or rad/s], shape (n,); backward and clockwise negative.
+        edges_s: Ends of the intervals that `means` belong to [s], shape (m + 1,).
+        means: Mean rate of each interval, shape (m,); of reported rates the line between them.
+        outliers: How many values were left out.
+    """
+
+    is_reported: bool
+    time_s: Values
+    values: Values
+    edges_s: Values
+    means: Values
+    outliers: int
+
+
+def read_rates(run: Run, axis: Axis) -> Rates | None:
+    """Return the rate of an axis, None where there are less than two poses."""
+    poses = run.poses
+    reported = poses.measured_speed_m_s if axis == "speed" else poses.measured_turn_rate_rad_s
+    if len(poses) < 2:
+        return None
+    if reported is None:
+        applied = _read_applied(run, axis)
+        rates = _difference_poses(run, axis)
+        if applied is None:
+            return rates
+        time_s = (poses.time_ns - run.start_ns) / 1e9
+        return replace(rates, is_reported=True, time_s=time_s, values=applied, outliers=0)
+    kept = np.delete(np.arange(len(poses)), find_outliers(poses.time_ns, reported))
+    time_s, values = (poses.time_ns[kept] - run.start_ns) / 1e9, reported[kept]
+    return Rates(
+        is_reported=True,
+        time_s=time_s,
+        values=values,
+        edges_s=time_s,
+        means=(values[:-1] + values[1:]) / 2.0,
+        outliers=len(poses) - len(kept),
+    )
+
+
+def _read_applied(run: Run, axis: Axis) -> Values | None:
+    """Return what the plant applied on the way to each pose, None where that is not recorded."""
+    poses = run.poses
+    if axis == "turn_rate" or poses.speed_m_s is None:
+        return poses.turn_rate_rad_s if axis == "turn_rate" else None
+    ways_m = np.diff(poses.xy_m, axis=0, prepend=poses.xy_m[:1])
+    heading_rad = poses.heading_rad
+    forward_m = ways_m[:, 0] * np.cos(heading_rad) + ways_m[:, 1] * np.sin(heading_rad)
+    return np.asarray(poses.speed_m_s * np.sign(forward_m))
+
+
+def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rows of poses that are differenced, the first among them; at least two are given.
+
+    The last row is left out where it does not come a whole stride after the one before.
+    """
+    usual_s = float(np.median(np.diff(time_ns))) / 1e9
+    rows = np.arange(0, len(time_ns), max(round(SHORTEST_S / usual_s), 1))
+    if len(rows) < 2:
+        return np.array([0, len(time_ns) - 1])
+    step_ns = np.diff(time_ns[rows])
+    is_far = np.concatenate([[True], step_ns >= _LEAST_STEP * np.median(step_ns)])
+    return np.asarray(rows[is_far])
+
+
+def _difference_poses(run: Run, axis: Axis) -> Rates:
+    poses = run.poses
+    rows = thin_poses(poses.time_ns)
+    edges_s = (poses.time_ns[rows] - run.start_ns) / 1e9
+    heading_rad = np.unwrap(poses.heading_rad)[rows]
+    if axis == "turn_rate":
+        moved = np.diff(heading_rad)
+    else:
+        mean_rad = (heading_rad[:-1] + heading_rad[1:]) / 2.0
+        ways_m = np.diff(poses.xy_m[rows], axis=0)
+        moved = ways_m[:, 0] * np.cos(mean_rad) + ways_m[:, 1] * np.sin(mean_rad)
+    means = moved / np.diff(edges_s)
+    middle_s = (edges_s[:-1] + edges_s[1:]) / 2.0
+    wrong = find_outliers(np.asarray(np.round(middle_s * 1e9), dtype=np.int64), means)
+    if len(wrong):
+        # The intervals stay in order: what a wrong one hides is taken from its neighbours.
+        means = means.copy()
+        means[wrong] = (means[wrong - 1] + means[wrong + 1]) / 2.0
+    return Rates(
+        is_reported=False,
+        time_s=np.delete(middle_s, wrong),
+        values=np.delete(means, wrong),
+        edges_s=edges_s,
+        means=means,
+        outliers=len(wrong),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldCommands:
+    """The published commands of one axis as they hold, each until the next; at least one.
+
+    Attributes:
+        time_s: When each value begins to hold, from time zero of the run [s], shape (n,); equal
+            values in a row are one, and of several at one time the last.
+        values: Rate [m/s or rad/s], shape (n,).
+        end_s: When the last command was published: how long that one holds nobody knows [s].
+        before: What is taken to hold before the first: 0 where the robot stood still, else the
+            first.
+    """
+
+    time_s: Values
+    values: Values
+    end_s: float
+    before: float
+
+    def integrate(self, time_s: Values) -> Values:
+        """Return the integral of the commands up to each time [m or rad], shape of `time_s`."""
+        first_s = min(float(time_s.min()), float(self.time_s[0])) - 1.0
+        last_s = max(float(time_s.max()), self.end_s) + 1.0
+        knots_s = np.concatenate([[first_s], self.time_s, [last_s]])
+        ways = np.diff(knots_s) * np.concatenate([[self.before], self.values])
+        return np.asarray(np.interp(time_s, knots_s, np.concatenate([[0.0], np.cumsum(ways)])))
+
+
+SAME: Final = 1e-6
+"""Commands that differ by less are one [m/s or rad/s]: programs that add up steps of 0.1 end 1e-17
+beside 0, and 32 bits round a command of 5 by 5e-7."""
+
+
+def read_held_commands(run: Run, axis: Axis, rates: Rates) -> HeldCommands | None:
+    """Return the commands of an axis, None where none were published."""
+    commands = run.commands
+    if not len(commands):
+        return None
+    values = commands.speed_m_s if axis == "speed" else commands.turn_rate_rad_s
+    time_s = (commands.time_ns - run.start_ns) / 1e9
+    # Of commands at one time the last one holds.
+    is_last = np.append(np.diff(time_s) > 0.0, True)
+    time_s, values = time_s[is_last], values[is_last]
+    end_s = float(time_s[-1])
+    is_new = np.concatenate([[True], np.diff(values) != 0.0])
+    time_s, values = time_s[is_new], values[is_new]
+    first = float(values[0])
+    row = min(max(int(np.searchsorted(rates.edges_s, time_s[0])) - 1, 0), len(rates.means) - 1)
+    stood = abs(float(rates.means[row])) <= abs(first) / 2.0
+    return HeldCommands(time_s=time_s, values=values, end_s=end_s, before=0.0 if stood else first)

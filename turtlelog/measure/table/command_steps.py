@@ -1,0 +1,239 @@
+"""Steps of the commands that a robot was sent, and how its measured rate answers them.
+
+A step leads from a command that has held long enough for the robot to come to rest at it to another
+that holds long enough for it to get there. What a stick or a ramp makes changes with every message,
+and is none. A response is judged by where it begins and where it comes to: a robot that drives 0.9
+times as fast as it is asked has no steady-state error here.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates
+from turtlelog.measure.registry import run_metric
+from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
+
+HELD_BEFORE_S: Final = 0.5
+HELD_AFTER_S: Final = 1.0
+"""How long a command holds before and after a step [s]: five and ten time constants of 0.1 s, which
+wheeled robots of this size have (a TurtleBot3: 0.07 to 0.09 s), and longer than ramps take from
+message to message, 0.1 s."""
+
+LEAST_STEP: Final = 0.1
+"""The least step, as a share of the largest command of the run: smaller ones drown in noise."""
+
+_LONGEST_S: Final = 5.0
+"""As much of a response as is looked at [s]: what has not been answered by then is answered by
+something else."""
+
+_ANSWERED: Final = 0.5
+"""Share of a step that the robot does at least: else something holds it, or nobody listens."""
+
+_FEWEST: Final = 5
+"""Measured rates in the second after a step that it takes to see its response."""
+
+_BAND: Final = 0.05
+"""Half-width of the settling band at least, as a share of the response: odometry is noisier than
+the 2 % to which a simulated loop settles."""
+
+_WIDEST: Final = 0.2
+"""Scatter, as a share of the response, above which neither settling nor overshoot can be seen, and
+twice which no rise: from 10 % to 90 % is found by the first values beyond."""
+
+_LONGEST_GAP_S: Final = 1.5 / _FEWEST
+"""Longest time without a measured rate in the second after a step [s]: the usual one, and half."""
+
+_SCATTER: Final = 3.0
+"""Standard deviations of the end of a response within which its values count as there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepFigures:
+    """How a measured rate answers one step of its command; None for what does not happen.
+
+    Attributes:
+        rise_time_s: From 10 % to 90 % of the response [s].
+        settling_time_s: From the command until the rate stays in the band around its end [s].
+        overshoot: Beyond its end, as a share of the response [1]; 0 within the band.
+    """
+
+    rise_time_s: float | None
+    settling_time_s: float | None
+    overshoot: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandStep:
+    """A step of a command.
+
+    Attributes:
+        time_s: When it was published, from time zero of the run [s].
+        end_s: Until when it holds [s].
+        before: Command before [m/s or rad/s].
+        after: Command from then on.
+    """
+
+    time_s: float
+    end_s: float
+    before: float
+    after: float
+
+
+def find_command_steps(commands: HeldCommands, begin_s: float, end_s: float) -> list[CommandStep]:
+    """Return the steps of an axis between the first pose and the last, in order.
+
+    The last command holds until the last message: how long after that nobody knows.
+    """
+    end_s = min(end_s, commands.end_s)
+    starts_s = np.concatenate([[min(begin_s, commands.time_s[0])], commands.time_s])
+    values = np.concatenate([[commands.before], commands.values])
+    is_new = (np.abs(np.diff(values, prepend=np.inf)) > SAME) & (starts_s <= end_s)
+    starts_s, values = starts_s[is_new], values[is_new]
+    held_s = np.diff(np.append(starts_s, end_s))
+    least = LEAST_STEP * float(np.abs(values).max(initial=0.0))
+    is_step = (held_s[:-1] >= HELD_BEFORE_S - _GRAIN_S) & (held_s[1:] >= HELD_AFTER_S - _GRAIN_S)
+    is_step &= (np.abs(np.diff(values)) >= max(least, SAME)) & (starts_s[1:] >= begin_s)
+    return [
+        CommandStep(
+            time_s=float(starts_s[row + 1]),
+            end_s=float(starts_s[row + 1] + held_s[row + 1]),
+            before=float(values[row]),
+            after=float(values[row + 1]),
+        )
+        for row in np.flatnonzero(is_step)
+    ]
+
+
+_GRAIN_S: Final = 1e-6
+"""Rounding of times [s]: a command that holds for half a second holds for 499,999,999 ns, too."""
+
+
+def measure_steps(rates: Rates, steps: list[CommandStep], band: float) -> Iterator[StepFigures]:
+    """Yield how the robot answers each step that it answers."""
+    for step in steps:
+        found = _measure_step(rates, step, band)
+        if found is not None:
+            yield found
+
+
+def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures | None:
+    end_s = min(step.end_s, step.time_s + _LONGEST_S)
+    time_s, values = rates.time_s, rates.values
+    rows = slice(*np.searchsorted(time_s, [step.time_s, end_s]))
+    earlier = slice(*np.searchsorted(time_s, [step.time_s - HELD_BEFORE_S / 2.0, step.time_s]))
+    time_s, inside = time_s[rows], values[rows]
+    settled = inside[np.searchsorted(time_s, end_s - (end_s - step.time_s) / 3.0) :]
+    first_s = time_s[time_s <= step.time_s + HELD_AFTER_S]
+    if len(settled) < 2 or np.diff(first_s, prepend=step.time_s).max(initial=0.0) > _LONGEST_GAP_S:
+        return None
+    initial = float(np.mean(values[earlier])) if earlier.stop > earlier.start else float(inside[0])
+    final, scatter = float(np.mean(settled)), _SCATTER * float(np.std(settled))
+    size = final - initial
+    if size / (step.after - step.before) < _ANSWERED:
+        return None
+    # From the moment of the command on, at which the robot still is where it was.
+    time_s = np.concatenate([[step.time_s], time_s])
+    inside = np.concatenate([[initial], inside])
+    share = scatter / abs(size)
+    rise = find_rise(time_s, inside, initial=initial, reference=final)
+    rise_s = None if rise is None or share > 2.0 * _WIDEST else rise[1] - rise[0]
+    if share > _WIDEST:
+        return StepFigures(rise_time_s=rise_s, settling_time_s=None, overshoot=None)
+    band = max(band, _BAND, share)
+    settled_s = find_settling_time(time_s, inside, initial=initial, reference=final, band=band)
+    overshoot = find_overshoot(inside, initial=initial, reference=final)
+    return StepFigures(
+        rise_time_s=rise_s,
+        settling_time_s=None if settled_s is None else settled_s - float(time_s[0]),
+        overshoot=overshoot if overshoot > band else 0.0,
+    )
+
+
+_ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
+_NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
+_NO_STEPS: Final = Missing(
+    status=Status.NO_STEP,
+    reason=f"no command is held for {HELD_AFTER_S:g} s after one that was for {HELD_BEFORE_S:g} s",
+)
+_NO_ANSWER: Final = Missing(
+    status=Status.NOT_REACHED, reason="the robot does not do half of any step of its commands"
+)
+_NOT_SEEN: Final = Missing(
+    status=Status.UNDETERMINED, reason="the measured rate scatters too far for the steps there are"
+)
+
+
+def _find_steps(context: RunContext, axis: Axis) -> list[CommandStep] | Missing:
+    if not len(context.run.commands):
+        return _NO_COMMANDS
+    commands = context.get_commands(axis)
+    if commands is None:
+        return _ONE_POSE
+    begin_s, end_s = float(context.pose_time_s[0]), float(context.pose_time_s[-1])
+    return context.recall(("steps", axis), lambda: find_command_steps(commands, begin_s, end_s))
+
+
+def _count_steps(axis: Axis) -> Callable[[RunContext], Result]:
+    def count(context: RunContext) -> Result:
+        steps = _find_steps(context, axis)
+        return steps if isinstance(steps, Missing) else Found(float(len(steps)))
+
+    return count
+
+
+def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunContext], Result]:
+    """Return the metric that is the median of one figure over the steps that are answered."""
+
+    def compute(context: RunContext) -> Result:
+        steps, rates = _find_steps(context, axis), context.get_rates(axis)
+        if isinstance(steps, Missing) or rates is None:
+            return steps if isinstance(steps, Missing) else _ONE_POSE
+        if not steps:
+            return _NO_STEPS
+        period_s = float(np.median(np.diff(rates.edges_s)))
+        if period_s * _FEWEST > HELD_AFTER_S:
+            reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST} Hz"
+            return Missing(status=Status.TOO_SHORT, reason=reason)
+        band = context.settings.band
+        figures = context.recall(("answers", axis), lambda: list(measure_steps(rates, steps, band)))
+        found = [getattr(one, name) for one in figures]
+        known = [value for value in found if value is not None]
+        if not known:
+            return _NOT_SEEN if figures else _NO_ANSWER
+        return Found(float(np.median(known)) * factor)
+
+    return compute
+
+
+for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
+    _name: Axis = "speed" if _axis == "speed" else "turn_rate"
+    _words = _axis.replace("_", " ")
+    run_metric(
+        f"run.{_axis}_steps",
+        "1",
+        f"Steps of the published {_words}: held for 0.5 s before, and for 1 s after.",
+        better=None,
+    )(_count_steps(_name))
+    run_metric(
+        f"run.{_axis}_rise_time",
+        "s",
+        "Time from 10 % to 90 % of the answer to such a step, their median.",
+    )(_take_median(_name, "rise_time_s"))
+    run_metric(
+        f"run.{_axis}_settling_time",
+        "s",
+        "Time from the command until the measured rate stays within 5 % (or a wider `band`, or"
+        " its scatter) of where it comes to, their median.",
+    )(_take_median(_name, "settling_time_s"))
+    run_metric(
+        f"run.{_axis}_overshoot",
+        "%",
+        "Furthest measured rate beyond where it comes to, of the answer; 0 within the band; their"
+        " median.",
+        floor=0.0,
+    )(_take_median(_name, "overshoot", 100.0))

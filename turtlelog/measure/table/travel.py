@@ -1,0 +1,193 @@
+"""Metrics of how a robot moved, of poses alone: how far, how fast, how smoothly, and at rest."""
+
+from collections.abc import Callable
+from math import degrees
+from typing import Final
+
+import numpy as np
+
+from turtlelog.measure.context import RunContext
+from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.rates import Axis, Rates, Values, thin_poses
+from turtlelog.measure.registry import run_metric
+
+_ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
+
+
+@run_metric("run.net_displacement", "m", "Distance from the first pose to the last.", better=None)
+def _compute_displacement(context: RunContext) -> Result:
+    xy_m = context.run.poses.xy_m
+    return Found(float(np.hypot(*(xy_m[-1] - xy_m[0]))))
+
+
+@run_metric(
+    "run.total_turning",
+    "deg",
+    "Sum of the magnitudes of all turns from pose to pose.",
+    better=None,
+    grows=True,
+)
+def _compute_turning(context: RunContext) -> Result:
+    turns_rad = np.diff(np.unwrap(context.run.poses.heading_rad))
+    return Found(degrees(float(np.abs(turns_rad).sum())))
+
+
+def _on_rates(axis: Axis, compute: Callable[[Rates], Result]) -> Callable[[RunContext], Result]:
+    def compute_on_rates(context: RunContext) -> Result:
+        rates = context.get_rates(axis)
+        return _ONE_POSE if rates is None else compute(rates)
+
+    return compute_on_rates
+
+
+def _find_largest(rates: Rates) -> Result:
+    row = int(np.abs(rates.values).argmax())
+    return Found(abs(float(rates.values[row])), float(rates.time_s[row]))
+
+
+def _compute_mean(rates: Rates) -> Result:
+    step_s = np.diff(rates.edges_s)
+    return Found(float(np.dot(np.abs(rates.means), step_s) / step_s.sum()))
+
+
+for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
+    _name: Axis = "speed" if _axis == "speed" else "turn_rate"
+    _words = _axis.replace("_", " ")
+    run_metric(
+        f"run.measured_{_axis}_max",
+        _unit,
+        f"Largest magnitude of the {_words} that the robot reports, or else of differences of"
+        " poses; outliers left out.",
+        better=None,
+    )(_on_rates(_name, _find_largest))
+    run_metric(
+        f"run.measured_{_axis}_mean",
+        _unit,
+        "Mean of that magnitude over time.",
+        better=None,
+    )(_on_rates(_name, _compute_mean))
+
+
+_AT_REST_M_S: Final = 0.01
+_AT_REST_RAD_S: Final = 0.02
+"""Slower than both a robot is at rest [m/s, rad/s]: a tenth of the 0.1 m/s and 0.2 rad/s at which
+small robots creep, and over the noise of poses, of which 1 mm and 2 mrad make a third of it."""
+
+_REST_S: Final = 0.5
+"""Over how long that is looked at [s]: 5 mm and 0.6 deg, so that noise of poses is no motion."""
+
+
+def _find_rest(context: RunContext) -> tuple[float, float] | None:
+    """Return how long the robot is at rest, and how long it was looked at [s]; None for one pose.
+
+    The time between two poses is at rest where the robot moves by less, either in the half second
+    that ends with it or in the half second that begins with it: rest reaches up to its edges.
+    """
+    poses = context.run.poses
+    if len(poses) < 2:
+        return None
+    rows = thin_poses(poses.time_ns)
+    time_s, heading_rad = context.pose_time_s[rows], np.unwrap(poses.heading_rad)[rows]
+    columns = (*poses.xy_m[rows].T, heading_rad)
+    starts_s, ends_s = time_s[:-1], time_s[1:]
+    is_at_rest = np.zeros(len(starts_s), dtype=bool)
+    for first_s, last_s in (
+        (np.minimum(starts_s, ends_s - _REST_S), ends_s),
+        (starts_s, np.maximum(ends_s, starts_s + _REST_S)),
+    ):
+        first_s, last_s = np.maximum(first_s, time_s[0]), np.minimum(last_s, time_s[-1])
+        moved = [np.interp(last_s, time_s, at) - np.interp(first_s, time_s, at) for at in columns]
+        length_s = last_s - first_s
+        is_slow = np.hypot(moved[0], moved[1]) <= _AT_REST_M_S * length_s
+        is_at_rest |= is_slow & (np.abs(moved[2]) <= _AT_REST_RAD_S * length_s)
+    return float((ends_s - starts_s)[is_at_rest].sum()), float(time_s[-1] - time_s[0])
+
+
+@run_metric(
+    "run.rest_time",
+    "s",
+    "Time at standstill: slower than 0.01 m/s and 0.02 rad/s, over half a second.",
+    better=None,
+)
+def _compute_rest_time(context: RunContext) -> Result:
+    found = context.recall("rest", lambda: _find_rest(context))
+    return _ONE_POSE if found is None else Found(found[0])
+
+
+@run_metric("run.rest_share", "1", "Share of the time at standstill.", better=None)
+def _compute_rest_share(context: RunContext) -> Result:
+    found = context.recall("rest", lambda: _find_rest(context))
+    return _ONE_POSE if found is None else Found(found[0] / found[1])
+
+
+_HIGHEST_HZ: Final = 10.0
+_LEAST_AMPLITUDE: Final = 0.05
+_PADDING: Final = 4
+"""Cut-off frequency [Hz], amplitude threshold [1] and zero padding [powers of 2] of the source."""
+
+_LEAST_HZ: Final = 5.0
+"""Poses that come less often than this do not show how smoothly a robot moves [Hz]: one that takes
+a second to start is seen in five of them."""
+
+_MOST_ROWS: Final = 20_000
+"""As much of a run as its smoothness is computed of: a quarter of an hour at 20 Hz."""
+
+
+@run_metric(
+    "run.spectral_arc_length",
+    "1",
+    "Smoothness of the measured speed (SPARC): -1.4 is a single smooth movement, less is jerkier.",
+    better="higher",
+)
+def _compute_arc_length(context: RunContext) -> Result:
+    rates = context.get_rates("speed")
+    if rates is None:
+        return _ONE_POSE
+    period_s = max(float(np.median(np.diff(rates.edges_s))), 0.04)
+    if period_s > 1.0 / _LEAST_HZ:
+        reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
+        return Missing(status=Status.TOO_SHORT, reason=reason)
+    time_s, values = rates.time_s[:_MOST_ROWS], rates.values[:_MOST_ROWS]
+    if float(np.abs(values).max()) <= _AT_REST_M_S:
+        return Missing(status=Status.NO_MOTION, reason="the robot does not leave its place")
+    even_s = np.arange(time_s[0], time_s[-1], period_s)
+    if len(even_s) < _LEAST_HZ:
+        return Missing(status=Status.TOO_SHORT, reason=f"{len(values)} measured speeds")
+    found = compute_spectral_arc_length(np.interp(even_s, time_s, values), 1.0 / period_s)
+    return _NOISY if found is None else Found(found)
+
+
+_FLOOR: Final = 3.0
+"""Times the median amplitude above half the cut-off frequency: of noise, 1 amplitude in 500 is
+larger. Where that reaches the threshold, noise decides where the spectrum ends."""
+
+_NOISY: Final = Missing(
+    status=Status.UNDETERMINED,
+    reason="the spectrum of the measured speed does not fall: noise of the poses, or jolts",
+)
+
+
+def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
+    """Return the spectral arc length of a speed profile [1], negative; None where noise decides it.
+
+    The length of the normalised amplitude spectrum up to 10 Hz, or half the rate, where it last
+    reaches 5 % of its largest value: S. Balasubramanian, A. Melendez-Calderon, A. Roby-Brami, E.
+    Burdet, "On the analysis of movement smoothness", J. NeuroEngineering and Rehabilitation 12:112
+    (2015). Noise spreads over all frequencies and stays below the threshold.
+
+    Args:
+        speed: At equal distances in time, shape (n,), not all 0.
+        rate_hz: Values per second.
+    """
+    count = 2 ** (int(np.ceil(np.log2(len(speed)))) + _PADDING)
+    frequency_hz = np.arange(count // 2 + 1) * rate_hz / count
+    spectrum = np.abs(np.fft.rfft(speed, count))
+    spectrum = spectrum[frequency_hz <= _HIGHEST_HZ] / spectrum.max()
+    frequency_hz = frequency_hz[: len(spectrum)]
+    if _FLOOR * float(np.median(spectrum[len(spectrum) // 2 :])) >= _LEAST_AMPLITUDE:
+        return None
+    last = int(np.flatnonzero(spectrum >= _LEAST_AMPLITUDE)[-1])
+    if last == 0:
+        return -0.0
+    steps = np.diff(frequency_hz[: last + 1]) / frequency_hz[last]
+    return -float(np.hypot(steps, np.diff(spectrum[: last + 1])).sum())
