@@ -93,6 +93,7 @@ def format_robot(model: "RobotModel") -> str:
         (_NAMES[axis.axis], *(_format_value(getattr(axis, name), name) for name in _VALUES))
         for axis in model.axes
     ]
+    name = model.files[0] if len(model.files) == 1 else f"{len(model.files)} runs of one robot"
     heads = ("axis", "gain [1]", "dead time [ms]", "lag [ms]", "dead time + lag [ms]")
     sentences = [text for axis in model.axes for text in _tell_axis(axis)]
     if model.tick_delays is not None:
@@ -102,7 +103,7 @@ def format_robot(model: "RobotModel") -> str:
             f" {1e3 * delays.median_s:.1f} ms, largest {1e3 * delays.largest_s:.1f} ms."
         )
     table = tl.compare.Table(
-        title=f"{', '.join(model.files)}: values and intervals of 95 %",
+        title=f"{name}: values and intervals of 95 %",
         columns=tuple(tl.compare.Column(title=title) for title in heads),
         rows=tuple(rows),
         notes=(*sentences, *_tell_clock(model), *model.notes, *_tell_events(model)),

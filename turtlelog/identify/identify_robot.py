@@ -282,8 +282,6 @@ def _compare_runs(runs: Sequence[Run], together: AxisModel) -> list[str]:
         alone = _identify_axis([run], together.axis)[0]
         if alone.is_known:
             notes += _tell_differences(run.name, alone, together)
-        else:
-            notes.append(f"{run.name} alone does not tell the {NAMES[alone.axis]}: {alone.reason}.")
     return notes
 
 
