@@ -1,10 +1,13 @@
 """Robots of known truth, that share no code with the fit: a sum of responses to single steps."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.log.ros2.bags import START_NS, Said, make_vector, write_mcap
+from tests.log.ros2.robots import say_odometry, turn
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 Values = NDArray[np.float64]
@@ -221,3 +224,25 @@ def build_run(
             turn_rate_rad_s=none,
         ),
     )
+
+
+def write_bag(run: Run, path: Path) -> Path:
+    """Write a run as a robot's bag: odometry without stamps, and commands."""
+    said = []
+    rows = zip(run.poses.time_ns.tolist(), run.poses.xy_m, run.poses.heading_rad, strict=True)
+    for time_ns, (x_m, y_m), yaw_rad in rows:
+        (pose,) = say_odometry(count=1, x_m=float(x_m), by=turn(float(yaw_rad)))
+        pose.values["pose"]["pose"]["position"]["y"] = float(y_m)
+        said.append(replace(pose, time_ns=START_NS + time_ns))
+    columns = run.commands.time_ns, run.commands.speed_m_s, run.commands.turn_rate_rad_s
+    for time_ns, speed, turn_rate in zip(*(column.tolist() for column in columns), strict=True):
+        values = {"linear": make_vector(speed), "angular": make_vector(z=turn_rate)}
+        said.append(
+            Said(
+                topic="/cmd_vel",
+                type="geometry_msgs/msg/Twist",
+                values=values,
+                time_ns=START_NS + time_ns,
+            )
+        )
+    return write_mcap(path, sorted(said, key=lambda message: message.time_ns))

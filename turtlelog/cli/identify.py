@@ -21,6 +21,9 @@ _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
 _VALUES: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _MOST_EVENTS: Final = 5
 
+_WHOLE_MS: Final = 10.0
+"""Width of an interval above which tenths of a millisecond tell nothing [ms]."""
+
 _CURVE: Final = 0.5
 """Whiteness below which the residual is a curve: neighbours share half of what they are off."""
 
@@ -83,14 +86,22 @@ def _describe_axis(axis: "AxisModel") -> dict[str, Any]:
         told[name] = (
             None if found is None else {"value": found.value, "low": found.low, "high": found.high}
         )
-    others = ("explained", "whiteness", "outliers", "correlation_delay_s", "steps", "changes")
+    others = (
+        "explained",
+        "whiteness",
+        "outliers",
+        "correlation_delay_s",
+        "steps",
+        "steps_in_all",
+        "changes",
+    )
     return told | {name: getattr(axis, name) for name in others}
 
 
 def format_robot(model: "RobotModel") -> str:
     """Return a table of values, and sentences."""
     rows = [
-        (_NAMES[axis.axis], *(_format_value(getattr(axis, name), name) for name in _VALUES))
+        (_NAMES[axis.axis], *(format_value(getattr(axis, name), name) for name in _VALUES))
         for axis in model.axes
     ]
     name = model.files[0] if len(model.files) == 1 else f"{len(model.files)} runs of one robot"
@@ -111,13 +122,14 @@ def format_robot(model: "RobotModel") -> str:
     return "\n".join([format_table(table).rstrip("\n"), *_format_nav2(model)])
 
 
-def _format_value(found: "Estimate | None", name: str) -> str:
+def format_value(found: "Estimate | None", name: str) -> str:
+    """Return a value with its interval, delays in ms; `-` for none."""
     if found is None:
         return "-"
     if name == "gain":
         return f"{found.value:.3f} ({found.low:.3f} to {found.high:.3f})"
     value, low, high = (1e3 * number for number in (found.value, found.low, found.high))
-    digits = 0 if high - low > 10.0 else 1
+    digits = 0 if high - low > _WHOLE_MS else 1
     return f"{value:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 

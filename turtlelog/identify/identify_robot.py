@@ -44,6 +44,10 @@ pairs."""
 _FEWEST_STEPS: Final = 50
 """Fewest steps between poses from which noise can be told [1]: a second and a half at 30 Hz."""
 
+MOST_STEPS: Final = 100_000
+"""Steps that are used of each axis: half an hour at 50 Hz, in about 5 s. Of a longer log the first
+part of each run; more would tell what no robot keeps for so long."""
+
 _SHORT_LAG: Final = 2.0
 """A lag of so many steps between poses or less may as well be none."""
 
@@ -75,6 +79,7 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
         return exact
     found = [_identify_axis(runs, axis) for axis in AXES]
     notes = [note for model, _ in found for note in _compare_runs(runs, model)]
+    notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
         files=files,
         clock=runs[0].clock,
@@ -89,6 +94,9 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     reason = find_no_excitation(runs, axis)
     motions = [read_axis_motion(run, axis) for run in runs]
     steps = count_steps(motions)
+    if steps > MOST_STEPS:
+        share = MOST_STEPS / steps
+        motions = [motion.take(slice(int(share * len(motion.moved)))) for motion in motions]
     if not reason and steps < _FEWEST_STEPS:
         reason = (
             f"expected at least {_FEWEST_STEPS} steps between poses at most 1 s apart while"
@@ -106,7 +114,15 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         return refuse_axis(axis, reason), []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
     delay_s = find_correlation_delay(motions)
-    return replace(found, correlation_delay_s=delay_s), _list_events(names, axis, fit)
+    found = replace(found, correlation_delay_s=delay_s, steps_in_all=steps)
+    return found, _list_events(names, axis, fit)
+
+
+def _note_part(model: AxisModel) -> str:
+    return (
+        f"The {NAMES[model.axis]} is identified from the first {model.steps} of"
+        f" {model.steps_in_all} steps between poses."
+    )
 
 
 def find_no_excitation(runs: Sequence[Run], axis: Axis) -> str:

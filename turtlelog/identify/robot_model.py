@@ -88,6 +88,7 @@ class AxisModel:
         correlation_delay_s: The delay at which commands and motion correlate best [s]: a second
             opinion, which knows of no lag.
         steps: Steps between poses that were used.
+        steps_in_all: Steps between poses in which commands act.
         changes: How often the command changes.
     """
 
@@ -107,6 +108,7 @@ class AxisModel:
     outliers: int = 0
     correlation_delay_s: float | None = None
     steps: int = 0
+    steps_in_all: int = 0
     changes: int = 0
 
     @property

@@ -81,6 +81,7 @@ def _describe(runs: Sequence[Run], axis: Axis, delays: TickDelays) -> AxisModel:
             reason=reason,
             advice=f"step the {name} ten times for 2 s",
         )
+    poses = sum(len(run.poses) for run in runs)
     delay = Estimate(value=delays.median_s, low=delays.least_s, high=delays.largest_s)
     return AxisModel(
         axis=axis,
@@ -89,6 +90,7 @@ def _describe(runs: Sequence[Run], axis: Axis, delays: TickDelays) -> AxisModel:
         dead_time_s=delay,
         lag_s=Estimate(value=0.0, low=0.0, high=0.0),
         total_delay_s=delay,
-        steps=sum(len(run.poses) for run in runs),
+        steps=poses,
+        steps_in_all=poses,
         changes=sum(int(np.count_nonzero(np.diff(get_commands(run, axis)))) for run in runs),
     )
