@@ -84,7 +84,10 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         (["run", "--kp", "x"], "--kp: expected a number, found 'x'"),
         (["run", "--kp"], "turtlelog run: --kp: expected a number, found none"),
         (["run", "--kpp", "3"], "turtlelog run: expected an option (--kp), found '--kpp'"),
-        (["info", "-x"], "turtlelog info: expected an option (--partial or --json), found '-x'"),
+        (
+            ["info", "-x"],
+            "turtlelog info: expected an option (--partial, --clock or --json), found '-x'",
+        ),
         (["run", "--json=3"], "--json: expected no value, found '3'"),
         (["compar"], "turtlelog: expected a command (compare), found 'compar'"),
         (["explain"], "turtlelog explain: expected FILE, found none"),

@@ -372,3 +372,28 @@ def test_the_goal_is_reached_within_a_distance_in_metres(tolerance_m: float, at_
     short = replace(run, goal_xy_m=(1.2, 0.0))
     metric = measure(short, "run.time_to_goal", goal_tolerance_m=tolerance_m)
     assert metric.reason == f"the run ends further from the goal than {tolerance_m:g} m"
+
+
+def test_turtlesim_stops_a_second_after_its_last_command() -> None:
+    """Another robot goes on: nobody knows for how long."""
+    asked = [(2.0, 0.5), (3.0, 0.0), (8.0, 0.3), (9.0, 0.0)]
+    at_s, values = np.array([2.0, 8.0]), np.array([0.5, 0.3])
+    run = make_driven_run(
+        AT_20_HZ,
+        speed=respond(AT_20_HZ, asked, 0.0),
+        commands=(at_s, values, np.zeros(2)),
+        reports=True,
+    )
+    assert read(run, "run.speed_tracking_rms") > 0.4
+    poses = run.poses
+    applied = replace(
+        poses,
+        speed_m_s=poses.measured_speed_m_s,
+        turn_rate_rad_s=poses.measured_turn_rate_rad_s,
+        measured_speed_m_s=None,
+        measured_turn_rate_rad_s=None,
+    )
+    turtle = replace(run, poses=applied)
+    assert read(turtle, "run.speed_tracking_rms") == pytest.approx(0.0, abs=1e-6)
+    assert read(turtle, "run.speed_lag") == pytest.approx(0.0, abs=1e-3)
+    assert read(turtle, "run.speed_steps") == 3.0  # the last stop is held for no time

@@ -66,7 +66,7 @@ class FirstSpecOptions:
     schema: bool = False
 
 
-def check(  # noqa: PLR0913 (each is an option of the command)
+def check(
     words: Words | None = None,
     /,
     *,

@@ -1,5 +1,8 @@
 """`turtlelog info`: what a recording holds."""
 
+import shutil
+import sys
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,6 +24,9 @@ from turtlelog.escapes import escape_controls
 if TYPE_CHECKING:
     from turtlelog.compare import Table
     from turtlelog.log import RecordingInfo
+
+_NARROWEST: Final = 20
+"""Columns that a text has at least, however narrow the terminal."""
 
 _MOST_ENTRIES: Final = 8
 """Of a list that is printed: a sequence of commands has thousands. As JSON they are all there."""
@@ -109,9 +115,9 @@ def _format(path: Path, recording: "RecordingInfo", summary: Summary) -> str:
     width = max(map(len, facts))
     lines = [
         escape_controls(str(path)),
-        *(escape_controls(f"  {line}") for line in (summary.text, *summary.missing)),
+        *(line for text in (summary.text, *summary.missing) for line in _wrap("  ", text)),
         "",
-        *(escape_controls(f"  {key:<{width}}  {value}") for key, value in facts.items()),
+        *(line for key, value in facts.items() for line in _wrap(f"  {key:<{width}}  ", value)),
     ]
     if recording.topics:
         lines += ["", _indent(format_table(_tabulate(recording), indent=2))]
@@ -124,6 +130,18 @@ def _format(path: Path, recording: "RecordingInfo", summary: Summary) -> str:
         pairs = recording.parameters.items()
         lines += [escape_controls(f"    {key} = {_shorten(value)}") for key, value in pairs]
     return "\n".join(lines)
+
+
+def _wrap(head: str, text: str) -> list[str]:
+    """Return a text in lines that fit the terminal; in one where a file or program reads."""
+    line = escape_controls(f"{head}{text}")
+    if not sys.stdout.isatty():
+        return [line]
+    room = max(shutil.get_terminal_size().columns, len(head) + _NARROWEST)
+    indent = " " * len(head)
+    return textwrap.wrap(
+        line, room, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def _shorten(value: object) -> object:

@@ -80,13 +80,14 @@ def summarise(path: Path, info: "RecordingInfo", *, is_asked: bool = False) -> S
 def _summarise_own(info: "RecordingInfo") -> str:
     law, plant = info.parameters.get("law.kind"), info.parameters.get("plant.kind", "turtlesim")
     origin = "" if info.source == "simulation" else f", from {info.source}"
-    what = f"{law} on {plant}" if law and info.scenario else f"{law or 'a run'}"
-    counts = [
-        describe_count(sum(topic.count for topic in info.topics if topic.type == kind), noun)
+    counts = {
+        noun: sum(topic.count for topic in info.topics if topic.type == kind)
         for kind, noun in ((_CONTROL, "sample"), ("turtlesim/msg/Pose", "pose"))
-    ]
+    }
+    rows = join_words([describe_count(count, noun) for noun, count in counts.items() if count])
     length = "" if info.duration_s is None else f" in {info.duration_s:.1f} s"
-    return f"a recording of turtlelog's{origin}: {what}, {join_words(counts)}{length}"
+    parts = [f"{law} on {plant}" if law and info.scenario else str(law or ""), f"{rows}{length}"]
+    return f"a recording of turtlelog's{origin}: {', '.join(filter(None, parts)) or 'empty'}"
 
 
 def _find_large(path: Path, info: "RecordingInfo") -> str:
@@ -227,7 +228,7 @@ def _list_missing(run: "Run", info: "RecordingInfo") -> Sequence[str]:
     if len(run.samples):
         return []
     found = []
-    if not len(run.commands):
+    if not len(run.commands) and info.topics:
         types = tl.log.ros2.COMMAND_TYPES
         is_there = any(topic.count and topic.type in types for topic in info.topics)
         what = "--command-topic TOPIC" if is_there else "a recorded Twist or TwistStamped"

@@ -9,7 +9,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
-from turtlelog.log.engine.sqlite_source import SQLITE_MAGIC
+from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers import LOG_SUFFIXES, import_other
 from turtlelog.log.importers.exported_tables import holds_tables, import_tables

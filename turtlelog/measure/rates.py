@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.measure.outliers import find_outliers
+from turtlelog.plants import find_plant
 from turtlelog.run import Run
 
 Values = NDArray[np.float64]
@@ -153,6 +154,14 @@ class HeldCommands:
         return np.asarray(np.interp(time_s, knots_s, np.concatenate([[0.0], np.cumsum(ways)])))
 
 
+def _expire(time_s: Values, values: Values, holds_s: float) -> tuple[Values, Values]:
+    """Return commands with the plant's stop where the next one comes too late, and at the end."""
+    late = np.append(np.diff(time_s) > holds_s, np.isfinite(holds_s))
+    rows = np.flatnonzero(late) + 1
+    stops_s = time_s[late] + holds_s
+    return np.insert(time_s, rows, stops_s), np.insert(values, rows, 0.0)
+
+
 SAME: Final = 1e-6
 """Commands that differ by less are one [m/s or rad/s]: programs that add up steps of 0.1 end 1e-17
 beside 0, and 32 bits round a command of 5 by 5e-7."""
@@ -168,6 +177,8 @@ def read_held_commands(run: Run, axis: Axis, rates: Rates) -> HeldCommands | Non
     # Of commands at one time the last one holds.
     is_last = np.append(np.diff(time_s) > 0.0, True)
     time_s, values = time_s[is_last], values[is_last]
+    if run.poses.speed_m_s is not None:  # of turtlesim, or of a simulation
+        time_s, values = _expire(time_s, values, find_plant(run).watchdog_ns / 1e9)
     end_s = float(time_s[-1])
     is_new = np.concatenate([[True], np.diff(values) != 0.0])
     time_s, values = time_s[is_new], values[is_new]

@@ -28,7 +28,8 @@ def test_a_robot_s_commands_and_measured_rates_are_entities_of_their_own(tmp_pat
     assert found == {
         *("/turn_rate/commanded", "/turn_rate/as_measured", "/turn_rate/as_measured/outliers"),
     }
-    views = {"Plane", "Heading [deg]", "Turn rate [rad/s]", "Position [m]", "Speed [m/s]"}
+    views = {"Plane", "Heading [deg]", "Position [m]", "Speed [m/s]"}
+    views.add("Turn rate [rad/s], 1 outlier left out")
     assert set(read_layout(path)) == {
         *(*views, "Metrics", "Scenario", "By speed, 0 to 0.21 m/s"),
     }
@@ -60,6 +61,9 @@ def test_compared_robots_show_commands_beside_what_was_measured(tmp_path: Path) 
         for kind, label in (("as_measured", name), ("commanded", f"{name} commanded")):
             entity = f"/runs/{name}/speed/{kind}"
             assert np.ravel(read_static(path, entity, "SeriesLines:names")).tolist() == [label]
+        outliers = f"/runs/{name}/turn_rate/as_measured/outliers"
+        assert np.array(read_rows(path, outliers, "Scalars:scalars")).tolist() == [[OUTLIER]]
+    assert "Turn rate [rad/s], 2 outliers left out" in read_layout(path)
 
 
 def test_a_robot_within_turtlesim_s_square_is_not_in_its_world(tmp_path: Path) -> None:

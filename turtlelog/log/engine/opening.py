@@ -14,7 +14,8 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
 from turtlelog.log.engine.limits import UNPACKED, Allowance
 from turtlelog.log.engine.source import Source
-from turtlelog.log.engine.sqlite_source import SQLITE_MAGIC, SqliteSource, open_sqlite
+from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
+from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
 from turtlelog.log.error_boundary import DamageError, name_file, open_file
 
 ROS1_MAGIC: Final = b"#ROSBAG V"

@@ -11,13 +11,8 @@ from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.limits import DAMAGES
-from turtlelog.log.engine.sqlite_source import (
-    Row,
-    SqliteRows,
-    SqliteSource,
-    describe_sqlite_error,
-    measure_pages,
-)
+from turtlelog.log.engine.sqlite_file import describe_sqlite_error, measure_pages
+from turtlelog.log.engine.sqlite_source import Row, SqliteRows, SqliteSource
 from turtlelog.log.engine.walk import Loss, Section
 
 _BATCH: Final = 4096  # rows

@@ -4,7 +4,7 @@ A message has two times: when its publisher stamped it, and when the recorder re
 time. Between them lie the offset of two clocks, and the transport of the message. Stamps are
 steadier, and the recorder's clock is the one that commands without stamps have: so poses are timed
 by their stamps, mapped to the recorder's clock by the messages that were transported fastest. How
-long those took stays unknown; all times of poses are early by it.
+long those took stays unknown; all times of poses are late by it.
 """
 
 from collections.abc import Mapping

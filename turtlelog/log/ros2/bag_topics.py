@@ -25,6 +25,9 @@ POSE_TYPES: Final = (
     "geometry_msgs/msg/TransformStamped",
     TRANSFORMS,
 )
+_POSES_IN_SHORT: Final = (
+    "turtlesim's, Odometry, a Pose with or without stamp, a Pose2D, or transforms on /tf"
+)
 COMMAND_TYPES: Final = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
 _TIERS: Final = {
@@ -109,7 +112,7 @@ def choose_pose_topic(topics: Iterable[TopicInfo], asked: str | None) -> Pick:
     usual = [topic for topic in typed if not _is_no_robot(topic.topic)]
     fitting = _drop_two_types(usual, present)
     if not fitting:
-        raise NoPosesError(f"expected poses ({', '.join(POSE_TYPES)}), found {_describe(present)}")
+        raise NoPosesError(f"expected poses ({_POSES_IN_SHORT}), found {_describe(present)}")
     commands = [topic.topic for topic in present if topic.type in COMMAND_TYPES]
     ranks = {topic: _rank_poses(topic, commands) for topic in fitting}
     best = [topic for topic in fitting if ranks[topic] == min(ranks.values())]

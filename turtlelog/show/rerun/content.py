@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.display import describe_count
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
@@ -75,6 +76,7 @@ class Content:
         states: The states of the laws, in groups.
         overlaid: Groups whose states share a plot.
         idle: Plots of states that are 0 throughout in every run; they need no view.
+        outliers: How many outliers plots leave out of their ranges, in words, by plot.
         corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
     """
 
@@ -100,6 +102,7 @@ class Content:
     states: tuple[StateGroup, ...] = ()
     overlaid: frozenset[StateGroup] = frozenset()
     idle: frozenset[str] = frozenset()
+    outliers: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
 
     def list_states(self, group: StateGroup) -> list[str]:
@@ -155,10 +158,20 @@ def describe_content(
             **close_ups,
         },
         close_ups=frozenset(close_ups),
+        outliers=_count_outliers(series),
         controlled=frozenset(
             plot for run in runs for loop in run.declaration.loops for plot in _list_plots(loop)
         ),
     )
+
+
+def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:
+    """Return how many outliers each plot leaves out of its range, in words."""
+    found: dict[str, int] = {}
+    for curves in (curves for run in series for curves in run):
+        if curves.entity.endswith(f"/{entities.OUTLIERS}"):
+            found[curves.plot] = found.get(curves.plot, 0) + len(curves.time_ns)
+    return {plot: f"{describe_count(rows, 'outlier')} left out" for plot, rows in found.items()}
 
 
 def _list_plots(loop: ControlLoop) -> tuple[str, ...]:

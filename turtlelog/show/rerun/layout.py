@@ -333,6 +333,8 @@ def _view_plot(
     if legend is None or plot not in _CROWDED:
         contents += content.lines
     title, limits = name or _name_plot(plot), content.ranges.get(plot)
+    if plot in content.outliers:
+        title += f", {content.outliers[plot]}"
     return rrb.TimeSeriesView(
         origin="/",
         contents=contents,

@@ -141,8 +141,8 @@ def list_compared_series(run: Run, name: str, color: Color) -> tuple[Series, ...
     for series in main:
         if has_track and series.entity == entities.POSITION:
             continue
-        is_beside = series.plot in measured and series.holds
-        shown = f"{name} {entities.COMMANDED}" if is_beside else name
+        is_beside = series.plot in measured and not series.entity.endswith(entities.MEASURED)
+        shown = f"{name} {series.labels[0]}" if is_beside else name
         found.append(
             replace(
                 series,
@@ -267,7 +267,6 @@ def _list_measured(run: Run, plot: str, command: Command) -> Iterator[Series]:
             time_ns=outliers.time_ns,
             values=outliers.values[:, np.newaxis],
             width=_OUTLIER_SIZE,
-            is_main=False,
             is_measured=False,
             marker="cross",
         )

@@ -1,0 +1,176 @@
+"""The sentence that `info` begins with, and what it says of clocks and of what is missing."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Call
+from tests.log.ros2.bags import (
+    START_NS,
+    Said,
+    make_command,
+    make_odometry,
+    make_poses,
+    write_mcap,
+)
+from tests.log.runs import find_shared
+from turtlelog.cli import info_summary
+
+MS = 1_000_000
+
+
+def make_drive(count: int = 40, *, commands: int = 0, late_ms: int = 0) -> list[Said]:
+    """Return odometry at 20 Hz, with stamps of a robot's clock, and commands at 10 Hz."""
+    odometry = make_odometry(yaw_rad=0.5, speed=(1.0, 0.0), turn_rate=0.0)
+    messages = []
+    for row in range(count):
+        time_ns = START_NS + row * 50 * MS
+        stamp = {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9}
+        values = odometry.values | {"header": {"stamp": stamp, "frame_id": "odom"}}
+        messages.append(replace(odometry, values=values, time_ns=time_ns + late_ms * MS))
+    return messages + [
+        make_command(topic="/cmd_vel", time_ns=START_NS + row * 100 * MS, number=row)
+        for row in range(commands)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("parts", "summary", "ratio"),
+    [
+        (
+            ("robots", "tb3"),
+            "a robot: /odom at 20 Hz, commands on /cmd_vel at 9.88 Hz; not turtlesim",
+            1.0,
+        ),
+        (
+            ("robots", "sim_time"),
+            "a robot: /odom at 29.4 Hz, no commands; not turtlesim",
+            0.2227,
+        ),
+        (
+            ("robots", "tf_only"),
+            "a robot: /tf (odom -> base_footprint) at 29.6 Hz, commands on /controller/cmd_vel at"
+            " 10 Hz; not turtlesim",
+            1.0,
+        ),
+        (
+            ("robots", "turtlesim_sqlite"),
+            "turtlesim: /turtle1/pose at 62.5 Hz, 8 commands on /turtle1/cmd_vel",
+            None,
+        ),
+        (
+            ("ros2", "rosbag2_talker.mcap"),
+            "no poses, nothing to measure: messages on /rosout (rcl_interfaces/msg/Log) and /topic"
+            " (std_msgs/msg/String)",
+            None,
+        ),
+    ],
+)
+def test_real_files_are_called_what_they_are(
+    parts: tuple[str, ...], summary: str, ratio: float | None, call: Call
+) -> None:
+    (answer,) = call("info", find_shared(*parts), "--json").json
+    assert answer["summary"] == summary
+    assert (answer["clock"] is None) == (ratio is None)
+    if ratio is not None:
+        assert answer["clock"]["ratio"] == pytest.approx(ratio, abs=1e-4)
+        assert set(answer["clock"]) == {"used", "ratio", "offset_s", "jitter_s"}
+
+
+def test_what_a_real_robot_did_wrong_is_noted(call: Call) -> None:
+    out = call("info", find_shared("robots", "tb3")).out
+    assert "  measured turn rate  1 outlier, -143.6 rad/s at 31.7 s\n" in out
+    assert "  jumps               1 jump, 0.00726 m back and +0.709 deg at 31.7 s\n" in out
+
+
+def test_the_sentence_comes_first_and_then_what_is_missing(call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", make_drive(commands=20, late_ms=5))
+    assert call("info", path).out.splitlines()[:5] == [
+        str(path),
+        "  a robot: /odom at 20 Hz, commands on /cmd_vel at 10 Hz; not turtlesim",
+        "  no goal: --goal X,Y adds final.position_error and run.time_to_goal",
+        "  no samples of a controller: a recording of turtlelog's holds them, for metrics of loops",
+        "",
+    ]
+    (answer,) = call("info", path, "--json").json
+    expected = {"used": "stamp", "ratio": 1.0, "offset_s": 0.005, "jitter_s": 0.0}
+    assert answer["clock"] == expected
+    assert answer["notes"]["clock"].startswith("poses are timed by their stamps + 0.005 s")
+
+
+@pytest.mark.parametrize(("commands", "words"), [(19, "19 commands on /cmd_vel"), (0, "no")])
+def test_few_commands_are_counted(commands: int, words: str, call: Call, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", make_drive(commands=commands))
+    (answer,) = call("info", path, "--json").json
+    assert answer["summary"].startswith(f"a robot: /odom at 20 Hz, {words}")
+    assert any("no commands" in text for text in answer["missing"]) == (commands == 0)
+
+
+@pytest.mark.parametrize(("pause_ms", "words"), [(180, "at "), (220, "30 commands on")])
+def test_commands_that_come_unsteadily_have_no_rate(
+    pause_ms: int, words: str, call: Call, tmp_path: Path
+) -> None:
+    # Three in a row 100 ms apart, then a pause: 100 ms and three times that are steady yet.
+    times = [START_NS + (row * 100 + row // 3 * pause_ms) * MS for row in range(30)]
+    commands = [
+        make_command(topic="/cmd_vel", time_ns=time_ns, number=row)
+        for row, time_ns in enumerate(times)
+    ]
+    path = write_mcap(tmp_path / "bag.mcap", [*make_drive(), *commands])
+    (answer,) = call("info", path, "--json").json
+    assert words in answer["summary"].partition(", ")[2]
+
+
+def test_a_recording_of_ours_is_told_from_its_summary(
+    call: Call, kp4: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("turtlelog.log.any_file.read_bag", pytest.fail)
+    first, second = call("info", kp4).out.splitlines()[:2]
+    assert first == str(kp4)
+    assert second == (
+        "  a recording of turtlelog's: sequential-p on turtlesim, 681 samples and 705 poses in"
+        " 11.3 s"
+    )
+    (answer,) = call("info", kp4, "--json").json
+    assert (answer["clock"], answer["missing"]) == (None, [])
+
+
+def test_of_large_bags_the_poses_are_read_where_that_is_asked_for(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_mcap(tmp_path / "bag.mcap", make_drive())
+    monkeypatch.setattr(info_summary, "LARGEST_BYTES", path.stat().st_size)
+    assert call("info", path, "--json").json[0]["clock"]["used"] == "stamp"
+    monkeypatch.setattr(info_summary, "LARGEST_BYTES", path.stat().st_size - 1)
+    (answer,) = call("info", path, "--json").json
+    assert answer["summary"] == "a robot: 40 poses on /odom, 20.5 Hz on the average; not turtlesim"
+    assert answer["clock"] is None
+    assert answer["notes"]["clock"] == "not looked at, 0 MiB: info --clock does"
+    assert call("info", path, "--clock", "--json").json[0]["clock"]["used"] == "stamp"
+
+
+def test_poses_that_cannot_be_read_are_described_all_the_same(call: Call, tmp_path: Path) -> None:
+    broken = make_odometry(yaw_rad=0.0, speed=(0.0, 0.0), turn_rate=0.0)
+    turn = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    pose = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": turn}
+    broken.values["pose"] = {"pose": pose, "covariance": [0.0] * 36}
+    path = write_mcap(tmp_path / "bag.mcap", [broken])
+    answer = call("info", path)
+    assert answer.code == 0
+    assert "  poses on /odom, which cannot be read: topic /odom: message 0" in answer.out
+
+
+def test_two_turtles_are_named(call: Call, tmp_path: Path) -> None:
+    turtles = [*make_poses(30), *make_poses(30, topic="/turtle2/pose")]
+    path = write_mcap(tmp_path / "bag.mcap", turtles)
+    (answer,) = call("info", path, "--json").json
+    assert answer["summary"] == "turtlesim: /turtle1/pose at 62.5 Hz, no commands"
+    assert answer["notes"]["other_pose_topics"] == "/turtle2/pose"
+
+
+def test_an_empty_file_has_nothing_to_measure(call: Call, tmp_path: Path) -> None:
+    (answer,) = call("info", write_mcap(tmp_path / "bag.mcap", []), "--json").json
+    assert answer["summary"] == "no poses, nothing to measure: there are no messages"
+    (text,) = answer["missing"]
+    assert text.startswith("to be measured it needs nav_msgs/msg/Odometry")
