@@ -20,6 +20,7 @@ from tests.identify.robots import (
 from tests.identify.scores import PARAMETERS, Score, score_robots
 from tests.known import known
 from turtlelog.identify import AxisModel
+from turtlelog.run import CommandColumns
 
 ROBOTS = 200
 NOISE_M = 2e-4
@@ -193,6 +194,33 @@ def test_jumps_are_outliers_and_told() -> None:
 def test_what_the_correlation_says_lies_near_dead_time_and_lag() -> None:
     found = tl.identify_robot(make_run(Log(duration_s=40.0), 5)).turn_rate
     assert known(found.correlation_delay_s) == pytest.approx(0.2, abs=0.05)
+
+
+def stop_by_itself(wait_s: float, silence_s: float) -> tl.Run:
+    """Return a robot that stops some time after the last command; of that no command tells."""
+    begins_s = np.arange(1.0, 28.0, 1.0 + silence_s)
+    sent_s = begins_s[:, None] + np.arange(0.0, 1.0, 0.05)
+    turns = np.repeat(np.linspace(-1.5, 1.5, len(begins_s)), sent_s.shape[1])
+    heard_s = np.column_stack([sent_s, sent_s[:, -1] + wait_s]).ravel()
+    obeyed = np.column_stack([turns.reshape(sent_s.shape), 0.0 * begins_s]).ravel()
+    run = make_run(SHORT, 1, speed=(heard_s, 0.0 * heard_s), turn=(heard_s, obeyed))
+    commands = CommandColumns(
+        time_ns=np.rint(sent_s.ravel() * 1e9).astype(np.int64),
+        speed_m_s=0.0 * turns,
+        lateral_speed_m_s=0.0 * turns,
+        turn_rate_rad_s=turns,
+    )
+    return replace(run, commands=commands)
+
+
+def test_a_robot_that_stops_by_itself_is_no_slow_robot() -> None:
+    model = tl.identify_robot(stop_by_itself(0.5, 2.0))
+    assert known(model.turn_rate.gain).value == pytest.approx(1.0, abs=2e-3)
+    assert known(model.turn_rate.lag_s).value == pytest.approx(0.1, abs=3e-3)
+    (note,) = model.notes
+    assert "The turn rate stops by itself where no command comes, 9 times" in note
+    for wait_s in model.turn_rate.silent_stops_s:
+        assert wait_s == pytest.approx(0.5 + 0.1 + 0.1 * np.log(2.0), abs=0.1)
 
 
 def test_no_runs_are_refused() -> None:

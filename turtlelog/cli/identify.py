@@ -95,6 +95,7 @@ def _describe_axis(axis: "AxisModel") -> dict[str, Any]:
         "steps_in_all",
         "changes",
     )
+    told["silent_stops_s"] = [*axis.silent_stops_s]
     return told | {name: getattr(axis, name) for name in others}
 
 

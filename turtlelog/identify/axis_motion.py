@@ -10,6 +10,12 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.identify.held_response import HeldCommands, Values, hold_commands
+from turtlelog.identify.silent_stops import (
+    SilentStop,
+    find_doubtful,
+    find_silent_stops,
+    insert_stops,
+)
 from turtlelog.run import PoseColumns, Run
 
 Axis = Literal["speed", "turn_rate"]
@@ -49,13 +55,15 @@ class AxisMotion:
         time_s: Of the poses that the steps lie between [s], shape (m,).
         first: Row of the pose that each step begins at, shape (n,); it ends at the next.
         moved: How far each step went [m] or [rad], shape (n,).
-        commands: Of this axis.
+        commands: Of this axis, with a 0 where the robot stops by itself.
+        stops: Where it does.
     """
 
     time_s: Values
     first: NDArray[np.int64]
     moved: Values
     commands: HeldCommands
+    stops: tuple[SilentStop, ...] = ()
 
     @property
     def duration_s(self) -> Values:
@@ -69,7 +77,7 @@ class AxisMotion:
 
     def take(self, steps: slice) -> "AxisMotion":
         """Return some of the steps."""
-        return _select(self.time_s, self.first[steps], self.moved[steps], self.commands)
+        return _select(self.time_s, self.first[steps], self.moved[steps], self.commands, self.stops)
 
 
 def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
@@ -80,13 +88,15 @@ def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
     first = np.arange(len(moved))
     if not len(command):
         return _select(time_s, first[:0], moved[:0], hold_commands(command_s, command, 0.0))
-    commands = hold_commands(command_s, command, 0.0)
     begins_s, ends_s = time_s[:-1], time_s[1:]
+    stops = find_silent_stops(command_s, command, time_s, moved)
+    commands = hold_commands(*insert_stops(command_s, command, stops), 0.0)
+    is_sound &= ~find_doubtful(stops, begins_s, ends_s)
     earlier = ends_s <= command_s[0]
     stands = _stands(moved[earlier], (ends_s - begins_s)[earlier], np.abs(command).max())
     known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
     used = known & _find_active(commands, begins_s, ends_s)
-    return _select(time_s, first[used], moved[used], commands)
+    return _select(time_s, first[used], moved[used], commands, tuple(stops))
 
 
 def get_commands(run: Run, axis: Axis) -> Values:
@@ -134,14 +144,19 @@ def _find_active(commands: HeldCommands, begins_s: Values, ends_s: Values) -> ND
 
 
 def _select(
-    time_s: Values, first: NDArray[np.int64], moved: Values, commands: HeldCommands
+    time_s: Values,
+    first: NDArray[np.int64],
+    moved: Values,
+    commands: HeldCommands,
+    stops: tuple[SilentStop, ...] = (),
 ) -> AxisMotion:
     """Keep the poses that some steps lie between."""
     is_used = np.zeros(len(time_s), dtype=bool)
     is_used[first], is_used[first + 1] = True, True
-    # A pose that ends one step and begins none stands before one that begins another.
     place = np.cumsum(is_used) - 1
-    return AxisMotion(time_s=time_s[is_used], first=place[first], moved=moved, commands=commands)
+    return AxisMotion(
+        time_s=time_s[is_used], first=place[first], moved=moved, commands=commands, stops=stops
+    )
 
 
 def count_steps(motions: Sequence[AxisMotion]) -> int:

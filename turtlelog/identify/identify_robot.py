@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from turtlelog.display import describe_count
 from turtlelog.errors import IdentifyError
 from turtlelog.identify.axis_fit import (
     DEAD_TIME,
@@ -79,6 +80,7 @@ def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
         return exact
     found = [_identify_axis(runs, axis) for axis in AXES]
     notes = [note for model, _ in found for note in _compare_runs(runs, model)]
+    notes += [_note_stops(model) for model, _ in found if model.silent_stops_s]
     notes += [_note_part(model) for model, _ in found if model.steps < model.steps_in_all]
     return RobotModel(
         files=files,
@@ -114,8 +116,20 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         return refuse_axis(axis, reason), []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
     delay_s = find_correlation_delay(motions)
-    found = replace(found, correlation_delay_s=delay_s, steps_in_all=steps)
+    waits_s = [stop.stop_s - stop.begin_s for motion in motions for stop in motion.stops]
+    found = replace(
+        found, correlation_delay_s=delay_s, steps_in_all=steps, silent_stops_s=tuple(waits_s)
+    )
     return found, _list_events(names, axis, fit)
+
+
+def _note_stops(model: AxisModel) -> str:
+    waits_s = model.silent_stops_s
+    return (
+        f"The {NAMES[model.axis]} stops by itself where no command comes,"
+        f" {describe_count(len(waits_s), 'time')}: it is down to half {min(waits_s):.2f} to"
+        f" {max(waits_s):.2f} s after the last command."
+    )
 
 
 def _note_part(model: AxisModel) -> str:

@@ -8,13 +8,8 @@ import numpy as np
 
 from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.errors import IdentifyError
-from turtlelog.identify.axis_motion import get_commands
-from turtlelog.identify.held_response import (
-    LaggedResponse,
-    Values,
-    hold_commands,
-    limit_changes,
-)
+from turtlelog.identify.axis_motion import get_commands, read_axis_motion
+from turtlelog.identify.held_response import LaggedResponse, Values, limit_changes
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.run import Run
 
@@ -52,7 +47,7 @@ def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Va
     gain, dead_time_s, lag_s = model.gain, model.dead_time_s, model.lag_s
     if gain is None or dead_time_s is None or lag_s is None:
         raise IdentifyError(f"{model.axis}: expected a model of it, found none: {model.reason}")
-    commands = hold_commands(run.commands.time_ns / 1e9, get_commands(run, model.axis), 0.0)
+    commands = read_axis_motion(run, model.axis).commands
     if model.rate_limit is not None:
         commands = limit_changes(commands, gain.value / model.rate_limit.value)
     product_s2 = 0.0 if model.lag_product_s2 is None else model.lag_product_s2.value

@@ -90,6 +90,8 @@ class AxisModel:
         steps: Steps between poses that were used.
         steps_in_all: Steps between poses in which commands act.
         changes: How often the command changes.
+        silent_stops_s: How long after the last command the rate is down to half where the robot
+            stops by itself because no command comes [s].
     """
 
     axis: Axis
@@ -110,6 +112,7 @@ class AxisModel:
     steps: int = 0
     steps_in_all: int = 0
     changes: int = 0
+    silent_stops_s: tuple[float, ...] = ()
 
     @property
     def is_known(self) -> bool:
