@@ -218,7 +218,7 @@ def test_a_robot_that_stops_by_itself_is_no_slow_robot() -> None:
     assert known(model.turn_rate.gain).value == pytest.approx(1.0, abs=2e-3)
     assert known(model.turn_rate.lag_s).value == pytest.approx(0.1, abs=3e-3)
     (note,) = model.notes
-    assert "The turn rate stops by itself where no command comes, 9 times" in note
+    assert "The turn rate stops by itself where no command comes, 8 times" in note
     for wait_s in model.turn_rate.silent_stops_s:
         assert wait_s == pytest.approx(0.5 + 0.1 + 0.1 * np.log(2.0), abs=0.1)
 

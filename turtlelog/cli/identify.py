@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
-from turtlelog.cli.output import format_table, print_json, print_text
+from turtlelog.cli.output import format_table, print_json, print_note, print_text
+from turtlelog.cli.targets import require_new_target
 from turtlelog.display import describe_count
+from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import RobotModel
@@ -21,6 +23,8 @@ _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
 _VALUES: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _MOST_EVENTS: Final = 5
 
+_FIGURES: Final = frozenset({".pdf", ".png", ".svg"})
+
 _WHOLE_MS: Final = 10.0
 """Width of an interval above which tenths of a millisecond tell nothing [ms]."""
 
@@ -31,7 +35,14 @@ _LITTLE: Final = 0.5
 """Explained share below which most of the motion's changes are not those of the commands."""
 
 
-def identify(files: Files, /, *, topics: TopicOptions | None = None, json: Json = False) -> None:
+def identify(
+    files: Files,
+    /,
+    *,
+    plot: Path | None = None,
+    topics: TopicOptions | None = None,
+    json: Json = False,
+) -> None:
     """Say how a robot follows its commands: gain, dead time and lag of each axis.
 
     Any log with commands and poses will do: a bag of a real robot, or a recording. Each step
@@ -51,13 +62,30 @@ def identify(files: Files, /, *, topics: TopicOptions | None = None, json: Json 
 
     Args:
         files: Bags, recordings or logs of one robot.
+        plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
         json: Print one JSON object instead of tables.
     """
-    model = tl.identify_robot(read_runs(files, topics))
+    if plot is not None:
+        _require_one_figure(plot, files)
+    runs = read_runs(files, topics)
+    model = tl.identify_robot(runs)
+    if plot is not None:
+        tl.show.write_robot_figure(model, runs[0], plot)
+        print_note(f"wrote {plot}")
     if json:
         print_json(describe_robot(files, model))
     else:
         print_text(format_robot(model))
+
+
+def _require_one_figure(plot: Path, files: Sequence[Path]) -> None:
+    if len(files) > 1:
+        raise UsageError(f"--plot: expected one file to draw, found {len(files)}")
+    suffix = plot.suffix.lower()
+    if suffix not in _FIGURES:
+        expected = "a name that ends in .pdf, .png or .svg"
+        raise UsageError(f"--plot {plot}: expected {expected}, found another")
+    require_new_target(plot, files, suffix=suffix)
 
 
 def describe_robot(files: Sequence[Path], model: "RobotModel") -> dict[str, Any]:

@@ -2,9 +2,11 @@
 
 from turtlelog.identify.identify_robot import identify_robot
 from turtlelog.identify.motion_prediction import (
+    AxisTraces,
     PredictionError,
     measure_prediction,
     predict_axis,
+    trace_axis,
 )
 from turtlelog.identify.robot_model import (
     AxisModel,
@@ -16,6 +18,7 @@ from turtlelog.identify.robot_model import (
 
 __all__ = [
     "AxisModel",
+    "AxisTraces",
     "Estimate",
     "PredictionError",
     "RobotEvent",
@@ -24,4 +27,5 @@ __all__ = [
     "identify_robot",
     "measure_prediction",
     "predict_axis",
+    "trace_axis",
 ]

@@ -8,13 +8,17 @@ import numpy as np
 
 from turtlelog.angles import subtract_headings, wrap_angle
 from turtlelog.errors import IdentifyError
-from turtlelog.identify.axis_motion import get_commands, read_axis_motion
+from turtlelog.identify.axis_motion import Axis, get_commands, measure_steps, read_axis_motion
 from turtlelog.identify.held_response import LaggedResponse, Values, limit_changes
 from turtlelog.identify.robot_model import AxisModel, RobotModel
 from turtlelog.run import Run
 
 HORIZONS_S: Final = (1.0, 5.0)
 """For how long a motion is predicted before it is anchored anew [s]."""
+
+
+_JOINED_S: Final = 0.1
+"""Over what rates are averaged to be shown [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +40,55 @@ class PredictionError:
     largest_m: float
     median_rad: float
     largest_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AxisTraces:
+    """Rates of an axis over time, each the mean over some steps between poses.
+
+    Attributes:
+        axis: Which.
+        time_s: Middle of these steps [s], shape (n,).
+        commanded: What the commands ask for meanwhile [m/s] or [rad/s], without any delay.
+        measured: How fast the robot was.
+        modelled: How fast the model is.
+    """
+
+    axis: Axis
+    time_s: Values
+    commanded: Values
+    measured: Values
+    modelled: Values
+
+    @property
+    def residual(self) -> Values:
+        """Measured less modelled."""
+        return self.measured - self.modelled
+
+
+def trace_axis(model: AxisModel, run: Run) -> AxisTraces:
+    """Return what was commanded, measured and modelled of an axis.
+
+    Steps are joined up to a tenth of a second: the noise of poses hides the rate of shorter ones.
+
+    Raises:
+        IdentifyError: Where the model does not know the axis.
+    """
+    time_s, moved, _ = measure_steps(run.poses, model.axis)
+    rows = np.flatnonzero(np.diff(np.floor(time_s / _JOINED_S), prepend=-np.inf))
+    rows = rows if len(rows) > 1 else np.array([0, len(time_s) - 1])
+    way = np.concatenate([[0.0], np.cumsum(moved)])[rows]
+    time_s = time_s[rows]
+    asked = read_axis_motion(run, model.axis).commands.place(time_s).way
+    modelled, _ = predict_axis(model, run, time_s)
+    duration_s = np.diff(time_s)
+    return AxisTraces(
+        axis=model.axis,
+        time_s=time_s[:-1] + 0.5 * duration_s,
+        commanded=np.diff(asked) / duration_s,
+        measured=np.diff(way) / duration_s,
+        modelled=np.diff(modelled) / duration_s,
+    )
 
 
 def predict_axis(model: AxisModel, run: Run, time_s: Values) -> tuple[Values, Values]:

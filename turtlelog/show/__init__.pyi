@@ -5,6 +5,7 @@ from .figures import (
     draw_figure as draw_figure,
     list_left_out as list_left_out,
     write_figures as write_figures,
+    write_robot_figure as write_robot_figure,
     write_tables as write_tables,
 )
 from .rerun.comparison_scene import (
