@@ -91,6 +91,29 @@ def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> No
     assert "2 runs of one robot: values" in call("identify", bag, other).out
 
 
+def test_a_figure_of_one_robot_is_drawn(call: Call, bag: Path, tmp_path: Path) -> None:
+    answer = call("identify", bag, "--plot", tmp_path / "robot.svg")
+    assert answer.code == 0
+    assert "robot.svg" in answer.err
+    assert (tmp_path / "robot.svg").read_bytes().startswith(b"<?xml")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--plot", "robot.txt"], "expected a name that ends in .pdf, .png or .svg, found another"),
+        (["again.mcap", "--plot", "robot.svg"], "--plot: expected one file to draw, found 2"),
+    ],
+    ids=["suffix", "two files"],
+)
+def test_a_figure_that_cannot_be_drawn_is_one_line(
+    call: Call, bag: Path, words: list[str], line: str
+) -> None:
+    answer = call("identify", bag, *words)
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert line in answer.err
+
+
 def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
     answer = call("identify", kp10, "--json").json
     delays = answer["tick_delays"]
