@@ -3,6 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 from tests.cli.conftest import Call
 from tests.identify.robots import Log, Truth, make_run, write_bag
@@ -98,13 +99,24 @@ def test_a_figure_of_one_robot_is_drawn(call: Call, bag: Path, tmp_path: Path) -
     assert (tmp_path / "robot.svg").read_bytes().startswith(b"<?xml")
 
 
+def test_a_view_holds_command_motion_model_and_residual(
+    call: Call, bag: Path, tmp_path: Path
+) -> None:
+    assert call("identify", bag, "--rrd", tmp_path / "robot.rrd").code == 0
+    entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "robot.rrd").stream()}
+    names = ("commanded", "measured", "modelled", "residual")
+    assert {f"/{axis}/{name}" for axis in VALUES for name in names} <= entities
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
         (["--plot", "robot.txt"], "expected a name that ends in .pdf, .png or .svg, found another"),
+        (["again.mcap", "--rrd", "robot.rrd"], "--rrd: expected one file to draw, found 2"),
+        (["--rrd", "robot.svg"], "expected a name that ends in .rrd, found another"),
         (["again.mcap", "--plot", "robot.svg"], "--plot: expected one file to draw, found 2"),
     ],
-    ids=["suffix", "two files"],
+    ids=["suffix", "two files in a view", "suffix of a view", "two files"],
 )
 def test_a_figure_that_cannot_be_drawn_is_one_line(
     call: Call, bag: Path, words: list[str], line: str

@@ -40,6 +40,7 @@ def identify(
     /,
     *,
     plot: Path | None = None,
+    rrd: Path | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -63,29 +64,34 @@ def identify(
     Args:
         files: Bags, recordings or logs of one robot.
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
+        rrd: Write the same as a Rerun recording (.rrd).
         json: Print one JSON object instead of tables.
     """
-    if plot is not None:
-        _require_one_figure(plot, files)
+    _require_targets(plot, rrd, files)
     runs = read_runs(files, topics)
     model = tl.identify_robot(runs)
-    if plot is not None:
-        tl.show.write_robot_figure(model, runs[0], plot)
-        print_note(f"wrote {plot}")
     if json:
         print_json(describe_robot(files, model))
     else:
         print_text(format_robot(model))
+    if plot is not None:
+        tl.show.write_robot_figure(model, runs[0], plot)
+        print_note(f"wrote {plot}")
+    if rrd is not None:
+        tl.show.write_robot_rrd(model, runs[0], rrd)
+        print_note(f"wrote {rrd}")
 
 
-def _require_one_figure(plot: Path, files: Sequence[Path]) -> None:
-    if len(files) > 1:
-        raise UsageError(f"--plot: expected one file to draw, found {len(files)}")
-    suffix = plot.suffix.lower()
-    if suffix not in _FIGURES:
+def _require_targets(plot: Path | None, rrd: Path | None, files: Sequence[Path]) -> None:
+    """Refuse pictures that could not be written, before anything is read."""
+    for name, target in (("--plot", plot), ("--rrd", rrd)):
+        if target is not None and len(files) > 1:
+            raise UsageError(f"{name}: expected one file to draw, found {len(files)}")
+    if plot is not None and plot.suffix.lower() not in _FIGURES:
         expected = "a name that ends in .pdf, .png or .svg"
         raise UsageError(f"--plot {plot}: expected {expected}, found another")
-    require_new_target(plot, files, suffix=suffix)
+    require_new_target(plot, files, suffix="" if plot is None else plot.suffix.lower())
+    require_new_target(rrd, files, suffix=".rrd")
 
 
 def describe_robot(files: Sequence[Path], model: "RobotModel") -> dict[str, Any]:

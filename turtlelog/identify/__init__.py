@@ -1,6 +1,5 @@
 """A robot's dynamics from commands and motion."""
 
-from turtlelog.identify.identify_robot import identify_robot
 from turtlelog.identify.motion_prediction import (
     AxisTraces,
     PredictionError,
@@ -8,6 +7,7 @@ from turtlelog.identify.motion_prediction import (
     predict_axis,
     trace_axis,
 )
+from turtlelog.identify.robot_identification import identify_robot
 from turtlelog.identify.robot_model import (
     AxisModel,
     Estimate,

@@ -17,6 +17,7 @@ from .rerun.live_viewer import (
     follow_recording as follow_recording,
     open_window as open_window,
 )
+from .rerun.robot_scene import write_robot_rrd as write_robot_rrd
 from .rerun.run_scene import (
     write_run_rrd as write_run_rrd,
     write_violation_rrd as write_violation_rrd,
