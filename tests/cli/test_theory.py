@@ -1,8 +1,10 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import turtlelog as tl
 from tests.cli.conftest import Call
 
 
@@ -83,6 +85,14 @@ def test_theory_goes_from_no_dead_time_to_the_most(call: Call, dead_time_ticks: 
             ["--dead-time-s", "17"],
             "dead_time_s: expected at most 1000 samples in all, found 1062.5",
         ),
+        (
+            ["--overshoot", "100"],
+            "--overshoot: expected percent from 0 to below 100, found 100.0",
+        ),
+        (["--overshoot=-1"], "--overshoot: expected percent from 0 to below 100, found -1.0"),
+        (["--overshoot", "nan"], "--overshoot: expected percent from 0 to below 100, found nan"),
+        (["--phase-margin", "0"], "--phase-margin: expected degrees above 0 and below 180"),
+        (["--phase-margin", "180"], "--phase-margin: expected degrees above 0 and below 180"),
         (["--low-pass", "x"], "--low-pass: expected a number, found 'x'"),
         (["--set", "law.kp_linear=4"], "--set: expected SCENARIO beside it, found none"),
         (["textbook", "--lag", "1"], "--lag: expected no such option beside SCENARIO, found one"),
@@ -213,3 +223,104 @@ def test_an_overshoot_that_no_digit_shows_is_none(call: Call, kp: str, words: st
     assert found["overshoots"] == (words != "no")
     text = call("theory", "--kp", kp, *options).out
     assert re.search(rf"overshoots +{words}\n", text)
+
+
+ROBOT = ("--gain", "0.9", "--lag", "0.2", "--dead-time-s", "0.08", "--period", "0.05")
+
+
+def test_gains_are_recommended_with_their_rule_and_source(call: Call) -> None:
+    found = call("theory", "--kp", "2", *ROBOT, "--json").json["recommended"]
+    rules = [f"{one['controller']} {one['rule']}" for one in found]
+    assert rules == [
+        *(f"{controller} overshoot" for controller in ("P", "PI", "PD")),
+        *(f"{controller} phase-margin" for controller in ("P", "PI", "PD")),
+        *("P simc", "PI simc", "PD simc", "P ziegler-nichols"),
+    ]
+    p, pi, pd, *_ = found
+    assert [one["overshoot_percent"] for one in (p, pi, pd)] == pytest.approx([5.0] * 3, abs=1e-5)
+    assert (p["kp"], p["ki"], p["kd"]) == (pytest.approx(1.8826, abs=1e-4), 0.0, 0.0)
+    assert pd["phase_margin_rad"] == pytest.approx(1.0472, abs=1e-4)
+    assert "Skogestad" in found[6]["source"]
+    text = call("theory", "--kp", "2", *ROBOT).out
+    assert re.search(r"\nP for 5 % overshoot +1.8826 +- +- +5.00 +2.20 +6.09 +62.4\n", text)
+    assert max(map(len, text.splitlines())) <= 96
+
+
+@pytest.mark.parametrize(
+    ("words", "rules"),
+    [
+        (["--overshoot", "2"], {"overshoot"}),
+        (["--phase-margin", "45"], {"phase-margin"}),
+        (["--overshoot", "2", "--phase-margin", "45"], {"overshoot", "phase-margin"}),
+    ],
+)
+def test_gains_are_recommended_for_what_is_wanted(
+    call: Call, words: list[str], rules: set[str]
+) -> None:
+    found = call("theory", *words, *ROBOT, "--json").json["recommended"]
+    assert {one["rule"] for one in found} == rules | {"simc", "ziegler-nichols"}
+    for one in found:
+        if one["rule"] == "overshoot":
+            assert one["overshoot_percent"] == pytest.approx(2.0, abs=1e-5)
+        if one["rule"] == "phase-margin":
+            assert one["phase_margin_rad"] == pytest.approx(0.25 * 3.14159265, abs=1e-8)
+
+
+def test_gains_that_do_not_exist_are_null_with_their_reason(call: Call) -> None:
+    answer = call("theory", "--dead-time", "6", "--phase-margin", "90", "--json").json
+    found = [one for one in answer["recommended"] if one["rule"] == "phase-margin"]
+    assert [(one["kp"], one["ki"], one["kd"]) for one in found] == [(None, None, None)] * 3
+    assert found[0]["reason"].startswith("the integrator alone lags by 90 deg")
+    text = " ".join(call("theory", "--dead-time", "6", "--phase-margin", "90").out.split())
+    assert "No P for 90 deg margin and PI for 90 deg margin: the integrator alone lags" in text
+
+
+def test_ticks_and_seconds_of_dead_time_are_recommended_for_alike(call: Call) -> None:
+    ticks = call("theory", "--dead-time", "6", "--json").json["recommended"]
+    seconds = call("theory", "--dead-time-s", "0.064", "--dead-time", "2", "--json").json
+    assert seconds["recommended"] == ticks
+    assert ticks[0]["kp"] == pytest.approx(4.946, abs=1e-3)
+
+
+def test_each_loop_of_a_robot_has_recommended_gains(call: Call, tmp_path: Path) -> None:
+    robot = tmp_path / "robot.toml"
+    robot.write_text(
+        '[law]\nkind = "sequential-pid"\nderivative_filter_s = 0.02\n'
+        '[plant]\nkind = "lagged"\nturn_lag_s = 0.2\nturn_dead_time_s = 0.08\n'
+        "speed_gain = 0.9\nspeed_lag_s = 0.1\nperiod_s = 0.05\n"
+        '[loop]\nqueue_policy = "newest"\nstart_backlog = 1\n'
+    )
+    recording = tmp_path / "robot.mcap"
+    assert call("run", robot, "-o", recording).code == 0
+    answers = [call("theory", path, "--json").json["loops"] for path in (robot, recording)]
+    turning = tl.theory.Process(lag_s=0.2, dead_time_s=0.08)
+    driving = tl.theory.Process(gain=0.9, lag_s=0.1)
+    for loops in answers:
+        for loop, process in zip(loops, (turning, driving), strict=True):
+            expected = tl.theory.recommend_gains(process, period_s=0.05, filter_s=0.02)
+            gains = [(one.gains.kp, one.gains.kd) for one in expected if one.gains]
+            found = [(one["kp"], one["kd"]) for one in loop["recommended"] if one["kp"]]
+            assert np.array(found) == pytest.approx(np.array(gains))
+        assert {one["filter_s"] for one in loops[0]["recommended"][:6]} == {0.0, 0.02}
+    text = call("theory", robot).out
+    assert text.count("Recommended gains of ") == 2
+
+
+def test_gains_are_recommended_for_the_most_dead_time_that_queues_allow(call: Call) -> None:
+    both = call("theory", "paper-kp10", "--json").json["loops"]
+    flag = call("theory", "--dead-time", "6", "--json").json["recommended"]
+    for loop in both:
+        found = [one["kp"] for one in loop["recommended"]]
+        expected = [one["kp"] for one in flag]
+        assert [one is None for one in found] == [one is None for one in expected]
+        assert [one for one in found if one] == pytest.approx([one for one in expected if one])
+    text = call("theory", "paper-kp10").out
+    assert "Recommended gains of rotate and translate\n" in text
+    assert "They are for the most dead time, 96 ms." in text
+
+
+def test_a_loop_that_theory_does_not_know_has_no_recommended_gains(call: Call) -> None:
+    assert [loop["recommended"] for loop in call("theory", "posture", "--json").json["loops"]] == [
+        [],
+        [],
+    ]

@@ -1,9 +1,9 @@
 """`turtlelog theory`: what the ideal loop and the sampled loop should do."""
 
 import textwrap
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
 
 from cyclopts import Parameter
 
@@ -19,6 +19,13 @@ from turtlelog.cli.options import (
     read_runs,
 )
 from turtlelog.cli.output import format_table, print_json, print_text
+from turtlelog.cli.theory_gains import (
+    Recommended,
+    Wishes,
+    WishOptions,
+    describe_recommended,
+    tabulate_recommended,
+)
 from turtlelog.cli.theory_loops import (
     LoopAnswer,
     answer_models,
@@ -30,7 +37,9 @@ from turtlelog.cli.theory_tables import describe_theory, tabulate_theory
 from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
-    from turtlelog.theory import Process
+    from collections.abc import Sequence
+
+    from turtlelog.theory import LoopModel, Process
 
 _MOST_GAINS: Final = 100
 _GAINS: Final = "1,2,4,10"
@@ -92,6 +101,7 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         Parameter(name="--set", metavar="KEY=VALUE", completer=complete_keys),
     ] = None,
     topics: ReadingOptions | None = None,
+    wishes: WishOptions | None = None,
     json: Json = False,
 ) -> None:
     """Say what theory expects of an integrator under P, PI, PD or PID control.
@@ -105,9 +115,14 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
     the same of that loop, sampled exactly. Of a scenario or a recording: of
     each loop of its law, where each value comes from, and what is left out.
 
+    The last table recommends gains: those of the sampled loop for a wanted
+    overshoot and phase margin, and those of published rules.
+
     Example: turtlelog theory --kp 1,2,4,10 --dead-time 6
 
     Example: turtlelog theory --kp 2 --ki 1 --lag 0.1 --dead-time-s 0.08
+
+    Example: turtlelog theory --lag 0.2 --dead-time-s 0.08 --overshoot 2
 
     Example: turtlelog theory kp10.mcap
 
@@ -121,39 +136,52 @@ def theory(  # noqa: PLR0913 (each is an option of the command)
         dead_time: Dead time [ticks], 0 to 1000; 0, the default, is the least possible.
         assignments: Change one value of the scenario by its dotted key; may stand several times.
         topics: How a recording is read.
+        wishes: What recommended gains shall give.
         json: Print one JSON object instead of tables.
     """
-    terms = terms or TermOptions()
+    terms, wanted = terms or TermOptions(), (wishes or WishOptions()).read()
     if scenario is not None:
         given = terms.list_given()
         given += [] if period is None else ["--period"]
         given += [] if dead_time is None else ["--dead-time"]
         if given:
             raise UsageError(f"{given[0]}: expected no such option beside SCENARIO, found one")
-        _answer_file(scenario, kp, assignments, topics, json=json)
+        _answer_file(scenario, _Changes(kp, assignments), topics, wanted, json=json)
         return
     if assignments:
         raise UsageError("--set: expected SCENARIO beside it, found none")
     gains = _parse_gains(_GAINS if kp is None else kp)
     period_s = tl.plants.TURTLESIM.period_s if period is None else period
     if terms.list_given():
-        _answer_terms(gains, terms, period_s, dead_time or 0, json=json)
+        _answer_terms(gains, terms, (period_s, dead_time or 0), wanted, json=json)
         return
     loops = [
         tl.theory.analyse_sampled_loop(gain, period_s=period_s, dead_time_ticks=dead_time or 0)
         for gain in gains
     ]
+    late = tl.theory.Process(dead_time_s=(dead_time or 0) * period_s)
+    recommended = Recommended(wanted.recommend(late, period_s))
     if json:
-        print_json(describe_theory(loops))
+        answer = describe_theory(loops)
+        print_json({**answer, "recommended": describe_recommended(recommended)})
         return
-    print_text("\n".join(map(format_table, tabulate_theory(loops))))
+    tables = [*tabulate_theory(loops), tabulate_recommended(recommended, wanted)]
+    print_text("\n".join(map(format_table, tables)))
 
 
 def _answer_terms(
-    gains: list[float], terms: TermOptions, period_s: float, dead_time: int, *, json: bool
+    gains: list[float],
+    terms: TermOptions,
+    timing: tuple[float, int],
+    wanted: Wishes,
+    *,
+    json: bool,
 ) -> None:
     """Answer for a loop with more than P on 1/s, at each Kp."""
     process = terms.build_process()
+    period_s, dead_time = timing
+    late = replace(process, dead_time_s=process.dead_time_s + dead_time * period_s)
+    recommended = Recommended(wanted.recommend(late, period_s, terms.filter or 0.0))
     found = [
         tl.theory.analyse_pid_loop(
             tl.theory.PidGains(
@@ -169,6 +197,7 @@ def _answer_terms(
         answers = [LoopAnswer(title=f"Kp = {loop.gains.kp:g}", found=loop) for loop in found]
         parts = [answers[k : k + _MOST_COLUMNS] for k in range(0, len(answers), _MOST_COLUMNS)]
         tables = [tabulate_answers("The sampled loop", part) for part in parts]
+        tables.append(tabulate_recommended(recommended, wanted))
         print_text("\n".join(map(format_table, tables)))
         return
     ranges = found[0].stable_gains
@@ -181,42 +210,57 @@ def _answer_terms(
             "overshoot_gain": None,
             "stability_gain": ranges[-1][1] if ranges else None,
             "gains": [describe_pid_loop(loop) for loop in found],
+            "recommended": describe_recommended(recommended),
         }
     )
 
 
+class _Changes(NamedTuple):
+    """What of a scenario is changed."""
+
+    kp: str | None
+    assignments: list[str] | None
+
+
 def _answer_file(
-    word: str,
-    kp: str | None,
-    assignments: list[str] | None,
-    topics: ReadingOptions | None,
-    *,
-    json: bool,
+    word: str, changes: _Changes, topics: ReadingOptions | None, wanted: Wishes, *, json: bool
 ) -> None:
     """Answer for each loop of a scenario or a recording."""
-    path = Path(word)
-    if is_recording(path):
-        if kp is not None or assignments:
-            option = "--set" if kp is None else "--kp"
-            raise UsageError(f"{option}: expected a scenario beside it, found a recording, {path}")
-        (run,) = read_runs([path], topics)
-        name, source = run.name, "recording"
-        models = tl.measure.model_run_loops(run, identified=_identify(run))
-    else:
-        options = LawOptions(kp=_parse_one_gain(kp), assignments=assignments)
-        chosen = tl.scenario.resolve_scenario(load_changed_scenario(word, options))
-        name, source = chosen.name, "scenario"
-        parameters = tl.scenario.flatten_scenario(chosen)
-        models = tl.theory.model_loops(tl.simulate.declare_scenario(chosen), parameters)
+    name, source, models = _read_models(word, changes, topics)
     answers = answer_models(models)
+    groups = wanted.recommend_for(models)
     if json:
-        print_json({"name": name, "source": source, "loops": [one.describe() for one in answers]})
+        recommended = {loop: describe_recommended(one) for one in groups for loop in one.loops}
+        loops = [
+            {**one.describe(), "recommended": recommended.get(one.title, [])} for one in answers
+        ]
+        print_json({"name": name, "source": source, "loops": loops})
     elif answers:
         table = tabulate_answers(f"The loops of {name}", answers)
         lines = [textwrap.fill(note, _WIDTH) for note in table.notes]
-        print_text(format_table(table) if table.rows else "\n".join(lines))
+        texts = [format_table(table) if table.rows else "\n".join(lines)]
+        texts += [format_table(tabulate_recommended(one, wanted)) for one in groups]
+        print_text("\n".join(texts))
     else:
         print_text(f"{name}: no loop is declared, so theory says nothing of it.")
+
+
+def _read_models(
+    word: str, changes: _Changes, topics: ReadingOptions | None
+) -> "tuple[str, str, Sequence[LoopModel]]":
+    """Return the name of a scenario or a recording, which of them it is, and its loops."""
+    path = Path(word)
+    if is_recording(path):
+        if changes.kp is not None or changes.assignments:
+            option = "--set" if changes.kp is None else "--kp"
+            raise UsageError(f"{option}: expected a scenario beside it, found a recording, {path}")
+        (run,) = read_runs([path], topics)
+        return run.name, "recording", tl.measure.model_run_loops(run, identified=_identify(run))
+    options = LawOptions(kp=_parse_one_gain(changes.kp), assignments=changes.assignments)
+    chosen = tl.scenario.resolve_scenario(load_changed_scenario(word, options))
+    parameters = tl.scenario.flatten_scenario(chosen)
+    models = tl.theory.model_loops(tl.simulate.declare_scenario(chosen), parameters)
+    return chosen.name, "scenario", models
 
 
 def _identify(run: "tl.Run") -> dict[str, Any]:

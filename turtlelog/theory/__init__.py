@@ -25,7 +25,7 @@ from turtlelog.theory.declared_loops import (
     LoopTiming,
     find_timing,
     hides_stability,
-    list_left_out,
+    list_neglected,
     read_gains,
     read_process,
 )
@@ -48,8 +48,19 @@ from turtlelog.theory.pid_loop import (
     is_pid_stable,
 )
 from turtlelog.theory.pid_margins import Margins
-from turtlelog.theory.pid_response import compute_pid_step_response, compute_steady_error
+from turtlelog.theory.pid_response import (
+    StepMotion,
+    compute_pid_step_response,
+    compute_steady_error,
+    measure_step_motion,
+)
 from turtlelog.theory.process import INTEGRATOR, Process
+from turtlelog.theory.recommended_gains import (
+    OVERSHOOT_PERCENT,
+    PHASE_MARGIN_RAD,
+    Recommendation,
+    recommend_gains,
+)
 from turtlelog.theory.sampled_loop import (
     SampledLoop,
     analyse_sampled_loop,
@@ -61,6 +72,8 @@ from turtlelog.theory.sampled_loop import (
 
 __all__ = [
     "INTEGRATOR",
+    "OVERSHOOT_PERCENT",
+    "PHASE_MARGIN_RAD",
     "PLANT",
     "PLANT_INPUTS",
     "BiboVerdict",
@@ -73,7 +86,9 @@ __all__ = [
     "PidGains",
     "PidLoop",
     "Process",
+    "Recommendation",
     "SampledLoop",
+    "StepMotion",
     "analyse_pid_loop",
     "analyse_sampled_loop",
     "compute_closed_loop_response",
@@ -102,9 +117,11 @@ __all__ = [
     "is_pid_stable",
     "judge_bibo",
     "list_known",
-    "list_left_out",
+    "list_neglected",
+    "measure_step_motion",
     "model_loop",
     "model_loops",
     "read_gains",
     "read_process",
+    "recommend_gains",
 ]

@@ -163,7 +163,7 @@ def find_timing(parameters: Parameters) -> LoopTiming | str:
     return LoopTiming(period_s=period_s, least_s=least_s, most_s=most_s, step_s=step_s)
 
 
-def list_left_out(loop: ControlLoop, parameters: Parameters) -> tuple[str, ...]:
+def list_neglected(loop: ControlLoop, parameters: Parameters) -> tuple[str, ...]:
     """Return what of a run or a scenario theory's linear loop leaves out, as `key = value`."""
     found = []
     for key, value in parameters.items():

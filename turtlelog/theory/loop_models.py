@@ -9,7 +9,7 @@ from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.theory.declared_loops import (
     Parameters,
     find_timing,
-    list_left_out,
+    list_neglected,
     read_gains,
     read_process,
 )
@@ -125,7 +125,7 @@ def model_loop(
     dead_time_s = 0.0 if isinstance(timing, str) else timing.dead_time_s
     gains, process = read_gains(loop, parameters), read_process(loop, parameters, dead_time_s)
     reasons = [found for found in (gains, process, timing) if isinstance(found, str)]
-    left_out = list_left_out(loop, parameters)
+    left_out = list_neglected(loop, parameters)
     if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
         return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
     found = LoopModel(

@@ -1,6 +1,7 @@
-"""The step response of a sampled PID loop, sample by sample, and what is read from it."""
+"""The step response of a sampled PID loop, at its samples and between, and what is read from it."""
 
 import math
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -8,12 +9,21 @@ from numpy.typing import NDArray
 
 from turtlelog.theory.inputs import require_count, require_level, require_period
 from turtlelog.theory.pid_gains import PidGains
-from turtlelog.theory.process import INTEGRATOR, Process, sample_process
+from turtlelog.theory.process import INTEGRATOR, Process, SampledProcess, sample_process
 from turtlelog.theory.sampled_loop import LARGEST_DEVIATION
 
 _LONGEST: Final = 500_000
 """In samples, of the response that overshoot and settling time are read from: about 0.2 s of
 computing, and 2.2 h at turtlesim's tick of 16 ms."""
+
+_BAND: Final = 0.02
+"""Of a step: within it a response has settled."""
+
+_LONGEST_MOTION: Final = 200_000
+"""In samples, of a motion that is followed between samples: about 0.3 s of computing."""
+
+_SETTLED: Final = 1e-9
+"""Of a step: what is left of a motion that has settled, 1e-7 % of overshoot."""
 
 
 def compute_pid_step_response(
@@ -94,8 +104,128 @@ def measure_pid_step(
     )
     if np.abs(error).max() > LARGEST_DEVIATION:
         return None, None
-    outside = np.flatnonzero(np.abs(error) > 0.02)
+    outside = np.flatnonzero(np.abs(error) > _BAND)
     return max(0.0, -100.0 * float(error.min())), (int(outside[-1]) + 1) * float(period_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepMotion:
+    """What a loop's motion does after a step of its reference, between samples too.
+
+    Attributes:
+        overshoot_percent: How far it goes beyond the reference [% of the step]; 0: not at all.
+        settling_time_s: First sample from which on it stays within 2 % [s]; None where it did not
+            come to rest.
+    """
+
+    overshoot_percent: float
+    settling_time_s: float | None
+
+
+def measure_step_motion(
+    gains: PidGains,
+    *,
+    period_s: float,
+    dead_time_ticks: int = 0,
+    process: Process = INTEGRATOR,
+    to_rest: bool = True,
+) -> StepMotion | None:
+    """Return what a loop's motion does after a step of its reference, unclipped.
+
+    Between two samples the plant receives one command and then the next, so the motion is known in
+    closed form: its rate follows each along an exponential, and turns back where that is 0.
+
+    Args:
+        gains: Of the controller.
+        period_s: Sampling period T [s].
+        dead_time_ticks: Dead time beside that of the process [samples].
+        process: What the command passes; an integrator unless given.
+        to_rest: Whether it is followed to its rest, or until the overshoot is known.
+
+    Returns:
+        None where it goes beyond 1e9 steps, or neither rests nor has passed its furthest point
+        after 200,000 samples.
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
+    period_s = require_period(period_s)
+    sampled = sample_process(process, period_s, dead_time_ticks)
+    motion = _Motion(process, sampled, period_s)
+    keep, slope = gains.weigh_derivative(period_s)
+    kp, per_error, filter_gap = gains.kp, gains.ki * period_s, sampled.filter_gap
+    commands = [0.0] * (sampled.whole + 1)
+    patience = 4 * (sampled.whole + 1)
+    last = integral = derivative = filtered = 0.0
+    quiet = outside = 0
+    furthest_at = -1
+    for k in range(_LONGEST_MOTION):
+        error = 1.0 - motion.y
+        outside = k if abs(error) > _BAND else outside
+        derivative = keep * derivative - slope * (motion.y - last)
+        command = kp * error + integral + derivative
+        if filter_gap is not None:
+            command = filtered = filtered + filter_gap * (command - filtered)
+        commands.append(command)
+        integral += per_error * error
+        last = motion.y
+        before = motion.furthest
+        motion.hold(commands[k], commands[k + 1])
+        furthest_at = k if motion.furthest > before else furthest_at
+        quiet = quiet + 1 if motion.is_at(1.0) else 0
+        is_known = furthest_at >= 0 and k > 2 * furthest_at + patience
+        if quiet > patience or (is_known and not to_rest):
+            settling_time_s = (outside + 1) * period_s if quiet else None
+            return StepMotion(
+                overshoot_percent=100.0 * (motion.furthest - 1.0), settling_time_s=settling_time_s
+            )
+        if abs(error) > LARGEST_DEVIATION:
+            return None
+    overshoot_percent = 100.0 * (motion.furthest - 1.0)
+    return (
+        StepMotion(overshoot_percent=overshoot_percent, settling_time_s=None) if is_known else None
+    )
+
+
+class _Motion:
+    """Rate and signal of a process between samples, from rest at 0.
+
+    Attributes:
+        y: The signal.
+        furthest: The furthest that it has been, at least 1.
+    """
+
+    __slots__ = ("_gain", "_lag_s", "_pieces", "_v", "_wait_s", "furthest", "y")
+
+    def __init__(self, process: Process, sampled: SampledProcess, period_s: float) -> None:
+        self._gain = process.gain
+        self._lag_s = lag_s = process.lag_s if sampled.lag_gap is not None else 0.0
+        parts = enumerate((sampled.part, 1.0 - sampled.part))
+        times_s = ((number, part * period_s) for number, part in parts if part > 0.0)
+        self._pieces = tuple(
+            (number, time_s, -math.expm1(-time_s / lag_s) if lag_s else 1.0)
+            for number, time_s in times_s
+        )
+        self._wait_s = period_s + lag_s
+        self._v, self.y, self.furthest = 0.0, 0.0, 1.0
+
+    def is_at(self, level: float) -> bool:
+        """Return whether it rests at a level, to less than any overshoot that counts."""
+        return abs(self.y - level) < _SETTLED and abs(self._v) * self._wait_s < _SETTLED
+
+    def hold(self, *commands: float) -> None:
+        """Move by one sample, in which one command acts and then the next."""
+        y, v, furthest, lag_s = self.y, self._v, self.furthest, self._lag_s
+        for number, time_s, gap in self._pieces:
+            w = self._gain * commands[number]
+            if v > 0.0 > w and y + lag_s * v > furthest:  # it may turn back on the way
+                turn_s = lag_s * math.log1p(-v / w)
+                if turn_s < time_s:
+                    furthest = max(furthest, y + lag_s * v + w * turn_s)
+            y += w * time_s + lag_s * (v - w) * gap
+            v += gap * (w - v)
+            furthest = max(furthest, y)
+        self.y, self._v, self.furthest = y, v, furthest
 
 
 def compute_steady_error(gains: PidGains, push: float, *, process: Process = INTEGRATOR) -> float:

@@ -82,6 +82,7 @@ class SampledProcess:
     Attributes:
         gain: K.
         whole: Whole samples d of dead time.
+        part: Part m / T of a sample of dead time beside them.
         ahead: w1; 0 without lag.
         behind: w2; without lag m / T.
         lag_gap: 1 - e of the lag, None without.
@@ -90,6 +91,7 @@ class SampledProcess:
 
     gain: float
     whole: int
+    part: float
     ahead: float
     behind: float
     lag_gap: float | None
@@ -142,6 +144,7 @@ def sample_process(process: Process, period_s: float, dead_time_ticks: int = 0) 
     return SampledProcess(
         gain=process.gain,
         whole=whole,
+        part=part,
         ahead=ahead,
         behind=behind,
         lag_gap=-math.expm1(-1.0 / lag) if lag else None,

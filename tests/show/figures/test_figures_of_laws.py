@@ -156,8 +156,10 @@ def test_no_ideal_response_is_drawn_of_a_loop_with_an_integral(signal: str) -> N
 def test_theorys_figures_are_of_proportional_loops_alone() -> None:
     assert find_gains([add_terms(KP4)]) == ()
     assert find_gains([add_terms(KP4), STRANGE]) == find_gains([STRANGE])
-    assert list_left_out([add_terms(KP4)], ["plant", "root-locus"]) == (
-        "left out plant, root-locus: expected a proportional loop, found none",
+    reason = "the law declares that its command is more than gain times error, but not its terms"
+    assert list_left_out([add_terms(KP4)], ["plant", "root-locus", "bode"]) == (
+        "left out plant: expected a proportional loop, found none",
+        f"left out root-locus, bode: expected a loop that theory knows ({reason}), found none",
     )
     assert list_left_out([forget_loops(KP4)], ["plant"]) == (
         "left out plant: expected the law's gain, found none",

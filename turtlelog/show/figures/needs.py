@@ -47,14 +47,22 @@ def find_lack_of_gain(runs: Sequence[Run]) -> str:
         return ""
     loops = [loop for run in runs for loop in run.declaration.loops]
     has_others = any(loop.gain and not loop.is_proportional for loop in loops)
-    return "a proportional loop" if has_others else "the law's gain"
+    return _PROPORTIONAL if has_others else "the law's gain"
 
 
 def _find_lack_of_locus(run: Run) -> str:
-    """Say what a root locus lacks: of the ideal loop or of a sampled one, each is enough."""
-    lack = find_lack_of_gain([run])
-    return lack if lack == PYTHON_CONTROL or find_lack_of_theory([run]) else ""
+    """Say what a root locus lacks: of the ideal loop or of a sampled one, each is enough.
 
+    Of a loop that is not proportional it is why theory does not know it.
+    """
+    lack = find_lack_of_gain([run])
+    if lack == PYTHON_CONTROL:
+        return lack
+    unknown = find_lack_of_theory([run])
+    return unknown if lack == _PROPORTIONAL or not unknown else lack
+
+
+_PROPORTIONAL: Final = "a proportional loop"
 
 OF_THEORY: Final = ("gain", "integrator", "locus")
 """Needs that are met without a run."""

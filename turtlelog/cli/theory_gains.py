@@ -1,0 +1,196 @@
+"""Recommended gains as one small table and as JSON."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.display import join_words
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog.compare import Cell, Table
+    from turtlelog.theory import LoopModel, Process, Recommendation
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WishOptions:
+    """What recommended gains shall give.
+
+    Attributes:
+        overshoot: Recommend gains for this overshoot [% of the step], from 0 to below 100; 5 unless
+            --phase-margin stands alone.
+        phase_margin: Recommend gains for this phase margin [deg], above 0 and below 180; 60 unless
+            --overshoot stands alone.
+    """
+
+    overshoot: Annotated[float | None, Parameter(metavar="PERCENT")] = None
+    phase_margin: Annotated[float | None, Parameter(metavar="DEGREES")] = None
+
+    def read(self) -> "Wishes":
+        """Return what is wanted.
+
+        Raises:
+            UsageError: Where a number is out of its range.
+        """
+        percent, degrees = self.overshoot, self.phase_margin
+        if percent is not None and not 0.0 <= percent < 100.0:
+            raise UsageError(f"--overshoot: expected percent from 0 to below 100, found {percent}")
+        if degrees is not None and not 0.0 < degrees < 180.0:
+            expected = "degrees above 0 and below 180"
+            raise UsageError(f"--phase-margin: expected {expected}, found {degrees}")
+        if percent is None and degrees is None:
+            return Wishes(
+                overshoot_percent=tl.theory.OVERSHOOT_PERCENT,
+                phase_margin_rad=tl.theory.PHASE_MARGIN_RAD,
+            )
+        margin_rad = None if degrees is None else math.radians(degrees)
+        return Wishes(overshoot_percent=percent, phase_margin_rad=margin_rad)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wishes:
+    """What is wanted, None: nothing.
+
+    Attributes:
+        overshoot_percent: Of the step [%].
+        phase_margin_rad: In rad.
+    """
+
+    overshoot_percent: float | None
+    phase_margin_rad: float | None
+
+    def recommend(
+        self, process: "Process", period_s: float, filter_s: float = 0.0
+    ) -> "tuple[Recommendation, ...]":
+        """Return gains for a process with all dead time in it, and its period."""
+        return tl.theory.recommend_gains(
+            process,
+            period_s=period_s,
+            filter_s=filter_s,
+            overshoot_percent=self.overshoot_percent,
+            phase_margin_rad=self.phase_margin_rad,
+        )
+
+    def recommend_for(self, models: "Sequence[LoopModel]") -> "list[Recommended]":
+        """Return gains for the declared loops that theory knows, alike loops together.
+
+        They are for the most dead time that a loop may have.
+        """
+        groups: dict[tuple[Process, float, float], list[str]] = {}
+        longest_s: dict[str, float] = {}
+        for model in tl.theory.list_known(models):
+            gains, settings = model.require()
+            process = settings["process"]
+            if model.most_dead_time_s is not None:
+                process = replace(process, dead_time_s=model.most_dead_time_s)
+                longest_s[model.loop.name] = model.most_dead_time_s
+            key = process, settings["period_s"], gains.filter_s
+            groups.setdefault(key, []).append(model.loop.name)
+        return [
+            Recommended(self.recommend(*key), loops, longest_s.get(loops[0]))
+            for key, loops in groups.items()
+        ]
+
+    def tell(self, one: "Recommendation") -> str:
+        """Return controller and rule in words."""
+        return f"{one.controller} {self._tell_rule(one.rule)}"
+
+    def _tell_rule(self, rule: str) -> str:
+        if rule == "overshoot":
+            return f"for {self.overshoot_percent:g} % overshoot"
+        if rule == "phase-margin" and self.phase_margin_rad is not None:
+            return f"for {math.degrees(self.phase_margin_rad):g} deg margin"
+        return _NAMES[rule]
+
+
+class Recommended(NamedTuple):
+    """Gains, the names of the loops that they are for, and the most dead time where it may grow."""
+
+    found: "tuple[Recommendation, ...]"
+    loops: Sequence[str] = ()
+    most_dead_time_s: float | None = None
+
+
+_NAMES: Final = {"simc": "by SIMC", "ziegler-nichols": "by Ziegler-Nichols"}
+
+
+def describe_recommended(recommended: Recommended) -> list[dict[str, Any]]:
+    """Return recommended gains for JSON; gains are null where the reason says why."""
+    return [_describe(one) for one in recommended.found]
+
+
+def _describe(one: "Recommendation") -> dict[str, Any]:
+    gains, motion, margins = one.gains, one.motion, one.margins
+    return {
+        "rule": one.rule,
+        "controller": one.controller,
+        "source": one.source,
+        "kp": gains and gains.kp,
+        "ki": gains and gains.ki,
+        "kd": gains and gains.kd,
+        "filter_s": gains and gains.filter_s,
+        "overshoot_percent": motion and motion.overshoot_percent,
+        "settling_time_s": motion and motion.settling_time_s,
+        "gain_margin": margins and margins.gain_margin,
+        "phase_margin_rad": margins and margins.phase_margin_rad,
+        "reason": one.reason or None,
+    }
+
+
+def tabulate_recommended(recommended: Recommended, wishes: Wishes) -> "Table":
+    """Return a table of recommended gains; rules that give none are its notes."""
+    of = f" of {join_words(recommended.loops)}" if recommended.loops else ""
+    found = recommended.found
+    return tl.compare.Table(
+        title=f"Recommended gains{of}",
+        columns=(
+            tl.compare.Column(title=""),
+            tl.compare.Column(title="Kp", unit="1/s"),
+            tl.compare.Column(title="Ki", unit="1/s^2"),
+            tl.compare.Column(title="Kd"),
+            tl.compare.Column(title="overshoot", unit="%", digits=2),
+            tl.compare.Column(title="settles", unit="s", digits=2),
+            tl.compare.Column(title="gain margin", digits=2),
+            tl.compare.Column(title="phase margin", unit="deg", digits=1),
+        ),
+        rows=tuple(_list_cells(one, wishes.tell(one)) for one in found if one.gains),
+        notes=tuple(_list_notes(recommended, wishes)),
+    )
+
+
+def _list_cells(one: "Recommendation", name: str) -> "tuple[Cell, ...]":
+    gains, motion, margins = one.gains, one.motion, one.margins
+    if gains is None:
+        return (name,)
+    phase_rad = None if margins is None else margins.phase_margin_rad
+    return (
+        name,
+        gains.kp,
+        gains.ki or None,
+        gains.kd or None,
+        None if motion is None else max(motion.overshoot_percent, 0.0),
+        None if motion is None else motion.settling_time_s,
+        None if margins is None else margins.gain_margin,
+        None if phase_rad is None else math.degrees(phase_rad),
+    )
+
+
+def _list_notes(recommended: Recommended, wishes: Wishes) -> list[str]:
+    notes = [
+        "Overshoot is that of the motion, between samples too, without limits. SIMC: Skogestad"
+        " (2003); Ziegler-Nichols (1942): half of the gain at which instability begins."
+    ]
+    if recommended.most_dead_time_s is not None:
+        most = f"{1e3 * recommended.most_dead_time_s:.6g} ms"
+        notes.append(f"They are for the most dead time, {most}.")
+    reasons: dict[str, list[str]] = {}
+    for one in recommended.found:
+        if one.reason:
+            reasons.setdefault(one.reason, []).append(wishes.tell(one))
+    notes += [f"No {join_words(names)}: {reason}." for reason, names in reasons.items()]
+    return notes

@@ -1,0 +1,353 @@
+"""Gains that give a sampled loop the overshoot or the phase margin that is wanted, exactly.
+
+With L1 the open loop in z at Kp = 1, G the process and W the phase margin:
+
+    P    overshoot     the smallest Kp whose motion overshoots by as much
+    P    phase margin  Kp = 1 / |L1| where L1 has the phase W - pi
+    PI   overshoot     Kp the largest of P without overshoot, then the smallest such Ki
+    PI   phase margin  the largest Ki among C = exp(j (W - pi)) / G at all frequencies
+    PD   phase margin  Kd puts the controller's zero on the pole of the slowest lag
+    PD   overshoot     both at once: the first on the way from that PD to P
+
+C = Kp + Ki T / (z - 1) is one Kp and one Ki at each frequency. The largest Ki leaves the least
+integrated error, 1 / Ki, of a constant push; K. J. Astrom, H. Panagopoulos and T. Hagglund seek it
+under another constraint (Automatica 34 (1998) 585-601). Kp + Kd / (Tf + T) (z - 1) / (z - a) has
+its zero at e = exp(-T / tau) where Kd = Kp (Tf + T) (e - a) / (1 - e); it too is one Kp and one Kd
+at each frequency.
+
+P does not overshoot up to the Kp at which its two slowest poles meet on the real axis: the largest
+value of -1 / L1(z) between the slowest lag's pole and 1. `sampled_loop` has it in closed form for
+an integrator. Overshoot is that of the motion, between samples too.
+"""
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.theory.pid_gains import PidGains, build_shape
+from turtlelog.theory.pid_loop import find_stable_gains
+from turtlelog.theory.pid_margins import Margins, evaluate_open_loop, find_margins
+from turtlelog.theory.pid_response import StepMotion, measure_step_motion
+from turtlelog.theory.pid_stability import LoopShape, find_sign_changes, is_stable, list_angles
+from turtlelog.theory.process import Process, SampledProcess, sample_process
+
+_Array = NDArray[np.float64]
+
+_MOST_SAMPLES: Final = 2000
+"""Of lag, low-pass and dead time together, up to which overshoots are measured: beyond it the 10 to
+40 responses of some ten thousand samples each take several seconds."""
+
+_CLOSE: Final = 1e-6
+"""In % of the step: to this an overshoot is met, and a smaller one is none."""
+
+_CLOSE_PHASE: Final = 1e-9
+"""In rad, to which a phase margin is met; rounding leaves 1e-12."""
+
+_STEP: Final = 1.25
+"""Factor from one gain to the next while the overshoot is too small."""
+
+_LARGEST_OVERSHOOT: Final = 1e3
+"""In %, of a response that runs away: every wanted overshoot is below 100 %."""
+
+_PARTS: Final = 8
+"""Between the crossovers of P and of the PD that cancels the lag, at which PD is tried."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopDesign:
+    """A loop whose gains are sought.
+
+    Attributes:
+        process: What the command passes, with all dead time.
+        period_s: Sampling period T [s].
+        filter_s: Time constant Tf of the derivative's filter [s].
+    """
+
+    process: Process
+    period_s: float
+    filter_s: float = 0.0
+
+    @property
+    def sampled(self) -> SampledProcess:
+        """The process from sample to sample."""
+        return sample_process(self.process, self.period_s)
+
+    @property
+    def unit_gain(self) -> float:
+        """The Kp [1/s] with K Kp T = 1."""
+        return 1.0 / (self.process.gain * self.period_s)
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether its responses are too long to be measured."""
+        process = self.process
+        slow_s = process.lag_s + process.low_pass_s + process.dead_time_s
+        return slow_s > _MOST_SAMPLES * self.period_s
+
+    def build_shape(self, gains: PidGains) -> LoopShape:
+        """Return the loop without units."""
+        return build_shape(gains, self.sampled, self.period_s)
+
+    def measure(self, gains: PidGains, *, to_rest: bool = True) -> StepMotion | None:
+        """Return what the motion does after a step; None where it is too slow or runs away."""
+        if self.is_slow:
+            return None
+        return measure_step_motion(
+            gains, period_s=self.period_s, process=self.process, to_rest=to_rest
+        )
+
+    def read_margins(self, gains: PidGains) -> Margins | None:
+        """Return the margins; None where the loop is unstable."""
+        shape = self.build_shape(gains)
+        return find_margins(shape, self.period_s) if is_stable(shape) else None
+
+    def find_ultimate_gain(self) -> float:
+        """Return the Kp [1/s] at which P becomes unstable."""
+        return find_stable_gains(
+            PidGains(kp=self.unit_gain), period_s=self.period_s, process=self.process
+        )[-1][1]
+
+    def find_lag_ratio(self) -> float | None:
+        """Return the Kd / Kp that cancels the slowest lag; None where none does."""
+        gaps = self.sampled.gaps
+        if not gaps:
+            return None
+        pole, whole_s = 1.0 - min(gaps), self.filter_s + self.period_s
+        ratio_s = whole_s * (pole - self.filter_s / whole_s) / (1.0 - pole)
+        return ratio_s if ratio_s > 0.0 else None
+
+
+def find_p_without_overshoot(design: LoopDesign) -> float:
+    """Return the largest Kp [1/s] of P without overshoot."""
+    sampled = design.sampled
+
+    def compute_loop_gain(gap: _Array) -> _Array:
+        z = 1.0 - gap
+        zeros = (1.0 - sampled.ahead * gap) * z + sampled.behind * gap
+        found = z ** (sampled.delay + 1) * gap / zeros
+        for lag in sampled.gaps:
+            found *= (lag - gap) / lag
+        return found
+
+    _, largest = _maximise(compute_loop_gain, 0.0, min([1.0, *sampled.gaps]))
+    return largest * design.unit_gain
+
+
+def find_p_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
+    """Return the P that overshoots by as much, or why there is none."""
+    if design.is_slow:
+        return _SLOW
+    start = find_p_without_overshoot(design)
+    if percent == 0.0:
+        return PidGains(kp=start)
+
+    def measure(kp: float) -> float:
+        return _rate(design, PidGains(kp=kp))
+
+    return PidGains(kp=_find_first(measure, start, _STEP * start, percent))
+
+
+def find_pi_of_overshoot(design: LoopDesign, percent: float) -> PidGains | str:
+    """Return the PI that overshoots by as much, or why there is none."""
+    if percent == 0.0:
+        return (
+            "on a plant that integrates, an integral always overshoots: it comes to rest only when"
+            " the errors have added up to 0"
+        )
+    if design.is_slow:
+        return _SLOW
+    kp = find_p_without_overshoot(design)
+    # Without lag and dead time an overshoot of 5 % takes Ki = 0.055 K Kp^2.
+    start = 0.5 * percent / 100.0 * design.process.gain * kp * kp
+
+    def measure(ki: float) -> float:
+        return _rate(design, PidGains(kp=kp, ki=ki))
+
+    return PidGains(kp=kp, ki=_find_first(measure, 0.0, start, percent))
+
+
+def find_pd_of_overshoot(design: LoopDesign, percent: float, margin_rad: float) -> PidGains | str:
+    """Return the PD that overshoots by as much with a phase margin, or why there is none."""
+    whole = find_pd_of_margin(design, margin_rad)
+    alone = find_p_of_margin(design, margin_rad)
+    if isinstance(whole, str) or isinstance(alone, str):
+        return whole if isinstance(whole, str) else alone
+    if design.is_slow:
+        return _SLOW
+    shape = design.build_shape(PidGains(kp=design.unit_gain))
+    keep, rate = PidGains(kp=1.0, kd=1.0, filter_s=design.filter_s).weigh_derivative(
+        design.period_s
+    )
+
+    def follow(angle: float) -> PidGains:
+        """Return the only PD whose open loop passes the margin's point at an angle w T."""
+        z = cmath.exp(1j * angle)
+        wanted = cmath.exp(1j * (margin_rad - math.pi)) / complex(evaluate_open_loop(shape, angle))
+        difference = (z - 1.0) / (z - keep)
+        weight = max(wanted.imag / difference.imag, 0.0)
+        kp = design.unit_gain * (wanted.real - weight * difference.real)
+        return PidGains(kp=kp, kd=design.unit_gain * weight / rate, filter_s=design.filter_s)
+
+    def measure(angle: float) -> float:
+        return _rate(design, follow(angle))
+
+    words = f"with a phase margin of {math.degrees(margin_rad):g} deg PD"
+    lowest, high = (_find_crossover(design, gains) for gains in (alone, whole))
+    value = measure(high)
+    if value > percent + _CLOSE:
+        return f"{words} overshoots by {value:.3g} % even where Kd cancels the lag"
+    for low in np.linspace(high, lowest, _PARTS + 1)[1:].tolist():
+        below = measure(low)
+        if below > percent + _CLOSE:
+            gains = follow(_solve(measure, (high, value), (low, below), percent))
+            return gains if _has_margin(design, gains, margin_rad) else _tell_no_margin(margin_rad)
+        high, value = low, below
+    return f"{words} overshoots less"
+
+
+def find_p_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
+    """Return the P with a phase margin, or why there is none."""
+    return _find_pd(design, 0.0, margin_rad)
+
+
+def find_pd_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
+    """Return the PD with a phase margin whose Kd cancels the lag, or why there is none."""
+    ratio_s = design.find_lag_ratio()
+    return _tell_no_lag(design) if ratio_s is None else _find_pd(design, ratio_s, margin_rad)
+
+
+def find_pi_of_margin(design: LoopDesign, margin_rad: float) -> PidGains | str:
+    """Return the PI with a phase margin and the largest Ki, or why there is none."""
+    alone = find_p_of_margin(design, margin_rad)
+    if isinstance(alone, str):
+        return alone
+    shape = design.build_shape(PidGains(kp=design.unit_gain))
+
+    def compute(angle: _Array) -> tuple[_Array, _Array]:
+        """Return Kp and Ki, each over the unit gain, Ki times T."""
+        wanted = cmath.exp(1j * (margin_rad - math.pi)) / evaluate_open_loop(shape, angle)
+        integral = -2.0 * np.tan(0.5 * angle) * wanted.imag
+        return wanted.real + 0.5 * integral, integral
+
+    def compute_integral(angle: _Array) -> _Array:
+        proportional, integral = compute(angle)
+        return np.where(proportional > 0.0, integral, -1.0)
+
+    # An integral takes phase away, so PI crosses over earlier than P alone.
+    angle, _ = _maximise(compute_integral, 0.0, _find_crossover(design, alone))
+    proportional, integral = (float(value[0]) for value in compute(np.array([angle])))
+    unit = design.unit_gain
+    gains = PidGains(kp=unit * proportional, ki=unit * integral / design.period_s)
+    return gains if _has_margin(design, gains, margin_rad) else _tell_no_margin(margin_rad)
+
+
+_SLOW: Final = (
+    f"lag and dead time are longer than {_MOST_SAMPLES} samples, so no overshoot is measured"
+)
+
+
+def _find_pd(design: LoopDesign, ratio_s: float, margin_rad: float) -> PidGains | str:
+    """Return the largest P or PD with a phase margin and Kd / Kp, or why there is none."""
+    unit = PidGains(kp=design.unit_gain, kd=ratio_s * design.unit_gain, filter_s=design.filter_s)
+    shape = design.build_shape(unit)
+    turn = cmath.exp(1j * (math.pi - margin_rad))
+
+    def read_imaginary(angle: _Array) -> _Array:
+        return (turn * evaluate_open_loop(shape, angle)).imag
+
+    for angle in find_sign_changes(read_imaginary, list_angles(shape)).tolist():
+        value = turn * complex(evaluate_open_loop(shape, angle))
+        if value.real > 0.0:
+            kp = unit.kp / abs(value)
+            gains = replace(unit, kp=kp, kd=ratio_s * kp)
+            if _has_margin(design, gains, margin_rad):
+                return gains
+    return _tell_no_margin(margin_rad)
+
+
+def _find_crossover(design: LoopDesign, gains: PidGains) -> float:
+    """Return the angle w T at which a loop with a phase margin crosses over."""
+    margins = design.read_margins(gains)
+    if margins is None or margins.crossover_rad_s is None:
+        raise AssertionError(gains)
+    return margins.crossover_rad_s * design.period_s
+
+
+def _has_margin(design: LoopDesign, gains: PidGains, margin_rad: float) -> bool:
+    margins = design.read_margins(gains)
+    if margins is None or margins.phase_margin_rad is None:
+        return False
+    return abs(margins.phase_margin_rad - margin_rad) < _CLOSE_PHASE
+
+
+def _tell_no_margin(margin_rad: float) -> str:
+    if margin_rad >= 0.5 * math.pi:
+        return "the integrator alone lags by 90 deg, so a phase margin is below 90 deg"
+    return f"no gains have a phase margin of {math.degrees(margin_rad):g} deg"
+
+
+def _tell_no_lag(design: LoopDesign) -> str:
+    if design.sampled.gaps:
+        return "the derivative's filter is slower than the lag, so no Kd cancels it"
+    return "there is no lag to cancel; of an integrator alone D only makes the gain smaller"
+
+
+def _rate(design: LoopDesign, gains: PidGains) -> float:
+    """Return an overshoot that can be compared, also of a loop that runs away."""
+    motion = design.measure(gains, to_rest=False)
+    return (
+        _LARGEST_OVERSHOOT if motion is None else min(motion.overshoot_percent, _LARGEST_OVERSHOOT)
+    )
+
+
+def _find_first(
+    measure: Callable[[float], float], none: float, first: float, percent: float
+) -> float:
+    """Return the first gain with an overshoot, tried from one on, above another that has none.
+
+    At the limit of stability a loop swings by 100 %, so every smaller overshoot is met below.
+    """
+    low, below, high = none, 0.0, first
+    while (value := measure(high)) < percent:
+        low, below, high = high, value, _STEP * high
+    return _solve(measure, (low, below), (high, value), percent)
+
+
+def _solve(
+    measure: Callable[[float], float],
+    start: tuple[float, float],
+    end: tuple[float, float],
+    target: float,
+) -> float:
+    """Return where a measure is on target between two places on either side of it.
+
+    By the secant through the ends, the value of an end that stays halved each time (the Illinois
+    method: M. Dowell and P. Jarratt, BIT 11 (1971) 168-174); by halves where that is no nearer.
+    """
+    (at, value), (other, far) = (start[0], start[1] - target), (end[0], end[1] - target)
+    for _ in range(80):
+        middle = other - far * (other - at) / (far - value)
+        found = measure(middle) - target
+        if abs(found) < _CLOSE or abs(other - at) <= 1e-13 * abs(other):
+            return middle
+        if (found > 0.0) == (far > 0.0):
+            value *= 0.5
+        else:
+            at, value = other, far
+        other, far = middle, found
+    return middle
+
+
+def _maximise(compute: Callable[[_Array], _Array], low: float, high: float) -> tuple[float, float]:
+    """Return where a function of one maximum between two ends is largest, and its value there."""
+    for _ in range(9):  # a 50th each time: 1e-15 of the interval
+        places = np.linspace(low, high, 102)[1:-1]
+        values = compute(places)
+        best = int(np.argmax(values))
+        low, high = (low, *places, high)[best], (low, *places, high)[best + 2]
+    return float(places[best]), float(values[best])

@@ -1,0 +1,142 @@
+"""Gains to begin with: exact ones for a wanted overshoot or phase margin, and published rules."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from turtlelog.errors import TheoryError
+from turtlelog.theory import exact_gains as exact
+from turtlelog.theory.exact_gains import LoopDesign
+from turtlelog.theory.gain_rules import RULES
+from turtlelog.theory.inputs import require_not_negative, require_period, require_positive
+from turtlelog.theory.pid_gains import PidGains
+from turtlelog.theory.pid_margins import Margins
+from turtlelog.theory.pid_response import StepMotion
+from turtlelog.theory.process import INTEGRATOR, Process
+
+OVERSHOOT_PERCENT: Final = 5.0
+"""Unless asked otherwise [% of the step]: that of a second-order loop with a damping of 0.69, the
+fastest to stay within 5 %."""
+
+PHASE_MARGIN_RAD: Final = math.pi / 3.0
+"""Unless asked otherwise: 60 deg, the cautious end of the usual 45 to 60 deg, for dead time and lag
+of a robot are known to some ten percent."""
+
+EXACT: Final = "exact, of the sampled loop"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recommendation:
+    """Gains by one rule, or why it gives none.
+
+    Attributes:
+        rule: `overshoot`, `phase-margin`, `simc` or `ziegler-nichols`.
+        controller: `P`, `PI` or `PD`.
+        source: Where the rule is from.
+        gains: None where there are none.
+        reason: Why; empty where there are gains.
+        motion: What it does after a step, between samples too; None without gains, where the loop
+            is unstable, or too slow to be measured.
+        margins: How far it is from instability; None without gains or where it is unstable.
+    """
+
+    rule: str
+    controller: str
+    source: str
+    gains: PidGains | None = None
+    reason: str = ""
+    motion: StepMotion | None = None
+    margins: Margins | None = None
+
+
+def recommend_gains(
+    process: Process = INTEGRATOR,
+    *,
+    period_s: float,
+    filter_s: float = 0.0,
+    overshoot_percent: float | None = OVERSHOOT_PERCENT,
+    phase_margin_rad: float | None = PHASE_MARGIN_RAD,
+) -> tuple[Recommendation, ...]:
+    """Return gains of P, PI and PD for a heading or a position loop.
+
+    Args:
+        process: What the command passes, with all dead time; an integrator unless given.
+        period_s: Sampling period T [s].
+        filter_s: Time constant of the derivative's filter [s]; 0: a plain difference.
+        overshoot_percent: Wanted overshoot [% of the step], from 0 to below 100; None: any.
+        phase_margin_rad: Wanted phase margin [rad], above 0 and below pi; None: any. The PD for an
+            overshoot then has 60 deg.
+
+    Returns:
+        The exact ones for what is wanted, then those of published rules.
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
+    design = LoopDesign(
+        process=process,
+        period_s=require_period(period_s),
+        filter_s=require_not_negative("filter_s", filter_s),
+    )
+    margin_rad = _require_margin(phase_margin_rad)
+    rules: list[tuple[str, str, str, Callable[[], PidGains | str]]] = []
+    if overshoot_percent is not None:
+        percent = _require_overshoot(overshoot_percent)
+        rules += [
+            ("overshoot", "P", EXACT, partial(exact.find_p_of_overshoot, design, percent)),
+            ("overshoot", "PI", EXACT, partial(exact.find_pi_of_overshoot, design, percent)),
+            (
+                *("overshoot", "PD", EXACT),
+                partial(exact.find_pd_of_overshoot, design, percent, margin_rad),
+            ),
+        ]
+    if phase_margin_rad is not None:
+        rules += [
+            ("phase-margin", "P", EXACT, partial(exact.find_p_of_margin, design, margin_rad)),
+            ("phase-margin", "PI", EXACT, partial(exact.find_pi_of_margin, design, margin_rad)),
+            ("phase-margin", "PD", EXACT, partial(exact.find_pd_of_margin, design, margin_rad)),
+        ]
+    rules += [(*names, partial(compute, design)) for names, compute in RULES]
+    return tuple(_judge(design, *rule) for rule in rules)
+
+
+def _judge(
+    design: LoopDesign,
+    rule: str,
+    controller: str,
+    source: str,
+    compute: Callable[[], PidGains | str],
+) -> Recommendation:
+    """Return what a rule gives, and what its loop does."""
+    try:
+        gains = compute()
+        margins = None if isinstance(gains, str) else design.read_margins(gains)
+    except TheoryError as err:  # gains outside what theory takes
+        gains, margins = str(err), None
+    if isinstance(gains, str):
+        return Recommendation(rule=rule, controller=controller, source=source, reason=gains)
+    return Recommendation(
+        rule=rule,
+        controller=controller,
+        source=source,
+        gains=gains,
+        motion=None if margins is None else design.measure(gains),
+        margins=margins,
+    )
+
+
+def _require_overshoot(percent: float) -> float:
+    percent = require_not_negative("overshoot_percent", percent)
+    if not percent < 100.0:
+        raise TheoryError(f"overshoot_percent: expected less than 100 %, found {percent!r}")
+    return percent
+
+
+def _require_margin(margin_rad: float | None) -> float:
+    margin_rad = PHASE_MARGIN_RAD if margin_rad is None else margin_rad
+    margin_rad = require_positive("phase_margin_rad", margin_rad)
+    if not margin_rad < math.pi:
+        raise TheoryError(f"phase_margin_rad: expected less than pi, found {margin_rad!r}")
+    return margin_rad
