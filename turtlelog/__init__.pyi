@@ -9,6 +9,7 @@ from . import (
     explain as explain,
     expressions as expressions,
     frames as frames,
+    identify as identify,
     laws as laws,
     log as log,
     loops as loops,
@@ -49,6 +50,7 @@ from .errors import (
     ExplainError as ExplainError,
     ExpressionError as ExpressionError,
     FrameError as FrameError,
+    IdentifyError as IdentifyError,
     LawError as LawError,
     LibraryError as LibraryError,
     LogError as LogError,
@@ -66,6 +68,10 @@ from .errors import (
 from .explain import (
     attribute_run as attribute_run,
     identify_run as identify_run,
+)
+from .identify import (
+    RobotModel as RobotModel,
+    identify_robot as identify_robot,
 )
 from .laws import (
     LAWS as LAWS,

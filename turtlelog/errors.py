@@ -110,6 +110,10 @@ class MeasureError(TurtlelogError):
     """A metric or signal that is not known."""
 
 
+class IdentifyError(TurtlelogError):
+    """Runs of which no robot can be identified."""
+
+
 class CompareError(TurtlelogError):
     """Runs that cannot be compared."""
 

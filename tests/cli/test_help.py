@@ -12,7 +12,7 @@ from turtlelog.cli.app import app
 
 GROUPS = {
     "Simulate": ["run", "scenario", "theory"],
-    "Ask": ["info", "metrics", "compare", "explain", "replay", "list"],
+    "Ask": ["info", "metrics", "compare", "explain", "identify", "replay", "list"],
     "Check": ["check"],
     "Show": ["view", "plot"],
     "Files": ["convert", "recover", "demo"],

@@ -14,7 +14,12 @@ from turtlelog.check.judge_formula import judge_check
 from turtlelog.check.judge_run import fail_recording
 from turtlelog.check.metric_value import MetricValue
 from turtlelog.check.reference import ReferenceFile
-from turtlelog.check.result import CheckOutcome, CheckResult, PartialLogError
+from turtlelog.check.result import (
+    CheckOutcome,
+    CheckResult,
+    MissingValueError,
+    PartialLogError,
+)
 from turtlelog.check.spec import Check
 from turtlelog.check.vocabulary import (
     describe_nearest,
@@ -25,6 +30,7 @@ from turtlelog.check.vocabulary import (
 from turtlelog.compare import Tolerance
 from turtlelog.errors import CheckError
 from turtlelog.expressions import parse_expression
+from turtlelog.identify import AxisModel, Estimate, RobotModel, identify_robot
 from turtlelog.laws import Law
 from turtlelog.log import ReadChoice, ReadOptions, read_as_chosen, write_recording
 from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
@@ -130,6 +136,10 @@ class Recording:
             raise CheckError(f"phase: {describe_nearest(name, parts)}")
         return PhaseMetrics(self, name)
 
+    def robot(self) -> "RobotValues":
+        """Return how its robot follows commands, as `turtlelog.identify_robot` does."""
+        return RobotValues(identify_robot(self.run), self.file)
+
     def holds(self, formula: str, *, phase: str | None = None) -> CheckOutcome:
         """Return whether a formula over signals, metrics and parameters holds.
 
@@ -216,6 +226,63 @@ class PhaseMetrics:
         prefix = f"{self._name}."
         known = tuple(found.removeprefix(prefix) for found in ids if found.startswith(prefix))
         raise UnknownMetricError(f"metric of {self._name}: {describe_nearest(name, known)}")
+
+
+class RobotValues:
+    """What a recording tells of its robot, by axis: `speed.gain`, `turn_rate.dead_time_s`."""
+
+    def __init__(self, model: RobotModel, file: str) -> None:
+        self.model = model
+        self.speed = AxisValues(model.speed, file)
+        self.turn_rate = AxisValues(model.turn_rate, file)
+
+    def __bool__(self) -> bool:
+        raise CheckError("robot: expected a value of one of its axes, found none")
+
+    def __repr__(self) -> str:
+        return repr(self.model)
+
+
+class AxisValues:
+    """The values of one axis; what the recording does not tell raises an error that says why."""
+
+    def __init__(self, model: AxisModel, file: str) -> None:
+        self._model, self._file = model, file
+
+    def __bool__(self) -> bool:
+        raise CheckError(f"{self._model.axis}: expected one of its values, found none")
+
+    def __repr__(self) -> str:
+        return f"<{self._model.axis} of {self._file}: {self._model.status}>"
+
+    @property
+    def gain(self) -> Estimate:
+        """Rate per command in the end [1]."""
+        return self._require("gain", self._model.gain)
+
+    @property
+    def dead_time_s(self) -> Estimate:
+        """From a command until the rate begins to follow [s]."""
+        return self._require("dead_time_s", self._model.dead_time_s)
+
+    @property
+    def lag_s(self) -> Estimate:
+        """Time constant with which it follows [s]."""
+        return self._require("lag_s", self._model.lag_s)
+
+    @property
+    def total_delay_s(self) -> Estimate:
+        """Dead time and lag together [s]."""
+        return self._require("total_delay_s", self._model.total_delay_s)
+
+    def _require(self, name: str, found: Estimate | None) -> Estimate:
+        if found is None:
+            found_none = f"{self._model.reason}; {self._model.advice}"
+            raise MissingValueError(
+                f"{self._file}: {self._model.axis}.{name}: expected a value, found none:"
+                f" {found_none}"
+            )
+        return found
 
 
 class SimulatedRuns:

@@ -19,6 +19,7 @@ from turtlelog.cli.convert import convert
 from turtlelog.cli.demo import demo
 from turtlelog.cli.explain import explain
 from turtlelog.cli.help import HelpFormatter, show_default
+from turtlelog.cli.identify import identify
 from turtlelog.cli.info import info
 from turtlelog.cli.list_names import list_
 from turtlelog.cli.metrics import metrics
@@ -65,6 +66,7 @@ _COMMANDS: Final[Mapping[str, Mapping[Callable[..., Any], str]]] = {
         metrics: "FILE...",
         compare: "FILE...",
         explain: "FILE",
+        identify: "FILE...",
         replay: "FILE",
         list_: "KIND",
     },

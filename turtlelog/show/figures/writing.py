@@ -123,12 +123,17 @@ def add_figures(
         _settle_layout(figure)
         for form in dict.fromkeys(formats):
             data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
-            with mpl.rc_context(dict(LOOKS)):
-                figure.savefig(data, format=form, dpi=_DPI, metadata=_NO_DATE[form])
+            save_figure(figure, data, form)
             written.append(write(f"{name}.{form}", data.getvalue()))
             if on_written:
                 on_written(written[-1])
     return written
+
+
+def save_figure(figure: Figure, data: io.BytesIO, form: str) -> None:
+    """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
+    with mpl.rc_context(dict(LOOKS)):
+        figure.savefig(data, format=form, dpi=_DPI, metadata=_NO_DATE[form])
 
 
 def _settle_layout(figure: Figure) -> None:

@@ -1,0 +1,152 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from tests.cli.conftest import Call
+from tests.identify.robots import Log, Truth, make_run, write_bag
+from tests.log.ros2.bags import make_poses, write_mcap
+from turtlelog.identify import Estimate
+
+LOG = Log(
+    speed=Truth(gain=0.9, dead_time_s=0.08, lag_s=0.12),
+    turn_rate=Truth(gain=0.95, dead_time_s=0.06, lag_s=0.1),
+    duration_s=20.0,
+    poses_hz=20.0,
+    commands_hz=10.0,
+)
+"""A robot of known truth."""
+
+KEYS = {"files", "clock", "axes", "tick_delays", "events", "notes"}
+VALUES = {
+    "speed": {"gain": 0.9, "dead_time_s": 0.08, "lag_s": 0.12, "total_delay_s": 0.2},
+    "turn_rate": {"gain": 0.95, "dead_time_s": 0.06, "lag_s": 0.1, "total_delay_s": 0.16},
+}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(make_run(LOG, 6), tmp_path_factory.mktemp("bag") / "robot.mcap")
+
+
+def test_identify_finds_a_robot_of_known_truth(call: Call, bag: Path) -> None:
+    answer = call("identify", bag, "--json").json
+    assert answer.keys() == KEYS
+    assert answer["files"] == [str(bag)]
+    assert [axis["axis"] for axis in answer["axes"]] == ["speed", "turn_rate"]
+    for axis in answer["axes"]:
+        assert (axis["status"], axis["model"], axis["reason"]) == ("ok", "first_order", None)
+        for name, truth in VALUES[axis["axis"]].items():
+            assert axis[name].keys() == {"value", "low", "high"}
+            assert axis[name]["low"] <= truth <= axis[name]["high"]
+        assert 0.9 < axis["explained"] < 1.0
+        assert 0.7 < axis["whiteness"] < 1.3
+        assert axis["outliers"] == 0
+
+
+def test_the_text_gives_a_line_per_axis_and_what_to_paste_into_nav2(call: Call, bag: Path) -> None:
+    text = call("identify", bag).out
+    assert "robot: values and intervals of 95 %" in text
+    assert "turn rate  0.95" in text
+    assert "commands and motion correlate best at" in " ".join(text.split())
+    vx, wz = text.splitlines()[-2:]
+    name, delay_s = vx.split()
+    assert (name, round(float(delay_s), 2)) == ("model_delay_vx:", 0.2)
+    name, delay_s = wz.split()
+    assert (name, round(float(delay_s), 2)) == ("model_delay_wz:", 0.16)
+
+
+def test_an_axis_without_a_value_has_a_reason_and_what_to_drive(call: Call, tmp_path: Path) -> None:
+    run = make_run(LOG, 6)
+    still = replace(run.commands, speed_m_s=np.zeros(len(run.commands)))
+    bag = write_bag(replace(run, commands=still), tmp_path / "turns.mcap")
+    text = " ".join(call("identify", bag).out.split())
+    assert (
+        "Speed: not identifiable: the speed is never commanded. To know it, step the speed ten"
+        " times for 2 s."
+    ) in text
+    assert "model_delay_vx" not in text
+    speed = call("identify", bag, "--json").json["axes"][0]
+    assert speed["status"] == "not_identifiable"
+    assert {speed[name] for name in ("gain", "dead_time_s", "lag_s", "total_delay_s")} == {None}
+
+
+def test_a_bag_without_commands_is_an_answer(call: Call, tmp_path: Path) -> None:
+    answer = call("identify", write_mcap(tmp_path / "poses.mcap", make_poses()))
+    assert answer.code == 0
+    assert "no commands were recorded" in answer.out
+
+
+def test_several_bags_are_one_robot(call: Call, bag: Path, tmp_path: Path) -> None:
+    other = write_bag(make_run(LOG, 7), tmp_path / "other.mcap")
+    answer = call("identify", bag, other, "--json").json
+    assert answer["files"] == [str(bag), str(other)]
+    alone = call("identify", bag, "--json").json
+    width, width_alone = (
+        [axis["gain"]["high"] - axis["gain"]["low"] for axis in found["axes"]]
+        for found in (answer, alone)
+    )
+    assert all(together < one for together, one in zip(width, width_alone, strict=True))
+    assert "2 runs of one robot: values" in call("identify", bag, other).out
+
+
+def test_a_figure_of_one_robot_is_drawn(call: Call, bag: Path, tmp_path: Path) -> None:
+    answer = call("identify", bag, "--plot", tmp_path / "robot.svg")
+    assert answer.code == 0
+    assert "robot.svg" in answer.err
+    assert (tmp_path / "robot.svg").read_bytes().startswith(b"<?xml")
+
+
+def test_a_view_holds_command_motion_model_and_residual(
+    call: Call, bag: Path, tmp_path: Path
+) -> None:
+    assert call("identify", bag, "--rrd", tmp_path / "robot.rrd").code == 0
+    entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "robot.rrd").stream()}
+    names = ("commanded", "measured", "modelled", "residual")
+    assert {f"/{axis}/{name}" for axis in VALUES for name in names} <= entities
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--plot", "robot.txt"], "expected a name that ends in .pdf, .png or .svg, found another"),
+        (["again.mcap", "--rrd", "robot.rrd"], "--rrd: expected one file to draw, found 2"),
+        (["--rrd", "robot.svg"], "expected a name that ends in .rrd, found another"),
+        (["again.mcap", "--plot", "robot.svg"], "--plot: expected one file to draw, found 2"),
+    ],
+    ids=["suffix", "two files in a view", "suffix of a view", "two files"],
+)
+def test_a_figure_that_cannot_be_drawn_is_one_line(
+    call: Call, bag: Path, words: list[str], line: str
+) -> None:
+    answer = call("identify", bag, *words)
+    assert (answer.code, answer.out, answer.err.count("\n")) == (2, "", 1)
+    assert line in answer.err
+
+
+def test_turtlesim_tells_its_dead_time_in_ticks(call: Call, kp10: Path) -> None:
+    answer = call("identify", kp10, "--json").json
+    delays = answer["tick_delays"]
+    assert (delays["least_s"], delays["median_s"], delays["largest_s"]) == (0.016, 0.112, 0.112)
+    assert "least 16.0 ms, median 112.0 ms, largest 112.0 ms" in call("identify", kp10).out
+
+
+def test_without_files_and_with_none_that_can_be_read_it_says_so(call: Call) -> None:
+    answer = call("identify")
+    assert (answer.code, answer.out) == (2, "")
+    answer = call("identify", "nothing.mcap")
+    assert answer.code == 2
+    assert answer.err.count("\n") == 1
+    assert "nothing.mcap" in answer.err
+
+
+def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
+    from turtlelog.cli.identify import format_value
+
+    wide = Estimate(value=0.0804, low=0.0751, high=0.0857)
+    narrow = Estimate(value=0.0804, low=0.0801, high=0.0807)
+    assert format_value(wide, "dead_time_s") == "80 (75 to 86)"
+    assert format_value(narrow, "dead_time_s") == "80.4 (80.1 to 80.7)"
+    assert format_value(None, "gain") == "-"

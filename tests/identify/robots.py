@@ -1,0 +1,248 @@
+"""Robots of known truth, that share no code with the fit: a sum of responses to single steps."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.log.ros2.bags import START_NS, Said, make_vector, write_mcap
+from tests.log.ros2.robots import say_odometry, turn
+from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+
+Values = NDArray[np.float64]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """One axis: rate = gain exp(-dead_time s) / (lag s + 1) of the commands; or with two lags."""
+
+    gain: float = 1.0
+    dead_time_s: float = 0.1
+    lag_s: float = 0.1
+    second_lag_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Log:
+    """How a robot is driven and recorded; `later_s` is when its clocks begin."""
+
+    speed: Truth = field(default_factory=Truth)
+    turn_rate: Truth = field(default_factory=Truth)
+    duration_s: float = 60.0
+    poses_hz: float = 30.0
+    commands_hz: float = 20.0
+    noise_m: float = 2e-4
+    noise_rad: float = 5e-4
+    jitter_s: float = 2e-3
+    lost: float = 0.0
+    jumps: int = 0
+    quantum: float = 0.0
+    hold_s: tuple[float, float] = (0.5, 3.0)
+    later_s: float = 0.0
+
+
+def draw_steps(rng: np.random.Generator, log: Log, largest: float) -> tuple[Values, Values]:
+    """Return times and values of commands, repeated at their rate; the robot stands first."""
+    time_s = np.arange(0.5, log.duration_s - 0.5, 1.0 / log.commands_hz)
+    time_s = time_s + rng.uniform(0.0, 0.3 / log.commands_hz, len(time_s))
+    value, changes_s = np.zeros(len(time_s)), 1.0
+    while changes_s < log.duration_s:
+        value[time_s >= changes_s] = rng.uniform(-largest, largest)
+        changes_s += rng.uniform(*log.hold_s)
+    if log.quantum:
+        value = np.rint(value / log.quantum) * log.quantum
+    return time_s, value
+
+
+def respond(truth: Truth, time_s: Values, changes: tuple[Values, Values]) -> tuple[Values, Values]:
+    """Return rate and way at some times: of each change of the command the response to a step."""
+    at_s, by = changes
+    since_s = time_s[:, None] - (at_s + truth.dead_time_s)
+    acts = since_s > 0.0
+    since_s = np.where(acts, since_s, 0.0)
+    if truth.second_lag_s > 0.0:
+        one, other = truth.lag_s, truth.second_lag_s
+        faded = np.exp(-since_s / one), np.exp(-since_s / other)
+        risen = 1.0 - (one * faded[0] - other * faded[1]) / (one - other)
+        way = since_s - (one + other) + (one**2 * faded[0] - other**2 * faded[1]) / (one - other)
+        risen, way = np.where(acts, risen, 0.0), np.where(acts, way, 0.0)
+    elif truth.lag_s > 0.0:
+        risen = -np.expm1(-since_s / truth.lag_s)
+        way = since_s - truth.lag_s * risen
+    else:
+        risen, way = acts.astype(float), since_s
+    return truth.gain * risen @ by, truth.gain * way @ by
+
+
+def find_changes(time_s: Values, value: Values) -> tuple[Values, Values]:
+    by = np.diff(value, prepend=0.0)
+    rows = np.flatnonzero(by)
+    return time_s[rows], by[rows]
+
+
+def drive(
+    log: Log, time_s: Values, speed: tuple[Values, Values], turn: tuple[Values, Values]
+) -> tuple[Values, Values]:
+    """Return positions and headings at some times, from the origin on."""
+    speeds, turns = find_changes(*speed), find_changes(*turn)
+    breaks = np.concatenate(
+        [speeds[0] + log.speed.dead_time_s, turns[0] + log.turn_rate.dead_time_s]
+    )
+    inside = breaks[(breaks > 0.0) & (breaks < time_s[-1])]
+    bounds = np.unique(np.concatenate([[0.0], time_s, inside]))
+    length = np.diff(bounds)
+    nodes = bounds[:-1, None] + length[:, None] * (0.5 + 0.5 * _NODES)
+    rate = respond(log.speed, nodes.ravel(), speeds)[0].reshape(nodes.shape)
+    heading = respond(log.turn_rate, nodes.ravel(), turns)[1].reshape(nodes.shape)
+    weights = 0.5 * length[:, None] * _WEIGHTS
+    steps = [(weights * rate * way(heading)).sum(axis=1) for way in (np.cos, np.sin)]
+    xy_m = np.vstack([[0.0, 0.0], np.cumsum(np.column_stack(steps), axis=0)])
+    rows = np.searchsorted(bounds, time_s)
+    return xy_m[rows], respond(log.turn_rate, time_s, turns)[1]
+
+
+def turn_with_limit(
+    truth: Truth, log: Log, most_rad_s2: float, seed: int, step_s: float = 1e-3
+) -> Run:
+    """Return the run of a robot on the spot whose turn rate changes no faster than a limit."""
+    rng = np.random.default_rng(seed)
+    time_s, turns = draw_steps(rng, log, 1.5)
+    fine_s = np.arange(0.0, log.duration_s, step_s)
+    held = np.searchsorted(time_s, fine_s - truth.dead_time_s, side="right") - 1
+    wanted = truth.gain * np.where(held >= 0, turns[np.maximum(held, 0)], 0.0)
+    limited = rate = heading = 0.0
+    headings = []
+    fading = float(np.exp(-step_s / truth.lag_s))
+    for target in wanted.tolist():
+        headings.append(heading)
+        limited += min(max(target - limited, -most_rad_s2 * step_s), most_rad_s2 * step_s)
+        rate, before = limited + (rate - limited) * fading, rate
+        heading += 0.5 * step_s * (rate + before)
+    rows = np.arange(0, len(fine_s), round(1.0 / (log.poses_hz * step_s)))
+    seen = np.array(headings)[rows] + rng.normal(0.0, log.noise_rad, len(rows))
+    xy_m = rng.normal(0.0, log.noise_m, (len(rows), 2))
+    return build_run(fine_s[rows], xy_m, seen, (time_s, 0.0 * turns, turns))
+
+
+def make_run(
+    log: Log,
+    seed: int,
+    speed: tuple[Values, Values] | None = None,
+    turn: tuple[Values, Values] | None = None,
+    name: str = "robot",
+) -> Run:
+    """Return the run of a robot; commands are random steps where none are given."""
+    rng = np.random.default_rng(seed)
+    drawn = draw_steps(rng, log, 0.5), draw_steps(rng, log, 1.5)
+    time_s, speeds = drawn[0] if speed is None else speed
+    # Both axes are commanded by one message.
+    turns = drawn[1][1] if turn is None else turn[1]
+    true_s = np.arange(0.0, log.duration_s, 1.0 / log.poses_hz)
+    xy_m, heading_rad = drive(log, true_s, (time_s, speeds), (time_s, turns))
+    xy_m = xy_m + rng.normal(0.0, log.noise_m, xy_m.shape)
+    heading_rad = heading_rad + rng.normal(0.0, log.noise_rad, len(true_s))
+    for row in rng.integers(20, len(true_s) - 20, log.jumps):
+        # Odometry goes on from where it believes to be.
+        turn_rad = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.7)
+        turned = np.array(
+            [[np.cos(turn_rad), np.sin(turn_rad)], [-np.sin(turn_rad), np.cos(turn_rad)]]
+        )
+        xy_m[row:] = xy_m[row] + rng.normal(0.0, 0.1, 2) + (xy_m[row:] - xy_m[row]) @ turned
+        heading_rad[row:] += turn_rad
+    stamp_s = true_s + rng.normal(0.0, log.jitter_s, len(true_s))
+    stamp_s = np.maximum(stamp_s, 0.0)
+    kept = np.flatnonzero(rng.uniform(size=len(true_s)) >= log.lost)
+    order = kept[np.argsort(stamp_s[kept], kind="stable")]
+    commands = time_s + log.later_s, speeds, turns
+    return build_run(
+        stamp_s[order] + log.later_s, xy_m[order], heading_rad[order], commands, name=name
+    )
+
+
+def draw_log(seed: int, duration_s: float = 40.0, *, at_edge: bool = False) -> Log:
+    """Return a robot of the range that is claimed; at its edge without dead time or lag."""
+    rng = np.random.default_rng([seed, 20])
+    noise = 10.0 ** rng.uniform(-1.0, 1.0)
+
+    def draw_axis() -> Truth:
+        gain, dead_time_s, lag_s = (
+            float(rng.uniform(*ends)) for ends in ((0.5, 1.2), (0.02, 0.5), (0.02, 1.0))
+        )
+        if at_edge:
+            dead_time_s, lag_s = (0.0, lag_s) if rng.uniform() < 0.5 else (dead_time_s, 0.0)
+        return Truth(gain=gain, dead_time_s=dead_time_s, lag_s=lag_s)
+
+    return Log(
+        speed=draw_axis(),
+        turn_rate=draw_axis(),
+        duration_s=duration_s,
+        poses_hz=float(rng.uniform(10.0, 100.0)),
+        noise_m=2e-4 * noise,
+        noise_rad=5e-4 * noise,
+        jitter_s=float(rng.uniform(0.0, 2e-3)),
+        lost=float(rng.choice([0.0, 0.05])),
+        jumps=int(rng.choice([0, 3])),
+        quantum=float(rng.choice([0.0, 0.01])),
+        later_s=float(rng.choice([0.0, 1e4])),
+    )
+
+
+def build_run(
+    time_s: Values,
+    xy_m: Values,
+    heading_rad: Values,
+    commands: tuple[Values, Values, Values],
+    name: str = "robot",
+) -> Run:
+    pose_ns = np.rint(time_s * 1e9).astype(np.int64)
+    fresh = np.concatenate([[True], np.diff(pose_ns) > 0])
+    whole = np.zeros(0, dtype=np.int64)
+    none = np.zeros(0)
+    return Run(
+        name=name,
+        source="test",
+        poses=PoseColumns(
+            time_ns=pose_ns[fresh],
+            xy_m=xy_m[fresh],
+            heading_rad=np.mod(heading_rad[fresh] + np.pi, 2.0 * np.pi) - np.pi,
+        ),
+        commands=CommandColumns(
+            time_ns=np.rint(commands[0] * 1e9).astype(np.int64),
+            speed_m_s=np.asarray(commands[1], dtype=float),
+            lateral_speed_m_s=np.zeros(len(commands[0])),
+            turn_rate_rad_s=np.asarray(commands[2], dtype=float),
+        ),
+        samples=SampleColumns(
+            time_ns=whole,
+            sequence=whole,
+            pose_sequence=whole,
+            phase=whole,
+            speed_m_s=none,
+            turn_rate_rad_s=none,
+        ),
+    )
+
+
+def write_bag(run: Run, path: Path) -> Path:
+    """Write a run as a robot's bag: odometry without stamps, and commands."""
+    said = []
+    rows = zip(run.poses.time_ns.tolist(), run.poses.xy_m, run.poses.heading_rad, strict=True)
+    for time_ns, (x_m, y_m), yaw_rad in rows:
+        (pose,) = say_odometry(count=1, x_m=float(x_m), by=turn(float(yaw_rad)))
+        pose.values["pose"]["pose"]["position"]["y"] = float(y_m)
+        said.append(replace(pose, time_ns=START_NS + time_ns))
+    columns = run.commands.time_ns, run.commands.speed_m_s, run.commands.turn_rate_rad_s
+    for time_ns, speed, turn_rate in zip(*(column.tolist() for column in columns), strict=True):
+        values = {"linear": make_vector(speed), "angular": make_vector(z=turn_rate)}
+        said.append(
+            Said(
+                topic="/cmd_vel",
+                type="geometry_msgs/msg/Twist",
+                values=values,
+                time_ns=START_NS + time_ns,
+            )
+        )
+    return write_mcap(path, sorted(said, key=lambda message: message.time_ns))

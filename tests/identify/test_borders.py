@@ -1,0 +1,137 @@
+"""What counts and what does not: a case on each side of each border."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import turtlelog as tl
+from tests.identify.robots import Log, build_run, make_run
+from tests.known import known
+from turtlelog.cli.identify import format_robot
+from turtlelog.identify import AxisModel, Estimate
+from turtlelog.identify.axis_fit import find_outliers
+from turtlelog.identify.axis_motion import read_axis_motion
+from turtlelog.identify.silent_stops import find_silent_stops
+
+QUIET = Log(duration_s=12.0, jitter_s=0.0)
+
+
+def turn_at(rate: NDArray[np.float64], time_s: NDArray[np.float64]) -> tl.Run:
+    """Return a robot on the spot with these rates, commanded to turn from 2 s on."""
+    heading = np.concatenate([[0.0], np.cumsum(rate[:-1] * np.diff(time_s))])
+    commands = np.array([2.0, 4.0]), np.zeros(2), np.array([1.0, -1.0])
+    return build_run(time_s, np.zeros((len(time_s), 2)), heading, commands)
+
+
+@pytest.mark.parametrize(("size", "count"), [(7.9, 0), (8.1, 1)])
+def test_an_outlier_is_further_off_than_noise_can_be(size: float, count: int) -> None:
+    noise = np.tile([1.0, -1.0], 50)
+    assert np.count_nonzero(find_outliers(np.append(noise, size * 1.4826))) == count
+
+
+def test_of_residuals_of_zero_none_is_an_outlier() -> None:
+    assert not find_outliers(np.array([0.0, 0.0, 0.0, 1.0])).any()
+
+
+@pytest.mark.parametrize(("gap_s", "steps"), [(0.99, 1), (1.01, 0)])
+def test_a_long_step_hides_what_happened_in_it(gap_s: float, steps: int) -> None:
+    time_s = np.concatenate([np.arange(0.0, 3.0, 0.05), 2.95 + gap_s + np.arange(0.0, 2.0, 0.05)])
+    motion = read_axis_motion(turn_at(np.where(time_s > 2.0, 1.0, 0.0), time_s), "turn_rate")
+    assert np.count_nonzero(motion.duration_s > 0.5) == steps
+
+
+@pytest.mark.parametrize(("apart_s", "poses"), [(0.9e-3, 0), (1.1e-3, 1)])
+def test_of_two_poses_at_once_the_later_one_is_left_out(apart_s: float, poses: int) -> None:
+    time_s = np.sort(np.append(np.arange(0.0, 6.0, 0.05), 3.0 + apart_s))
+    motion = read_axis_motion(turn_at(np.where(time_s > 2.0, 1.0, 0.0), time_s), "turn_rate")
+    assert np.count_nonzero(motion.duration_s < 0.01) == poses
+
+
+@pytest.mark.parametrize(("rate", "begins_s"), [(0.019, 2.0), (0.021, 5.0)])
+def test_a_robot_that_moves_before_its_first_command_is_not_known_yet(
+    rate: float, begins_s: float
+) -> None:
+    time_s = np.arange(0.0, 8.0, 0.05)
+    motion = read_axis_motion(turn_at(np.where(time_s < 2.0, rate, 1.0), time_s), "turn_rate")
+    assert motion.time_s[motion.first[0]] == pytest.approx(begins_s, abs=0.06)
+
+
+@pytest.mark.parametrize(("silence_s", "stops"), [(0.68, 0), (0.75, 1)])
+def test_a_silence_must_be_long_to_be_a_stop(silence_s: float, stops: int) -> None:
+    time_s = np.arange(0.0, 4.0, 0.01)
+    moved = np.where(time_s[:-1] < 1.25, 0.01, 0.0)
+    command_s = np.array([0.0, 0.5, 1.0, 1.0 + silence_s, 2.0, 2.5, 3.0, 3.5])
+    command = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    found = find_silent_stops(command_s, command, time_s, moved)
+    assert len(found) == stops
+    assert all(stop.stop_s == pytest.approx(1.25, abs=0.06) for stop in found)
+
+
+@pytest.mark.parametrize(("share", "stops"), [(0.05, 1), (0.2, 0)])
+def test_a_robot_that_still_moves_has_not_stopped(share: float, stops: int) -> None:
+    time_s = np.arange(0.0, 4.0, 0.01)
+    moved = np.where(time_s[:-1] < 1.5, 0.01, share * 0.01)
+    found = find_silent_stops(np.array([0.0]), np.array([1.0]), time_s, moved)
+    assert len(found) == stops
+
+
+@pytest.mark.parametrize(("steps", "status"), [(49, "not_identifiable"), (50, "ok")])
+def test_few_steps_tell_nothing(steps: int, status: str) -> None:
+    time_s = np.arange(0.0, 10.0, 0.05)
+    rate = np.where(time_s > 2.2, 1.0, 0.0) * np.where(time_s > 4.2, -1.0, 1.0)
+    run = turn_at(rate, time_s)
+    begins_s = read_axis_motion(run, "turn_rate").time_s
+    cut = run.slice(end_s=float(begins_s[steps]) + 1e-3)
+    cut = replace(cut, commands=run.commands)
+    assert len(read_axis_motion(cut, "turn_rate").moved) == steps
+    found = tl.identify_robot(cut).turn_rate
+    assert found.status == status
+    assert status == "ok" or "expected at least 50 steps" in found.reason
+
+
+def test_of_a_long_log_a_part_is_used_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = make_run(QUIET, 1)
+    whole = tl.identify_robot(run)
+    assert whole.notes == ()
+    used = whole.turn_rate.steps
+    for most, notes in ((used, 0), (used - 1, 1)):
+        monkeypatch.setattr("turtlelog.identify.robot_identification.MOST_STEPS", most)
+        found = tl.identify_robot(run)
+        told = [note for note in found.notes if f"of {used} steps" in note and "turn" in note]
+        assert len(told) == notes
+
+
+def test_a_short_delay_known_within_a_step_is_a_value() -> None:
+    time_s = np.arange(0.0, 8.0, 0.05)
+    rate = np.where(time_s > 2.0 - 1e-9, 1.0, 0.0) - np.where(time_s > 4.0 - 1e-9, 2.0, 0.0)
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, len(time_s))
+    run = turn_at(rate, time_s)
+    heading = np.clip(run.poses.heading_rad + noise, -3.1, 3.1)
+    seen = replace(run.poses, heading_rad=heading)
+    found = tl.identify_robot(replace(run, poses=seen)).turn_rate
+    assert found.status == "ok"
+    assert known(found.dead_time_s).low == 0.0
+
+
+def say_axis(explained: float, whiteness: float) -> str:
+    value = Estimate(value=1.0, low=0.9, high=1.1)
+    axis = AxisModel(
+        axis="speed",
+        status="ok",
+        gain=value,
+        dead_time_s=value,
+        lag_s=value,
+        total_delay_s=value,
+        explained=explained,
+        whiteness=whiteness,
+    )
+    turns = AxisModel(axis="turn_rate", status="not_identifiable", reason="x", advice="y")
+    return " ".join(format_robot(tl.RobotModel(files=("a",), speed=axis, turn_rate=turns)).split())
+
+
+def test_the_text_says_what_the_residual_shows() -> None:
+    assert "Note" not in say_axis(0.51, 0.51)
+    assert "most of what changes in the motion does not follow" in say_axis(0.49, 0.51)
+    assert "what is left is a curve, not noise" in say_axis(0.51, 0.49)

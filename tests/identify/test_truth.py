@@ -1,0 +1,228 @@
+"""Robots of known truth, by a simulator that shares no code with the fit."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import turtlelog as tl
+from tests.identify.robots import (
+    Log,
+    Truth,
+    draw_log,
+    find_changes,
+    make_run,
+    respond,
+    turn_with_limit,
+)
+from tests.identify.scores import PARAMETERS, Score, score_robots
+from tests.known import known
+from turtlelog.identify import AxisModel
+from turtlelog.run import CommandColumns
+
+ROBOTS = 200
+NOISE_M = 2e-4
+"""The noise at which the error of the dead time is claimed [m]."""
+
+
+@cache
+def score_all() -> Score:
+    return score_robots((seed, draw_log(seed, duration_s=25.0)) for seed in range(ROBOTS))
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_intervals_of_95_percent_hold_the_truth_and_are_not_padded(name: str) -> None:
+    assert 0.90 <= score_all().find_coverage(name) <= 0.995
+
+
+def test_hardly_any_well_excited_axis_is_refused() -> None:
+    score = score_all()
+    assert score.axes == 2 * ROBOTS
+    assert score.refused <= 0.05 * score.axes
+
+
+def test_the_dead_time_is_found_within_two_milliseconds() -> None:
+    assert score_all().find_median_error("dead_time_s", 1.5 * NOISE_M) < 2e-3
+
+
+def test_robots_of_first_order_get_no_second() -> None:
+    assert score_all().of_second_order <= 0.01 * score_all().axes
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_intervals_hold_where_there_is_no_dead_time_or_no_lag(name: str) -> None:
+    assert score_edges().find_coverage(name) >= 0.90
+
+
+@cache
+def score_edges() -> Score:
+    return score_robots((seed, draw_log(seed, 25.0, at_edge=True)) for seed in range(20))
+
+
+def test_a_grid_over_delays_with_linear_least_squares_agrees() -> None:
+    for seed in range(25):
+        # A fit of the heading itself takes a jump for a turn.
+        run = make_run(replace(draw_log(seed, 25.0), jumps=0), seed)
+        found = tl.identify_robot(run).turn_rate
+        for name, value in zip(PARAMETERS, search_grid(run), strict=True):
+            estimate = getattr(found, name)
+            assert estimate.low <= value <= estimate.high, (seed, name, value, estimate)
+
+
+def search_grid(run: tl.Run) -> tuple[float, float, float, float]:
+    """Fit the heading itself: gain and offset are linear, delays are on a grid that narrows."""
+    heading = np.unwrap(run.poses.heading_rad)
+    time_s = run.poses.time_ns / 1e9
+    changes = find_changes(run.commands.time_ns / 1e9, run.commands.turn_rate_rad_s)
+
+    def solve(dead_time_s: float, lag_s: float) -> tuple[float, float]:
+        truth = Truth(dead_time_s=dead_time_s, lag_s=lag_s)
+        columns = np.column_stack([respond(truth, time_s, changes)[1], np.ones(len(time_s))])
+        found, left, *_ = np.linalg.lstsq(columns, heading)
+        return float(left[0]), float(found[0])
+
+    centre, width = np.array([0.26, 0.52]), np.array([0.24, 0.5])
+    while width[0] > 1e-5:
+        tried = [
+            np.maximum(centre + width * shift, [0.0, 1e-4])
+            for shift in (np.array([a, b]) / 2.0 for a in range(-2, 3) for b in range(-2, 3))
+        ]
+        centre = min(tried, key=lambda point: solve(*point)[0])
+        width = 0.6 * width
+    return solve(*centre)[1], float(centre[0]), float(centre[1]), float(centre.sum())
+
+
+TWO_LAGS = Truth(gain=0.9, dead_time_s=0.1, lag_s=0.3, second_lag_s=0.15)
+
+
+def test_a_second_lag_is_found_where_there_is_one() -> None:
+    found = tl.identify_robot(make_run(Log(turn_rate=TWO_LAGS, duration_s=40.0), 1)).turn_rate
+    assert found.model == "second_order"
+    assert known(found.lag_s).value == pytest.approx(0.45, abs=5e-3)
+    assert known(found.lag_product_s2).value == pytest.approx(0.045, abs=2e-3)
+    assert known(found.dead_time_s).value == pytest.approx(0.1, abs=5e-3)
+
+
+def test_a_limit_of_the_acceleration_is_found_where_there_is_one() -> None:
+    truth = Truth(dead_time_s=0.1, lag_s=0.05)
+    found = tl.identify_robot(turn_with_limit(truth, Log(duration_s=30.0), 3.0, seed=2)).turn_rate
+    assert known(found.rate_limit).value == pytest.approx(3.0, rel=0.01)
+    assert known(found.total_delay_s).value == pytest.approx(0.15, abs=5e-3)
+
+
+def identify_turns(command: NDArray[np.float64], log: Log, seed: int = 3) -> AxisModel:
+    time_s = np.arange(0.5, log.duration_s, 0.05)
+    still = time_s, np.zeros(len(time_s))
+    return tl.identify_robot(make_run(log, seed, speed=still, turn=(time_s, command))).turn_rate
+
+
+SHORT = Log(duration_s=30.0)
+
+
+def test_an_axis_that_is_never_commanded_has_no_value() -> None:
+    run = make_run(SHORT, 1)
+    still = replace(run.commands, speed_m_s=np.zeros(len(run.commands)))
+    model = tl.identify_robot(replace(run, commands=still))
+    assert model.speed.status == "not_identifiable"
+    assert model.speed.reason == "the speed is never commanded"
+    assert model.speed.advice == "step the speed ten times for 2 s"
+    assert model.turn_rate.status == "ok"
+    assert all(getattr(model.speed, name) is None for name in PARAMETERS)
+
+
+def test_a_command_that_never_changes_tells_nothing() -> None:
+    found = identify_turns(np.full(590, 0.5), SHORT)
+    assert found.reason == "the commanded turn rate never changes"
+
+
+@pytest.mark.parametrize(("ramp_s", "status"), [(2.2, "not_identifiable"), (1.8, "ok")])
+def test_slow_ramps_tell_nothing(ramp_s: float, status: str) -> None:
+    time_s = np.arange(0.5, 30.0, 0.05)
+    command = np.abs((time_s / ramp_s + 1.0) % 2.0 - 1.0)
+    command = np.where(time_s < 1.0, 0.0, command - command[time_s >= 1.0][0])
+    found = identify_turns(command, SHORT)
+    assert found.status == status
+    assert status == "ok" or "in ramps: within 0.1 s it changes by at most" in found.reason
+
+
+def test_a_robot_that_does_not_follow_has_no_value() -> None:
+    still = Truth(gain=0.0)
+    model = tl.identify_robot(make_run(Log(speed=still, turn_rate=still, duration_s=30.0), 1))
+    assert [axis.status for axis in model.axes] == ["not_identifiable"] * 2
+
+
+def test_a_wide_interval_is_no_value() -> None:
+    noisy = Log(duration_s=10.0, noise_m=0.1, noise_rad=1.0)
+    model = tl.identify_robot(make_run(noisy, 1))
+    assert [axis.status for axis in model.axes] == ["not_identifiable"] * 2
+
+
+def test_a_dead_time_beyond_the_largest_has_no_value() -> None:
+    late = Truth(dead_time_s=1.7, lag_s=0.1)
+    model = tl.identify_robot(make_run(Log(turn_rate=late, duration_s=40.0), 1))
+    assert "no dead time up to 1.5 s explains the motion" in model.turn_rate.reason
+    in_time = Truth(dead_time_s=1.4, lag_s=0.1)
+    model = tl.identify_robot(make_run(Log(turn_rate=in_time, duration_s=40.0), 1))
+    assert known(model.turn_rate.dead_time_s).value == pytest.approx(1.4, abs=2e-3)
+
+
+def test_runs_of_one_robot_are_fitted_together() -> None:
+    runs = [make_run(SHORT, seed, name=f"run{seed}") for seed in (1, 2)]
+    together, alone = tl.identify_robot(runs), tl.identify_robot(runs[0])
+    widths = [known(found.turn_rate.gain) for found in (together, alone)]
+    assert widths[0].high - widths[0].low < widths[1].high - widths[1].low
+    assert together.files == ("run1", "run2")
+    assert together.notes == ()
+
+
+def test_what_differs_between_runs_is_told() -> None:
+    slower = Log(duration_s=30.0, turn_rate=Truth(gain=0.9))
+    runs = [make_run(SHORT, 1, name="new"), make_run(slower, 2, name="worn")]
+    notes = tl.identify_robot(runs).notes
+    assert any("differs from all runs together in the turn rate: gain 0.9" in n for n in notes)
+
+
+def test_jumps_are_outliers_and_told() -> None:
+    model = tl.identify_robot(make_run(Log(duration_s=30.0, jumps=2), 4))
+    assert model.turn_rate.outliers == 2
+    assert {event.axis for event in model.events} == {"speed", "turn_rate"}
+    assert known(model.turn_rate.dead_time_s).value == pytest.approx(0.1, abs=2e-3)
+
+
+def test_what_the_correlation_says_lies_near_dead_time_and_lag() -> None:
+    found = tl.identify_robot(make_run(Log(duration_s=40.0), 5)).turn_rate
+    assert known(found.correlation_delay_s) == pytest.approx(0.2, abs=0.05)
+
+
+def stop_by_itself(wait_s: float, silence_s: float) -> tl.Run:
+    """Return a robot that stops some time after the last command; of that no command tells."""
+    begins_s = np.arange(1.0, 28.0, 1.0 + silence_s)
+    sent_s = begins_s[:, None] + np.arange(0.0, 1.0, 0.05)
+    turns = np.repeat(np.linspace(-1.5, 1.5, len(begins_s)), sent_s.shape[1])
+    heard_s = np.column_stack([sent_s, sent_s[:, -1] + wait_s]).ravel()
+    obeyed = np.column_stack([turns.reshape(sent_s.shape), 0.0 * begins_s]).ravel()
+    run = make_run(SHORT, 1, speed=(heard_s, 0.0 * heard_s), turn=(heard_s, obeyed))
+    commands = CommandColumns(
+        time_ns=np.rint(sent_s.ravel() * 1e9).astype(np.int64),
+        speed_m_s=0.0 * turns,
+        lateral_speed_m_s=0.0 * turns,
+        turn_rate_rad_s=turns,
+    )
+    return replace(run, commands=commands)
+
+
+def test_a_robot_that_stops_by_itself_is_no_slow_robot() -> None:
+    model = tl.identify_robot(stop_by_itself(0.5, 2.0))
+    assert known(model.turn_rate.gain).value == pytest.approx(1.0, abs=2e-3)
+    assert known(model.turn_rate.lag_s).value == pytest.approx(0.1, abs=3e-3)
+    (note,) = model.notes
+    assert "The turn rate stops by itself where no command comes, 8 times" in note
+    for wait_s in model.turn_rate.silent_stops_s:
+        assert wait_s == pytest.approx(0.5 + 0.1 + 0.1 * np.log(2.0), abs=0.1)
+
+
+def test_no_runs_are_refused() -> None:
+    with pytest.raises(tl.IdentifyError, match="expected at least one, found none"):
+        tl.identify_robot([])

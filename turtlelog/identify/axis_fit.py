@@ -1,0 +1,356 @@
+"""Gain, dead time and lag of one axis, by least squares on the steps between poses."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
+from turtlelog.identify.held_response import LaggedResponse, Values, limit_changes
+from turtlelog.identify.step_noise import NORMAL_MAD, Whitening, estimate_noise
+
+_GRID_S: Final = 0.04
+"""Between the dead times that are tried first [s]: a quarter of a usual delay."""
+
+_GRID_LAGS_S: Final = (0.0, 0.05, 0.15, 0.4, 1.0)
+
+_GRID_STEPS: Final = 20_000
+"""Most steps that choose among these; all of them decide in the end."""
+
+_STARTS: Final = 2
+"""How many of the best are refined."""
+
+_SOFT: Final = 3.0
+"""Standard deviations beyond which a residual counts less than its square (soft L1)."""
+
+_OUTLIER: Final = 8.0
+"""Robust standard deviations beyond which a step is an outlier and does not count: normal noise
+makes one in 1e15, stamp jitter at the highest speed five times the usual residual."""
+
+_LAG_STEP_S: Final = 1e-4
+"""For differences with respect to the lag [s]."""
+
+_EXTRA_STEP: Final = MappingProxyType({"second_order": 1e-7, "limited": 1e-4})
+"""For differences with respect to the further parameter, in its unit."""
+
+_MOST_ROUNDS: Final = 40
+
+_ROUND_ENDS: Final = 1e-9
+"""Share by which another round must lower the cost."""
+
+_SCORE_LAGS: Final = 12
+"""Over how many steps the covariance allows for what whitening leaves."""
+
+GAIN, DEAD_TIME, LAG, EXTRA = range(4)
+"""Places of the parameters."""
+
+TOTAL: Final = DEAD_TIME
+"""Place of the total delay in a covariance."""
+
+Kind = Literal["first_order", "second_order", "limited"]
+"""A robot with one lag; with two, whose product is the further parameter [s^2]; with one, that
+changes its rate no faster than a limit, the time that it needs per unit of the command being the
+further parameter [s^2/m] or [s^2/rad]."""
+
+
+class StepModel:
+    """What the commands of some runs lead to in each of their steps."""
+
+    def __init__(self, motions: Sequence[AxisMotion], kind: Kind = "first_order") -> None:
+        self.kind = kind
+        self.motions = [motion for motion in motions if len(motion.moved)]
+        self.moved = np.concatenate([motion.moved for motion in self.motions])
+        self.duration_s = np.concatenate([motion.duration_s for motion in self.motions])
+        self.follows = np.concatenate([motion.follows for motion in self.motions])
+
+    def prepare(self, lag_s: float, extra: float = 0.0) -> list[LaggedResponse]:
+        """Return the response of each run's commands to a lag."""
+        if self.kind == "limited":
+            limited = [limit_changes(motion.commands, extra) for motion in self.motions]
+            return [LaggedResponse(commands, lag_s) for commands in limited]
+        return [LaggedResponse(motion.commands, lag_s, extra) for motion in self.motions]
+
+    def predict(
+        self, dead_time_s: float, *lags: Sequence[LaggedResponse]
+    ) -> list[tuple[Values, Values]]:
+        """Return way and rate of each step for each lag that is prepared, with a gain of 1."""
+        found: list[list[tuple[Values, Values]]] = [[] for _ in lags]
+        for row, motion in enumerate(self.motions):
+            time_s, after = motion.time_s - dead_time_s, motion.first + 1
+            places = None
+            for steps, responses in zip(found, lags, strict=True):
+                if places is None or self.kind == "limited":
+                    places = responses[row].place(time_s)
+                way, rate = responses[row].evaluate(places)
+                steps.append((way[after] - way[motion.first], rate[after] - rate[motion.first]))
+        return [
+            (np.concatenate([way for way, _ in steps]), np.concatenate([rate for _, rate in steps]))
+            for steps in found
+        ]
+
+    def linearise(self, parameters: Values) -> tuple[Values, Values]:
+        """Return the modelled steps and their derivatives, shape (n, parameters)."""
+        gain, dead_time_s, lag_s, *extra = parameters.tolist()
+        asked = [self.prepare(lag_s, *extra), self.prepare(lag_s + _LAG_STEP_S, *extra)]
+        width = [_LAG_STEP_S]
+        if extra:
+            width.append(_EXTRA_STEP[self.kind])
+            asked.append(self.prepare(lag_s, extra[0] + width[-1]))
+        (way, rate), *others = self.predict(dead_time_s, *asked)
+        slopes = [
+            gain * (other - way) / step for (other, _), step in zip(others, width, strict=True)
+        ]
+        return gain * way, np.column_stack([way, -gain * rate, *slopes])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AxisFit:
+    """What fits best.
+
+    Attributes:
+        model: What was fitted.
+        parameters: Gain [1], dead time [s], lag [s], and the further one of the model's kind.
+        covariance: Of gain, total delay, lag and the further parameter: dead time and lag trade
+            against each other, and their sum is known far better than either.
+        dispersion: How much larger the variance of the lag is than for normal noise.
+        cost: Sum of the robust squares, each in units of the noise's variance.
+        residual: Measured less modelled [m] or [rad], shape (n,).
+        white: The same, whitened.
+        is_outlier: Which steps do not count.
+        whitening: As it was used.
+    """
+
+    model: StepModel
+    parameters: Values
+    covariance: Values
+    dispersion: float
+    cost: float
+    residual: Values
+    white: Values
+    is_outlier: NDArray[np.bool_]
+    whitening: Whitening
+
+
+def fit_axis(motions: Sequence[AxisMotion]) -> AxisFit:
+    """Return the best fit of first order.
+
+    Raises:
+        ValueError: Where no gain above 0 explains anything.
+    """
+    model = StepModel(motions)
+    plainly = _weigh_plainly(model)
+    tried = [_descend(model, start, plainly) for start in _search_grid(motions)]
+    parameters = min(tried, key=lambda found: found[1])[0]
+    for _ in range(2):
+        whitening, is_outlier = _learn_noise(model, parameters)
+        parameters, cost = _descend(model, parameters, whitening.apply)
+    return _conclude(model, parameters, cost, whitening, is_outlier)
+
+
+def fit_without_lag(fit: AxisFit) -> AxisFit:
+    """Return the best fit of first order whose lag is 0, with the noise of another."""
+    start = fit.parameters[: LAG + 1].copy()
+    start[DEAD_TIME] += start[LAG]
+    start[LAG] = 0.0
+    parameters, cost = _descend(fit.model, start, fit.whitening.apply, fixed=(LAG,))
+    return _conclude(fit.model, parameters, cost, fit.whitening, fit.is_outlier)
+
+
+def refit_axis(fit: AxisFit, kind: Kind, starts: Sequence[float]) -> AxisFit:
+    """Return the best fit of another kind, with its own noise.
+
+    Args:
+        fit: Of first order.
+        kind: Of model.
+        starts: Values of its further parameter that are tried first.
+    """
+    model = StepModel(fit.model.motions, kind)
+    tried = [
+        _descend(model, np.append(fit.parameters, start), fit.whitening.apply) for start in starts
+    ]
+    parameters = min(tried, key=lambda found: found[1])[0]
+    whitening, is_outlier = _learn_noise(model, parameters)
+    parameters, cost = _descend(model, parameters, whitening.apply)
+    return _conclude(model, parameters, cost, whitening, is_outlier)
+
+
+def predict_badness(fit: AxisFit, first: Sequence[AxisMotion], rest: Sequence[AxisMotion]) -> float:
+    """Return how badly a fit to the first part of the steps predicts the rest.
+
+    That is twice the negative logarithm of the likelihood, by the noise of the first part.
+    """
+    model = StepModel(first, fit.model.kind)
+    whitening, _ = _learn_noise(model, fit.parameters)
+    parameters, _ = _descend(model, fit.parameters, whitening.apply)
+    noise = _learn_noise(model, parameters)[0].noise
+    ahead = StepModel(rest, fit.model.kind)
+    residual = ahead.moved - ahead.linearise(parameters)[0]
+    outlier = find_outliers(residual)
+    whitening = Whitening(noise, ahead.duration_s, ahead.follows, outlier)
+    return _sum_softly(whitening.apply(residual)) + whitening.log_size
+
+
+def measure_badness(fit: AxisFit) -> float:
+    """Return how badly a fit explains its own steps, likewise."""
+    return fit.cost + fit.whitening.log_size
+
+
+def measure_gain(fit: AxisFit, kind: Kind, extra: float) -> float:
+    """Return by how much a further parameter could lower the sum of squares, to first order."""
+    modelled, slopes = fit.model.linearise(fit.parameters)
+    other = StepModel(fit.model.motions, kind)
+    bent = other.linearise(np.append(fit.parameters, extra))[0] - modelled
+    columns = fit.whitening.apply(np.column_stack([slopes, bent]))
+    white = np.clip(fit.white, -_SOFT, _SOFT)
+    left = [white - part @ np.linalg.lstsq(part, white)[0] for part in (columns[:, :-1], columns)]
+    return float(left[0] @ left[0] - left[1] @ left[1])
+
+
+def _learn_noise(model: StepModel, parameters: Values) -> tuple[Whitening, NDArray[np.bool_]]:
+    residual = model.moved - model.linearise(parameters)[0]
+    is_outlier = find_outliers(residual)
+    noise = estimate_noise(residual, model.follows, is_outlier)
+    return Whitening(noise, model.duration_s, model.follows, is_outlier), is_outlier
+
+
+def _conclude(
+    model: StepModel,
+    parameters: Values,
+    cost: float,
+    whitening: Whitening,
+    is_outlier: NDArray[np.bool_],
+) -> AxisFit:
+    modelled, slopes = model.linearise(parameters)
+    residual = model.moved - modelled
+    white = whitening.apply(residual)
+    # At one total delay, a longer lag is a shorter dead time.
+    slopes[:, LAG] -= slopes[:, DEAD_TIME]
+    covariance, dispersion = _estimate_covariance(white, whitening.apply(slopes))
+    return AxisFit(
+        model=model,
+        parameters=parameters,
+        covariance=covariance,
+        dispersion=dispersion,
+        cost=cost,
+        residual=residual,
+        white=white,
+        is_outlier=is_outlier,
+        whitening=whitening,
+    )
+
+
+def find_outliers(residual: Values) -> NDArray[np.bool_]:
+    """Return which residuals are no noise."""
+    size = np.abs(residual)
+    scale = NORMAL_MAD * float(np.median(size))
+    return np.asarray(size > _OUTLIER * scale) if scale > 0.0 else np.zeros(len(size), dtype=bool)
+
+
+def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
+    """Return the best of a grid, the best first, each with its gain."""
+    share = min(1.0, _GRID_STEPS / count_steps(motions))
+    model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
+    # A single jump must not decide.
+    most = 3.0 * float(np.quantile(np.abs(model.moved), 0.99))
+    moved = np.clip(model.moved, -most, most)
+    responses = [model.prepare(lag_s) for lag_s in _GRID_LAGS_S]
+    tried = []
+    for dead_time_s in np.arange(0.0, LARGEST_DEAD_TIME_S, _GRID_S).tolist():
+        steps = model.predict(dead_time_s, *responses)
+        for lag_s, (way, _) in zip(_GRID_LAGS_S, steps, strict=True):
+            size, along = float(way @ way), float(way @ moved)
+            if size > 0.0 and along > 0.0:
+                tried.append((-along * along / size, along / size, dead_time_s, lag_s))
+    if not tried:
+        raise ValueError("no gain above 0")
+    tried.sort()
+    return [np.array(found) for _, *found in tried[:_STARTS]]
+
+
+def _weigh_plainly(model: StepModel) -> Callable[[Values], Values]:
+    """Return a scaling by which the residual of standing still is about 1."""
+    scale = NORMAL_MAD * float(np.median(np.abs(model.moved))) or float(np.std(model.moved)) or 1.0
+    return lambda values: values / scale
+
+
+def _descend(
+    model: StepModel,
+    parameters: Values,
+    whiten: Callable[[Values], Values],
+    fixed: Sequence[int] = (),
+) -> tuple[Values, float]:
+    """Return the parameters that leave the least, by Levenberg and Marquardt, and the cost.
+
+    Neither lags nor dead time go below 0, nor the dead time above the largest.
+    """
+    lowest, highest = np.full(len(parameters), 0.0), np.full(len(parameters), np.inf)
+    highest[DEAD_TIME] = LARGEST_DEAD_TIME_S
+    modelled, slopes = model.linearise(parameters)
+    white, slopes = whiten(model.moved - modelled), whiten(slopes)
+    cost, damping = _sum_softly(white), 1e-3
+    for _ in range(_MOST_ROUNDS):
+        weights = 1.0 / np.sqrt(1.0 + (white / _SOFT) ** 2)
+        downhill = slopes.T @ (weights * white)
+        curvature = slopes.T @ (weights[:, None] * slopes)
+        stuck = ((parameters <= lowest) & (downhill < 0.0)) | (
+            (parameters >= highest) & (downhill > 0.0)
+        )
+        stuck[[*fixed]] = True
+        free = np.flatnonzero(~stuck)
+        inner = curvature[np.ix_(free, free)]
+        inner = inner + damping * np.diag(np.diag(inner)) + np.finfo(float).tiny * np.eye(len(free))
+        tried = parameters.copy()
+        tried[free] += np.linalg.lstsq(inner, downhill[free], rcond=None)[0]
+        tried = np.clip(tried, lowest, highest)
+        modelled, new_slopes = model.linearise(tried)
+        new_white = whiten(model.moved - modelled)
+        new_cost = _sum_softly(new_white)
+        if new_cost >= cost:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            continue
+        is_done = cost - new_cost <= _ROUND_ENDS * cost
+        parameters, white, slopes, cost = tried, new_white, whiten(new_slopes), new_cost
+        damping = max(0.1 * damping, 1e-9)
+        if is_done:
+            break
+    return parameters, cost
+
+
+def _sum_softly(white: Values) -> float:
+    return float(2.0 * _SOFT**2 * (np.sqrt(1.0 + (white / _SOFT) ** 2) - 1.0).sum())
+
+
+def _estimate_covariance(white: Values, slopes: Values) -> tuple[Values, float]:
+    """Return the covariance, and by how much it exceeds that of normal noise, of the lag.
+
+    It is the larger of what noise as modelled makes, and of a sandwich.
+
+    The sandwich allows for scores that depend on their neighbours; where few steps tell all, it is
+    too small, and the other is not.
+    """
+    bent = 1.0 + (white / _SOFT) ** 2
+    scores = slopes * (white / np.sqrt(bent))[:, None]
+    inverse = _invert(slopes.T @ (slopes * (bent**-1.5)[:, None]))
+    meat = scores.T @ scores
+    for lag in range(1, min(_SCORE_LAGS, len(scores) - 1) + 1):
+        beside = scores[lag:].T @ scores[:-lag]
+        meat += (1.0 - lag / (_SCORE_LAGS + 1)) * (beside + beside.T)
+    sandwich = inverse @ meat @ inverse
+    squares = float(np.mean(white**2 / bent))
+    plain = inverse * squares
+    ratio = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
+    covariance = np.asarray(sandwich * np.outer(ratio, ratio))
+    excess = np.diag(covariance)[LAG] / max(float(np.diag(inverse)[LAG]), 1e-300)
+    return covariance, max(float(excess), 1.0)
+
+
+def _invert(matrix: Values) -> Values:
+    """Return the inverse of a matrix of squares, whatever the units of its rows are."""
+    size = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scale = np.outer(size, size)
+    return np.asarray(np.linalg.pinv(matrix / scale, hermitian=True) / scale)

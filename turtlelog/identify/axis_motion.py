@@ -1,0 +1,164 @@
+"""What a run shows of one axis: how far it moved from pose to pose, and what was commanded."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.angles import subtract_headings
+from turtlelog.identify.held_response import HeldCommands, Values, hold_commands
+from turtlelog.identify.silent_stops import (
+    SilentStop,
+    find_doubtful,
+    find_silent_stops,
+    insert_stops,
+)
+from turtlelog.run import PoseColumns, Run
+
+Axis = Literal["speed", "turn_rate"]
+AXES: Final[tuple[Axis, ...]] = ("speed", "turn_rate")
+UNITS: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "m/s", "turn_rate": "rad/s"})
+
+NAMES: Final[Mapping[Axis, str]] = MappingProxyType({"speed": "speed", "turn_rate": "turn rate"})
+"""What the axes are called in sentences."""
+
+LARGEST_DEAD_TIME_S: Final = 1.5
+"""The largest dead time that is looked for [s]: ten times that of a usual robot. A larger one is of
+two clocks that do not agree."""
+
+_CLOSEST_S: Final = 1e-3
+"""Poses closer than this, and than half the usual step, were received late: the later of two is
+left out [s]."""
+
+_LONGEST_STEP_S: Final = 1.0
+"""A longer step hides what happened in it: a heading may have turned round once [s]."""
+
+_MOST_TURN_RAD: Final = 1.0
+"""A step that turns further has no one direction [rad]: an arc is its chord to 4 % there, which
+is mended, but not to more."""
+
+_MEMORY_S: Final = 3.0
+"""For how long an earlier command counts [s]: the largest dead time, and 1.5 s of lag."""
+
+_STANDING: Final = 0.02
+"""Mean rate, as a share of the largest command, below which a robot stands."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AxisMotion:
+    """The steps of one axis of a run that commands can explain.
+
+    Attributes:
+        time_s: Of the poses that the steps lie between [s], shape (m,).
+        first: Row of the pose that each step begins at, shape (n,); it ends at the next.
+        moved: How far each step went [m] or [rad], shape (n,).
+        commands: Of this axis, with a 0 where the robot stops by itself.
+        stops: Where it does.
+    """
+
+    time_s: Values
+    first: NDArray[np.int64]
+    moved: Values
+    commands: HeldCommands
+    stops: tuple[SilentStop, ...] = ()
+
+    @property
+    def duration_s(self) -> Values:
+        """Of each step [s]."""
+        return np.asarray(self.time_s[self.first + 1] - self.time_s[self.first])
+
+    @property
+    def follows(self) -> NDArray[np.bool_]:
+        """Whether each step begins where the one before it ended."""
+        return np.asarray(np.diff(self.first, prepend=-2) == 1)
+
+    def take(self, steps: slice) -> "AxisMotion":
+        """Return some of the steps."""
+        return _select(self.time_s, self.first[steps], self.moved[steps], self.commands, self.stops)
+
+
+def read_axis_motion(run: Run, axis: Axis) -> AxisMotion:
+    """Return the steps of an axis in which earlier commands act, and all commands are known."""
+    command = get_commands(run, axis)
+    time_s, moved, is_sound = measure_steps(run.poses, axis)
+    command_s = run.commands.time_ns / 1e9
+    first = np.arange(len(moved))
+    if not len(command):
+        return _select(time_s, first[:0], moved[:0], hold_commands(command_s, command, 0.0))
+    begins_s, ends_s = time_s[:-1], time_s[1:]
+    stops = find_silent_stops(command_s, command, time_s, moved)
+    commands = hold_commands(*insert_stops(command_s, command, stops), 0.0)
+    is_sound &= ~find_doubtful(stops, begins_s, ends_s)
+    earlier = ends_s <= command_s[0]
+    stands = _stands(moved[earlier], (ends_s - begins_s)[earlier], np.abs(command).max())
+    known = is_sound & (begins_s >= (-np.inf if stands else command_s[0] + _MEMORY_S))
+    used = known & _find_active(commands, begins_s, ends_s)
+    return _select(time_s, first[used], moved[used], commands, tuple(stops))
+
+
+def get_commands(run: Run, axis: Axis) -> Values:
+    """Return what was commanded of an axis."""
+    return run.commands.speed_m_s if axis == "speed" else run.commands.turn_rate_rad_s
+
+
+def measure_steps(poses: PoseColumns, axis: Axis) -> tuple[Values, Values, NDArray[np.bool_]]:
+    """Return the times of poses, how far each step went, and whether it can be trusted."""
+    time_s = poses.time_ns / 1e9
+    apart_s = np.diff(time_s)
+    closest_s = min(_CLOSEST_S, 0.5 * float(np.median(apart_s))) if len(apart_s) else 0.0
+    rows = np.flatnonzero(np.concatenate([[True], apart_s >= closest_s]))
+    time_s, heading_rad, xy_m = time_s[rows], poses.heading_rad[rows], poses.xy_m[rows]
+    turned = np.asarray(subtract_headings(heading_rad[1:], heading_rad[:-1]))
+    is_sound = np.diff(time_s) <= _LONGEST_STEP_S
+    if axis == "turn_rate":
+        return time_s, turned, is_sound
+    middle_rad = heading_rad[:-1] + 0.5 * turned
+    step_m = np.diff(xy_m, axis=0)
+    chord_m = step_m[:, 0] * np.cos(middle_rad) + step_m[:, 1] * np.sin(middle_rad)
+    # The way along an arc is longer than its chord.
+    return (
+        time_s,
+        chord_m / np.sinc(turned / (2.0 * np.pi)),
+        is_sound & (np.abs(turned) <= _MOST_TURN_RAD),
+    )
+
+
+def _stands(moved: Values, duration_s: Values, largest: float) -> bool:
+    """Return whether a robot stands in some steps; without any it is not known."""
+    total_s = float(duration_s.sum())
+    return total_s > 0.0 and abs(float(moved.sum())) <= _STANDING * largest * total_s
+
+
+def _find_active(commands: HeldCommands, begins_s: Values, ends_s: Values) -> NDArray[np.bool_]:
+    """Return in which steps a command other than 0 acts, or did not long ago."""
+    ends_at = np.append(commands.time_s[1:], np.inf)
+    moving = np.flatnonzero(commands.value)
+    if not len(moving):
+        return np.zeros(len(begins_s), dtype=bool)
+    latest = np.searchsorted(commands.time_s[moving], ends_s, side="right") - 1
+    over_s = ends_at[moving[np.maximum(latest, 0)]]
+    return np.asarray((latest >= 0) & (begins_s <= over_s + _MEMORY_S))
+
+
+def _select(
+    time_s: Values,
+    first: NDArray[np.int64],
+    moved: Values,
+    commands: HeldCommands,
+    stops: tuple[SilentStop, ...] = (),
+) -> AxisMotion:
+    """Keep the poses that some steps lie between."""
+    is_used = np.zeros(len(time_s), dtype=bool)
+    is_used[first], is_used[first + 1] = True, True
+    place = np.cumsum(is_used) - 1
+    return AxisMotion(
+        time_s=time_s[is_used], first=place[first], moved=moved, commands=commands, stops=stops
+    )
+
+
+def count_steps(motions: Sequence[AxisMotion]) -> int:
+    """Return how many steps some runs have together."""
+    return sum(len(motion.moved) for motion in motions)

@@ -1,0 +1,177 @@
+"""The way that a robot covers in response to commands that hold, in closed form.
+
+rate = exp(-dead_time s) / (c s^2 + b s + 1) of the commands, each of which holds until the next
+one. Between two commands the response is a sum of exponentials, so its integral is known at any
+time: there is no grid in time, however irregular commands and poses are.
+"""
+
+import cmath
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+
+_FADED: Final = 1e-18
+"""Share of an earlier transient that no double can tell any more."""
+
+_LEAST_LAG_S: Final = 1e-9
+"""What stands for no lag: faded within any time that a clock tells [s]."""
+
+_APART: Final = 1e-3
+"""Two lags that differ by less than this share are moved apart: their parts would cancel. It
+changes the response by less than a millionth."""
+
+
+_STAIRS: Final = 16
+"""Steps of the stair that stands for a ramp: of one of 0.5 s at 1 m/s^2 the way is right to 0.1 mm.
+Their number does not depend on the limit, so that what is modelled changes smoothly with it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Places:
+    """Times, and which command holds at each of them.
+
+    Attributes:
+        held: Row of that command, shape (m,).
+        since_s: For how long it has held [s].
+        value: What it says [m/s] or [rad/s].
+        way: Integral of the commands up to the time [m] or [rad].
+    """
+
+    held: NDArray[np.int64]
+    since_s: Values
+    value: Values
+    way: Values
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldCommands:
+    """The commands of one axis, each of which holds until the next one.
+
+    Attributes:
+        time_s: Of each change [s], shape (n,), not decreasing; the first is what held before any
+            command was recorded.
+        value: What was commanded [m/s] or [rad/s], shape (n,).
+        way: Integral of the commands up to each of them [m] or [rad], shape (n,).
+    """
+
+    time_s: Values
+    value: Values
+    way: Values
+
+    def place(self, time_s: Values) -> Places:
+        """Return which command holds at some times; before the first one, it does."""
+        held = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
+        since_s = time_s - self.time_s[held]
+        value = self.value[held]
+        way = self.way[held] + value * since_s
+        return Places(held=held, since_s=np.maximum(since_s, 0.0), value=value, way=way)
+
+
+def hold_commands(time_s: Values, value: Values, before: float) -> HeldCommands:
+    """Return commands that hold, without those that repeat the one before.
+
+    Args:
+        time_s: Of each [s].
+        value: Of each.
+        before: What held until the first one.
+    """
+    changes = np.flatnonzero(np.diff(value, prepend=before))
+    first_s = time_s[0] - 1.0 if len(time_s) else 0.0
+    return _integrate_commands(
+        np.concatenate([[first_s], time_s[changes]]), np.concatenate([[before], value[changes]])
+    )
+
+
+def _integrate_commands(time_s: Values, value: Values) -> HeldCommands:
+    way = np.concatenate([[0.0], np.cumsum(value[:-1] * np.diff(time_s))])
+    return HeldCommands(time_s=time_s, value=value, way=way)
+
+
+def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
+    """Return commands that change no faster than a limit, each ramp as a stair.
+
+    Args:
+        commands: To follow.
+        slowness: Time that a change of 1 takes [s^2/m] or [s^2/rad]; 0 changes nothing.
+    """
+    if slowness <= 0.0:
+        return commands
+    begins, left_s = commands.value.copy(), np.append(np.diff(commands.time_s), np.inf)
+    reached = float(commands.value[0])
+    for row, (value, most) in enumerate(
+        zip(commands.value.tolist(), (left_s / slowness).tolist(), strict=True)
+    ):
+        begins[row] = reached
+        reached += min(max(value - reached, -most), most)
+    change = commands.value - begins
+    ramp_s = np.minimum(np.abs(change) * slowness, left_s)
+    rise = np.sign(change) * ramp_s / slowness
+    share = np.arange(_STAIRS) / _STAIRS
+    time_s = commands.time_s[:, None] + ramp_s[:, None] * np.append(share, 1.0)
+    value = begins[:, None] + rise[:, None] * np.append(share + 0.5 / _STAIRS, 1.0)
+    return _integrate_commands(time_s.ravel(), value.ravel())
+
+
+class LaggedResponse:
+    """The response to commands of a robot with certain lags and a gain of 1."""
+
+    def __init__(self, commands: HeldCommands, lag_s: float, product_s2: float = 0.0) -> None:
+        """Prepare it.
+
+        Args:
+            commands: To follow.
+            lag_s: Sum of its time constants, b [s].
+            product_s2: Their product, c [s^2]; 0 of a first-order lag.
+        """
+        self._commands, self._lag_s = commands, lag_s
+        self._parts = [
+            (share, lag, _list_transients(commands, lag))
+            for share, lag in _split(lag_s, product_s2)
+        ]
+
+    def place(self, time_s: Values) -> Places:
+        """Return which command holds at times from which the dead time is subtracted [s]."""
+        return self._commands.place(time_s)
+
+    def evaluate(self, places: Places) -> tuple[Values, Values]:
+        """Return the integral of the rate, up to a constant, and the rate itself."""
+        way, rate = places.way - self._lag_s * places.value, places.value
+        for share, lag, transients in self._parts:
+            left = share * transients[places.held] * np.exp(places.since_s * (-1.0 / lag))
+            way, rate = way - (lag * left).real, rate + left.real
+        return way, rate
+
+
+def _split(lag_s: float, product_s2: float) -> list[tuple[Any, Any]]:
+    """Return share and lag of the first-order parts, of two conjugate ones the double of one."""
+    if product_s2 <= 0.0:
+        return [(1.0, max(lag_s, _LEAST_LAG_S))]
+    half_s = 0.5 * lag_s
+    root = cmath.sqrt(half_s * half_s - product_s2)
+    if abs(root) < _APART * half_s:
+        root = complex(_APART * half_s)
+    if root.imag:
+        return [(2.0 * (half_s + root) / (2.0 * root), half_s + root)]
+    long_s, short_s = half_s + root.real, max(half_s - root.real, _LEAST_LAG_S)
+    return [(long_s / (long_s - short_s), long_s), (short_s / (short_s - long_s), short_s)]
+
+
+def _list_transients(commands: HeldCommands, lag_s: Any) -> NDArray[Any]:
+    """Return by how much the rate of a first-order lag differs from each command as it begins.
+
+    It fades by a factor until the next command, which adds its own: a linear recurrence, solved by
+    doubling.
+    """
+    fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
+    fading[0] = 0.0
+    left = np.concatenate([[0.0], commands.value[:-1] - commands.value[1:]]).astype(fading.dtype)
+    reach = 1
+    while reach < len(left) and np.abs(fading[reach:]).max() > _FADED:
+        left[reach:] = left[reach:] + fading[reach:] * left[:-reach]
+        fading[reach:] = fading[reach:] * fading[:-reach]
+        reach *= 2
+    return left

@@ -1,0 +1,189 @@
+"""What is known of a robot's dynamics: values with intervals, or the reason why there are none."""
+
+from dataclasses import dataclass
+from typing import Literal, SupportsFloat
+
+from turtlelog.display import format_html
+from turtlelog.escapes import escape_controls
+from turtlelog.identify.axis_motion import UNITS, Axis
+from turtlelog.run import Clock
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """A value and its interval of 95 %; compares with a number as its value does.
+
+    Attributes:
+        value: The likeliest.
+        low: Where the interval begins.
+        high: Where it ends.
+        unit: Of all three.
+    """
+
+    value: float
+    low: float
+    high: float
+    unit: str = "s"
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __lt__(self, other: SupportsFloat) -> bool:
+        return self.value < float(other)
+
+    def __le__(self, other: SupportsFloat) -> bool:
+        return self.value <= float(other)
+
+    def __gt__(self, other: SupportsFloat) -> bool:
+        return self.value > float(other)
+
+    def __ge__(self, other: SupportsFloat) -> bool:
+        return self.value >= float(other)
+
+    def __repr__(self) -> str:
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"<{self.value:.4g}{unit}, {self.low:.4g} to {self.high:.4g}>"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TickDelays:
+    """How late turtlesim took commands: from a command's time to the pose that shows it.
+
+    Attributes:
+        shown: How many commands a pose shows: of those that were taken, the ones that changed what
+            the plant held.
+        commands: How many there are.
+        least_s: The smallest delay [s].
+        median_s: The median [s].
+        largest_s: The largest [s].
+    """
+
+    shown: int
+    commands: int
+    least_s: float
+    median_s: float
+    largest_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisModel:
+    """One axis: rate = gain exp(-dead_time s) / (lag s + 1) of commands that hold.
+
+    Attributes:
+        axis: `speed` or `turn_rate`.
+        status: Whether its values are known.
+        reason: Why they are not, in a sentence; empty where they are.
+        advice: What to drive so that they are; empty likewise.
+        model: `second_order`: rate = gain exp(-dead_time s) / (product s^2 + lag s + 1).
+        gain: Rate per command in the end [1].
+        dead_time_s: From the command until the rate begins to follow [s].
+        lag_s: Time constant with which it follows; of second order the sum of both [s].
+        total_delay_s: Dead time and lag together, which is better known than either [s].
+        lag_product_s2: Product of both time constants of second order [s^2].
+        rate_limit: Largest change of the rate [m/s^2] or [rad/s^2], where the motion shows one.
+        explained: Share of the variance of the steps between poses that the model explains.
+        whiteness: Of what it leaves: the mean square of its changes by twice its mean square, 1
+            for noise, near 0 for a curve; the noise of poses is taken out.
+        outliers: Steps that do not count: further off than noise can be.
+        correlation_delay_s: The delay at which commands and motion correlate best [s]: a second
+            opinion, which knows of no lag.
+        steps: Steps between poses that were used.
+        steps_in_all: Steps between poses in which commands act.
+        changes: How often the command changes.
+        silent_stops_s: How long after the last command the rate is down to half where the robot
+            stops by itself because no command comes [s].
+    """
+
+    axis: Axis
+    status: Literal["ok", "not_identifiable"]
+    reason: str = ""
+    advice: str = ""
+    model: Literal["first_order", "second_order"] = "first_order"
+    gain: Estimate | None = None
+    dead_time_s: Estimate | None = None
+    lag_s: Estimate | None = None
+    total_delay_s: Estimate | None = None
+    lag_product_s2: Estimate | None = None
+    rate_limit: Estimate | None = None
+    explained: float | None = None
+    whiteness: float | None = None
+    outliers: int = 0
+    correlation_delay_s: float | None = None
+    steps: int = 0
+    steps_in_all: int = 0
+    changes: int = 0
+    silent_stops_s: tuple[float, ...] = ()
+
+    @property
+    def is_known(self) -> bool:
+        """Whether gain, dead time and lag have values."""
+        return self.status == "ok"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotEvent:
+    """A place in the log that no command explains.
+
+    Attributes:
+        file: Name of the run.
+        axis: `speed` or `turn_rate`.
+        time_s: Of the pose after it [s].
+        size: By how much the step is off [m] or [rad].
+    """
+
+    file: str
+    axis: Axis
+    time_s: float
+    size: float
+
+    @property
+    def text(self) -> str:
+        """One sentence."""
+        unit = UNITS[self.axis].removesuffix("/s")
+        what = "way" if self.axis == "speed" else "turn"
+        return (
+            f"{self.file}: the {what} from the pose before to the one at {self.time_s:.3f} s is off"
+            f" by {self.size:.3g} {unit}"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotModel:
+    """A robot's dynamics, from its commands and its motion.
+
+    Attributes:
+        files: Names of the runs.
+        clock: What times the poses of the first; None where there is but one clock.
+        speed: Along the heading.
+        turn_rate: Counter-clockwise.
+        tick_delays: Of turtlesim, whose poses tell which tick took which command; None of others.
+        events: Where the motion jumps, in order.
+        notes: What else there is to know, in sentences.
+    """
+
+    files: tuple[str, ...]
+    clock: Clock | None = None
+    speed: AxisModel
+    turn_rate: AxisModel
+    tick_delays: TickDelays | None = None
+    events: tuple[RobotEvent, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def axes(self) -> tuple[AxisModel, AxisModel]:
+        """Both axes."""
+        return self.speed, self.turn_rate
+
+    def __repr__(self) -> str:
+        known = [axis.axis for axis in self.axes if axis.is_known]
+        return escape_controls(
+            f"<RobotModel of {', '.join(self.files)}: {' and '.join(known) or 'nothing'} known>"
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (axis.axis, axis.gain, axis.dead_time_s, axis.lag_s, axis.total_delay_s, axis.reason)
+            for axis in self.axes
+        ]
+        heads = ("", "gain", "dead time", "lag", "total delay", "")
+        return format_html(rows, heads=heads, title=repr(self))
