@@ -1,7 +1,6 @@
 """Run: the columns that every stage hands on."""
 
-from turtlelog.run.clock import Clock
-from turtlelog.run.columns import CommandColumns, PoseColumns, SampleColumns, take_rows
+from turtlelog.run.columns import Clock, CommandColumns, PoseColumns, SampleColumns, take_rows
 from turtlelog.run.run import CUT_SHORT, Event, GoalLine, Parameter, PhaseSpan, Run
 from turtlelog.run.slicing import slice_run
 from turtlelog.run.tables import TABLES, tabulate_run

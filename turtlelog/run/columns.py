@@ -1,8 +1,8 @@
-"""The columns of a run: poses, commands and samples, checked and made read-only."""
+"""The columns of a run: poses, commands and samples, checked and made read-only; their clock."""
 
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
-from typing import Any, Final, Self, TypeVar
+from typing import Any, Final, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -216,6 +216,26 @@ class SampleColumns:
 
     def __reduce__(self) -> Rebuilding:
         return rebuild, (type(self), list_fields(self))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clock:
+    """The clock that times the poses of a bag, and how it stands to the recorder's.
+
+    Attributes:
+        used: `stamp`: when the robot measured each pose, mapped to the recorder's clock; `log`:
+            when the recorder received it.
+        ratio: Seconds of the stamps per second of the recorder; None where poses have no stamps.
+        offset_s: The recorder's time less the stamp of the first pose, by the message that was
+            transported fastest [s]; None likewise.
+        jitter_s: By how much the transport of a pose usually differs from the fastest [s]; None
+            likewise.
+    """
+
+    used: Literal["log", "stamp"]
+    ratio: float | None = None
+    offset_s: float | None = None
+    jitter_s: float | None = None
 
 
 Columns = TypeVar("Columns", PoseColumns, CommandColumns, SampleColumns)

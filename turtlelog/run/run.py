@@ -13,8 +13,8 @@ from turtlelog.errors import PathError, RunError
 from turtlelog.escapes import escape_controls
 from turtlelog.loops import PAUSE, Declaration
 from turtlelog.paths import Path, restore_path
-from turtlelog.run.clock import Clock
 from turtlelog.run.columns import (
+    Clock,
     CommandColumns,
     PoseColumns,
     Rebuilding,

@@ -1,4 +1,10 @@
-"""Bags that ROS 2 or another recorder wrote -> Run, and what makes a folder a bag."""
+"""Bags that ROS 2 or another recorder wrote -> Run, and what makes a folder a bag.
+
+In the order in which a bag is read: `bag_folder` and `bag_metadata` find its files, `bag` opens
+them, `bag_topics` chooses topics, `bag_poses` and `bag_transforms` find the poses, `bag_columns`
+makes columns of messages, `stamps` and `bag_clock` time them, `bag_references` adds goal and path,
+`bag_samples` a controller's samples, and `bag_reader` builds the run.
+"""
 
 from turtlelog.log.ros2.bag_folder import list_bag_files, read_bag_info
 from turtlelog.log.ros2.bag_metadata import (
