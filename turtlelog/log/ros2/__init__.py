@@ -2,8 +2,9 @@
 
 In the order in which a bag is read: `bag_folder` and `bag_metadata` find its files, `bag` opens
 them, `bag_topics` chooses topics, `bag_poses` and `bag_transforms` find the poses, `bag_columns`
-makes columns of messages, `stamps` and `bag_clock` time them, `bag_references` adds goal and path,
-`bag_samples` a controller's samples, and `bag_reader` builds the run.
+makes columns of messages, `reported_rates` judges what odometry reports, `stamps` and `bag_clock`
+time them, `bag_references` adds goal and path, `bag_samples` a controller's samples,
+and `bag_reader` builds the run.
 """
 
 from turtlelog.log.ros2.bag_folder import list_bag_files, read_bag_info
