@@ -108,7 +108,10 @@ def test_info_agrees_with_the_messages(tmp_path: Path) -> None:
     ("start", "found"),
     [
         (b"", "an empty file"),
-        (b"\xef\xbb\xbftime,x", "text: logs and tables are read where the name ends in .csv, .json, .tsv, .tum, .txt"),
+        (
+            b"\xef\xbb\xbftime,x",
+            "text: logs and tables are read where the name ends in .csv, .json, .tsv, .tum, .txt",
+        ),
         (b"RRF2", "a Rerun recording: turtlelog view shows it"),
         (b"\x89PNG", "0x89504e47"),
     ],
