@@ -217,6 +217,7 @@ def test_unknown_type_without_a_definition_is_not_understood(
         (wrap("struct Robot { long x[2][2]; };"), "x: arrays of arrays are not read"),
         (wrap("typedef long Row[2]; struct Robot { Row x[2]; };"), "arrays of arrays are not read"),
         (wrap("struct Robot { sequence<sequence<long>> x; };"), "sequences of sequences"),
+        (wrap("struct Robot { " + "sequence<" * 5_000), "sequences of sequences"),
         (wrap("struct Robot { wstring x; };"), "wstring: ROS's middlewares do not agree"),
         (wrap("struct Robot { long double x; };"), "expected a type, found 'long double'"),
         (wrap("struct Robot { Other x; };"), "expected a definition of Other, found none"),

@@ -191,7 +191,7 @@ def test_quaternions_that_were_never_set_leave_the_others(tmp_path: Path) -> Non
     right = say_odometry(count=2)
     run = read_run(write_robot(tmp_path, right, say_odometry(count=3, by=none)[2:]))
     assert len(run.poses) == 2
-    assert run.notes["dropped_nan"] == "1 pose, 1 of the poses without a rotation"
+    assert run.notes["dropped_nan"] == "1 pose, 1 of the poses without a heading"
 
 
 @pytest.mark.parametrize(("tilt_rad", "is_said"), [(0.09, False), (0.11, True), (math.pi, True)])

@@ -228,9 +228,10 @@ class _Parser:
 
     def _parse_sequence(self, scope: tuple[str, ...]) -> _Kind:
         self._take("<")
-        kind = self._parse_kind(scope)
-        if kind.brackets:
+        self._pass_annotations()
+        if self._next == "sequence":
             raise LogError(f"schema {self._name}: sequences of sequences are not read")
+        kind = self._parse_kind(scope)
         bound = f"<={self._take_length(scope)}" if self._skip(",") else ""
         self._close()
         return _Kind(kind.name, kind.scope, f"[{bound}]")

@@ -148,7 +148,8 @@ def _build_run(
 ) -> tuple[Run, Track]:
     """Return the run, and where the robot was by the recorder's clock."""
     poses = _order(found, source.topic, extract_poses)
-    unturned = int((np.isnan(poses.columns["heading"]) & np.isfinite(poses.columns["x"])).sum())
+    has_place = np.isfinite(poses.columns["x"]) & np.isfinite(poses.columns["y"])
+    unturned = int((has_place & np.isnan(poses.columns["heading"])).sum())
     poses, dropped = _drop_nan(poses, source.topic.topic)
     commands, dropped_commands = None, 0
     if command_pick is not None:
@@ -238,7 +239,7 @@ def _note_dropped(poses: int, commands: int, unturned: int) -> dict[str, str]:
     counts = [describe_count(count, kind) for kind, count in kinds.items() if count]
     text = " and ".join(counts)
     if unturned:
-        text += f", {unturned} of the poses without a rotation"
+        text += f", {unturned} of the poses without a heading"
     return {"dropped_nan": text} if counts else {}
 
 
