@@ -109,8 +109,8 @@ def test_what_is_read_lies_in_the_folder(name: str, tmp_path: Path) -> None:
 
 
 def test_a_bag_of_two_storages_is_refused(tmp_path: Path) -> None:
-    write_split(tmp_path, "a.db3", "b.mcap")
-    line = r"expected files of one storage, found MCAP beside SQLite: a\.db3, b\.mcap$"
+    write_split(tmp_path, "a_0.db3", "a_1.mcap")
+    line = r"expected files of one storage, found MCAP beside SQLite: a_0\.db3, a_1\.mcap$"
     with pytest.raises(LogError, match=line):
         read_bag(tmp_path)
 
@@ -130,9 +130,21 @@ def test_names_may_stand_within_brackets(text: str, files: tuple[str, ...]) -> N
     assert (found.files, found.duration_ns) == (files, 5)
 
 
+@pytest.mark.parametrize(
+    "names", [("a.db3", "b.db3"), ("a_0.db3", "b_1.db3"), ("a1.db3", "a2.db3")]
+)
+def test_files_that_no_name_makes_one_bag_are_not_joined(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    write_split(tmp_path, *names)
+    with pytest.raises(LogError, match="expected one bag, found a folder without") as caught:
+        read_bag(tmp_path)
+    assert str(caught.value).endswith(f"{', '.join(names)}: name one of them")
+
+
 def test_a_topic_of_two_types_in_two_files_is_one_line(tmp_path: Path) -> None:
-    write_sqlite(tmp_path / "a.db3", make_poses(3))
-    write_sqlite(tmp_path / "b.db3", [make_command(topic="/turtle1/pose")])
+    write_sqlite(tmp_path / "a_0.db3", make_poses(3))
+    write_sqlite(tmp_path / "a_1.db3", [make_command(topic="/turtle1/pose")])
     with pytest.raises(LogError, match="topic /turtle1/pose: expected messages of one type"):
         read_bag(tmp_path)
 

@@ -4,12 +4,16 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, list_absent, merge_topics, read_info, sort_topics
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
+
+_PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")
+"""How the names of a bag's parts end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +56,7 @@ def find_bag_files(path: str | Path) -> BagFiles:
         metadata = read_bag_metadata(path)
     except LogError as err:
         found = _take_present(path, present, str(err))
+        _require_one_bag(path, found.files)
     else:
         with name_file(place, expected="the description of a bag"):
             found = _find_named(path, metadata, present)
@@ -158,6 +163,17 @@ def _find_file(folder: Path, name: str) -> Path | None:
         if within.name and file.is_file():
             return file
     return None
+
+
+def _require_one_bag(folder: Path, files: tuple[Path, ...]) -> None:
+    """Refuse several files that no name makes one bag: rosbag2 numbers its parts (drive_0.db3)."""
+    stems = {_PART.sub("", file.name) for file in files}
+    if len(files) > 1 and (len(stems) > 1 or not all(_PART.search(file.name) for file in files)):
+        names = ", ".join(file.name for file in files)
+        raise LogError(
+            f"{folder}: expected one bag, found a folder without a readable {METADATA_FILE} and"
+            f" files whose names do not make them parts of one: {names[:200]}: name one of them"
+        )
 
 
 def _require_one_kind(files: tuple[Path, ...]) -> None:
