@@ -217,7 +217,7 @@ def test_a_first_specification_reads_later_runs_as_the_good_one_was_read(
     assert call("check", "--init", f"{robot}:/odom", *chosen, "-o", spec).code == 0
     read = tl.load_spec(spec).read
     assert (read.pose_topic, read.command_topic, read.time) == ("/odom", "/cmd_vel", "log")
-    assert read.goal == (1.0, 0.0, pytest.approx(math.pi / 2.0))
+    assert read.goal == pytest.approx((1.0, 0.0, math.pi / 2.0))
     reference = tl.load_spec(spec).reference
     assert reference is not None
     assert reference.resolve() == robot.resolve()
