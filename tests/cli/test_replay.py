@@ -27,8 +27,11 @@ def test_replay_answers_in_json(call: Call) -> None:
 
 
 def test_replay_prints_stretches_and_what_lies_between(call: Call) -> None:
-    answer = call("replay", find_shared("ros2", "turtlesim_jazzy"), "--plant")
-    assert answer.code == 0
+    bag = find_shared("ros2", "turtlesim_jazzy")
+    answer = call("replay", bag, "--plant")
+    chosen = "poses from /turtle1/pose (turtlesim/msg/Pose), commands from /turtle1/cmd_vel"
+    line = f"{bag}: {chosen} (geometry_msgs/msg/Twist)\n"
+    assert (answer.code, answer.err) == (0, line)
     rows = [line.split()[:3] for line in answer.out.splitlines()]
     assert ["15.632", "42.066", "1622"] in rows
     assert "14.032 s: gap of 1.600 s: 99 ticks\n15.632 s: jump (spawn) to x = 5.544 m" in answer.out

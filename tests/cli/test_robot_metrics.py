@@ -209,6 +209,32 @@ def test_a_first_specification_of_a_bag_holds_bounds_that_it_passes(
     assert "speed" not in failed
 
 
+def test_a_first_specification_reads_later_runs_as_the_good_one_was_read(
+    call: Call, robot: Path, tmp_path: Path
+) -> None:
+    spec = tmp_path / "spec.toml"
+    chosen = ("--command-topic", "/cmd_vel", "--goal", "1,0,90", "--time", "log")
+    assert call("check", "--init", f"{robot}:/odom", *chosen, "-o", spec).code == 0
+    read = tl.load_spec(spec).read
+    assert (read.pose_topic, read.command_topic, read.time) == ("/odom", "/cmd_vel", "log")
+    assert read.goal == pytest.approx((1.0, 0.0, math.pi / 2.0))
+    reference = tl.load_spec(spec).reference
+    assert reference is not None
+    assert reference.resolve() == robot.resolve()
+    answer = call("check", spec, robot)
+    assert (answer.code, "final.position_error" in answer.out) == (0, True)
+
+
+def test_a_robot_that_is_no_turtlesim_is_sent_to_what_can_tell_of_it(
+    call: Call, robot: Path
+) -> None:
+    answer = call("replay", robot, "--plant")
+    assert answer.code == 2
+    assert answer.err.splitlines()[-1].endswith(
+        "of another robot's, turtlelog explain and turtlelog metrics say what can be told"
+    )
+
+
 @pytest.mark.parametrize(
     "formula",
     ["always(abs(speed) <= 0.1)", "run.path_length <= 0.1", "run.measured_speed_max <= 0.1"],

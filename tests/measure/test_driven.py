@@ -232,14 +232,22 @@ def test_a_robot_that_does_not_listen_tells_no_lag() -> None:
         speed=respond(AT_20_HZ, other, 0.1),
         commands=(at_s, values, np.zeros(len(at_s))),
     )
-    reason = "the robot does not follow the commands"
+    reason = "the motion does not change as the commands do"
     assert tell(run, "run.speed_lag") == ("undetermined", reason)
+
+
+def test_a_robot_that_turns_the_other_way_is_told_from_one_that_does_not_listen() -> None:
+    run = drive(axis="turn_rate")
+    other = replace(run.commands, turn_rate_rad_s=-run.commands.turn_rate_rad_s)
+    reason = "the motion changes against the commands: the signs of one are reversed"
+    reversed_run = replace(run, commands=other)
+    assert tell(reversed_run, "run.turn_rate_lag") == ("undetermined", reason)
 
 
 def test_a_robot_that_stands_answers_no_step() -> None:
     at_s, values = publish(STEPS, 20.0)
     run = make_driven_run(AT_20_HZ, commands=(at_s, values, np.zeros(len(at_s))))
-    reason = "the robot does not do half of any step of its commands"
+    reason = "the robot does not do half of any step of its commands while it is held"
     assert tell(run, "run.speed_rise_time") == ("not_reached", reason)
     assert read(run, "run.rest_share") == 1.0
 

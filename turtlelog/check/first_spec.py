@@ -9,7 +9,9 @@ from typing import Final
 import numpy as np
 
 from turtlelog.check.formula_trace import RunEnding, find_ending
+from turtlelog.check.spec import READ_TEXTS
 from turtlelog.display import format_number
+from turtlelog.log import ReadChoice
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
     Metric,
@@ -44,15 +46,19 @@ _GRAIN: Final = {"m": 1e-6, "deg": 1e-4, "%": 1e-3, "1": 1e-6, "m/s": 1e-6, "rad
 rad from platform to platform, which of an angle of a radian is 1e-4 %. Of times it is a tick."""
 
 
-def format_first_spec(run: Run, *, reference: str, partial: str = "") -> str:
+def format_first_spec(
+    run: Run, *, reference: str, partial: str = "", read: ReadChoice | None = None
+) -> str:
     """Return a specification that a run passes: 10 to 20 % of each value to spare.
 
     Args:
         run: A good one.
         reference: Its file, as the specification is to name it.
         partial: What it has lost, for a comment.
+        read: How it was read, so that others are read in the same way.
     """
-    return "\n".join([*_list_head(run, reference, partial), *_list_checks(run)]) + "\n"
+    head = [*_list_head(run, reference, partial), *_list_read(read or ReadChoice())]
+    return "\n".join([*head, *_list_checks(run)]) + "\n"
 
 
 def name_reference(path: Path, target: Path | None) -> str:
@@ -72,6 +78,24 @@ def _list_head(run: Run, reference: str, partial: str) -> Iterator[str]:
         yield f"# The run that it was read off is not whole: {_comment(partial)}"
     yield "format = 1"
     yield f"reference = {_quote(reference)}"
+
+
+def _list_read(read: ReadChoice) -> Iterator[str]:
+    """Yield the table `[read]` with what was chosen, nothing where nothing was."""
+    lines = [
+        f"{name} = {_quote(text)}"
+        for name in READ_TEXTS
+        if (text := getattr(read, name)) is not None
+    ]
+    if read.goal is not None:
+        lines.append(f"goal = [{', '.join(map(repr, read.goal))}]")
+    if read.time != ReadChoice().time:
+        lines.append(f"time = {_quote(read.time)}")
+    if read.columns:
+        columns = (f"{_quote(name)} = {_quote(text)}" for name, text in read.columns.items())
+        lines.append(f"columns = {{ {', '.join(columns)} }}")
+    if lines:
+        yield from ("", "[read]", *lines)
 
 
 def _list_checks(run: Run) -> Iterator[str]:

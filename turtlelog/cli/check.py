@@ -236,8 +236,12 @@ def _write_first(
     if words:
         raise UsageError(f"--init: expected one good run and no other file, found {words[0]}")
     require_new_target(output, [path], suffix=".toml")
-    run = _read(path, topics.build_choice())
-    text = format_first_spec(run, reference=name_reference(path, output))
+    file, topic = tl.log.split_topic(path)
+    choice = topics.build_choice()
+    run = _read(path, choice)
+    if topic is not None:  # the specification names both apart
+        choice = replace(choice, pose_topic=topic)
+    text = format_first_spec(run, reference=name_reference(file, output), read=choice)
     if output is None:
         print_text(text)
         return EXIT_FINE

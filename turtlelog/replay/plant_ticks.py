@@ -63,7 +63,8 @@ def read_motion(run: Run) -> RecordedMotion:
     if speed is None or turn_rate is None:
         raise ReplayError(
             f"{run.name}: expected poses with the applied velocities, as turtlesim publishes them,"
-            f" found none: {run.source}"
+            f" found none: {run.source}; of another robot's, turtlelog explain and turtlelog"
+            " metrics say what can be told"
         )
     step_ns = np.diff(poses.time_ns)
     usual_ns = float(np.median(step_ns)) if len(step_ns) else TICK_NS

@@ -161,7 +161,8 @@ _NO_STEPS: Final = Missing(
     reason=f"no command is held for {HELD_AFTER_S:g} s after one that was for {HELD_BEFORE_S:g} s",
 )
 _NO_ANSWER: Final = Missing(
-    status=Status.NOT_REACHED, reason="the robot does not do half of any step of its commands"
+    status=Status.NOT_REACHED,
+    reason="the robot does not do half of any step of its commands while it is held",
 )
 _NOT_SEEN: Final = Missing(
     status=Status.UNDETERMINED, reason="the measured rate scatters too far for the steps there are"

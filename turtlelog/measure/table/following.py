@@ -133,7 +133,9 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
     found = correlate(shifts_s)
     best = int(found.argmax())
     if not found[best] >= _FOLLOWS:
-        reason = "the robot does not follow the commands"
+        reason = "the motion does not change as the commands do"
+        if -float(found.min()) >= _FOLLOWS:
+            reason = "the motion changes against the commands: the signs of one are reversed"
         return Missing(status=Status.UNDETERMINED, reason=reason)
     if best in {0, count - 1}:
         reason = f"no shift from {EARLIEST_S:g} to {LATEST_S:g} s fits best"
