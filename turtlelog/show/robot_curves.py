@@ -1,7 +1,7 @@
 """What is drawn of a robot in a bag: measured rates without outliers, its path without jumps."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,15 @@ def part_path(run: Run) -> Values:
     Nobody drove from the pose before a reset or teleport to the one after it.
     """
     return np.insert(run.poses.xy_m, find_jump_rows(run), np.nan, axis=0)
+
+
+def part_curve(run: Run, curve: Curve) -> Curve:
+    """Return a curve of the poses with NaN before each such jump; any other as it is."""
+    rows = find_jump_rows(run)
+    if not len(rows) or not np.array_equal(curve.time_ns, run.poses.time_ns):
+        return curve
+    time_ns = np.insert(curve.time_ns, rows, run.poses.time_ns[rows])
+    return replace(curve, time_ns=time_ns, values=np.insert(curve.values, rows, np.nan))
 
 
 def find_jump_rows(run: Run) -> NDArray[np.int64]:

@@ -13,6 +13,7 @@ from tests.show.rerun.rrds import make_foreign_run
 from tests.show.robots import OUTLIER, OUTLIER_ROW, keep_no_commands, make_robot
 from turtlelog.log.ros2 import read_bag
 from turtlelog.show.figures.left_out import list_left_out
+from turtlelog.show.figures.panels import draw_signal
 
 
 def find_axes(figure: Figure, label: str) -> Axes:
@@ -91,6 +92,18 @@ def test_what_only_a_controller_has_is_left_out_in_one_line() -> None:
         "expected the controller's samples, found none",
         "expected a goal, found none",
     ]
+
+
+@pytest.mark.parametrize("signal", ["x", "heading"])
+def test_no_curve_leads_across_a_jump_of_a_real_turtlesim(signal: str) -> None:
+    run = tl.read_run(find_shared("ros2", "turtlesim_jazzy"))
+    axes = Figure().subplots()
+    draw_signal(axes, [run], signal=signal, label=signal)
+    (line,) = axes.lines
+    time_s, values = np.asarray(line.get_xydata()).T
+    (row,) = np.flatnonzero(np.isnan(values))
+    assert time_s[row - 1 : row + 2] == pytest.approx([14.032, 15.632, 15.632], abs=1e-3)
+    assert len(values) == len(run.poses) + 1
 
 
 def test_a_jump_of_a_real_turtlesim_is_no_part_of_its_path() -> None:

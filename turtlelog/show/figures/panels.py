@@ -46,7 +46,7 @@ from turtlelog.show.figures.tracking_panels import (
     draw_ways_to_reference,
     draw_worst_place,
 )
-from turtlelog.show.robot_curves import lack_samples, part_path, read_measured
+from turtlelog.show.robot_curves import lack_samples, part_curve, part_path, read_measured
 from turtlelog.show.shared_curves import (
     REFERENCE as AIMED,
     Command,
@@ -112,7 +112,7 @@ def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> 
         for ideal in compute_ideals(run, signal):
             draw_curve(axes, ideal, **{**looks, **IDEAL})
         if (curve := read_curve(run, signal)) is not None:
-            draw_curve(axes, curve, **looks)
+            draw_curve(axes, part_curve(run, curve), **looks)
     if len(runs) == 1:
         _draw_sensed(axes, runs[0], signal)
     _finish(axes, runs, label)
