@@ -15,7 +15,7 @@ demo: .venv/installed
 
 test: .venv/installed-dev
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not realtime"
-	$(BIN)/python -m pytest -m realtime $$(grep -rl realtime tests --include='test_*.py')
+	$(BIN)/python -m pytest -n 2 -m realtime $$(grep -rl realtime tests --include='test_*.py')
 
 # What a machine without a graphics driver sees of the viewer: it answers before it dies.
 test-without-graphics: .venv/installed-dev

@@ -208,9 +208,14 @@ def test_run_notes_a_gain_above_theorys_limit_and_changes_nothing_else(
 
 def test_a_live_run_has_the_same_notes_once(call: Call) -> None:
     words = ("--set", "law.kp_linear=150", "--set", "max_duration_s=0.1")
-    notes = [call("run", "textbook", *words, *live).err for live in ((), ("--realtime",))]
-    assert notes[0] == notes[1]
-    assert notes[0].count("translate: law.kp_linear = 150 is above 125 1/s") == 1
+    at_once, live = (
+        call("run", "textbook", *words, *option).err for option in ((), ("--realtime",))
+    )
+    # A busy machine may be late with a tick, which a live run tells as well.
+    assert [line for line in live.splitlines() if not line.startswith("late ticks:")] == (
+        at_once.splitlines()
+    )
+    assert at_once.count("translate: law.kp_linear = 150 is above 125 1/s") == 1
 
 
 def test_run_notes_a_goal_heading_that_its_law_does_not_use(call: Call) -> None:

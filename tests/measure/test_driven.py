@@ -412,3 +412,29 @@ def test_poses_that_had_one_time_in_their_file_are_not_differenced() -> None:
     time_ns[1::2] += 1  # as they are moved on where they are read
     rows = thin_poses(time_ns)
     assert rows.tolist() == list(range(0, 200, 2))
+
+
+@pytest.mark.parametrize(
+    ("quantum_m", "rise", "settling"),
+    # At 20 Hz a quantum of 5 mm is one of 0.1 m/s: of the response a third. 1 mm is 7 % of it.
+    [
+        (0.0, "ok", "ok"),
+        (0.0005, "ok", "ok"),
+        (0.001, "ok", "undetermined"),
+        (0.005, "undetermined", "undetermined"),
+    ],
+)
+def test_what_quantised_poses_cannot_show_has_no_value(
+    quantum_m: float, rise: str, settling: str
+) -> None:
+    run = drive(steps=[(0.0, 0.0), (4.0, 0.3), (8.0, 0.0), (12.0, 0.3)], lag_s=0.2, dead_s=0.15)
+    if quantum_m:
+        xy_m = np.round(run.poses.xy_m / quantum_m) * quantum_m
+        run = replace(run, poses=replace(run.poses, xy_m=xy_m))
+    found = [measure(run, f"run.speed_{name}_time") for name in ("rise", "settling")]
+    assert [metric.status for metric in found] == [rise, settling]
+    for metric, truth_s in zip(
+        found, (math.log(9.0) * 0.2, 0.15 + math.log(20.0) * 0.2), strict=True
+    ):
+        # To two poses.
+        assert metric.value is None or abs(metric.value - truth_s) < 0.1

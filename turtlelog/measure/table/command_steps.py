@@ -11,12 +11,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.registry import run_metric
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
+
+Values = NDArray[np.float64]
 
 HELD_BEFORE_S: Final = 0.5
 HELD_AFTER_S: Final = 1.0
@@ -47,6 +50,13 @@ twice which no rise: from 10 % to 90 % is found by the first values beyond."""
 
 _LONGEST_GAP_S: Final = 1.5 / _FEWEST
 """Longest time without a measured rate in the second after a step [s]: the usual one, and half."""
+
+_MARK: Final = 0.1
+"""Largest quantum of a rate, as a share of the response, with which its rise can be seen: the rise
+begins at a mark of 10 %. Settling needs one within its band."""
+
+_ROUNDING: Final = 1e-6
+"""Share of a response below which two values count as one: differences of positions round."""
 
 _SCATTER: Final = 3.0
 """Standard deviations of the end of a response within which its values count as there."""
@@ -139,10 +149,11 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
     # From the moment of the command on, at which the robot still is where it was.
     time_s = np.concatenate([[step.time_s], time_s])
     inside = np.concatenate([[initial], inside])
-    share = scatter / abs(size)
+    share, quantum = scatter / abs(size), _find_quantum(inside, initial, final) / abs(size)
     rise = find_rise(time_s, inside, initial=initial, reference=final)
-    rise_s = None if rise is None or share > 2.0 * _WIDEST else rise[1] - rise[0]
-    if share > _WIDEST:
+    is_seen = share <= 2.0 * _WIDEST and quantum <= _MARK
+    rise_s = rise[1] - rise[0] if rise is not None and is_seen else None
+    if share > _WIDEST or quantum > max(band, _BAND):
         return StepFigures(rise_time_s=rise_s, settling_time_s=None, overshoot=None)
     band = max(band, _BAND, share)
     settled_s = find_settling_time(time_s, inside, initial=initial, reference=final, band=band)
@@ -152,6 +163,20 @@ def _measure_step(rates: Rates, step: CommandStep, band: float) -> StepFigures |
         settling_time_s=None if settled_s is None else settled_s - float(time_s[0]),
         overshoot=overshoot if overshoot > band else 0.0,
     )
+
+
+def _find_quantum(values: Values, initial: float, final: float) -> float:
+    """Return the step between the levels that repeat on the way of a response; 0 where none does.
+
+    What is quantised stays at a level for several values, and then steps to the next; what is only
+    sampled has no value twice.
+    """
+    low, high = sorted((initial, final))
+    same = _ROUNDING * (high - low)
+    between = np.sort(values[(values > low + same) & (values < high - same)])
+    steps = np.diff(np.concatenate([[low], between, [high]]))
+    levels = steps[steps > same]
+    return float(levels.min(initial=high - low)) if len(levels) < len(steps) else 0.0
 
 
 _ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
