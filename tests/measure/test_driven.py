@@ -438,3 +438,10 @@ def test_what_quantised_poses_cannot_show_has_no_value(
     ):
         # To two poses.
         assert metric.value is None or abs(metric.value - truth_s) < 0.1
+
+
+def test_a_robot_that_drives_sideways_is_not_said_to_stand() -> None:
+    run = drive()
+    aside = replace(run.poses, xy_m=run.poses.xy_m[:, ::-1].copy())
+    found = measure(replace(run, poses=aside), "run.spectral_arc_length")
+    assert (found.value, found.reason) == (None, "the robot does not drive forward or back")

@@ -149,7 +149,7 @@ def _compute_arc_length(context: RunContext) -> Result:
         return Missing(status=Status.TOO_SHORT, reason=reason)
     time_s, values = rates.time_s[:_MOST_ROWS], rates.values[:_MOST_ROWS]
     if float(np.abs(values).max()) <= _AT_REST_M_S:
-        return Missing(status=Status.NO_MOTION, reason="the robot does not leave its place")
+        return Missing(status=Status.NO_MOTION, reason="the robot does not drive forward or back")
     even_s = np.arange(time_s[0], time_s[-1], period_s)
     if len(even_s) < _LEAST_HZ:
         return Missing(status=Status.TOO_SHORT, reason=f"{len(values)} measured speeds")
