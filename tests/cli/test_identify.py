@@ -8,6 +8,7 @@ from rerun.chunk import RrdReader
 from tests.cli.conftest import Call
 from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.log.ros2.bags import make_poses, write_mcap
+from tests.log.runs import find_shared
 from turtlelog.identify import Estimate
 
 LOG = Log(
@@ -150,3 +151,11 @@ def test_a_value_prints_as_many_digits_as_its_interval_tells() -> None:
     assert format_value(wide, "dead_time_s") == "80 (75 to 86)"
     assert format_value(narrow, "dead_time_s") == "80.4 (80.1 to 80.7)"
     assert format_value(None, "gain") == "-"
+
+
+def test_what_times_poses_is_told_beside_delays_alone(call: Call, bag: Path) -> None:
+    said = "Poses are timed by their stamps"
+    assert said in call("identify", find_shared("robots", "tb3")).out
+    # Its stamps are a simulation's, and it has no commands.
+    assert said not in call("identify", find_shared("robots", "amcl_pose")).out
+    assert said not in call("identify", bag).out

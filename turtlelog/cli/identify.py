@@ -208,13 +208,13 @@ def _tell_residual(axis: "AxisModel") -> str:
 
 def _tell_clock(model: "RobotModel") -> list[str]:
     clock = model.clock
-    if clock is None:
+    if clock is None or not any(axis.is_known for axis in model.axes):
         return []
     if clock.used == "log":
         return ["Poses are timed by when the recorder received them: transport is in the delays."]
     return [
-        "Poses are timed by their stamps on the recorder's clock: the delays hold the transport of"
-        " the fastest message, which no log tells."
+        "Poses are timed by their stamps: the delays hold the transport of the fastest message,"
+        " which no log tells."
     ]
 
 
