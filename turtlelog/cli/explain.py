@@ -152,16 +152,12 @@ def _draw(
         reason = _NOTHING if attribution is None else attribution.withheld
         raise ExplainError(f"{path}: expected shares to draw, found none: {reason}")
     shares = {share.mechanism: share.share for share in attribution.shares if share.share}
-    chosen = [[name] for name in shares]
-    if len(shares) > 1:
-        chosen.append([*shares])
-    with show_progress("simulating without", len(chosen)) as progress:
-        without = {}
-        for number, names in enumerate(chosen, start=1):
-            without[" and ".join(names)] = tl.explain.simulate_without(
-                found.build_scenario(), names
-            )
-            progress.done = number
+    with show_progress("simulating without", 100.0, "%") as progress:
+
+        def report(done: int, total: int) -> None:
+            progress.done = 100.0 * done / total
+
+        without = tl.explain.simulate_what_ifs(found, attribution, report=report)
     tl.show.write_explanation_rrd(run, without, shares, path, metric=attribution.metric)
     print_note(f"wrote {path}")
 

@@ -24,6 +24,7 @@ from turtlelog.explain.mechanisms import find_mechanisms, simulate_without
 from turtlelog.explain.motion_facts import Delays, Largest, MotionFacts, Periods, read_motion_facts
 from turtlelog.explain.report import write_sentences
 from turtlelog.explain.resimulation import Resimulation
+from turtlelog.explain.what_ifs import name_without, simulate_what_ifs
 
 __all__ = [
     "Attribution",
@@ -48,9 +49,11 @@ __all__ = [
     "describe_loop_name",
     "find_mechanisms",
     "identify_run",
+    "name_without",
     "read_motion_facts",
     "require_mechanisms",
     "require_trust",
+    "simulate_what_ifs",
     "simulate_without",
     "write_sentences",
 ]

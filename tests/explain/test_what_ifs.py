@@ -1,0 +1,59 @@
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from tests.explain.logs import simulate
+from turtlelog.explain import (
+    Attribution,
+    Identification,
+    ValueSet,
+    attribute_run,
+    identify_run,
+    name_without,
+    simulate_what_ifs,
+)
+from turtlelog.measure import measure_run
+
+
+@cache
+def explain_kp10() -> tuple[Identification, Attribution]:
+    run = simulate("paper-kp10")
+    identified = identify_run(run)
+    return identified, attribute_run(run, identified=identified)
+
+
+def test_the_run_is_simulated_without_each_that_acts_and_without_all() -> None:
+    identified, found = explain_kp10()
+    told: list[tuple[int, int]] = []
+    runs = simulate_what_ifs(identified, found, report=lambda *done: told.append(done))
+    assert [*runs] == ["queue", "pause", "queue and pause"]
+    last = measure_run(runs["queue and pause"], only=[found.metric])[found.metric]
+    assert last.value == found.without_all
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_of_one_that_acts_the_run_without_it_is_that_without_all() -> None:
+    identified, found = explain_kp10()
+    alone = tuple(share for share in found.shares if share.mechanism == "queue")
+    assert [*simulate_what_ifs(identified, replace(found, shares=alone, together=()))] == ["queue"]
+
+
+def test_a_simulation_that_is_not_the_log_tells_no_what_if() -> None:
+    identified, found = explain_kp10()
+    assert simulate_what_ifs(identified, replace(found, withheld="they differ", shares=())) == {}
+
+
+def test_where_a_value_is_missing_every_mechanism_is_taken_out() -> None:
+    identified, found = explain_kp10()
+    case = ValueSet(mechanisms=("pause",), reason="it never settles")
+    missing = replace(found, withheld="no value", shares=(), without_value=(case,))
+    runs = simulate_what_ifs(identified, missing)
+    assert [*runs] == ["queue", "pause", "wrap", "queue, pause and wrap"]
+
+
+@pytest.mark.parametrize(
+    ("taken", "name"), [("a", "a"), ("abc", "a, b and c"), ("abcd", "all 4 effects")]
+)
+def test_many_mechanisms_are_counted(taken: str, name: str) -> None:
+    assert name_without(tuple(taken)) == name

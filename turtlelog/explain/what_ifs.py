@@ -1,0 +1,61 @@
+"""What would have happened: a run's scenario without its effects, one by one and all at once."""
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from turtlelog.display import join_words
+from turtlelog.explain.attribution import Attribution
+from turtlelog.explain.identification import Identification
+from turtlelog.explain.mechanisms import simulate_without
+from turtlelog.run import Run
+
+_MOST_NAMED: Final = 3
+"""Mechanisms that a name holds; more are counted: a legend has no room for them."""
+
+
+def simulate_what_ifs(
+    identified: Identification,
+    found: Attribution,
+    *,
+    report: Callable[[int, int], None] | None = None,
+) -> Mapping[str, Run]:
+    """Simulate the run without each mechanism that acts, and without all of them.
+
+    Those are the ones that change the value; where it has no value with some of them, every one
+    that takes part. None where re-simulation and log disagree: they
+    would say nothing of the log.
+
+    Args:
+        identified: What stands for the run.
+        found: What its value was divided among.
+        report: Called with the simulations that are done, and how many there are.
+
+    Returns:
+        Runs by what they lack, as `name_without` writes it: one mechanism each, in the order of the
+        attribution; where there are several, the last is the run without all.
+
+    Raises:
+        ExplainError: Where no scenario stands for the run.
+        ScenarioError: Where its law cannot be loaded, or may not run.
+        SimulationError: Where the law fails without one of them.
+    """
+    if found.withheld and not found.without_value:
+        return {}
+    names = found.mechanisms if found.without_value else found.acting
+    chosen: list[tuple[str, ...]] = [(name,) for name in names]
+    if len(names) > 1:
+        chosen.append(tuple(names))
+    scenario = identified.build_scenario()
+    runs: dict[str, Run] = {}
+    for number, taken in enumerate(chosen, start=1):
+        runs[name_without(taken)] = simulate_without(scenario, taken)
+        if report is not None:
+            report(number, len(chosen))
+    return runs
+
+
+def name_without(mechanisms: tuple[str, ...]) -> str:
+    """Return what a what-if lacks in words: `queue`, `queue and pause`, `all 5 effects`."""
+    if len(mechanisms) > _MOST_NAMED:
+        return f"all {len(mechanisms)} effects"
+    return join_words(mechanisms)
