@@ -1,3 +1,4 @@
+from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,23 @@ import turtlelog as tl
 from tests.show.rerun.rrds import read_static, simulate_preset
 from turtlelog.scenario import PAPER_RUNS
 from turtlelog.show.figures.page import choose_lines
-from turtlelog.show.palette import GROUND, Color, choose_run_colors
+from turtlelog.show.palette import (
+    GHOST,
+    GROUND,
+    MAIN,
+    Color,
+    choose_mechanism_colors,
+    choose_run_colors,
+)
 
 LEAST_CONTRAST = 2.2
 """What the palette of Okabe and Ito gives its orange on white."""
+
+LEAST_BAR_CONTRAST = 1.9
+"""Of a broad bar, whose words stand beside it."""
+
+LEAST_DIFFERENCE = 25.0
+"""In CIELAB: ten times what the eye just tells from one patch to the next."""
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 8, 20, 50])
@@ -72,3 +86,38 @@ def test_a_run_alone_has_one_colour_on_screen_and_on_paper(tmp_path: Path) -> No
     }
     printed = np.rint(np.multiply(to_rgb(lines[run.name].get_color()), 255))
     assert [shown >> 24, shown >> 16 & 255, shown >> 8 & 255] == printed.tolist()
+
+
+def test_a_mechanism_has_no_colour_of_a_run_or_a_ghost() -> None:
+    colors = [*choose_mechanism_colors("abcdef").values()]
+    others = [*choose_run_colors(7), MAIN, GHOST]
+    pairs = [*product(colors, others), *combinations(colors, 2)]
+    assert min(measure_difference(*pair) for pair in pairs) > LEAST_DIFFERENCE
+
+
+def test_bars_of_mechanisms_stand_out_on_both_grounds() -> None:
+    for color in choose_mechanism_colors("abcdef").values():
+        for ground in (GROUND, (255, 255, 255)):
+            bright, dark = sorted(
+                (measure_luminance(color), measure_luminance(ground)), reverse=True
+            )
+            assert (bright + 0.05) / (dark + 0.05) > LEAST_BAR_CONTRAST, color
+
+
+def test_more_than_six_mechanisms_begin_again() -> None:
+    found = choose_mechanism_colors("abcdefg")
+    assert found["g"] == found["a"]
+
+
+def measure_difference(one: Color, other: Color) -> float:
+    """Return how far two colours are apart in CIELAB (1976)."""
+    return float(np.linalg.norm(find_lab(one) - find_lab(other)))
+
+
+def find_lab(color: Color) -> np.ndarray:
+    """Return L*, a* and b* of sRGB under its white, D65."""
+    parts = np.array(color) / 255.0
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    x, y, z = np.cbrt(np.array(to_xyz) @ linear / [0.9505, 1.0, 1.089])
+    return np.array([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])

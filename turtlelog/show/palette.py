@@ -27,6 +27,17 @@ An olive stands for their yellow and black, of which one ground or the other swa
 and purple are a shade off, so that the first four differ in grey by at least 0.08 of white.
 """
 
+_OF_MECHANISMS: Final[tuple[Color, ...]] = (
+    (196, 20, 52),
+    (164, 196, 116),
+    (148, 116, 244),
+    (212, 20, 180),
+    (84, 68, 244),
+    (212, 100, 100),
+)
+"""Those furthest from the runs' and from each other in CIELAB, also as red-green blind eyes see
+them, that stand out from white and from black."""
+
 _RAMP: Final[tuple[Color, ...]] = (
     (94, 73, 190),
     (32, 138, 204),
@@ -79,6 +90,9 @@ SENSED: Final[Color] = (105, 105, 105)
 DROPPED_OUT: Final[Color] = (190, 175, 215)
 """A pose that it did not get."""
 
+GHOST: Final[Color] = (170, 170, 170)
+"""A run that might have been: without the effects that act, or in the ideal loop."""
+
 IDEAL: Final[Color] = _OKABE_ITO[1]
 """What the ideal loop would do."""
 
@@ -103,6 +117,14 @@ def choose_run_colors(count: int) -> tuple[Color, ...]:
     if count <= len(FEW):
         return FEW[:count]
     return tuple(_mix_ramp(index / (count - 1)) for index in range(count))
+
+
+def choose_mechanism_colors(names: Sequence[str]) -> dict[str, Color]:
+    """Return a colour for each mechanism, in the order given; none is that of a run.
+
+    There are six, as many as an attribution divides a value among; more begin again.
+    """
+    return {name: _OF_MECHANISMS[number % len(_OF_MECHANISMS)] for number, name in enumerate(names)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
