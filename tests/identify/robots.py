@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from tests.log.ros2.bags import START_NS, Said, make_vector, write_mcap
 from tests.log.ros2.robots import say_odometry, turn
+from turtlelog.log.ros2.bag_clock import time_rows
+from turtlelog.log.ros2.stamps import Stamps
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 Values = NDArray[np.float64]
@@ -27,7 +29,33 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Log:
-    """How a robot is driven and recorded; `later_s` is when its clocks begin."""
+    """How a robot is driven and recorded.
+
+    Attributes:
+        speed: Along the heading.
+        turn_rate: Counter-clockwise.
+        duration_s: Of the recording.
+        poses_hz: How often it publishes a pose.
+        commands_hz: How often commands are repeated.
+        noise_m: Of each position.
+        noise_rad: Of each heading.
+        jitter_s: By how much the time of a pose is off; of stamped ones, how irregular they are.
+        lost: Share of the poses that are lost.
+        jumps: How often the odometry is set to another place.
+        wrap_faults: Whether a heading beside the wrap is the plain mean of those on either side.
+        spins: Whether it turns one way only, round and round.
+        quantum: Of commands.
+        command_bits: Of commands over their range; 0 for none.
+        quantum_m: Of positions.
+        quantum_rad: Of headings.
+        hold_s: How long a command holds.
+        later_s: When its clocks begin.
+        is_stamped: Whether poses carry stamps and are received some time later.
+        offset_s: Of the stamps' clock.
+        drift: Of the same, seconds per second.
+        transport_s: The least between measuring and receiving a stamped pose, and what it takes
+            more on average.
+    """
 
     speed: Truth = field(default_factory=Truth)
     turn_rate: Truth = field(default_factory=Truth)
@@ -39,9 +67,23 @@ class Log:
     jitter_s: float = 2e-3
     lost: float = 0.0
     jumps: int = 0
+    wrap_faults: bool = False
+    spins: bool = False
     quantum: float = 0.0
+    command_bits: int = 0
+    quantum_m: float = 0.0
+    quantum_rad: float = 0.0
     hold_s: tuple[float, float] = (0.5, 3.0)
     later_s: float = 0.0
+    is_stamped: bool = False
+    offset_s: float = 0.0
+    drift: float = 0.0
+    transport_s: tuple[float, float] = (1e-3, 2e-3)
+
+    @property
+    def least_transport_s(self) -> float:
+        """What no log tells, and dead times hold."""
+        return self.transport_s[0] if self.is_stamped else 0.0
 
 
 def draw_steps(rng: np.random.Generator, log: Log, largest: float) -> tuple[Values, Values]:
@@ -52,9 +94,12 @@ def draw_steps(rng: np.random.Generator, log: Log, largest: float) -> tuple[Valu
     while changes_s < log.duration_s:
         value[time_s >= changes_s] = rng.uniform(-largest, largest)
         changes_s += rng.uniform(*log.hold_s)
-    if log.quantum:
-        value = np.rint(value / log.quantum) * log.quantum
-    return time_s, value
+    quantum = 2.0 * largest / (2**log.command_bits - 1) if log.command_bits else log.quantum
+    return time_s, quantise(value, quantum)
+
+
+def quantise(values: Values, quantum: float) -> Values:
+    return np.rint(values / quantum) * quantum if quantum else values
 
 
 def respond(truth: Truth, time_s: Values, changes: tuple[Values, Values]) -> tuple[Values, Values]:
@@ -140,7 +185,10 @@ def make_run(
     time_s, speeds = drawn[0] if speed is None else speed
     # Both axes are commanded by one message.
     turns = drawn[1][1] if turn is None else turn[1]
+    turns = np.abs(turns) if log.spins else turns
     true_s = np.arange(0.0, log.duration_s, 1.0 / log.poses_hz)
+    if log.is_stamped:
+        true_s = np.sort(np.maximum(true_s + rng.normal(0.0, log.jitter_s, len(true_s)), 0.0))
     xy_m, heading_rad = drive(log, true_s, (time_s, speeds), (time_s, turns))
     xy_m = xy_m + rng.normal(0.0, log.noise_m, xy_m.shape)
     heading_rad = heading_rad + rng.normal(0.0, log.noise_rad, len(true_s))
@@ -152,14 +200,43 @@ def make_run(
         )
         xy_m[row:] = xy_m[row] + rng.normal(0.0, 0.1, 2) + (xy_m[row:] - xy_m[row]) @ turned
         heading_rad[row:] += turn_rad
-    stamp_s = true_s + rng.normal(0.0, log.jitter_s, len(true_s))
-    stamp_s = np.maximum(stamp_s, 0.0)
+    xy_m = quantise(xy_m, log.quantum_m)
+    heading_rad = wrap(quantise(heading_rad, log.quantum_rad))
+    if log.wrap_faults:
+        wraps = np.flatnonzero(np.abs(np.diff(heading_rad)) > np.pi)
+        heading_rad[wraps] = 0.5 * (heading_rad[wraps] + heading_rad[wraps + 1])
     kept = np.flatnonzero(rng.uniform(size=len(true_s)) >= log.lost)
-    order = kept[np.argsort(stamp_s[kept], kind="stable")]
+    seen_s = map_stamps(log, rng, true_s) if log.is_stamped else jitter(log, rng, true_s)
+    order = kept[np.argsort(seen_s[kept], kind="stable")]
     commands = time_s + log.later_s, speeds, turns
     return build_run(
-        stamp_s[order] + log.later_s, xy_m[order], heading_rad[order], commands, name=name
+        seen_s[order] + log.later_s, xy_m[order], heading_rad[order], commands, name=name
     )
+
+
+def jitter(log: Log, rng: np.random.Generator, true_s: Values) -> Values:
+    """Return when poses were received that have no stamps."""
+    return np.maximum(true_s + rng.normal(0.0, log.jitter_s, len(true_s)), 0.0)
+
+
+def map_stamps(log: Log, rng: np.random.Generator, true_s: Values) -> Values:
+    """Return the times that a bag's reader gives to stamped poses, on the recorder's clock."""
+    least_s, more_s = log.transport_s
+    # Messages of one publisher arrive in order.
+    received_s = true_s + least_s + rng.exponential(more_s, len(true_s))
+    received_s = np.maximum.accumulate(received_s)
+    stamp_s = log.offset_s + true_s * (1.0 + log.drift)
+    received_ns, stamp_ns = (
+        START_NS + np.rint(times_s * 1e9).astype(np.int64) for times_s in (received_s, stamp_s)
+    )
+    found = time_rows(Stamps(log_ns=received_ns, stamp_ns=stamp_ns), None, "stamp").poses
+    seen_s = received_s.copy()
+    seen_s[found.rows] = (found.time_ns - START_NS) / 1e9
+    return np.maximum(seen_s, 0.0)
+
+
+def wrap(heading_rad: Values) -> Values:
+    return np.mod(heading_rad + np.pi, 2.0 * np.pi) - np.pi
 
 
 def draw_log(seed: int, duration_s: float = 40.0, *, at_edge: bool = False) -> Log:
@@ -185,7 +262,14 @@ def draw_log(seed: int, duration_s: float = 40.0, *, at_edge: bool = False) -> L
         jitter_s=float(rng.uniform(0.0, 2e-3)),
         lost=float(rng.choice([0.0, 0.05])),
         jumps=int(rng.choice([0, 3])),
-        quantum=float(rng.choice([0.0, 0.01])),
+        wrap_faults=bool(rng.uniform() < 0.25),
+        spins=bool(rng.uniform() < 0.25),
+        command_bits=int(rng.choice([0, 8])),
+        quantum_m=float(rng.choice([0.0, 0.0, 1e-3])),
+        quantum_rad=float(rng.choice([0.0, 0.0, 1e-3])),
+        is_stamped=bool(rng.uniform() < 0.5),
+        offset_s=float(rng.choice([0.0, -0.78, 3.0e4])),
+        drift=float(rng.uniform(-2e-4, 2e-4)),
         later_s=float(rng.choice([0.0, 1e4])),
     )
 
@@ -207,7 +291,7 @@ def build_run(
         poses=PoseColumns(
             time_ns=pose_ns[fresh],
             xy_m=xy_m[fresh],
-            heading_rad=np.mod(heading_rad[fresh] + np.pi, 2.0 * np.pi) - np.pi,
+            heading_rad=wrap(heading_rad[fresh]),
         ),
         commands=CommandColumns(
             time_ns=np.rint(commands[0] * 1e9).astype(np.int64),

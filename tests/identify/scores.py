@@ -43,10 +43,9 @@ def score_robots(logs: Iterable[tuple[int, Log]]) -> Score:
                 continue
             score.of_second_order += axis.model == "second_order" or axis.rate_limit is not None
             score.noise_m.append(log.noise_m)
-            true = dict(
-                zip(PARAMETERS, (truth.gain, truth.dead_time_s, truth.lag_s, 0.0), strict=True)
-            )
-            true["total_delay_s"] = truth.dead_time_s + truth.lag_s
+            dead_time_s = truth.dead_time_s + log.least_transport_s
+            values = truth.gain, dead_time_s, truth.lag_s, dead_time_s + truth.lag_s
+            true = dict(zip(PARAMETERS, values, strict=True))
             for name, value in true.items():
                 found = getattr(axis, name)
                 score.held[name].append(found.low <= value <= found.high)
