@@ -153,6 +153,31 @@ def test_a_robot_that_does_not_follow_has_no_value() -> None:
     assert [axis.status for axis in model.axes] == ["not_identifiable"] * 2
 
 
+@pytest.mark.parametrize("log", [SHORT, replace(SHORT, noise_rad=5e-3, poses_hz=12.0)])
+def test_a_robot_that_turns_the_wrong_way_round_is_told_so(log: Log) -> None:
+    swapped = Truth(gain=-0.9, dead_time_s=0.12, lag_s=0.2)
+    model = tl.identify_robot(make_run(replace(log, turn_rate=swapped), 3))
+    assert model.speed.is_known
+    reason = "the turn rate follows its commands with the opposite sign: gain -0.9"
+    assert model.turn_rate.reason.startswith(reason)
+    assert model.turn_rate.advice.endswith("its left and its right motor may be swapped")
+
+
+def test_what_follows_no_command_has_no_opposite_sign() -> None:
+    for seed, truth in enumerate([Truth(gain=0.0)] * 4 + [Truth(dead_time_s=1.7)] * 4):
+        model = tl.identify_robot(make_run(replace(SHORT, speed=truth, turn_rate=truth), seed))
+        assert not any(axis.is_known or "opposite" in axis.reason for axis in model.axes)
+
+
+def test_headings_that_are_wrong_wherever_they_wrap_do_not_count() -> None:
+    # So many headings beside the wrap that wrong steps are more than one in a hundred.
+    log = replace(draw_log(1001), wrap_faults=True)
+    found = tl.identify_robot(make_run(log, 1001)).turn_rate
+    assert found.outliers > 0.01 * found.steps
+    dead_time_s = known(found.dead_time_s)
+    assert dead_time_s.low <= log.turn_rate.dead_time_s <= dead_time_s.high
+
+
 def test_a_wide_interval_is_no_value() -> None:
     noisy = Log(duration_s=10.0, noise_m=0.1, noise_rad=1.0)
     model = tl.identify_robot(make_run(noisy, 1))

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from turtlelog.identify.axis_motion import LARGEST_DEAD_TIME_S, AxisMotion, count_steps
@@ -19,6 +20,10 @@ _GRID_LAGS_S: Final = (0.0, 0.05, 0.15, 0.4, 1.0)
 
 _GRID_STEPS: Final = 20_000
 """Most steps that choose among these; all of them decide in the end."""
+
+_SPIKE_STEPS: Final = 2
+"""Neighbours on either side that say where a step is a jump when the grid is searched: one heading
+that is wrong makes two wrong steps, there and back."""
 
 _STARTS: Final = 2
 """How many of the best are refined."""
@@ -253,9 +258,7 @@ def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
     """Return the best of a grid, the best first, each with its gain."""
     share = min(1.0, _GRID_STEPS / count_steps(motions))
     model = StepModel([motion.take(slice(int(share * len(motion.moved)))) for motion in motions])
-    # A single jump must not decide.
-    most = 3.0 * float(np.quantile(np.abs(model.moved), 0.99))
-    moved = np.clip(model.moved, -most, most)
+    moved = _drop_spikes(model.moved)
     responses = [model.prepare(lag_s) for lag_s in _GRID_LAGS_S]
     tried = []
     for dead_time_s in np.arange(0.0, LARGEST_DEAD_TIME_S, _GRID_S).tolist():
@@ -268,6 +271,14 @@ def _search_grid(motions: Sequence[AxisMotion]) -> list[Values]:
         raise ValueError("no gain above 0")
     tried.sort()
     return [np.array(found) for _, *found in tried[:_STARTS]]
+
+
+def _drop_spikes(moved: Values) -> Values:
+    """Return steps of which no jump decides, nor headings that are wrong wherever they wrap."""
+    beside = np.pad(moved, _SPIKE_STEPS, mode="edge")
+    middle = np.median(sliding_window_view(beside, 2 * _SPIKE_STEPS + 1), axis=-1)
+    most = 3.0 * float(np.quantile(np.abs(middle), 0.99))
+    return np.clip(moved, middle - most, middle + most) if most > 0.0 else moved
 
 
 def _weigh_plainly(model: StepModel) -> Callable[[Values], Values]:

@@ -1,7 +1,8 @@
 """A robot's dynamics from the commands and the motion of its runs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,7 @@ from turtlelog.identify.axis_fit import (
     AxisFit,
     fit_axis,
     fit_without_lag,
+    measure_badness,
 )
 from turtlelog.identify.axis_motion import (
     AXES,
@@ -24,6 +26,7 @@ from turtlelog.identify.axis_motion import (
     NAMES,
     UNITS,
     Axis,
+    AxisMotion,
     count_steps,
     get_commands,
     read_axis_motion,
@@ -52,12 +55,28 @@ part of each run; more would tell what no robot keeps for so long."""
 _SHORT_LAG: Final = 2.0
 """A lag of so many steps between poses or less may as well be none."""
 
+_OPPOSITE_EXPLAINS: Final = 0.5
+"""Share of the variance that a gain below 0 must explain to be told, and below which one above 0
+may be wrong: a robot that turns the wrong way explains nearly all, another robot's commands or an
+echo of a period little."""
+
+_OPPOSITE_CLEARLY: Final = 30.0
+"""By how much it must lower twice the negative log-likelihood: by chance in 1 of a million robots,
+were both signs as likely."""
+
 _SUDDEN_S: Final = 0.1
 """Within this time a change of the command counts as one step [s]: a usual robot's delay."""
 
 _SUDDEN_SHARE: Final = 0.05
 """Share of the range of commands that changes within that time, below which they are ramps: a ramp
 over the range then takes more than 2 s, and shows no beginning."""
+
+_OPPOSITE_WHY: Final[Mapping[Axis, str]] = MappingProxyType(
+    {
+        "speed": "its front and its back may be swapped",
+        "turn_rate": "its left and its right motor may be swapped",
+    }
+)
 
 
 def identify_robot(runs: Run | Sequence[Run]) -> RobotModel:
@@ -107,11 +126,17 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
     if reason:
         return refuse_axis(axis, reason), []
     try:
-        fit = choose_order(fit_axis(motions))
+        fit = fit_axis(motions)
     except ValueError:
-        return refuse_axis(axis, "no motion follows the commands"), []
+        opposite = _find_opposite(axis, motions, None)
+        return opposite or refuse_axis(axis, "no motion follows the commands"), []
+    fit = choose_order(fit)
     found = _describe(axis, fit, sum(_count_changes(run, axis) for run in runs))
     reason = _find_doubt(found, fit)
+    if reason or found.explained is None or found.explained < _OPPOSITE_EXPLAINS:
+        opposite = _find_opposite(axis, motions, fit)
+        if opposite is not None:
+            return opposite, []
     if reason:
         return refuse_axis(axis, reason), []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
@@ -121,6 +146,35 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         found, correlation_delay_s=delay_s, steps_in_all=steps, silent_stops_s=tuple(waits_s)
     )
     return found, _list_events(names, axis, fit)
+
+
+def _find_opposite(
+    axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit | None
+) -> AxisModel | None:
+    """Refuse an axis that moves the wrong way round, saying so; None where it does not."""
+    try:
+        other = fit_axis([replace(motion, moved=-motion.moved) for motion in motions])
+    except ValueError:
+        return None
+    found = _describe(axis, other, 0)
+    explains = found.explained is not None and found.explained >= _OPPOSITE_EXPLAINS
+    if not explains or _find_doubt(found, other):
+        return None
+    if fit is not None and measure_badness(fit) - measure_badness(other) < _OPPOSITE_CLEARLY:
+        return None
+    gain = found.gain
+    told = "" if gain is None else f"{-gain.value:.3f} ({-gain.high:.3f} to {-gain.low:.3f})"
+    dead_time_s, lag_s = other.parameters[[DEAD_TIME, LAG]].tolist()
+    name, why = NAMES[axis], _OPPOSITE_WHY[axis]
+    return AxisModel(
+        axis=axis,
+        status="not_identifiable",
+        reason=(
+            f"the {name} follows its commands with the opposite sign: gain {told}, dead time"
+            f" {dead_time_s:.3f} s, lag {lag_s:.3f} s"
+        ),
+        advice=f"reverse the sign of the {name}, in the robot's driver or in the commands: {why}",
+    )
 
 
 def _note_stops(model: AxisModel) -> str:
