@@ -3,7 +3,8 @@
 python benchmarks/identify_truth.py [--robots 2000] [--seed N]
 
 Prints per parameter the coverage of the intervals of 95 % and the median error; the robots at the
-edge of what is allowed (no dead time, or no lag) are counted apart.
+edge of what is allowed (no dead time, or no lag), those with two lags and those with a limit of the
+acceleration are counted apart: a fifth as many of each.
 """
 
 import argparse
@@ -13,8 +14,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from tests.identify.robots import draw_log
-from tests.identify.scores import PARAMETERS, Score, score_robots
+from tests.identify.robots import draw_log, draw_second_order
+from tests.identify.scores import PARAMETERS, Score, score_limited, score_robots
 
 NOISE_M = 2e-4
 """The noise at which the error of the dead time is claimed [m]."""
@@ -33,6 +34,11 @@ def main() -> None:
     at_edge = seeds[: max(asked.robots // 5, 1)]
     edges = score_robots((seed, draw_log(seed, at_edge=True)) for seed in at_edge)
     show("at its edge", edges)
+    doubled = score_robots((seed, draw_second_order(seed)) for seed in at_edge)
+    show("with two lags", doubled)
+    limited = score_limited(at_edge)
+    show("with a limit of the acceleration", limited)
+    print(f"  rate_limit     {100.0 * limited.find_coverage('rate_limit'):5.1f} % hold")
     print(f"{time.process_time() - began_s:.1f} s of processor time")
 
 

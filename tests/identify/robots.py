@@ -149,27 +149,36 @@ def drive(
     return xy_m[rows], respond(log.turn_rate, time_s, turns)[1]
 
 
-def turn_with_limit(
-    truth: Truth, log: Log, most_rad_s2: float, seed: int, step_s: float = 1e-3
-) -> Run:
+def turn_with_limit(truth: Truth, log: Log, most_rad_s2: float, seed: int) -> Run:
     """Return the run of a robot on the spot whose turn rate changes no faster than a limit."""
     rng = np.random.default_rng(seed)
     time_s, turns = draw_steps(rng, log, 1.5)
-    fine_s = np.arange(0.0, log.duration_s, step_s)
-    held = np.searchsorted(time_s, fine_s - truth.dead_time_s, side="right") - 1
-    wanted = truth.gain * np.where(held >= 0, turns[np.maximum(held, 0)], 0.0)
-    limited = rate = heading = 0.0
-    headings = []
-    fading = float(np.exp(-step_s / truth.lag_s))
-    for target in wanted.tolist():
-        headings.append(heading)
-        limited += min(max(target - limited, -most_rad_s2 * step_s), most_rad_s2 * step_s)
-        rate, before = limited + (rate - limited) * fading, rate
-        heading += 0.5 * step_s * (rate + before)
-    rows = np.arange(0, len(fine_s), round(1.0 / (log.poses_hz * step_s)))
-    seen = np.array(headings)[rows] + rng.normal(0.0, log.noise_rad, len(rows))
-    xy_m = rng.normal(0.0, log.noise_m, (len(rows), 2))
-    return build_run(fine_s[rows], xy_m, seen, (time_s, 0.0 * turns, turns))
+    at_s, bends = find_bends(*find_changes(time_s, truth.gain * turns), most_rad_s2)
+    true_s = np.arange(0.0, log.duration_s, 1.0 / log.poses_hz)
+    # A ramp is the integral of a step, so is the response to it.
+    since_s = np.maximum(true_s[:, None] - (at_s + truth.dead_time_s), 0.0)
+    lag_s = truth.lag_s
+    risen = since_s + lag_s * np.expm1(-since_s / lag_s)
+    heading = (0.5 * since_s**2 - lag_s * risen) @ bends
+    seen = wrap(heading + rng.normal(0.0, log.noise_rad, len(true_s)))
+    xy_m = rng.normal(0.0, log.noise_m, (len(true_s), 2))
+    seen_s = jitter(log, rng, true_s)
+    order = np.argsort(seen_s, kind="stable")
+    return build_run(seen_s[order], xy_m[order], seen[order], (time_s, 0.0 * turns, turns))
+
+
+def find_bends(at_s: Values, by: Values, most: float) -> tuple[Values, Values]:
+    """Return when the slope of what is commanded changes under a limit, and by how much."""
+    times_s, bends, reached, wanted = [], [], 0.0, 0.0
+    ends_s = np.append(at_s[1:], np.inf)
+    for begin_s, end_s, change in zip(at_s.tolist(), ends_s.tolist(), by.tolist(), strict=True):
+        wanted += change
+        slope = float(np.sign(wanted - reached)) * most
+        stop_s = min(begin_s + abs(wanted - reached) / most, end_s)
+        times_s += [begin_s, stop_s]
+        bends += [slope, -slope]
+        reached += slope * (stop_s - begin_s)
+    return np.array(times_s), np.array(bends)
 
 
 def make_run(
@@ -272,6 +281,33 @@ def draw_log(seed: int, duration_s: float = 40.0, *, at_edge: bool = False) -> L
         drift=float(rng.uniform(-2e-4, 2e-4)),
         later_s=float(rng.choice([0.0, 1e4])),
     )
+
+
+def draw_limited(seed: int) -> tuple[Log, float]:
+    """Return a robot on the spot, and the largest change of its turn rate [rad/s^2]."""
+    rng = np.random.default_rng([seed, 77])
+    drawn = ((0.5, 1.2), (0.02, 0.5), (0.02, 0.4))
+    gain, dead_time_s, lag_s = (float(rng.uniform(*ends)) for ends in drawn)
+    limit, noise = float(rng.uniform(1.0, 4.0)), 10.0 ** rng.uniform(-1.0, 1.0)
+    log = Log(
+        turn_rate=Truth(gain=gain, dead_time_s=dead_time_s, lag_s=lag_s),
+        duration_s=30.0,
+        noise_rad=5e-4 * noise,
+        poses_hz=float(rng.uniform(10.0, 100.0)),
+        jitter_s=float(rng.uniform(0.0, 2e-3)),
+    )
+    return log, limit
+
+
+def draw_second_order(seed: int) -> Log:
+    """Return a robot with two lags, of which neither is next to nothing."""
+    rng = np.random.default_rng([seed, 78])
+    log = draw_log(seed, 30.0)
+    axes = []
+    for axis in (log.speed, log.turn_rate):
+        second_lag_s = float(axis.lag_s * rng.uniform(0.2, 0.9))
+        axes.append(replace(axis, second_lag_s=second_lag_s))
+    return replace(log, speed=axes[0], turn_rate=axes[1])
 
 
 def build_run(

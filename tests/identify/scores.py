@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import turtlelog as tl
-from tests.identify.robots import Log, make_run
+from tests.identify.robots import Log, Truth, draw_limited, make_run, turn_with_limit
+from turtlelog.identify import AxisModel
 
 PARAMETERS = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 
@@ -18,11 +19,29 @@ class Score:
     axes: int = 0
     refused: int = 0
     of_second_order: int = 0
-    held: dict[str, list[bool]] = field(default_factory=lambda: {name: [] for name in PARAMETERS})
+    held: dict[str, list[bool]] = field(
+        default_factory=lambda: {name: [] for name in (*PARAMETERS, "rate_limit")}
+    )
     errors: dict[str, list[float]] = field(
         default_factory=lambda: {name: [] for name in PARAMETERS}
     )
     noise_m: list[float] = field(default_factory=list)
+
+    def add(self, axis: AxisModel, truth: Truth, log: Log) -> None:
+        """Count an axis."""
+        self.axes += 1
+        if not axis.is_known:
+            self.refused += 1
+            return
+        self.of_second_order += axis.model == "second_order" or axis.rate_limit is not None
+        self.noise_m.append(log.noise_m)
+        dead_time_s = truth.dead_time_s + log.least_transport_s
+        lag_s = truth.lag_s + truth.second_lag_s
+        values = truth.gain, dead_time_s, lag_s, dead_time_s + lag_s
+        for name, value in zip(PARAMETERS, values, strict=True):
+            found = getattr(axis, name)
+            self.held[name].append(found.low <= value <= found.high)
+            self.errors[name].append(found.value - value)
 
     def find_coverage(self, name: str) -> float:
         return float(np.mean(self.held[name]))
@@ -37,17 +56,18 @@ def score_robots(logs: Iterable[tuple[int, Log]]) -> Score:
     for seed, log in logs:
         model = tl.identify_robot(make_run(log, seed))
         for axis, truth in ((model.speed, log.speed), (model.turn_rate, log.turn_rate)):
-            score.axes += 1
-            if not axis.is_known:
-                score.refused += 1
-                continue
-            score.of_second_order += axis.model == "second_order" or axis.rate_limit is not None
-            score.noise_m.append(log.noise_m)
-            dead_time_s = truth.dead_time_s + log.least_transport_s
-            values = truth.gain, dead_time_s, truth.lag_s, dead_time_s + truth.lag_s
-            true = dict(zip(PARAMETERS, values, strict=True))
-            for name, value in true.items():
-                found = getattr(axis, name)
-                score.held[name].append(found.low <= value <= found.high)
-                score.errors[name].append(found.value - value)
+            score.add(axis, truth, log)
+    return score
+
+
+def score_limited(seeds: Iterable[int]) -> Score:
+    """Identify robots whose turn rate changes no faster than a limit."""
+    score = Score()
+    for seed in seeds:
+        log, limit = draw_limited(seed)
+        run = turn_with_limit(log.turn_rate, log, limit, seed)
+        axis = tl.identify_robot(run).turn_rate
+        score.add(axis, log.turn_rate, log)
+        if axis.rate_limit is not None:
+            score.held["rate_limit"].append(axis.rate_limit.low <= limit <= axis.rate_limit.high)
     return score

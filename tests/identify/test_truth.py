@@ -17,7 +17,7 @@ from tests.identify.robots import (
     respond,
     turn_with_limit,
 )
-from tests.identify.scores import PARAMETERS, Score, score_robots
+from tests.identify.scores import PARAMETERS, Score, score_limited, score_robots
 from tests.known import known
 from turtlelog.identify import AxisModel
 from turtlelog.run import CommandColumns
@@ -119,6 +119,18 @@ def identify_turns(command: NDArray[np.float64], log: Log, seed: int = 3) -> Axi
 
 
 SHORT = Log(duration_s=30.0)
+
+
+@pytest.mark.parametrize("name", [*PARAMETERS, "rate_limit"])
+def test_intervals_hold_the_truth_of_robots_whose_acceleration_is_limited(name: str) -> None:
+    score = score_all_limited()
+    assert (score.axes, score.refused, score.of_second_order) == (16, 0, 16)
+    assert score.find_coverage(name) >= 0.85  # 14 of 16; stairs instead of ramps had 13
+
+
+@cache
+def score_all_limited() -> Score:
+    return score_limited(range(16))
 
 
 def test_an_axis_that_is_never_commanded_has_no_value() -> None:

@@ -25,11 +25,6 @@ _APART: Final = 1e-3
 changes the response by less than a millionth."""
 
 
-_STAIRS: Final = 16
-"""Steps of the stair that stands for a ramp: of one of 0.5 s at 1 m/s^2 the way is right to 0.1 mm.
-Their number does not depend on the limit, so that what is modelled changes smoothly with it."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Places:
     """Times, and which command holds at each of them.
@@ -37,13 +32,15 @@ class Places:
     Attributes:
         held: Row of that command, shape (m,).
         since_s: For how long it has held [s].
-        value: What it says [m/s] or [rad/s].
+        value: What it says then [m/s] or [rad/s].
+        slope: How fast that changes [m/s^2] or [rad/s^2]; 0 of a command that holds.
         way: Integral of the commands up to the time [m] or [rad].
     """
 
     held: NDArray[np.int64]
     since_s: Values
     value: Values
+    slope: Values
     way: Values
 
 
@@ -55,20 +52,25 @@ class HeldCommands:
         time_s: Of each change [s], shape (n,), not decreasing; the first is what held before any
             command was recorded.
         value: What was commanded [m/s] or [rad/s], shape (n,).
+        slope: How fast that changes until the next one, where a limit makes ramps of changes
+            [m/s^2] or [rad/s^2], shape (n,); 0 elsewhere.
         way: Integral of the commands up to each of them [m] or [rad], shape (n,).
     """
 
     time_s: Values
     value: Values
+    slope: Values
     way: Values
 
     def place(self, time_s: Values) -> Places:
         """Return which command holds at some times; before the first one, it does."""
         held = np.maximum(np.searchsorted(self.time_s, time_s, side="right") - 1, 0)
         since_s = time_s - self.time_s[held]
-        value = self.value[held]
-        way = self.way[held] + value * since_s
-        return Places(held=held, since_s=np.maximum(since_s, 0.0), value=value, way=way)
+        slope = self.slope[held]
+        value = self.value[held] + slope * since_s
+        way = self.way[held] + (value - 0.5 * slope * since_s) * since_s
+        since_s = np.maximum(since_s, 0.0)
+        return Places(held=held, since_s=since_s, value=value, slope=slope, way=way)
 
 
 def hold_commands(time_s: Values, value: Values, before: float) -> HeldCommands:
@@ -81,18 +83,20 @@ def hold_commands(time_s: Values, value: Values, before: float) -> HeldCommands:
     """
     changes = np.flatnonzero(np.diff(value, prepend=before))
     first_s = time_s[0] - 1.0 if len(time_s) else 0.0
-    return _integrate_commands(
-        np.concatenate([[first_s], time_s[changes]]), np.concatenate([[before], value[changes]])
-    )
+    value = np.concatenate([[before], value[changes]])
+    time_s = np.concatenate([[first_s], time_s[changes]])
+    return _integrate_commands(time_s, value, np.zeros(len(value)))
 
 
-def _integrate_commands(time_s: Values, value: Values) -> HeldCommands:
-    way = np.concatenate([[0.0], np.cumsum(value[:-1] * np.diff(time_s))])
-    return HeldCommands(time_s=time_s, value=value, way=way)
+def _integrate_commands(time_s: Values, value: Values, slope: Values) -> HeldCommands:
+    held_s = np.diff(time_s)
+    steps = (value[:-1] + 0.5 * slope[:-1] * held_s) * held_s
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    return HeldCommands(time_s=time_s, value=value, slope=slope, way=way)
 
 
 def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
-    """Return commands that change no faster than a limit, each ramp as a stair.
+    """Return commands that change no faster than a limit: of each a ramp, and what it leads to.
 
     Args:
         commands: To follow.
@@ -109,11 +113,11 @@ def limit_changes(commands: HeldCommands, slowness: float) -> HeldCommands:
         reached += min(max(value - reached, -most), most)
     change = commands.value - begins
     ramp_s = np.minimum(np.abs(change) * slowness, left_s)
-    rise = np.sign(change) * ramp_s / slowness
-    share = np.arange(_STAIRS) / _STAIRS
-    time_s = commands.time_s[:, None] + ramp_s[:, None] * np.append(share, 1.0)
-    value = begins[:, None] + rise[:, None] * np.append(share + 0.5 / _STAIRS, 1.0)
-    return _integrate_commands(time_s.ravel(), value.ravel())
+    slope = np.sign(change) / slowness
+    time_s = np.column_stack([commands.time_s, commands.time_s + ramp_s])
+    value = np.column_stack([begins, begins + slope * ramp_s])
+    slopes = np.column_stack([slope, np.zeros(len(slope))])
+    return _integrate_commands(time_s.ravel(), value.ravel(), slopes.ravel())
 
 
 class LaggedResponse:
@@ -127,6 +131,7 @@ class LaggedResponse:
             lag_s: Sum of its time constants, b [s].
             product_s2: Their product, c [s^2]; 0 of a first-order lag.
         """
+        self._product_s2 = product_s2
         self._commands, self._lag_s = commands, lag_s
         self._parts = [
             (share, lag, _list_transients(commands, lag))
@@ -139,7 +144,9 @@ class LaggedResponse:
 
     def evaluate(self, places: Places) -> tuple[Values, Values]:
         """Return the integral of the rate, up to a constant, and the rate itself."""
-        way, rate = places.way - self._lag_s * places.value, places.value
+        # What is left where all transients have faded: late by the lag on a ramp.
+        rate = places.value - self._lag_s * places.slope
+        way = places.way - self._lag_s * rate - self._product_s2 * places.slope
         for share, lag, transients in self._parts:
             left = share * transients[places.held] * np.exp(places.since_s * (-1.0 / lag))
             way, rate = way - (lag * left).real, rate + left.real
@@ -168,7 +175,9 @@ def _list_transients(commands: HeldCommands, lag_s: Any) -> NDArray[Any]:
     """
     fading = np.exp(np.concatenate([[0.0], commands.time_s[1:] - commands.time_s[:-1]]) / -lag_s)
     fading[0] = 0.0
-    left = np.concatenate([[0.0], commands.value[:-1] - commands.value[1:]]).astype(fading.dtype)
+    ended = commands.value[:-1] + commands.slope[:-1] * np.diff(commands.time_s)
+    bent = lag_s * (commands.slope[1:] - commands.slope[:-1])
+    left = np.concatenate([[0.0], ended - commands.value[1:] + bent]).astype(fading.dtype)
     reach = 1
     while reach < len(left) and np.abs(fading[reach:]).max() > _FADED:
         left[reach:] = left[reach:] + fading[reach:] * left[:-reach]
