@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from turtlelog.display import NamedValues
 from turtlelog.run import Run
+from turtlelog.show.figures.attribution_figure import draw_attribution
 from turtlelog.show.figures.figure_curves import (
     draw_plant_responses,
     draw_step_responses,
@@ -343,6 +344,14 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             draw=draw_step,
             height=0.42,
             needs="theory",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "attribution": FigureKind(
+            title="What caused a metric of one run: its shares, the run and its ghost",
+            paper="",
+            draw=draw_attribution,
+            needs="samples",
             is_usual=False,
             is_extra=True,
         ),

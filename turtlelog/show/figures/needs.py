@@ -76,6 +76,7 @@ _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
             find_lack_of_gain([run])
             or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)
         ),
+        "samples": lambda run, _: _lack(SAMPLES, is_held=len(run.samples) > 0),
         "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
         "goal": lambda run, _: _lack(GOAL, is_held=run.goal_xy_m is not None),
         "heading_error": lambda run, _: _lack_samples(

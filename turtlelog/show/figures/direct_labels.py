@@ -1,0 +1,125 @@
+"""Words beside what they name: how much room they take, and where nothing else is."""
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64]
+
+_MM_PER_POINT: Final = 25.4 / 72.0
+_WAYS: Final = np.radians(np.arange(0.0, 360.0, 15.0))
+_RING_WAYS: Final = np.radians(90.0 + 22.5 * np.array([0, 8, 1, -1, 7, -7, 4, -4, 2, -2, 6, -6]))
+"""Where the name of a ring may stand, best first."""
+
+_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0)
+"""How far words may stand from their dot, best first."""
+
+_DENSE: Final = 400
+"""Points of a line that words avoid: one in a third of a millimetre of a panel."""
+
+
+def measure_text_mm(text: str, points: float = 7.0) -> float:
+    """Return how wide a line of words is in print [mm]."""
+    font = FontProperties(family=rcParams["font.family"], size=points)
+    width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
+    return float(width) * _MM_PER_POINT
+
+
+@dataclass(slots=True, kw_only=True)
+class Place:
+    """A square panel with what words should not cover.
+
+    Attributes:
+        center: Of the panel, in data units.
+        half: Half of its side, in data units.
+        half_mm: The same in print [mm].
+        taken: Points of lines and dots, shape (n, 2).
+        boxes: Of words that stand there: left, right, bottom, top, in data units.
+    """
+
+    center: Values
+    half: float
+    half_mm: float
+    taken: list[Values] = field(default_factory=list)
+    boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def avoid_line(self, points: Values) -> None:
+        """Keep words off a line, of which the panel shows a part."""
+        inside = np.flatnonzero(np.abs(points - self.center).max(axis=1) <= 1.2 * self.half)
+        if not len(inside):
+            return
+        part = points[max(inside[0] - 1, 0) : inside[-1] + 2]
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(part, axis=0).T))])
+        at = np.linspace(0.0, way[-1], _DENSE)
+        self.taken.append(np.stack([np.interp(at, way, part[:, i]) for i in (0, 1)], axis=1))
+
+    def avoid_point(self, point: Values) -> None:
+        """Keep words off a dot."""
+        self.taken.append(np.repeat(point[None], _DENSE // 10, axis=0))
+
+    def find_room(self, dot: Values, width_mm: float, height_mm: float) -> Values:
+        """Return the middle of a box near a dot that covers least."""
+        scale = self.half / self.half_mm
+        half = np.array([width_mm, height_mm]) / 2.0 * scale
+        points = np.concatenate(self.taken) if self.taken else np.empty((0, 2))
+        best, least = dot, np.inf
+        for order, away_mm in enumerate(_AWAY_MM):
+            for angle in _WAYS:
+                way = np.array([np.cos(angle), np.sin(angle)])
+                middle = dot + way * (away_mm * scale + half * np.minimum(np.abs(way) * 1.3, 1.0))
+                cost = self.count_covered(middle, half, points) + 3.0 * order
+                if cost < least:
+                    best, least = middle, cost
+        self.take_box(best, half)
+        return best
+
+    def take_box(self, middle: Values, half: Values) -> None:
+        """Keep other words off a box."""
+        (left, bottom), (right, top) = (middle - half).tolist(), (middle + half).tolist()
+        self.boxes.append((left, right, bottom, top))
+
+    def count_covered(self, middle: Values, half: Values, points: Values) -> float:
+        """Return how much a box would cover: words most, what lies outside most of all."""
+        over = np.abs(middle - self.center) + half - 0.98 * self.half
+        outside = 1e4 * float(np.maximum(over, 0.0).sum() / self.half)
+        margin = half + 0.8 * self.half / self.half_mm
+        covered = float((np.abs(points - middle) < margin).all(axis=1).sum())
+        low, high = middle - half, middle + half
+        words = sum(
+            low[0] < right and high[0] > left and low[1] < top and high[1] > bottom
+            for left, right, bottom, top in self.boxes
+        )
+        return outside + covered + 1e3 * words
+
+
+def place_words(
+    axes: Axes, place: Place, text: str, dot: Values, color: Any, points: float
+) -> None:
+    """Write words near a dot where they cover least."""
+    lines = text.split("\n")
+    width_mm = max(measure_text_mm(line, points) for line in lines) + 0.5
+    height_mm = 1.25 * points * _MM_PER_POINT * len(lines)
+    middle = place.find_room(dot, width_mm, height_mm)
+    at = (float(middle[0]), float(middle[1]))
+    words = axes.text(*at, text, color=color, fontsize=points, ha="center", va="center", zorder=4)
+    words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})
+
+
+def name_ring(axes: Axes, place: Place, text: str, radius: float, points: float = 6.0) -> None:
+    """Write the radius of a ring on it, where it covers least."""
+    half = np.array([measure_text_mm(text, points), 1.3 * points * _MM_PER_POINT]) / 2.0
+    half *= place.half / place.half_mm
+    ring = place.center + radius * np.stack([np.cos(_RING_WAYS), np.sin(_RING_WAYS)], axis=1)
+    points_taken = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
+    costs = [place.count_covered(middle, half, points_taken) for middle in ring]
+    middle = ring[int(np.argmin(costs))]
+    place.take_box(middle, half)
+    at = (float(middle[0]), float(middle[1]))
+    words = axes.text(*at, text, color="0.5", fontsize=points, ha="center", va="center")
+    words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.2})
