@@ -1,6 +1,6 @@
 """How well robots of known truth are identified."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -52,11 +52,20 @@ class Score:
 
 
 def score_robots(logs: Iterable[tuple[int, Log]]) -> Score:
-    score = Score()
+    return score_models(identify_logs(logs))
+
+
+def identify_logs(logs: Iterable[tuple[int, Log]]) -> Iterator[tuple[Log, tl.Run, tl.RobotModel]]:
     for seed, log in logs:
-        model = tl.identify_robot(make_run(log, seed))
-        for axis, truth in ((model.speed, log.speed), (model.turn_rate, log.turn_rate)):
-            score.add(axis, truth, log)
+        run = make_run(log, seed)
+        yield log, run, tl.identify_robot(run)
+
+
+def score_models(models: Iterable[tuple[Log, tl.Run, tl.RobotModel]]) -> Score:
+    score = Score()
+    for log, _, model in models:
+        score.add(model.speed, log.speed, log)
+        score.add(model.turn_rate, log.turn_rate, log)
     return score
 
 

@@ -1,5 +1,6 @@
 """Robots of known truth, by a simulator that shares no code with the fit."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 
@@ -12,14 +13,21 @@ from tests.identify.robots import (
     Log,
     Truth,
     draw_log,
-    find_changes,
     make_run,
-    respond,
     turn_with_limit,
 )
-from tests.identify.scores import PARAMETERS, Score, score_limited, score_robots
+from tests.identify.scores import (
+    PARAMETERS,
+    Score,
+    identify_logs,
+    score_limited,
+    score_models,
+    score_robots,
+)
+from tests.identify.whole_way import fit_whole_way
 from tests.known import known
 from turtlelog.identify import AxisModel
+from turtlelog.identify.axis_motion import AXES, Axis
 from turtlelog.run import CommandColumns
 
 ROBOTS = 200
@@ -28,8 +36,13 @@ NOISE_M = 2e-4
 
 
 @cache
+def identify_all() -> list[tuple[Log, tl.Run, tl.RobotModel]]:
+    return [*identify_logs((seed, draw_log(seed, duration_s=25.0)) for seed in range(ROBOTS))]
+
+
+@cache
 def score_all() -> Score:
-    return score_robots((seed, draw_log(seed, duration_s=25.0)) for seed in range(ROBOTS))
+    return score_models(identify_all())
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -61,37 +74,24 @@ def score_edges() -> Score:
     return score_robots((seed, draw_log(seed, 25.0, at_edge=True)) for seed in range(20))
 
 
-def test_a_grid_over_delays_with_linear_least_squares_agrees() -> None:
-    for seed in range(25):
-        # A fit of the heading itself takes a jump for a turn.
-        run = make_run(replace(draw_log(seed, 25.0), jumps=0), seed)
-        found = tl.identify_robot(run).turn_rate
-        for name, value in zip(PARAMETERS, search_grid(run), strict=True):
-            estimate = getattr(found, name)
-            assert estimate.low <= value <= estimate.high, (seed, name, value, estimate)
+def test_a_fit_of_the_whole_way_agrees_on_all_robots() -> None:
+    apart = {axis: [*compare_with_whole_way(axis)] for axis in AXES}
+    assert np.shape(apart["turn_rate"]) == np.shape(apart["speed"]) == (ROBOTS, 4)
+    assert np.max(apart["turn_rate"]) <= 1.0
+    # Headings that are off bend the whole way of the speed, but not its steps.
+    assert np.mean(np.array(apart["speed"]) <= 1.0) >= 0.99
+    assert np.max(apart["speed"]) <= 2.1
 
 
-def search_grid(run: tl.Run) -> tuple[float, float, float, float]:
-    """Fit the heading itself: gain and offset are linear, delays are on a grid that narrows."""
-    heading = np.unwrap(run.poses.heading_rad)
-    time_s = run.poses.time_ns / 1e9
-    changes = find_changes(run.commands.time_ns / 1e9, run.commands.turn_rate_rad_s)
-
-    def solve(dead_time_s: float, lag_s: float) -> tuple[float, float]:
-        truth = Truth(dead_time_s=dead_time_s, lag_s=lag_s)
-        columns = np.column_stack([respond(truth, time_s, changes)[1], np.ones(len(time_s))])
-        found, left, *_ = np.linalg.lstsq(columns, heading)
-        return float(left[0]), float(found[0])
-
-    centre, width = np.array([0.26, 0.52]), np.array([0.24, 0.5])
-    while width[0] > 1e-5:
-        tried = [
-            np.maximum(centre + width * shift, [0.0, 1e-4])
-            for shift in (np.array([a, b]) / 2.0 for a in range(-2, 3) for b in range(-2, 3))
+def compare_with_whole_way(axis: Axis) -> Iterator[list[float]]:
+    """Yield how far both fits are apart, as shares of what their intervals allow."""
+    for _, run, model in identify_all():
+        values, halves = fit_whole_way(run, axis)
+        found = [known(getattr(getattr(model, axis), name)) for name in PARAMETERS]
+        yield [
+            abs(value - one.value) / np.hypot(half, one.high - one.value)
+            for one, value, half in zip(found, values, halves, strict=True)
         ]
-        centre = min(tried, key=lambda point: solve(*point)[0])
-        width = 0.6 * width
-    return solve(*centre)[1], float(centre[0]), float(centre[1]), float(centre.sum())
 
 
 TWO_LAGS = Truth(gain=0.9, dead_time_s=0.1, lag_s=0.3, second_lag_s=0.15)
