@@ -148,17 +148,15 @@ def _draw(
     attribution: "Attribution | None",
     path: Path,
 ) -> None:
-    if attribution is None or attribution.withheld:
-        reason = _NOTHING if attribution is None else attribution.withheld
-        raise ExplainError(f"{path}: expected shares to draw, found none: {reason}")
-    shares = {share.mechanism: share.share for share in attribution.shares if share.share}
+    if attribution is None:
+        raise ExplainError(f"{path}: expected shares or a ghost, found none: {_NOTHING}")
     with show_progress("simulating without", 100.0, "%") as progress:
 
         def report(done: int, total: int) -> None:
             progress.done = 100.0 * done / total
 
         without = tl.explain.simulate_what_ifs(found, attribution, report=report)
-    tl.show.write_explanation_rrd(run, without, shares, path, metric=attribution.metric)
+    tl.show.write_explanation_rrd(run, attribution, without, path)
     print_note(f"wrote {path}")
 
 

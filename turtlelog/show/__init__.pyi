@@ -8,10 +8,8 @@ from .figures import (
     write_robot_figure as write_robot_figure,
     write_tables as write_tables,
 )
-from .rerun.comparison_scene import (
-    write_comparison_rrd as write_comparison_rrd,
-    write_explanation_rrd as write_explanation_rrd,
-)
+from .rerun.comparison_scene import write_comparison_rrd as write_comparison_rrd
+from .rerun.explanation_scene import write_explanation_rrd as write_explanation_rrd
 from .rerun.live_viewer import (
     LiveViewer as LiveViewer,
     follow_recording as follow_recording,

@@ -12,8 +12,9 @@ from turtlelog.measure import read_signal
 from turtlelog.run import Run
 from turtlelog.show.close_up import CloseUp, find_close_up
 from turtlelog.show.rerun import entities
-from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.entities import TICKS, TIMELINE, WALL_TIMELINE, join_path
 from turtlelog.show.rerun.plots import LevelLines, Series
+from turtlelog.show.rerun.timelines import name_phase_timeline
 from turtlelog.show.rerun.world import Bounds, find_plane_bounds
 from turtlelog.show.shared_curves import find_end_of_turn
 from turtlelog.show.state_groups import StateGroup, are_comparable, group_states
@@ -59,7 +60,7 @@ class Content:
         references: Plots that have level lines.
         lines: Entity paths of upright lines, shown in every plot.
         highest_speed_m_s: What the brightest colour of the trace by speed means; None without one.
-        shares_title: Title of the bars, None without them.
+        steps_title: Title of the attribution, None without one.
         has_dead_time: Whether the first run's dead times are drawn.
         legend_names: Names of the runs where they need a view of their own, else none.
         with_phases: How many runs have samples.
@@ -77,6 +78,8 @@ class Content:
         overlaid: Groups whose states share a plot.
         idle: Plots of states that are 0 throughout in every run; they need no view.
         outliers: How many outliers plots leave out of their ranges, in words, by plot.
+        timelines: Names of all timelines: on each a trail grows to the cursor.
+        ghosts: Entity prefixes of what stands beside the runs in the plane.
         corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
     """
 
@@ -85,7 +88,7 @@ class Content:
     references: frozenset[str]
     lines: tuple[str, ...] = ()
     highest_speed_m_s: float | None = None
-    shares_title: str | None = None
+    steps_title: str | None = None
     has_dead_time: bool = False
     legend_names: tuple[str, ...]
     with_phases: int
@@ -104,6 +107,8 @@ class Content:
     idle: frozenset[str] = frozenset()
     outliers: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
+    timelines: tuple[str, ...] = ()
+    ghosts: tuple[str, ...] = ()
 
     def list_states(self, group: StateGroup) -> list[str]:
         """Return the plots of those states of a group that are shown."""
@@ -158,11 +163,17 @@ def describe_content(
             **close_ups,
         },
         close_ups=frozenset(close_ups),
+        timelines=_list_timelines(runs),
         outliers=_count_outliers(series),
         controlled=frozenset(
             plot for run in runs for loop in run.declaration.loops for plot in _list_plots(loop)
         ),
     )
+
+
+def _list_timelines(runs: Sequence[Run]) -> tuple[str, ...]:
+    phases = dict.fromkeys(name for run in runs for name in run.declaration.phases)
+    return (TIMELINE, TICKS, WALL_TIMELINE, *map(name_phase_timeline, phases))
 
 
 def _count_outliers(series: Sequence[Sequence[Series]]) -> dict[str, str]:

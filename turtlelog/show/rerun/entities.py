@@ -14,6 +14,7 @@ WALL_TIMELINE: Final = "wall_time"
 
 PLANE: Final = "plane"
 PATH: Final = "plane/path"
+TRAIL: Final = "plane/trail"
 SPEED_PATH: Final = "plane/path_by_speed"
 ERROR: Final = "plane/error"
 EVENT_PLACES: Final = "plane/events"
@@ -24,6 +25,8 @@ SENSED_PLACES: Final = "plane/sensed"
 DROPPED_PLACES: Final = "plane/dropped_out"
 REFERENCE_POSE: Final = "plane/reference_pose"
 TURTLE: Final = "plane/turtle"
+BODY: Final = "plane/turtle/body"
+SHELL: Final = "plane/turtle/body/shell"
 ARROW: Final = "plane/turtle/arrow"
 COMMAND: Final = "plane/turtle/command"
 BORDER: Final = "plane/border"
@@ -76,7 +79,13 @@ DOCUMENTS: Final = "documents"
 REFERENCE: Final = "reference"
 RUNS: Final = "runs"
 LEGEND: Final = "legend"
-SHARES: Final = "shares"
+STEPS: Final = "attribution"
+GAP: Final = "plane/gap"
+GAP_NAME: Final = "plane/names/gap"
+KEY: Final = "plane/names/key"
+KEY_NAMES: Final = "plane/names/key/words"
+GAP_MM: Final = "gap_mm"
+GAP_M: Final = "gap_m"
 
 
 PLOTS: Final[Mapping[str, str]] = MappingProxyType(
@@ -104,6 +113,8 @@ TITLES: Final[Mapping[str, str]] = MappingProxyType(
         DISTANCE: "Distance [m]",
         DISTANCE_LOG: "log₁₀ distance [m]",
         SPEED: "Speed [m/s]",
+        GAP_MM: "From ghost [mm]",
+        GAP_M: "From ghost [m]",
         WORLD_VELOCITY: "World velocity [m/s]",
     }
 )

@@ -2,18 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
+from rerun.blueprint.archetypes import VisibleTimeRanges
 
 from turtlelog.show import palette
 from turtlelog.show.close_up import CloseUp, format_length
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.entities import TIMELINE, join_path, name_document
+from turtlelog.show.rerun.waterfall import view_waterfall
 from turtlelog.show.rerun.world import Bounds
 from turtlelog.show.state_groups import StateGroup
 from turtlelog.show.tracked_path import WorstPlace
@@ -58,6 +60,25 @@ _COMPARED_MOVING: Final = (
     (entities.SPEED,),
 )
 """Cells from top to bottom; several plots in one cell are tabs."""
+
+_EXPLAINED: Final = (
+    (
+        (entities.GAP_MM, entities.GAP_M),
+        (entities.HEADING_ERROR, entities.HEADING, entities.HEADING_ERROR_LOG),
+    ),
+    (
+        (
+            entities.CROSS_TRACK,
+            entities.DISTANCE,
+            entities.ALONG_TRACK_ERROR,
+            entities.ALONG_TRACK,
+            entities.POSITION,
+        ),
+        (entities.SPEED, entities.TURN_RATE),
+    ),
+)
+_EXPLAINED_ROWS: Final = (1.0, 2.0)
+_EXPLAINED_COLUMNS: Final = (1.0, 1.5)
 
 _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 """Where the viewer keeps the range of all linked time axes: in a view that is never shown."""
@@ -115,8 +136,24 @@ def build_comparison_layout(content: Content) -> rrb.Blueprint:
 
 
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
-    """Return the layout of a run beside its what-ifs: a comparison's, with the shares as bars."""
-    return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), {})
+    """Return the layout of a run beside its ghosts: the planes, the attribution, a few plots."""
+    left = _list_planes_of(content)
+    legends = dict.fromkeys((entities.GAP_MM, entities.GAP_M), rrb.Corner2D.LeftTop)
+    tabs = [view_waterfall(content.steps_title or ""), *map(_view_document, content.documents)]
+    right: list[rrb.View | rrb.Container] = [
+        rrb.Tabs(*tabs, *([_view_events(content)] if content.has_events else []), active_tab=0)
+    ]
+    stacks = [cells for column in _EXPLAINED if (cells := _list_cells(content, column, legends))]
+    if stacks:
+        plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
+        right.append(_add_phases(content, _add_states(content, plots)))
+    return _finish(
+        rrb.Horizontal(
+            rrb.Vertical(*left),
+            rrb.Vertical(*right, row_shares=_EXPLAINED_ROWS[: len(right)]),
+            column_shares=_EXPLAINED_COLUMNS,
+        )
+    )
 
 
 def choose_names(count: int) -> tuple[int, ...]:
@@ -170,8 +207,12 @@ def _build_blueprint(
     if stacks:
         plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
         parts.append(_add_phases(content, _add_states(content, plots)))
+    return _finish(rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)]))
+
+
+def _finish(root: rrb.Container) -> rrb.Blueprint:
     return LinkedBlueprint(
-        rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)]),
+        root,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
@@ -181,13 +222,7 @@ def _build_blueprint(
 
 
 def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
-    left: list[rrb.View | rrb.Container] = [_build_plane(content)]
-    if content.goal is not None:
-        left.append(_view_goal(content, content.goal))
-    elif content.worst is not None:
-        left.append(_view_worst(content, content.worst))
-    if content.shares_title is not None:
-        left.append(_view_shares(content.shares_title))
+    left = _list_planes_of(content)
     tabs = [_view_legend(content.legend_names)] if content.legend_names else []
     tabs += [_view_document(title) for title in content.documents]
     if content.has_events:
@@ -195,6 +230,16 @@ def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
     if tabs:
         left.append(rrb.Tabs(*tabs, active_tab=0))
     return left
+
+
+def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
+    """Return the plane, and the close-up of goal or path where there is one."""
+    views: list[rrb.View | rrb.Container] = [_build_plane(content)]
+    if content.goal is not None:
+        views.append(_view_goal(content, content.goal))
+    elif content.worst is not None:
+        views.append(_view_worst(content, content.worst))
+    return views
 
 
 def _build_plane(content: Content) -> rrb.View | rrb.Container:
@@ -281,13 +326,14 @@ def _view_plane(content: Content) -> rrb.View:
         contents=[*_list_planes(content), *_hide([entities.SPEED_PATH], content)],
         name="Plane",
         background=palette.GROUND,
+        overrides=show_trails(content),
         visual_bounds=_turn_bounds(content.plane),
     )
 
 
 def _view_speed(content: Content, highest_m_s: float) -> rrb.View:
     """Show where they drive fast."""
-    hidden = _hide([entities.PATH, entities.ERROR, entities.NAMES], content)
+    hidden = _hide([entities.PATH, entities.TRAIL, entities.ERROR, entities.NAMES], content)
     return rrb.Spatial2DView(
         origin="/",
         contents=[*_list_planes(content), *hidden],
@@ -310,14 +356,22 @@ def _view_worst(content: Content, worst: WorstPlace) -> rrb.View:
 
 
 def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
-    arrows = (entities.ARROW, entities.COMMAND, entities.ERROR, entities.REFERENCE_POSE)
+    arrows = (
+        entities.ARROW,
+        entities.BODY,
+        entities.COMMAND,
+        entities.ERROR,
+        entities.REFERENCE_POSE,
+    )
     hidden = [entities.NAMES, entities.SPEED_PATH]
-    hidden += [join_path(prefix, arrow) for prefix in content.prefixes for arrow in arrows]
+    prefixes = (*content.prefixes, *content.ghosts)
+    hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in arrows]
     return rrb.Spatial2DView(
         origin="/",
         contents=[*_list_planes(content), *(f"- {join_path(path)}/**" for path in hidden)],
         name=name,
         background=palette.GROUND,
+        overrides=show_trails(content),
         visual_bounds=_turn_bounds(bounds),
     )
 
@@ -358,13 +412,6 @@ def _view_phases(content: Content) -> rrb.View:
     )
 
 
-def _view_shares(title: str) -> rrb.View:
-    """Show the mechanisms' shares as bars."""
-    legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
-    contents = f"{join_path(entities.SHARES)}/**"
-    return rrb.BarChartView(origin="/", contents=contents, name=title, plot_legend=legend)
-
-
 def _view_legend(names: Sequence[str]) -> rrb.View:
     """Show the names of many runs in their colours."""
     shown = [names[number] for number in choose_names(len(names))]
@@ -400,8 +447,24 @@ def _name_plot(plot: str) -> str:
     return entities.TITLES.get(plot) or f"State {plot.partition('/')[2]}"
 
 
+def show_trails(content: Content) -> dict[Any, VisibleTimeRanges]:
+    """Return what makes a view show the trails from their beginning to the cursor."""
+    until_now = VisibleTimeRanges(
+        ranges=[
+            rrb.VisibleTimeRange(
+                name,
+                start=rrb.TimeRangeBoundary.infinite(),
+                end=rrb.TimeRangeBoundary.cursor_relative(),
+            )
+            for name in content.timelines
+        ]
+    )
+    prefixes = (*content.prefixes, *content.ghosts)
+    return {join_path(prefix, entities.TRAIL): until_now for prefix in prefixes}
+
+
 def _list_planes(content: Content) -> list[str]:
-    prefixes = dict.fromkeys(["", *content.prefixes])
+    prefixes = dict.fromkeys(["", *content.prefixes, *content.ghosts])
     return [f"{join_path(prefix, entities.PLANE)}/**" for prefix in prefixes]
 
 

@@ -32,6 +32,7 @@ from turtlelog.show.rerun.rrd_file import (
 )
 from turtlelog.show.rerun.run_scene import build_single, draw_single
 from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
+from turtlelog.show.rerun.turtles import Look, draw_turtle
 from turtlelog.show.rerun.world import draw_world
 
 _FLUSH_S: Final = 5.0
@@ -173,11 +174,11 @@ class LiveScene:
             self._arrange(run, _open_up(content, references))
             draw_world(stream, [run])
         if stream.is_due:
-            plane.draw_trace_by_phase(run_stream, run)
+            plane.draw_trace_by_phase(run_stream, run, is_growing=True)
             plane.draw_reference_path(run_stream, run)
             plane.draw_sensed(run_stream, run)
             draw_references(stream, references, read_span([run], [timelines]))
-        plane.draw_turtle(run_stream, run, palette.MAIN, self._half_size_m)
+        draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), self._half_size_m)
         plane.draw_reference_pose(run_stream, run, self._half_size_m)
         plane.draw_arrows(run_stream, run)
         draw_phases(run_stream, run)

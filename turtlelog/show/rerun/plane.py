@@ -1,4 +1,4 @@
-"""What a run puts into the plane: its trace, the turtle, its error and command, its events."""
+"""What a run puts into the plane: its trace, its error and command, its events."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from turtlelog.show import palette
 from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.timelines import RunStream, Values, choose_trace_rows
+from turtlelog.show.rerun.turtles import draw_faintly, part_strip, send_trail
 from turtlelog.show.rerun.world import UPWARD
-from turtlelog.show.robot_curves import find_jump_rows, lack_samples, read_pace
+from turtlelog.show.robot_curves import lack_samples, read_pace
 from turtlelog.show.tracked_path import has_own_way, read_way_to_reference
 
 _SPEED_LEVELS: Final = 16
-_TRACE_RADIUS: Final = 1.0  # [points], as are the others
+_TRACE_RADIUS: Final = 1.5  # [points], as are the others
 _SPEED_RADIUS: Final = 1.75
-_TURTLE_RADIUS: Final = 5.0
 _ARROW_SHARE: Final = 0.12
 _ARROW_RADIUS: Final = 2.5
 _THIN_RADIUS: Final = 1.0
@@ -49,34 +49,27 @@ class SpeedTrace:
     highest_m_s: float
 
 
-def draw_trace(run_stream: RunStream, run: Run, color: Color) -> None:
-    """Draw the whole path in one colour."""
+def draw_trace_by_phase(run_stream: RunStream, run: Run, *, is_growing: bool = False) -> None:
+    """Draw the path, each stretch in the colour of its phase: faintly, and as a trail.
+
+    Of a run that grows all is driven: there is no more than the path, and it is bright.
+    """
     run_stream.log(entities.PLANE, UPWARD)
-    strips = _part_strip(run)
-    _log_strips(run_stream, entities.PATH, strips, [color] * len(strips), _TRACE_RADIUS)
-
-
-def draw_trace_by_phase(run_stream: RunStream, run: Run) -> None:
-    """Draw the whole path, each stretch in the colour of its phase."""
-    if lack_samples([run]):
-        draw_trace(run_stream, run, palette.START)
+    strips, colors, hues, phases = part_strip(run), [palette.START], [palette.START], None
+    if not lack_samples([run]):
+        kept, phases = choose_trace_rows(run), _find_phases(run)
+        hues = [*(found.trace for found in palette.choose_phase_colors(run.phase_names))]
+        stretches = list(_split_where_changed(phases[kept][:-1]))
+        xy_m = run.poses.xy_m[kept]
+        strips = [xy_m[first : last + 1] for first, last in stretches] or [xy_m]
+        colors = [_choose_hue(hues, int(phases[kept][first])) for first, _ in stretches]
+        colors, hues = colors or [palette.MAIN], [*hues, palette.START]
+    colors = colors * len(strips) if len(colors) == 1 else colors
+    if is_growing:
+        _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
         return
-    run_stream.log(entities.PLANE, UPWARD)
-    kept = choose_trace_rows(run)
-    phases = _find_phases(run)[kept]
-    stretches = list(_split_where_changed(phases[:-1]))
-    xy_m = run.poses.xy_m[kept]
-    strips = [xy_m[first : last + 1] for first, last in stretches] or [xy_m]
-    hues = [found.trace for found in palette.choose_phase_colors(run.phase_names)]
-    colors = [_choose_hue(hues, int(phases[first])) for first, _ in stretches] or [palette.MAIN]
-    _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
-
-
-def _part_strip(run: Run) -> list[Values]:
-    """Return the path in strips, parted where nobody drove from one pose to the next."""
-    rows = np.arange(len(run.poses))[choose_trace_rows(run)]
-    strips = np.split(run.poses.xy_m[rows], np.searchsorted(rows, find_jump_rows(run)))
-    return [strip for strip in strips if len(strip)]
+    draw_faintly(run_stream, strips, colors, _TRACE_RADIUS)
+    send_trail(run_stream, run, hues, phases, width=_TRACE_RADIUS)
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:
@@ -99,24 +92,6 @@ def build_speed_trace(run: Run) -> SpeedTrace | None:
 def draw_speed_trace(run_stream: RunStream, trace: SpeedTrace) -> None:
     """Draw the whole path in colours of its speed."""
     _log_strips(run_stream, entities.SPEED_PATH, trace.strips, trace.colors, _SPEED_RADIUS)
-
-
-def draw_turtle(run_stream: RunStream, run: Run, color: Color, half_size_m: float) -> None:
-    """Draw the turtle where it is at the cursor, with an arrow along its heading.
-
-    Both begin with the first pose: a turtle without one would stand at the origin.
-    """
-    poses = run.poses
-    point = rr.Points2D.from_fields(radii=rr.Radius.ui_points(_TURTLE_RADIUS), colors=[color])
-    run_stream.log(entities.TURTLE, point)
-    places = rr.Points2D.columns(positions=[(0.0, 0.0)])
-    run_stream.send_few(entities.TURTLE, poses.time_ns[:1], places)
-    heading = rr.Arrows2D.from_fields(radii=rr.Radius.ui_points(_ARROW_RADIUS), colors=[color])
-    run_stream.log(entities.ARROW, heading)
-    arrows = rr.Arrows2D.columns(vectors=[(half_size_m * _ARROW_SHARE, 0.0)])
-    run_stream.send_few(entities.ARROW, poses.time_ns[:1], arrows)
-    values = np.column_stack([poses.xy_m, poses.heading_rad])
-    run_stream.send(entities.TURTLE, poses.time_ns, values, _build_transforms)
 
 
 def draw_reference_path(run_stream: RunStream, run: Run) -> None:
@@ -251,14 +226,6 @@ def _log_arrow_style(
         colors=[color], radii=rr.Radius.ui_points(radius), draw_order=_ABOVE_TRACES
     )
     run_stream.log(entity, style)
-
-
-def _build_transforms(values: Values) -> rr.ComponentColumnList:
-    half_rad, zeros = values[:, 2] / 2.0, np.zeros(len(values))
-    return rr.Transform3D.columns(
-        translation=np.column_stack([values[:, :2], zeros]),
-        quaternion=np.column_stack([zeros, zeros, np.sin(half_rad), np.cos(half_rad)]),
-    )
 
 
 def _build_known_arrows(values: Values) -> rr.ComponentColumnList:

@@ -44,6 +44,7 @@ from turtlelog.show.rerun.plots import (
 )
 from turtlelog.show.rerun.rrd_file import draw_documents, open_recording, send_run_properties
 from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_timelines, read_span
+from turtlelog.show.rerun.turtles import Look, draw_turtle
 from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
 
 _VIOLATION_RADIUS = 6.0
@@ -165,7 +166,7 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     plane.draw_sensed(run_stream, run)
     if single.by_speed is not None:
         plane.draw_speed_trace(run_stream, single.by_speed)
-    plane.draw_turtle(run_stream, run, palette.MAIN, content.plane.half_size_m)
+    draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), content.plane.half_size_m)
     plane.draw_reference_pose(run_stream, run, content.plane.half_size_m)
     plane.draw_arrows(run_stream, run)
     if content.goal is not None:

@@ -40,9 +40,6 @@ UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
 _LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
 """As measured in a window of 1200 x 860 pixels, where 125 pixels are half of the close-up."""
 
-_BESIDE_SHARES: Final = Lettering(letter=0.09, line=0.3, gap=0.15, reach=2.1)
-"""Likewise where bars of shares stand below it: there are but 85 pixels."""
-
 _ABOVE: Final = 0.6
 """The viewer writes words below their point: so far, in lines."""
 
@@ -78,13 +75,23 @@ def find_plane_bounds(runs: Sequence[Run]) -> Bounds:
     """Return the world's bounds, or those of paths and goals where they leave it."""
     if is_in_world(runs):
         return _square(np.zeros(2), np.full(2, WORLD_SIZE_M), _WORLD_MARGIN)
+    return find_way_bounds(runs)
+
+
+def find_way_bounds(runs: Sequence[Run]) -> Bounds:
+    """Return the bounds of paths and goals."""
     goals = np.array(_find_goals(runs)).reshape(-1, 2)
     points = np.concatenate([*map(_list_places, runs), goals])
     return _square(points.min(axis=0), points.max(axis=0), _MARGIN)
 
 
-def draw_world(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
-    """Draw the border, and each path that is tracked, each start and each goal once."""
+def draw_world(
+    stream: rr.RecordingStream, runs: Sequence[Run], *, half_size_m: float | None = None
+) -> None:
+    """Draw the border, and each path that is tracked, each start and each goal once.
+
+    `half_size_m` is that of the plane's bounds, where they are not those of the world.
+    """
     stream.log(join_path(entities.PLANE), UPWARD, static=True)
     if is_in_world(runs):
         half = WORLD_SIZE_M / 2.0
@@ -102,7 +109,8 @@ def draw_world(stream: rr.RecordingStream, runs: Sequence[Run]) -> None:
         _draw_marks(stream, entities.GOAL, goals, palette.GOAL)
         _draw_tolerances(stream, runs)
     if len(starts) == 1 and len(goals) == 1:
-        _draw_names(stream, starts[0], goals[0], find_plane_bounds(runs).half_size_m)
+        half_m = half_size_m or find_plane_bounds(runs).half_size_m
+        _draw_names(stream, starts[0], goals[0], half_m)
 
 
 def draw_close_up(
@@ -111,8 +119,6 @@ def draw_close_up(
     run: Run,
     prefixes: Sequence[str],
     colors: Sequence[Color],
-    *,
-    is_small: bool = False,
 ) -> None:
     """Draw where each run ends, in its colour, and how far from the goal that is.
 
@@ -122,7 +128,6 @@ def draw_close_up(
         run: One of them; from where it starts, they come.
         prefixes: Entity prefix of each run.
         colors: Colour of each run.
-        is_small: Whether the view is lower than usual, since bars stand below it.
     """
     for end in close_up.ends:
         dot = rr.Points2D(
@@ -133,10 +138,9 @@ def draw_close_up(
             show_labels=False,
         )
         stream.log(join_path(prefixes[end.run], entities.END), dot, static=True)
-    lettering = _BESIDE_SHARES if is_small else _LETTERING
-    misses = list_miss_labels(close_up, lettering)
-    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
-    up_m = _ABOVE * lettering.line * close_up.half_m
+    misses = list_miss_labels(close_up, _LETTERING)
+    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, _LETTERING)
+    up_m = _ABOVE * _LETTERING.line * close_up.half_m
     _write_words(
         stream,
         entities.MISSES,

@@ -1,0 +1,305 @@
+"""A run beside its ghosts: what it would have been without its effects, and their shares."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import rerun as rr
+
+from turtlelog.compare import Column, Table
+from turtlelog.errors import ShowError
+from turtlelog.escapes import escape_markdown
+from turtlelog.explain import Attribution, write_sentences
+from turtlelog.loops import PAUSE
+from turtlelog.measure import Metric, find_first_stretch, measure_run
+from turtlelog.run import Run
+from turtlelog.show import palette
+from turtlelog.show.attribution_steps import choose_step_scale, list_attribution_steps
+from turtlelog.show.palette import Color, choose_mechanism_colors
+from turtlelog.show.rerun import entities, plane
+from turtlelog.show.rerun.content import Content, describe_content, find_largest
+from turtlelog.show.rerun.entities import RUNS, join_path
+from turtlelog.show.rerun.ghosts import (
+    Ghost,
+    build_ideal_ghost,
+    draw_gap,
+    draw_ghost,
+    draw_key,
+    list_gaps,
+)
+from turtlelog.show.rerun.layout import build_explanation_layout
+from turtlelog.show.rerun.marks import draw_events, draw_lines, draw_phases
+from turtlelog.show.rerun.plots import (
+    LevelLines,
+    Series,
+    draw_references,
+    draw_series,
+    list_compared_series,
+    list_references,
+)
+from turtlelog.show.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
+from turtlelog.show.rerun.timelines import (
+    RunStream,
+    add_thinning,
+    build_compared_timelines,
+    read_span,
+)
+from turtlelog.show.rerun.turtles import Look, count_segments, draw_trail, draw_turtle
+from turtlelog.show.rerun.waterfall import draw_reason, draw_waterfall
+from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place, find_way_bounds
+from turtlelog.show.table_formats import format_markdown
+
+_RECORDED: Final = "recorded"
+_WIDTH: Final = 1.75
+_THIN_WIDTH: Final = 0.75  # [points]
+_THIN_SIZE: Final = 0.55
+
+
+def write_explanation_rrd(
+    recorded: Run,
+    found: Attribution,
+    what_ifs: Mapping[str, Run],
+    path: str | Path,
+    *,
+    documents: Mapping[str, str] | None = None,
+) -> None:
+    """Write a recording of a run beside its what-ifs as ghosts, with the attribution as steps.
+
+    The last what-if is the main ghost: the run without all that acts. Where there is none it is the
+    ideal loop, if theory knows it. In place of shares that are withheld stands the reason.
+
+    Args:
+        recorded: What happened.
+        found: What caused a value of it.
+        what_ifs: What would have happened, by what it lacks, as `simulate_what_ifs` returns it.
+        path: The .rrd file; replaced when the new one is complete.
+        documents: Markdown texts by title, shown as tabs after the table of shares.
+
+    Raises:
+        ShowError: Where there are neither shares nor a ghost to draw, or the file cannot be written.
+    """
+    scene = _build_scene(recorded, found, what_ifs)
+    if found.withheld and not scene.ghosts:
+        raise ShowError(f"{path}: expected shares or a ghost, found none: {found.withheld}")
+    texts = {"Shares": _describe_shares(found), **(documents or {})}
+    texts = {**add_thinning(texts, scene.runs)}
+    metrics = [measure_run(run) for run in scene.runs]
+    dead_times = _list_dead_times(recorded, metrics[0])
+    lines = {
+        "pause": (palette.WANTED, _list_pause_times(recorded)),
+        "dead_time": (palette.SAMPLED, [end_ns for _, end_ns in dead_times]),
+    }
+    lines = {name: marked for name, marked in lines.items() if marked[1]}
+    content = replace(
+        scene.describe(texts),
+        lines=tuple(join_path(scene.prefixes[0], entities.LINES, name) for name in lines),
+        steps_title=_name_steps(found),
+        has_dead_time=bool(dead_times),
+    )
+    name = f"{recorded.name}, explained"
+    with open_recording(path, name=name, layout=build_explanation_layout(content)) as stream:
+        run_stream = _draw_scene(stream, scene, content, metrics)
+        if found.withheld:
+            draw_reason(stream, write_sentences(found))
+        else:
+            draw_waterfall(stream, list_attribution_steps(found))
+        for line, (color, times_ns) in lines.items():
+            entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
+            draw_lines(run_stream, entity, label, color, times_ns, largest=find_largest(content))
+        _draw_dead_times(run_stream, dead_times)
+        draw_documents(stream, texts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Scene:
+    """A run and its ghosts.
+
+    Attributes:
+        recorded: What happened.
+        ghosts: The main one last; none where nothing is known.
+        series: Curves of the run and of each simulated ghost.
+        gaps: How far the ghosts are away, over time.
+        references: Level lines that all share.
+    """
+
+    recorded: Run
+    ghosts: tuple[Ghost, ...]
+    series: tuple[tuple[Series, ...], ...]
+    gaps: tuple[Series, ...]
+    references: tuple[LevelLines, ...]
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The recorded run, and what was simulated."""
+        return (self.recorded, *(ghost.run for ghost in self.ghosts if ghost.is_run))
+
+    @property
+    def prefixes(self) -> tuple[str, ...]:
+        """Their entity prefixes."""
+        return (join_path(RUNS, _RECORDED), *(one.prefix for one in self.ghosts if one.is_run))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return (_RECORDED, *(ghost.name for ghost in self.ghosts if ghost.is_run))
+
+    @property
+    def colors(self) -> tuple[Color, ...]:
+        """Their colours."""
+        return (palette.MAIN, *(ghost.look.color for ghost in self.ghosts if ghost.is_run))
+
+    def describe(self, documents: Mapping[str, str]) -> Content:
+        """Return what a recording of it holds."""
+        series = ((*self.series[0], *self.gaps), *self.series[1:])
+        content = describe_content(self.runs, self.prefixes, series, self.references, documents)
+        others = [ghost.prefix for ghost in self.ghosts if not ghost.is_run]
+        whole = [self.recorded, *(ghost.run for ghost in self.ghosts)]
+        return replace(content, plane=find_way_bounds(whole), ghosts=tuple(others))
+
+
+def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run]) -> _Scene:
+    colors = choose_mechanism_colors(found.mechanisms)
+    ghosts = [
+        Ghost(
+            name=f"without {lacks}",
+            prefix=join_path(RUNS, _name_path(f"without {lacks}")),
+            run=run,
+            look=_choose_look(colors.get(lacks), is_main=number == len(what_ifs)),
+            is_run=True,
+        )
+        for number, (lacks, run) in enumerate(what_ifs.items(), start=1)
+    ]
+    ideal = None if ghosts else build_ideal_ghost(recorded)
+    if ideal is not None:
+        ghosts.append(ideal)
+    drawn = [(_RECORDED, recorded, palette.MAIN, _WIDTH)]
+    drawn += [(one.name, one.run, one.look.color, one.look.width) for one in ghosts if one.is_run]
+    return _Scene(
+        recorded=recorded,
+        ghosts=tuple(ghosts),
+        series=tuple(
+            tuple(replace(curves, width=width) for curves in list_compared_series(run, name, color))
+            for name, run, color, width in drawn
+        ),
+        gaps=list_gaps(recorded, ghosts),
+        references=list_references([run for _, run, _, _ in drawn]),
+    )
+
+
+def _choose_look(color: Color | None, *, is_main: bool) -> Look:
+    """Return the look of a ghost: the main one is grey, others have their mechanism's colour."""
+    if is_main or color is None:
+        return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)
+    return Look(color=color, is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
+
+
+def _name_path(name: str) -> str:
+    """Return a part of an entity path, without spaces, which a path shows as escapes."""
+    return rr.escape_entity_path_part(name.replace(" ", "_"))
+
+
+def _draw_scene(
+    stream: rr.RecordingStream,
+    scene: _Scene,
+    content: Content,
+    metrics: Sequence[Mapping[str, Metric]],
+) -> RunStream:
+    """Draw the run and its ghosts; return the stream of the run."""
+    recorded, half_size_m = scene.recorded, content.plane.half_size_m
+    send_comparison_properties(stream, scene.runs, scene.names, scene.prefixes, metrics)
+    draw_world(stream, scene.runs, half_size_m=half_size_m)
+    timelines = [build_compared_timelines(run) for run in scene.runs]
+    draw_references(stream, scene.references, read_span(scene.runs, timelines))
+    run_stream = RunStream(stream, scene.prefixes[0], timelines[0])
+    look, segments = Look(color=palette.MAIN), count_segments(1 + len(scene.ghosts))
+    draw_trail(run_stream, recorded, look, segments=segments)
+    plane.draw_reference_path(run_stream, recorded)
+    draw_turtle(run_stream, recorded.poses, look, half_size_m)
+    streams = [run_stream]
+    for ghost in scene.ghosts:
+        own = build_compared_timelines(ghost.run)
+        ghost_stream = draw_ghost(stream, ghost, own, half_size_m, segments=segments)
+        streams += [ghost_stream] if ghost.is_run else []
+    pairs = zip(streams, scene.runs, scene.names, scene.series, strict=True)
+    for own_stream, run, name, listed in pairs:
+        draw_phases(own_stream, run)
+        draw_events(own_stream, run, name)
+        for curves in listed:
+            draw_series(own_stream, curves)
+    for curves in scene.gaps:
+        draw_series(run_stream, curves)
+    if scene.ghosts:
+        main = scene.ghosts[-1]
+        draw_gap(stream, recorded, main, half_size_m)
+        rows = [(_RECORDED, palette.MAIN), (main.name, main.look.color)]
+        draw_key(stream, rows, content.plane, [recorded, main.run])
+    if content.goal is not None:
+        draw_close_up(stream, content.goal, recorded, scene.prefixes, scene.colors)
+    if content.worst is not None:
+        draw_worst_place(stream, content.worst, scene.colors[content.worst.run])
+    return run_stream
+
+
+def _name_steps(found: Attribution) -> str:
+    """Return what the view of the steps shows."""
+    value = found.as_built if found.as_logged is None else found.as_logged
+    if value is None:
+        return f"Why {found.metric} has no value"
+    if found.withheld:
+        return f"Why there are no shares of {found.metric}"
+    return f"Why {found.metric} is {choose_step_scale(found).format_value(value)}"
+
+
+def _describe_shares(found: Attribution) -> str:
+    """Return a Markdown table of each mechanism's share, and what it comes to in sentences."""
+    table = Table(
+        title=_name_steps(found),
+        columns=(
+            Column(title="mechanism"),
+            Column(title="share", unit=found.unit),
+            Column(title="without it alone", unit=found.unit),
+            Column(title="without it means"),
+        ),
+        rows=tuple(
+            (share.mechanism, share.share, share.alone, share.ending or share.meaning)
+            for share in (*found.shares, *found.others)
+        ),
+    )
+    sentences = "\n\n".join(escape_markdown(text) for text in write_sentences(found))
+    return f"{format_markdown(table)}\n{sentences}\n"
+
+
+def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
+    """Return the dead time at the start of each loop, where it is known, in order of time.
+
+    Each is a start and an end in the run's own time [ns], from a loop's first sample until its
+    command acts. Of loops that begin together it is the longest.
+    """
+    ends_ns: dict[int, int] = {}
+    for loop in run.declaration.loops:
+        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
+        if stretch and metric is not None and metric.value:
+            start_ns = stretch[0].start_ns
+            end_ns = start_ns + round(metric.value * 1e9)
+            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
+    return sorted(ends_ns.items())
+
+
+def _draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
+    """Draw them as a bar of their own."""
+    if not spans_ns:
+        return
+    style = rr.StateConfiguration(
+        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
+    )
+    run_stream.log(entities.DEAD_TIME, style)
+    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
+    run_stream.send_few(entities.DEAD_TIME, times_ns, columns)
+
+
+def _list_pause_times(run: Run) -> list[int]:
+    """Return where each pause starts and ends [ns]."""
+    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
+    return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]

@@ -1,0 +1,215 @@
+"""Ghosts: what might have been, beside the run in the plane; how far apart they are, and names."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import rerun as rr
+
+from turtlelog.run import Run
+from turtlelog.show import palette
+from turtlelog.show.close_up import format_length
+from turtlelog.show.ideal_pose import NAME as IDEAL_LOOP, find_ideal_poses
+from turtlelog.show.palette import Color
+from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.entities import TIMELINE, join_path
+from turtlelog.show.rerun.plots import Series
+from turtlelog.show.rerun.timelines import RunStream, Timelines, Values, build_index
+from turtlelog.show.rerun.turtles import MOST_SEGMENTS, Look, draw_trail, draw_turtle
+from turtlelog.show.rerun.world import Bounds
+
+IDEAL: Final = "ideal_loop"
+
+_MOST_GAPS: Final = 1000
+"""Rows of the line between run and ghost: as many as a trail has segments."""
+
+_APART_M: Final = 5e-4
+"""Less is not written [m]: it would be 0 mm."""
+
+_ONE_M: Final = 1.0
+"""Gaps below are plotted in mm, larger ones in m."""
+
+_GAP_WIDTH: Final = 1.0  # [points]
+_GAP_ORDER: Final = 27.0  # above turtles
+_ASIDE, _UP = 0.33, -0.1
+"""Of the plane's half-width: where the distance stands beside its line, away from the goal's name."""
+
+_KEY_LETTER: Final = 0.036
+"""Of the plane's half-width: 7 pixels of 200."""
+
+_KEY_LINE: Final = 0.14
+_KEY_SAMPLE: Final = 0.1
+_KEY_GAP: Final = 0.06
+_KEY_UP: Final = 0.055
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ghost:
+    """What might have been.
+
+    Attributes:
+        name: In words.
+        prefix: Entity prefix.
+        run: Whose poses are the ghost's.
+        look: How it is drawn.
+        is_run: Whether it was simulated; else only its poses are its own.
+    """
+
+    name: str
+    prefix: str
+    run: Run
+    look: Look
+    is_run: bool
+
+
+def build_ideal_ghost(run: Run) -> Ghost | None:
+    """Return the ideal loop beside a run, None where theory does not know where it would be."""
+    poses = find_ideal_poses(run)
+    if poses is None:
+        return None
+    look = Look(color=palette.GHOST, is_ghost=True)
+    ideal = replace(run, poses=poses)
+    return Ghost(name=IDEAL_LOOP, prefix=join_path(IDEAL), run=ideal, look=look, is_run=False)
+
+
+def draw_ghost(
+    stream: rr.RecordingStream,
+    ghost: Ghost,
+    timelines: Timelines,
+    half_size_m: float,
+    *,
+    segments: int = MOST_SEGMENTS,
+) -> RunStream:
+    """Draw its trail and its turtle."""
+    run_stream = RunStream(stream, ghost.prefix, timelines)
+    draw_trail(run_stream, ghost.run, ghost.look, segments=segments)
+    draw_turtle(run_stream, ghost.run.poses, ghost.look, half_size_m)
+    return run_stream
+
+
+def list_gaps(run: Run, ghosts: Sequence[Ghost]) -> tuple[Series, ...]:
+    """Return how far each ghost is from the run at the same time after its start."""
+    gaps = [measure_gap(run, ghost) for ghost in ghosts]
+    if len(run.poses) < 2 or not gaps:
+        return ()
+    in_mm = max(float(gap.max()) for gap in gaps) < _ONE_M
+    plot, factor = (entities.GAP_MM, 1e3) if in_mm else (entities.GAP_M, 1.0)
+    return tuple(
+        Series(
+            entity=f"{plot}/{rr.escape_entity_path_part(ghost.name.replace(' ', '_'))}",
+            labels=(ghost.name,),
+            colors=(ghost.look.color,),
+            time_ns=run.poses.time_ns,
+            values=factor * gap[:, np.newaxis],
+            width=ghost.look.width,
+        )
+        for ghost, gap in zip(ghosts, gaps, strict=True)
+    )
+
+
+def measure_gap(run: Run, ghost: Ghost) -> Values:
+    """Return the distance to a ghost at each of a run's poses [m], shape (n,)."""
+    away_m = _follow(run, ghost) - run.poses.xy_m
+    return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
+
+
+def draw_gap(stream: rr.RecordingStream, run: Run, ghost: Ghost, half_size_m: float) -> None:
+    """Draw a line from the run to a ghost at the cursor, and how long it is."""
+    rows = np.unique(
+        np.linspace(0, len(run.poses) - 1, min(len(run.poses), _MOST_GAPS)).round().astype(int)
+    )
+    own_m, other_m = run.poses.xy_m[rows], _follow(run, ghost)[rows]
+    gap_m = measure_gap(run, ghost)[rows]
+    # On no other timeline are they this far apart.
+    index = build_index({TIMELINE: run.poses.time_ns[rows] - run.start_ns})
+    stream.log(
+        join_path(entities.GAP),
+        rr.LineStrips2D.from_fields(
+            radii=rr.Radius.ui_points(_GAP_WIDTH), colors=[palette.GOAL], draw_order=_GAP_ORDER
+        ),
+        static=True,
+    )
+    lines = rr.LineStrips2D.columns(strips=[*np.stack([own_m, other_m], axis=1)])
+    stream.send_columns(join_path(entities.GAP), index, lines)
+    stream.log(
+        join_path(entities.GAP_NAME),
+        rr.Points2D.from_fields(
+            radii=rr.Radius.ui_points(0.0), colors=[palette.GOAL], show_labels=True
+        ),
+        static=True,
+    )
+    is_apart = gap_m >= _APART_M
+    aside = _choose_side(run) * _ASIDE * half_size_m
+    places_m = (own_m + other_m)[is_apart] / 2.0 + [aside, _UP * half_size_m]
+    labels = [f"{format_length(float(gap))} apart" for gap in gap_m[is_apart]]
+    names = rr.Points2D.columns(positions=places_m, labels=labels)
+    stream.send_columns(
+        join_path(entities.GAP_NAME), index, names.partition(is_apart.astype(np.int64))
+    )
+
+
+def draw_key(
+    stream: rr.RecordingStream,
+    rows: Sequence[tuple[str, Color]],
+    bounds: Bounds,
+    runs: Sequence[Run],
+) -> None:
+    """Name the turtles of a plane in the corner that they keep away from."""
+    half_m = bounds.half_size_m
+    longest = max(len(name) for name, _ in rows) * _KEY_LETTER + _KEY_GAP
+    width = _KEY_SAMPLE + _KEY_GAP + longest
+    xy = (np.concatenate([run.poses.xy_m for run in runs]) - bounds.center_xy_m) / half_m
+    corners = [(-0.97, -0.97), (0.97 - width, -0.97), (-0.97, 0.97), (0.97 - width, 0.97)]
+
+    def count_hidden(corner: tuple[float, float]) -> int:
+        height = np.sign(-corner[1]) * _KEY_LINE * (len(rows) + 1)
+        across = (xy[:, 0] > corner[0]) & (xy[:, 0] < corner[0] + width)
+        low, high = sorted((corner[1], corner[1] + height))
+        return int((across & (xy[:, 1] > low) & (xy[:, 1] < high)).sum())
+
+    left, edge = min(corners, key=count_hidden)
+    first = edge - _KEY_LINE / 2.0 if edge > 0.0 else edge + (len(rows) - 0.5) * _KEY_LINE
+    ys = first - _KEY_LINE * np.arange(len(rows))
+    samples = [[(left, y), (left + _KEY_SAMPLE, y)] for y in ys]
+    middle = left + _KEY_SAMPLE + _KEY_GAP
+    words = [
+        (middle + len(name) * _KEY_LETTER / 2.0, y + _KEY_UP)
+        for (name, _), y in zip(rows, ys, strict=True)
+    ]
+    center = np.array(bounds.center_xy_m)
+    stream.log(
+        join_path(entities.KEY),
+        rr.LineStrips2D(
+            [center + half_m * np.array(sample) for sample in samples],
+            radii=rr.Radius.ui_points(2.5),
+            colors=[color for _, color in rows],
+        ),
+        static=True,
+    )
+    stream.log(
+        join_path(entities.KEY_NAMES),
+        rr.Points2D(
+            center + half_m * np.array(words),
+            radii=rr.Radius.ui_points(0.0),
+            colors=[palette.GOAL],
+            labels=[name for name, _ in rows],
+            show_labels=True,
+        ),
+        static=True,
+    )
+
+
+def _follow(run: Run, ghost: Ghost) -> Values:
+    """Return where the ghost is at each of the run's poses, as long after its start [m]."""
+    own_ns = run.poses.time_ns - run.start_ns
+    other = ghost.run.poses
+    other_ns = other.time_ns - ghost.run.start_ns
+    return np.column_stack([np.interp(own_ns, other_ns, column) for column in other.xy_m.T])
+
+
+def _choose_side(run: Run) -> float:
+    """Return the side on which start and goal have no name, or the start's: 1 is the right."""
+    x_m = run.poses.xy_m[:, 0]
+    goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(x_m[-1])
+    return 1.0 if goal_x_m <= x_m[0] else -1.0

@@ -1,0 +1,134 @@
+"""An attribution as a picture: a bar for each step, with its name before it and its size behind."""
+
+from collections.abc import Sequence
+from textwrap import wrap
+from typing import Final
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from turtlelog.show import palette
+from turtlelog.show.attribution_steps import AttributionStep
+from turtlelog.show.palette import Color
+from turtlelog.show.rerun import entities
+from turtlelog.show.rerun.entities import join_path
+
+_WIDTH: Final = 100.0
+"""Of the picture; all else is in its units, of which one is 7 pixels in a window of 1200 x 860."""
+
+_HEIGHT: Final = 35.0
+_LETTER: Final = 0.95
+_PADDING: Final = 2.4  # around words
+_ABOVE: Final = 1.9  # The viewer writes words below their point.
+_GAP: Final = 0.6
+_LINE: Final = 3.6
+_BAR_SHARE: Final = 0.66  # of a row
+_HIGHEST_BAR: Final = 5.5
+_LEAST_SCALE: Final = 25.0
+"""Longest bar at least, however long its words are."""
+
+_LETTERS: Final = 84
+"""Of a line of text."""
+
+
+def draw_waterfall(stream: rr.RecordingStream, steps: Sequence[AttributionStep]) -> None:
+    """Draw the steps from top to bottom, each bar where the one above it ends."""
+    names_end = max(_measure(step.name) for step in steps)
+    low, scale = min(0.0, *_list_ends(steps)), _find_scale(steps, names_end)
+
+    def place(value: float) -> float:
+        return names_end + _GAP + (value - low) * scale
+
+    pitch = _HEIGHT / len(steps)
+    half = min(_BAR_SHARE * pitch, _HIGHEST_BAR) / 2.0
+    middles = (np.arange(len(steps)) + 0.5) * pitch
+    words: list[tuple[float, float, str, Color]] = []
+    joints = [[(place(0.0), 0.0), (place(0.0), _HEIGHT)]]
+    for number, (step, y) in enumerate(zip(steps, middles.tolist(), strict=True)):
+        left, right = sorted((place(step.start), place(step.end)))
+        _draw_bar(stream, number, (left, y - half), (right, y + half), step.color)
+        words.append((names_end - _measure(step.name) / 2.0, y, step.name, palette.GOAL))
+        words.append((right + _GAP + _measure(step.text) / 2.0, y, step.text, palette.GOAL))
+        if number + 1 < len(steps):
+            x = place(step.end)
+            joints.append([(x, y + half), (x, float(middles[number + 1]) - half)])
+    lines = rr.LineStrips2D(joints, radii=rr.Radius.ui_points(0.5), colors=[palette.REFERENCE])
+    stream.log(join_path(entities.STEPS, "joints"), lines, static=True)
+    _write(stream, words)
+
+
+def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
+    """Write in place of the steps why there are none."""
+    lines = [line for sentence in sentences for line in wrap(sentence, _LETTERS)]
+    most = int(_HEIGHT // _LINE)
+    if len(lines) > most:
+        lines = [*lines[: most - 1], "..."]
+    words = [
+        (_measure(line) / 2.0, (number + 0.5) * _LINE, line, palette.GOAL)
+        for number, line in enumerate(lines)
+    ]
+    _write(stream, words)
+
+
+def view_waterfall(title: str) -> rrb.View:
+    """Return the view of the steps, or of the reason why there are none."""
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=f"{join_path(entities.STEPS)}/**",
+        name=title,
+        background=palette.GROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT)),
+    )
+
+
+def _list_ends(steps: Sequence[AttributionStep]) -> list[float]:
+    return [value for step in steps for value in (step.start, step.end)]
+
+
+def _find_scale(steps: Sequence[AttributionStep], names_end: float) -> float:
+    """Return the width of a unit, so that the words behind each bar have room."""
+    low = min(0.0, *_list_ends(steps))
+    span = max(_list_ends(steps)) - low
+    if not span > 0.0:
+        return 1.0
+    room = _WIDTH - names_end - 2.0 * _GAP
+    scales = [
+        (room - _measure(step.text)) / (max(step.start, step.end) - low)
+        for step in steps
+        if max(step.start, step.end) > low
+    ]
+    return max(min([room / span, *scales]), _LEAST_SCALE / span)
+
+
+def _measure(text: str) -> float:
+    return _LETTER * len(text) + _PADDING
+
+
+def _draw_bar(
+    stream: rr.RecordingStream,
+    number: int,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    color: Color,
+) -> None:
+    """Draw a filled rectangle: an image of one colour, since boxes are but outlines."""
+    entity = join_path(entities.STEPS, f"bar_{number}")
+    width, height = max(high[0] - low[0], 0.15), high[1] - low[1]
+    frame = rr.Transform3D(
+        translation=[*low, 0.0], mat3x3=np.diag([width / 2.0, height / 2.0, 1.0])
+    )
+    stream.log(entity, frame, static=True)
+    image = rr.Image(np.full((2, 2, 3), color, dtype=np.uint8))
+    stream.log(entity, image, static=True)
+
+
+def _write(stream: rr.RecordingStream, words: Sequence[tuple[float, float, str, Color]]) -> None:
+    points = rr.Points2D(
+        [(x, y - _ABOVE) for x, y, _, _ in words],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[color for *_, color in words],
+        labels=[text for _, _, text, _ in words],
+        show_labels=True,
+    )
+    stream.log(join_path(entities.STEPS, "words"), points, static=True)
