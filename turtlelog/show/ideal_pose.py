@@ -18,7 +18,7 @@ def find_ideal_poses(run: Run) -> PoseColumns | None:
     Theory tells a pose where a loop turns the robot, and another then drives it along its track.
 
     Returns:
-        None where theory does not know both, where they act together, and without poses to stand at.
+        None where theory does not know both, or where they act together.
     """
     turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
     line = run.goal_line

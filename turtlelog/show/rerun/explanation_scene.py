@@ -54,6 +54,8 @@ _RECORDED: Final = "recorded"
 _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
+_WITH_PHASES: Final = 2
+"""The run and its main ghost: phases of all would leave no room for the plots."""
 
 
 def write_explanation_rrd(
@@ -77,7 +79,7 @@ def write_explanation_rrd(
         documents: Markdown texts by title, shown as tabs after the table of shares.
 
     Raises:
-        ShowError: Where there are neither shares nor a ghost to draw, or the file cannot be written.
+        ShowError: Where there are neither shares nor a ghost, or the file cannot be written.
     """
     scene = _build_scene(recorded, found, what_ifs)
     if found.withheld and not scene.ghosts:
@@ -155,7 +157,12 @@ class _Scene:
         content = describe_content(self.runs, self.prefixes, series, self.references, documents)
         others = [ghost.prefix for ghost in self.ghosts if not ghost.is_run]
         whole = [self.recorded, *(ghost.run for ghost in self.ghosts)]
-        return replace(content, plane=find_way_bounds(whole), ghosts=tuple(others))
+        return replace(
+            content,
+            plane=find_way_bounds(whole),
+            ghosts=tuple(others),
+            with_phases=min(content.with_phases, _WITH_PHASES),
+        )
 
 
 def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run]) -> _Scene:
@@ -223,22 +230,29 @@ def _draw_scene(
         streams += [ghost_stream] if ghost.is_run else []
     pairs = zip(streams, scene.runs, scene.names, scene.series, strict=True)
     for own_stream, run, name, listed in pairs:
-        draw_phases(own_stream, run)
+        if own_stream in (streams[0], streams[-1]):
+            draw_phases(own_stream, run)
         draw_events(own_stream, run, name)
         for curves in listed:
             draw_series(own_stream, curves)
     for curves in scene.gaps:
         draw_series(run_stream, curves)
-    if scene.ghosts:
-        main = scene.ghosts[-1]
-        draw_gap(stream, recorded, main, half_size_m)
-        rows = [(_RECORDED, palette.MAIN), (main.name, main.look.color)]
-        draw_key(stream, rows, content.plane, [recorded, main.run])
+    _draw_apart(stream, scene, content)
     if content.goal is not None:
         draw_close_up(stream, content.goal, recorded, scene.prefixes, scene.colors)
     if content.worst is not None:
         draw_worst_place(stream, content.worst, scene.colors[content.worst.run])
     return run_stream
+
+
+def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> None:
+    """Draw how far the main ghost is away, and name all turtles."""
+    if scene.ghosts:
+        main = scene.ghosts[-1]
+        draw_gap(stream, scene.recorded, main, content.plane.half_size_m)
+        rows = [(ghost.name, ghost.look.color) for ghost in reversed(scene.ghosts)]
+        rows.insert(0, (_RECORDED, palette.MAIN))
+        draw_key(stream, rows, content.plane, [scene.recorded, main.run])
 
 
 def _name_steps(found: Attribution) -> str:

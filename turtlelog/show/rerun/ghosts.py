@@ -33,7 +33,7 @@ _ONE_M: Final = 1.0
 _GAP_WIDTH: Final = 1.0  # [points]
 _GAP_ORDER: Final = 27.0  # above turtles
 _ASIDE, _UP = 0.33, -0.1
-"""Of the plane's half-width: where the distance stands beside its line, away from the goal's name."""
+"""Of the plane's half-width: where the distance stands beside its line, far from goal's name."""
 
 _KEY_LETTER: Final = 0.036
 """Of the plane's half-width: 7 pixels of 200."""

@@ -138,15 +138,15 @@ def build_comparison_layout(content: Content) -> rrb.Blueprint:
 def build_explanation_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a run beside its ghosts: the planes, the attribution, a few plots."""
     left = _list_planes_of(content)
-    legends = dict.fromkeys((entities.GAP_MM, entities.GAP_M), rrb.Corner2D.LeftTop)
     tabs = [view_waterfall(content.steps_title or ""), *map(_view_document, content.documents)]
     right: list[rrb.View | rrb.Container] = [
         rrb.Tabs(*tabs, *([_view_events(content)] if content.has_events else []), active_tab=0)
     ]
-    stacks = [cells for column in _EXPLAINED if (cells := _list_cells(content, column, legends))]
+    stacks = [cells for column in _EXPLAINED if (cells := _list_cells(content, column, {}, tab=0))]
     if stacks:
         plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
-        right.append(_add_phases(content, _add_states(content, plots)))
+        height = _EXPLAINED_ROWS[1] / sum(_EXPLAINED_ROWS)
+        right.append(_add_phases(content, _add_states(content, plots), height))
     return _finish(
         rrb.Horizontal(
             rrb.Vertical(*left),
@@ -251,7 +251,11 @@ def _build_plane(content: Content) -> rrb.View | rrb.Container:
 
 
 def _list_cells(
-    content: Content, column: Sequence[Sequence[str]], legends: Corners
+    content: Content,
+    column: Sequence[Sequence[str]],
+    legends: Corners,
+    *,
+    tab: int | None = None,
 ) -> list[rrb.View | rrb.Container]:
     cells: list[rrb.View | rrb.Container] = []
     for cell in column:
@@ -261,7 +265,7 @@ def _list_cells(
             if content.list_curves(plot)
         ]
         if plots:
-            active = _choose_tab(content, cell)
+            active = _choose_tab(content, cell) if tab is None else tab
             cells.append(rrb.Tabs(*plots, active_tab=active) if len(plots) > 1 else plots[0])
     return cells
 
@@ -310,12 +314,13 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
     )
 
 
-def _add_phases(content: Content, plots: rrb.Container) -> rrb.Container:
+def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:
+    """Put the phases below plots; `height` is that of both together, as a share of the window."""
     if not content.with_phases:
         return plots
     share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (content.with_phases + content.has_dead_time)
     largest = _LARGEST_PHASE_SHARE if content.has_several_phases else _ONE_PHASE_SHARE
-    share = min(share, largest)
+    share = min(share / height, largest)
     return rrb.Vertical(plots, _view_phases(content), row_shares=[1.0 - share, share])
 
 

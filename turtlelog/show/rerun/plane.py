@@ -14,7 +14,7 @@ from turtlelog.show import palette
 from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.timelines import RunStream, Values, choose_trace_rows
-from turtlelog.show.rerun.turtles import draw_faintly, part_strip, send_trail
+from turtlelog.show.rerun.turtles import Look, draw_faintly, part_strip, send_trail
 from turtlelog.show.rerun.world import UPWARD
 from turtlelog.show.robot_curves import lack_samples, read_pace
 from turtlelog.show.tracked_path import has_own_way, read_way_to_reference
@@ -69,7 +69,8 @@ def draw_trace_by_phase(run_stream: RunStream, run: Run, *, is_growing: bool = F
         _log_strips(run_stream, entities.PATH, strips, colors, _TRACE_RADIUS)
         return
     draw_faintly(run_stream, strips, colors, _TRACE_RADIUS)
-    send_trail(run_stream, run, hues, phases, width=_TRACE_RADIUS)
+    look = Look(color=palette.START, width=_TRACE_RADIUS)
+    send_trail(run_stream, run, look, hues=hues, kinds=phases)
 
 
 def build_speed_trace(run: Run) -> SpeedTrace | None:

@@ -24,6 +24,7 @@ from turtlelog.show.rerun.content import (
     find_largest,
 )
 from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
+from turtlelog.show.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.marks import (
     Mark,
@@ -47,6 +48,7 @@ from turtlelog.show.rerun.timelines import RunStream, add_thinning, build_run_ti
 from turtlelog.show.rerun.turtles import Look, draw_turtle
 from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
 
+_RUN: Final = "the run"
 _VIOLATION_RADIUS = 6.0
 _VIOLATION_COLOR: Color = (214, 39, 40)
 _EVENT_LINES: Final = f"{entities.LINES}/event"
@@ -120,6 +122,7 @@ class Single:
         references: Level lines.
         marks: Metrics that have a place on a curve.
         by_speed: Its path in colours of its speed, None where nothing moves.
+        ideal: The ideal loop, None where theory does not know where it would be.
     """
 
     run: Run
@@ -128,6 +131,7 @@ class Single:
     references: tuple[LevelLines, ...]
     marks: tuple[Mark, ...]
     by_speed: plane.SpeedTrace | None
+    ideal: Ghost | None = None
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return what a recording of it holds."""
@@ -138,6 +142,7 @@ class Single:
             corners=find_corners(self.series, content.ranges) if self.run.goal_xy_m is None else {},
             series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
             lines=(join_path(_EVENT_LINES),) if plane.list_placed(self.run) else (),
+            ghosts=() if self.ideal is None else (self.ideal.prefix,),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
         )
 
@@ -152,6 +157,7 @@ def build_single(run: Run) -> Single:
         references=list_references([run]),
         marks=list_marks(run, measured, metrics),
         by_speed=plane.build_speed_trace(run),
+        ideal=build_ideal_ghost(run),
     )
 
 
@@ -167,6 +173,10 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     if single.by_speed is not None:
         plane.draw_speed_trace(run_stream, single.by_speed)
     draw_turtle(run_stream, run.poses, Look(color=palette.MAIN), content.plane.half_size_m)
+    if single.ideal is not None:
+        draw_ghost(stream, single.ideal, timelines, content.plane.half_size_m)
+        rows = [(_RUN, palette.MAIN), (single.ideal.name, single.ideal.look.color)]
+        draw_key(stream, rows, content.plane, [run])
     plane.draw_reference_pose(run_stream, run, content.plane.half_size_m)
     plane.draw_arrows(run_stream, run)
     if content.goal is not None:

@@ -25,14 +25,14 @@ _ALL_SEGMENTS: Final = 8000
 _FEWEST_SEGMENTS: Final = 40
 """Of a trail among many: on its way of a window's height it grows by steps of 20 pixels."""
 
-_FAINT: Final = 70
+_FAINT: Final = 45
 """Alpha of the way that is not driven yet, of 255: it is seen, and not taken for the trail."""
 
-_SIZE: Final = 0.05
-"""Radius of the shell, as a part of the plane's half-width: 10 pixels of a view of 400."""
+_SIZE: Final = 0.07
+"""Radius of the shell, as a part of the plane's half-width: 14 pixels of a view of 400."""
 
 _DOT_RADIUS: Final = 5.0  # [points]
-_ARROW_SHARE: Final = 0.16
+_ARROW_SHARE: Final = 0.2
 _ARROW_RADIUS: Final = 1.5  # [points]
 _TRAIL_ORDER: Final = 21.0  # lines have 20
 _BODY_ORDER: Final = 24.0
@@ -116,9 +116,7 @@ def draw_trail(
     run_stream.log(entities.PLANE, UPWARD)
     strips = part_strip(run)
     draw_faintly(run_stream, strips, [look.color] * len(strips), look.width)
-    send_trail(
-        run_stream, run, [look.color], segments=segments, width=look.width, is_ghost=look.is_ghost
-    )
+    send_trail(run_stream, run, look, segments=segments)
 
 
 def draw_faintly(
@@ -133,12 +131,11 @@ def draw_faintly(
 def send_trail(
     run_stream: RunStream,
     run: Run,
-    hues: Sequence[Color],
-    kinds: NDArray[np.int64] | None = None,
+    look: Look,
     *,
+    hues: Sequence[Color] = (),
+    kinds: NDArray[np.int64] | None = None,
     segments: int = MOST_SEGMENTS,
-    width: float = 1.5,
-    is_ghost: bool = False,
 ) -> None:
     """Send the trail in segments, each at the time of its last pose; a view shows those until now.
 
@@ -147,11 +144,10 @@ def send_trail(
     Args:
         run_stream: Where to.
         run: Whose way it is.
-        hues: Colours by kind, the last one for -1.
-        kinds: Of each pose, shape (n,); None: all are of kind 0.
+        look: How it is drawn.
+        hues: Colours by kind, the last one for -1; none: that of the look.
+        kinds: Of each pose, shape (n,); None: all are alike.
         segments: How many there may be, changes of kind apart.
-        width: Radius [points].
-        is_ghost: Whether it lies below the trails of runs.
     """
     kept = choose_trace_rows(run)
     if len(kept) < 2:
@@ -170,10 +166,12 @@ def send_trail(
     if not pieces:
         return
     style = rr.LineStrips2D.from_fields(
-        radii=rr.Radius.ui_points(width), draw_order=_TRAIL_ORDER - 0.5 * is_ghost
+        radii=rr.Radius.ui_points(look.width), draw_order=_TRAIL_ORDER - 0.5 * look.is_ghost
     )
     run_stream.log(entities.TRAIL, style)
-    colors = palette.pack_colors([hues[int(of_rows[first])] for first, _ in pieces])
+    colors = palette.pack_colors(
+        [(hues or [look.color])[int(of_rows[first])] for first, _ in pieces]
+    )
     columns = rr.LineStrips2D.columns(
         strips=[xy_m[first : last + 1] for first, last in pieces], colors=colors
     )
