@@ -14,6 +14,7 @@ from turtlelog.show.figures.figure_curves import (
     draw_plant_responses,
     draw_step_responses,
 )
+from turtlelog.show.figures.gain_figure import draw_gains
 from turtlelog.show.figures.needs import (
     OF_THEORY,
     find_lack_of_gain,
@@ -40,6 +41,7 @@ from turtlelog.show.figures.sampled_loops import (
     draw_root_locus,
     draw_step,
 )
+from turtlelog.show.figures.strip_figure import draw_strips
 from turtlelog.show.robot_curves import lack_samples
 from turtlelog.show.shared_curves import (
     Command,
@@ -352,6 +354,21 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             paper="",
             draw=draw_attribution,
             needs="samples",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "gains": FigureKind(
+            title="Metrics against the gain, with theory's limits of overshoot and stability",
+            paper="",
+            draw=draw_gains,
+            needs="known_gain",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "strips": FigureKind(
+            title="Metrics of many runs by gain, or by what else differs: points, and boxes",
+            paper="",
+            draw=draw_strips,
             is_usual=False,
             is_extra=True,
         ),

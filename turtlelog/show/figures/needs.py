@@ -39,6 +39,11 @@ def has_states(run: Run) -> bool:
     return run.samples.states is not None and bool(run.samples.states.any())
 
 
+def _has_gain(run: Run) -> bool:
+    gains = [loop.read_gain(run.parameters) for loop in run.declaration.loops]
+    return any(gain is not None and gain > 0.0 for gain in gains)
+
+
 def find_lack_of_gain(runs: Sequence[Run]) -> str:
     """Say what theory lacks: python-control, which computes it, or a gain."""
     if find_spec("control") is None:
@@ -76,6 +81,7 @@ _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
             find_lack_of_gain([run])
             or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)
         ),
+        "known_gain": lambda run, _: _lack("the law's gain", is_held=_has_gain(run)),
         "samples": lambda run, _: _lack(SAMPLES, is_held=len(run.samples) > 0),
         "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
         "goal": lambda run, _: _lack(GOAL, is_held=run.goal_xy_m is not None),

@@ -1,0 +1,368 @@
+"""Metrics against the gain, beside theory's limits for the dead time that the runs show."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.errors import ShowError
+from turtlelog.loops import ControlLoop
+from turtlelog.measure import model_run_loops
+from turtlelog.run import Run
+from turtlelog.show.figures.metric_panels import (
+    MetricValues,
+    measure_for_figure,
+    set_ticks_at,
+    set_value_scale,
+)
+from turtlelog.show.figures.page import choose_lines, label_runs
+from turtlelog.show.shared_curves import find_steps
+from turtlelog.theory import (
+    PidGains,
+    Process,
+    compute_saturated_settling_time,
+    compute_settling_time,
+    find_stable_gains,
+)
+from turtlelog.theory.exact_gains import LoopDesign, find_p_without_overshoot
+
+Values = NDArray[np.float64]
+
+_MOST_LINES: Final = 3
+"""Dead times that have a line each; more are a band from the least limit to the greatest."""
+
+_FAR: Final = 2.5
+"""A limit beyond this many times the largest gain is told in words, not drawn: all runs would crowd
+at the left border."""
+
+_MOST_NAMED: Final = 8
+"""Runs whose points have names; of more the names would hide the points."""
+
+_RATIO: Final = 4.0
+"""Largest over least gain from which the axis of gains is logarithmic."""
+
+_GAINS: Final = 48
+"""Of a curve of theory: one in a millimetre of a panel."""
+
+_ROW_INCH: Final = 1.45
+
+_OVERSHOOT: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#b07000", "linewidth": 0.9, "linestyle": (0, (5, 2))}
+)
+_UNSTABLE: Final[Mapping[str, Any]] = MappingProxyType({"color": "#b3261e", "linewidth": 1.0})
+_BEYOND: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#b3261e", "alpha": 0.09, "linewidth": 0.0, "zorder": 0.6}
+)
+_OVERSHOOTING: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#e69f00", "alpha": 0.10, "linewidth": 0.0, "zorder": 0.5}
+)
+_THEORY: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.35", "linewidth": 0.9, "linestyle": (0, (1, 1.5)), "zorder": 1.8}
+)
+_LIMITED: Final = {**_THEORY, "linestyle": (0, (4, 1.5))}
+_SAMPLED: Final = {**_THEORY, "linestyle": "-", "linewidth": 0.6}
+
+_ALIKE: Final = 0.02
+"""Share by which steps may differ to have one curve of settling times: it would be off by as much,
+which is the half-width of the settling band."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainLimits:
+    """Theory's limits of Kp for one timing.
+
+    Attributes:
+        dead_time_s: All dead time of the loop [s].
+        period_s: Its sampling period [s].
+        overshoot: Kp from which it overshoots [1/s]; None where the loop is not proportional.
+        stability: Kp from which it is unstable [1/s]; None where no Kp is stable.
+        design: To compute responses with.
+        gains: Of one of its runs, at which the limits hold besides Kp.
+    """
+
+    dead_time_s: float
+    period_s: float
+    overshoot: float | None
+    stability: float | None
+    design: LoopDesign
+    gains: PidGains
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopGains:
+    """A loop's gain in each run.
+
+    Attributes:
+        name: Of the loop.
+        gains: Kp [1/s], one for each run; NaN where it is not known.
+        limits: Of theory, one for each timing, in the order of dead times.
+        step: Size of the step and limit of the command, in rad or m and per second; None where
+            runs differ in them, or theory does not know the loop.
+    """
+
+    name: str
+    gains: Values
+    limits: tuple[GainLimits, ...]
+    step: tuple[float, float] | None = None
+
+
+def find_loop_gains(runs: Sequence[Run]) -> list[LoopGains]:
+    """Return the loops of runs that have a known gain, with theory's limits for each."""
+    names = dict.fromkeys(loop.name for run in runs for loop in run.declaration.loops)
+    found = [_find_loop(name, runs) for name in names]
+    return [loop for loop in found if np.isfinite(loop.gains).any()]
+
+
+def _find_loop(name: str, runs: Sequence[Run]) -> LoopGains:
+    gains: list[float] = []
+    limits: dict[object, GainLimits] = {}
+    for run in runs:
+        gains.append(_read_gain(run.declaration.find_loop(name), run))
+        for model in model_run_loops(run):
+            if model.loop.name != name or not math.isfinite(gains[-1]):
+                continue
+            if model.reason:
+                continue
+            pid, settings = model.require()
+            process, period_s = settings["process"], settings["period_s"]
+            # Times of a real loop differ by less than is known of them.
+            key = (round(process.dead_time_s, 4), round(period_s, 4), replace(pid, kp=1.0))
+            if key not in limits:
+                limits[key] = _compute_limits(pid, process, period_s)
+    order = sorted(limits.values(), key=lambda one: (one.dead_time_s, one.period_s))
+    return LoopGains(
+        name=name, gains=np.array(gains), limits=tuple(order), step=_find_step(name, runs)
+    )
+
+
+def _find_step(name: str, runs: Sequence[Run]) -> tuple[float, float] | None:
+    """Return the step that all runs answer, and the limit of its command."""
+    found = []
+    for run in runs:
+        loop = run.declaration.find_loop(name)
+        for step in () if loop is None else find_steps(run, loop.signal):
+            limit = run.parameters.get(step.loop.limit_key)
+            size = abs(step.reference - step.initial)
+            size = math.radians(size) if step.loop.signal == "heading" else size
+            if step.loop.name == name and isinstance(limit, int | float) and limit > 0 < size:
+                found.append((size, float(limit)))
+    if not found or any(not np.allclose(one, found[0], rtol=_ALIKE) for one in found):
+        return None
+    return found[0]
+
+
+def _read_gain(loop: ControlLoop | None, run: Run) -> float:
+    gain = None if loop is None else loop.read_gain(run.parameters)
+    return math.nan if gain is None or gain <= 0.0 else float(gain)
+
+
+def _compute_limits(pid: PidGains, process: Process, period_s: float) -> GainLimits:
+    design = LoopDesign(process=process, period_s=period_s, filter_s=pid.filter_s)
+    is_proportional = not pid.ki and not pid.kd
+    overshoot = find_p_without_overshoot(design) if is_proportional else None
+    if is_proportional:
+        stability: float | None = design.find_ultimate_gain()
+    else:
+        ranges = find_stable_gains(pid, period_s=period_s, process=process)
+        stability = ranges[-1][1] if ranges else None
+    return GainLimits(
+        dead_time_s=process.dead_time_s,
+        period_s=period_s,
+        overshoot=overshoot,
+        stability=stability,
+        design=design,
+        gains=pid,
+    )
+
+
+def draw_gains(
+    figure: Figure, runs: Sequence[Run], *, metrics: Sequence[str] | None = None
+) -> None:
+    """Draw metrics against the gain of each loop, with theory's limits.
+
+    Args:
+        figure: To draw on.
+        runs: Those without a known gain are left out.
+        metrics: Ids, patterns, or names of metrics of any loop; overshoot, settling time and final
+            position error unless given.
+
+    Raises:
+        ShowError: Where no gain is known, or no run has a value.
+    """
+    loops = find_loop_gains(runs)
+    if not loops:
+        raise ShowError("figure gains: expected the law's gain, found none")
+    found = measure_for_figure("gains", runs, metrics)
+    columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
+    own = {one.loop for one in found} - {""}
+    columns = [loop for loop in columns if loop.name in own] or columns[:1] if own else columns[:1]
+    rows = list(dict.fromkeys(one.name for one in found if not own or one.loop or not one.loop))
+    width = figure.get_figwidth()
+    figure.set_size_inches(width, 0.55 + _ROW_INCH * len(rows))
+    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col")
+    for row, name in enumerate(rows):
+        for column, loop in enumerate(columns):
+            axes = grid[row, column]
+            one = next(
+                (one for one in found if one.name == name and one.loop in ("", loop.name)), None
+            )
+            if one is None:
+                axes.set_axis_off()
+                continue
+            _draw_panel(axes, runs, loop, one, is_first=row == 0)
+            axes.set_ylabel(one.label if column == 0 or one.loop else "")
+    for column, loop in enumerate(columns):
+        below = f"Kp of {loop.name} [1/s]"
+        grid[-1, column].set_xlabel(below)
+        grid[0, column].set_title(_name_loop(loop), pad=12.0)
+    figure.align_ylabels()
+
+
+def _name_loop(loop: LoopGains) -> str:
+    """Return a loop's name with the dead times for which the limits hold."""
+    if not loop.limits:
+        return f"{loop.name}: no theory"
+    times_ms = sorted({round(1e3 * one.dead_time_s, 1) for one in loop.limits})
+    if len(times_ms) > _MOST_LINES:
+        return f"{loop.name}\ndead time {times_ms[0]:g} to {times_ms[-1]:g} ms"
+    return f"{loop.name}\ndead time {', '.join(f'{time:g}' for time in times_ms)} ms"
+
+
+def _draw_panel(
+    axes: Axes, runs: Sequence[Run], loop: LoopGains, found: MetricValues, *, is_first: bool
+) -> None:
+    gains = loop.gains
+    known = gains[np.isfinite(gains)]
+    _set_gain_axis(axes, loop, known)
+    set_value_scale(axes, found)
+    _draw_limits(axes, loop, is_first=is_first)
+    _draw_theory(axes, loop, found)
+    has_value = np.isfinite(found.values) & np.isfinite(gains)
+    order = np.argsort(gains[has_value], kind="stable")
+    if len(np.unique(gains[has_value])) == has_value.sum():
+        line = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
+        axes.plot(gains[has_value][order], found.values[has_value][order], **line)
+    small = 4.5 if len(runs) <= 3 * _MOST_NAMED else 3.0
+    for row, looks in enumerate(choose_lines(len(runs))):
+        if has_value[row]:
+            axes.plot(gains[row], found.values[row], "o", ms=small, color=looks["color"], zorder=3)
+        elif np.isfinite(gains[row]):
+            edge = axes.get_xaxis_transform()
+            axes.plot(gains[row], 0.95, "x", ms=5.0, mew=1.2, color="#b3261e", transform=edge)
+    missing = np.isfinite(gains) & ~has_value
+    if missing.any():
+        axes.plot([], [], "x", ms=5.0, mew=1.2, color="#b3261e", label="no value: not reached")
+    if is_first and len(runs) <= _MOST_NAMED and len(runs) > 1:
+        _name_points(axes, runs, gains, found.values)
+
+
+def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
+    low, high = float(known.min()), float(known.max())
+    if high > _RATIO * low:
+        axes.set_xscale("log")
+    ends = [one for limit in loop.limits for one in (limit.overshoot, limit.stability) if one]
+    near = [one for one in ends if one < _FAR * high]
+    left, right = min([low, *(one for one in near if one > low / _FAR)]), max([high, *near])
+    if axes.get_xscale() == "log":
+        axes.set_xlim(left / 1.35, right * 1.35)
+    else:
+        room = 0.12 * (right - left) or 0.3 * right
+        axes.set_xlim(max(left - room, 0.0), right + room)
+    set_ticks_at(axes, known.tolist(), most=7)
+
+
+def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
+    """Draw from which gain theory's loop overshoots, and from which it is unstable."""
+    left, right = axes.get_xlim()
+    both = (
+        ("overshoot", _OVERSHOOT, "overshoots from here (theory)"),
+        ("stability", _UNSTABLE, "unstable from here (theory)"),
+    )
+    beyond = []
+    starts: dict[str, float] = {}
+    for kind, looks, name in both:
+        limits = sorted({float(value) for one in loop.limits if (value := getattr(one, kind))})
+        shown = [limit for limit in limits if left < limit < right]
+        if limits:
+            starts[kind] = min(max(limits[0], left), right)
+        if limits and not shown:
+            beyond.append((kind, limits[0], looks["color"], limits[0] >= right))
+        if len(shown) > _MOST_LINES:
+            axes.axvspan(shown[0], shown[-1], color=looks["color"], alpha=0.25, lw=0.0, label=name)
+            shown = [shown[0], shown[-1]]
+        else:
+            for limit in shown:
+                axes.axvline(limit, **looks, label=name, zorder=1.5)
+        if shown and is_first:
+            told = "–".join(dict.fromkeys(f"{limit:.3g}" for limit in (shown[0], shown[-1])))
+            middle = math.sqrt(shown[0] * shown[-1])
+            text = axes.text(middle, 1.02, told, fontsize=6.5, color=looks["color"])
+            text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
+    if "stability" in starts:
+        axes.axvspan(starts["stability"], right, **_BEYOND)
+    if "overshoot" in starts:
+        axes.axvspan(starts["overshoot"], starts.get("stability", right), **_OVERSHOOTING)
+    if is_first:
+        _tell_beyond(axes, beyond)
+
+
+def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> None:
+    """Tell the limits that the axis leaves out, at the side at which they lie."""
+    words = {"overshoot": "overshoots", "stability": "unstable"}
+    for number, (kind, limit, color, is_right) in enumerate(beyond):
+        side, at = ("right", 0.99) if is_right else ("left", 0.01)
+        told = f"{words[kind]} from {limit:.3g} {'→' if is_right else ''}".strip()
+        text = axes.text(at, 0.97 - 0.11 * number, told, fontsize=6.5, color=color)
+        text.set(transform=axes.transAxes, ha=side, va="top")
+
+
+def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
+    """Draw what theory's loop does at each gain, where it knows."""
+    left, right = axes.get_xlim()
+    gains = np.geomspace(max(left, 1e-3 * right), right, _GAINS)
+    if found.name == "settling_time":
+        if loop.limits and not (loop.limits[0].gains.ki or loop.limits[0].gains.kd):
+            times_s = [compute_settling_time(float(gain)) for gain in gains]
+            axes.plot(gains, times_s, **_THEORY, label="ideal loop: 4 τ")
+        if loop.step is not None:
+            size, limit = loop.step
+            times_s = [
+                compute_saturated_settling_time(float(gain), step=size, limit=limit)
+                for gain in gains
+            ]
+            axes.plot(gains, times_s, **_LIMITED, label="ideal loop with its limit")
+    elif found.name == "overshoot":
+        for limit in loop.limits[:_MOST_LINES]:
+            values = [_overshoot(limit, float(gain)) for gain in gains]
+            axes.plot(gains, values, **_SAMPLED, label="sampled loop, dead time, no limit")
+
+
+def _overshoot(limit: GainLimits, kp: float) -> float:
+    """Return the overshoot of the linear sampled loop [%]; NaN where it has none or is unstable."""
+    if limit.stability is None or kp >= limit.stability:
+        return math.nan
+    motion = limit.design.measure(replace(limit.gains, kp=kp), to_rest=False)
+    return math.nan if motion is None else max(motion.overshoot_percent, 0.0)
+
+
+def _name_points(axes: Axes, runs: Sequence[Run], gains: Values, values: Values) -> None:
+    for name, gain, value in zip(shorten_names(label_runs(runs)), gains, values, strict=True):
+        if np.isfinite(gain) and np.isfinite(value):
+            look = {"fontsize": 6.5, "ha": "center", "va": "bottom", "color": "0.25"}
+            axes.annotate(name, (gain, value), (0.0, 3.5), textcoords="offset points", **look)
+
+
+def shorten_names(names: Sequence[str]) -> list[str]:
+    """Return names without the words that all of them begin with."""
+    if len(names) < 2:
+        return [*names]
+    least, greatest = min(names), max(names)
+    same = next((row for row, (a, b) in enumerate(zip(least, greatest, strict=False)) if a != b), 0)
+    begins = max(least.rfind(letter, 0, same) for letter in "-_ /.") + 1
+    return [name[begins:] for name in names]

@@ -1,0 +1,158 @@
+"""Metrics of several runs as figures draw them: which, in which unit, on which scale."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter, NullLocator
+from numpy.typing import NDArray
+
+from turtlelog.errors import ShowError
+from turtlelog.measure import Metric, choose_metrics, find_metric_kind, measure_run
+from turtlelog.run import Run
+
+Values = NDArray[np.float64]
+
+USUAL: Final = ("*.overshoot", "*.settling_time", "final.position_error")
+OF_TRACKING: Final = ("*.rms_error", "*.largest_error")
+"""Where no loop answers to a step: errors of loops whose reference moves."""
+
+_LOGARITHMIC: Final = 30.0
+"""Greatest over least value from which a scale is logarithmic: on a linear one of 30 mm the least
+would be within 1 mm of 0."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MetricValues:
+    """A metric of several runs.
+
+    Attributes:
+        id: Its id.
+        label: For an axis, with its unit.
+        values: In that unit, one for each run; NaN where there is none.
+        reasons: Why, one for each run; empty where there is one or the run was not asked.
+        factor: From the metric's own unit to that of the label.
+    """
+
+    id: str
+    label: str
+    values: Values
+    reasons: tuple[str, ...]
+    factor: float = 1.0
+
+    @property
+    def loop(self) -> str:
+        """Of which loop it is; empty of the whole run."""
+        loop = self.id.rpartition(".")[0]
+        return "" if loop in {"final", "run"} else loop
+
+    @property
+    def name(self) -> str:
+        """Without its loop."""
+        return self.id.rpartition(".")[2] if self.loop else self.id
+
+    @property
+    def is_logarithmic(self) -> bool:
+        """Whether its values need a logarithmic scale."""
+        known = self.values[np.isfinite(self.values)]
+        return (
+            len(known) > 1
+            and bool(known.min() > 0.0)
+            and bool(known.max() > _LOGARITHMIC * known.min())
+        )
+
+
+def measure_for_figure(
+    figure: str, runs: Sequence[Run], names: Sequence[str] | None
+) -> list[MetricValues]:
+    """Return metrics that at least one run has a value of.
+
+    Args:
+        figure: Its name, for errors.
+        runs: To be measured.
+        names: Ids, patterns, or names of metrics of any loop (`overshoot`); the usual ones where
+            None.
+
+    Raises:
+        ShowError: Where no run has a value of any; the line has the reason of the first.
+        MeasureError: Where a name stands for no metric.
+    """
+    patterns = [complete_name(name) for name in names] if names else [*USUAL]
+    measured = [measure_run(run, only=choose_metrics(patterns, run.declaration)) for run in runs]
+    found = _gather(measured)
+    if not found and not names:
+        patterns = [*OF_TRACKING]
+        measured = [
+            measure_run(run, only=choose_metrics(patterns, run.declaration)) for run in runs
+        ]
+        found = _gather(measured)
+    if not found:
+        reasons = [one.reason for metrics in measured for one in metrics.values() if one.reason]
+        reason = f": {reasons[0]}" if reasons else ""
+        wanted = ", ".join(names or USUAL)
+        raise ShowError(f"figure {figure}: expected a value of {wanted}, found none{reason}")
+    return found
+
+
+def complete_name(name: str) -> str:
+    """Return an id or a pattern as it is, and `overshoot` as that of any loop."""
+    is_bare = "." not in name and find_metric_kind(name) is None
+    return f"*.{name}" if is_bare else name
+
+
+def _gather(measured: Sequence[Mapping[str, Metric]]) -> list[MetricValues]:
+    ids = dict.fromkeys(name for metrics in measured for name in metrics)
+    found = []
+    for name in ids:
+        metrics = [one.get(name) for one in measured]
+        if any(metric is not None and metric.value is not None for metric in metrics):
+            found.append(_build(name, metrics))
+    return found
+
+
+def _build(name: str, metrics: Sequence[Metric | None]) -> MetricValues:
+    known = [one for one in metrics if one is not None and one.value is not None]
+    values = [np.nan if one is None or one.value is None else one.value for one in metrics]
+    unit, factor = known[0].unit, 1.0
+    if unit == "m" and max(abs(one.value or 0.0) for one in known) < 1.0:
+        unit, factor = "mm", 1e3
+    loop, _, last = name.rpartition(".")
+    words = last if loop != "final" or last.startswith("final") else f"final {last}"
+    words = words.replace("_", " ")
+    return MetricValues(
+        id=name,
+        label=words if unit == "1" else f"{words} [{unit}]",
+        values=factor * np.array(values),
+        reasons=tuple("" if one is None else one.reason for one in metrics),
+        factor=factor,
+    )
+
+
+def set_value_scale(axes: Axes, found: MetricValues) -> None:
+    """Give an axis the scale of a metric, with room for its values."""
+    known = found.values[np.isfinite(found.values)]
+    low, high = float(known.min()), float(known.max())
+    if found.is_logarithmic:
+        axes.set_yscale("log")
+        axes.set_ylim(low / 1.6, high * 1.9)
+        few = high < 100.0 * low
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        return
+    room = 0.14 * (high - low) or 0.1 * abs(high) or 1.0
+    axes.set_ylim(min(low - room, 0.0), high + 1.4 * room)
+
+
+def set_ticks_at(axes: Axes, values: Sequence[float], *, most: int = 9) -> None:
+    """Put the ticks of the lower axis at values, of many at as many as there is room for."""
+    places = sorted({*values})
+    if len(places) > most:
+        chosen = np.unique(np.linspace(0, len(places) - 1, most).round().astype(int))
+        places = [places[row] for row in chosen]
+    axes.xaxis.set_major_locator(FixedLocator(places))
+    axes.xaxis.set_minor_locator(NullLocator())
+    formatter: Any = "{x:g}"
+    axes.xaxis.set_major_formatter(formatter)
