@@ -243,21 +243,23 @@ def _draw_panel(
     set_value_scale(axes, found)
     _draw_limits(axes, loop, is_first=is_first)
     _draw_theory(axes, loop, found)
-    has_value = np.isfinite(found.values) & np.isfinite(gains)
-    order = np.argsort(gains[has_value], kind="stable")
-    if len(np.unique(gains[has_value])) == has_value.sum():
+    asked = np.isfinite(gains)
+    places = np.unique(gains[asked])
+    if len(places) == asked.sum():
+        order = np.argsort(gains[asked], kind="stable")
+        # NaN parts the line where a run has no value.
         line = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
-        axes.plot(gains[has_value][order], found.values[has_value][order], **line)
+        axes.plot(gains[asked][order], found.values[asked][order], **line)
     small = 4.5 if len(runs) <= 3 * _MOST_NAMED else 3.0
-    for row, looks in enumerate(choose_lines(len(runs))):
-        if has_value[row]:
-            axes.plot(gains[row], found.values[row], "o", ms=small, color=looks["color"], zorder=3)
-        elif np.isfinite(gains[row]):
-            edge = axes.get_xaxis_transform()
-            axes.plot(gains[row], 0.95, "x", ms=5.0, mew=1.2, color="#b3261e", transform=edge)
-    missing = np.isfinite(gains) & ~has_value
-    if missing.any():
-        axes.plot([], [], "x", ms=5.0, mew=1.2, color="#b3261e", label="no value: not reached")
+    for place, looks in zip(places, choose_lines(len(places)), strict=True):
+        there = gains == place
+        values = found.values[there]
+        known = values[np.isfinite(values)]
+        look = {"ms": small, "color": looks["color"], "zorder": 3}
+        axes.plot(np.full(len(known), place), known, "o", **look)
+        if len(known) < len(values):
+            look = {"ms": 5.0, "mew": 1.2, "color": "#b3261e", "label": "no value"}
+            axes.plot(place, 0.95, "x", transform=axes.get_xaxis_transform(), **look)
     if is_first and len(runs) <= _MOST_NAMED and len(runs) > 1:
         _name_points(axes, runs, gains, found.values)
 
@@ -281,8 +283,8 @@ def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
     """Draw from which gain theory's loop overshoots, and from which it is unstable."""
     left, right = axes.get_xlim()
     both = (
-        ("overshoot", _OVERSHOOT, "overshoots from here (theory)"),
-        ("stability", _UNSTABLE, "unstable from here (theory)"),
+        ("overshoot", _OVERSHOOT, "overshoot begins (theory)"),
+        ("stability", _UNSTABLE, "instability (theory)"),
     )
     beyond = []
     starts: dict[str, float] = {}
@@ -336,11 +338,11 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
                 compute_saturated_settling_time(float(gain), step=size, limit=limit)
                 for gain in gains
             ]
-            axes.plot(gains, times_s, **_LIMITED, label="ideal loop with its limit")
+            axes.plot(gains, times_s, **_LIMITED, label="ideal loop, limited")
     elif found.name == "overshoot":
         for limit in loop.limits[:_MOST_LINES]:
             values = [_overshoot(limit, float(gain)) for gain in gains]
-            axes.plot(gains, values, **_SAMPLED, label="sampled loop, dead time, no limit")
+            axes.plot(gains, values, **_SAMPLED, label="sampled loop, no limit")
 
 
 def _overshoot(limit: GainLimits, kp: float) -> float:

@@ -32,7 +32,7 @@ _HALF_WIDTH: Final = 0.17
 """Of the points' strip, where the distance between groups is 1."""
 
 _PANEL_INCH: Final = 1.75
-_NARROW_INCH: Final = 2.6
+_NARROW_INCH: Final = 2.3
 """A panel is at least so wide, where there is more than one: its groups have names below it."""
 
 _BOX: Final[Mapping[str, Any]] = MappingProxyType(
