@@ -35,6 +35,7 @@ from turtlelog.show.figures.panels import (
     draw_wanted,
     has_one_plane,
 )
+from turtlelog.show.figures.rates_figure import draw_rates
 from turtlelog.show.figures.sampled_loops import (
     draw_bode,
     draw_nyquist,
@@ -369,6 +370,14 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             title="Metrics of many runs by gain, or by what else differs: points, and boxes",
             paper="",
             draw=draw_strips,
+            is_usual=False,
+            is_extra=True,
+        ),
+        "rates": FigureKind(
+            title="Commands against measured rates, with the identified model",
+            paper="",
+            draw=draw_rates,
+            needs="commands",
             is_usual=False,
             is_extra=True,
         ),

@@ -8,6 +8,7 @@ from typing import Final
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 from turtlelog.show.figures.figure_curves import find_gains
+from turtlelog.show.figures.rates_figure import lacks_commands
 from turtlelog.show.figures.sampled_loops import find_lack_of_theory
 from turtlelog.show.shared_curves import Command, read_applied, read_command, read_curve
 from turtlelog.show.tracked_path import read_along_error
@@ -82,6 +83,7 @@ _LACKS: Final[Mapping[str, Callable[[Run, bool], str]]] = MappingProxyType(
             or _lack("a plant that is 1/s", is_held=find_plant(run).name != LAGGED)
         ),
         "known_gain": lambda run, _: _lack("the law's gain", is_held=_has_gain(run)),
+        "commands": lambda run, _: _lack("commands", is_held=not lacks_commands(run)),
         "samples": lambda run, _: _lack(SAMPLES, is_held=len(run.samples) > 0),
         "poses": lambda run, _: _lack("poses", is_held=len(run.poses) > 0),
         "goal": lambda run, _: _lack(GOAL, is_held=run.goal_xy_m is not None),

@@ -40,7 +40,9 @@ _LEAST_INCH: Final = 3.0
 """A narrower figure is no lower: its lettering is the same."""
 _MOST_COLUMNS: Final = 4
 """More runs than these stand as rows."""
-_WIDE: Final = frozenset({"plant", "plane", "panel", "bode", "nyquist", "step", "attribution"})
+_WIDE: Final = frozenset(
+    {"plant", "plane", "panel", "bode", "nyquist", "step", "attribution", "rates"}
+)
 _WIDE_OF_RUNS: Final = frozenset({"root-locus"})
 """Of theory alone these have one panel."""
 _NO_DATE: Final = {
