@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
@@ -14,7 +15,7 @@ from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import RobotModel
-    from turtlelog.identify import AxisModel, Estimate
+    from turtlelog.identify import AxisModel, Estimate, RobotScenario
 
 _NAMES: Final = {"speed": "speed", "turn_rate": "turn rate"}
 _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
@@ -41,6 +42,7 @@ def identify(
     *,
     plot: Path | None = None,
     rrd: Path | None = None,
+    scenario: Path | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -65,15 +67,20 @@ def identify(
         files: Bags, recordings or logs of one robot.
         plot: Draw command, motion, model and residual into this .pdf, .png or .svg file.
         rrd: Write the same as a Rerun recording (.rrd).
+        scenario: Write the robot as a scenario to this .toml file, to be simulated and given gains.
         json: Print one JSON object instead of tables.
     """
     _require_targets(plot, rrd, files)
+    require_new_target(scenario, files, suffix=".toml")
     runs = read_runs(files, topics)
     model = tl.identify_robot(runs)
+    robot = None if scenario is None else tl.identify.build_robot_scenario(model, runs)
     if json:
-        print_json(describe_robot(files, model))
+        print_json(describe_robot(files, model) | _describe_scenario(scenario, robot))
     else:
-        print_text(format_robot(model))
+        print_text(format_robot(model) + _format_scenario(robot))
+    if scenario is not None and robot is not None:
+        _write_scenario(robot, scenario)
     if plot is not None:
         tl.show.write_robot_figure(model, runs[0], plot)
         print_note(f"wrote {plot}")
@@ -92,6 +99,27 @@ def _require_targets(plot: Path | None, rrd: Path | None, files: Sequence[Path])
         raise UsageError(f"--plot {plot}: expected {expected}, found another")
     require_new_target(plot, files, suffix="" if plot is None else plot.suffix.lower())
     require_new_target(rrd, files, suffix=".rrd")
+
+
+def _write_scenario(robot: "RobotScenario", path: Path) -> None:
+    from turtlelog.log.complete_files import replace_when_complete
+
+    with replace_when_complete(path) as temporary:
+        temporary.write_text(robot.text, encoding="utf-8")
+    print_note(f"wrote {path}")
+
+
+def _describe_scenario(path: Path | None, robot: "RobotScenario | None") -> dict[str, Any]:
+    if robot is None:
+        return {"scenario": None}
+    return {"scenario": {"file": str(path), "notes": [*robot.notes]}}
+
+
+def _format_scenario(robot: "RobotScenario | None") -> str:
+    if robot is None:
+        return ""
+    lines = [line for note in robot.notes for line in wrap(f"- {note}", 95, subsequent_indent="  ")]
+    return "\n".join(["", "", "The scenario:", *lines])
 
 
 def describe_robot(files: Sequence[Path], model: "RobotModel") -> dict[str, Any]:

@@ -132,7 +132,9 @@ def _list_notes(answers: Sequence[LoopAnswer]) -> list[str]:
         notes.append(f"{of}: {_tell_sources(model)}.")
         if model.most_dead_time_s is not None:
             most = f"{1e3 * model.most_dead_time_s:.6g} ms"
-            notes.append(f"{of}: the dead time is the least; queues may let it grow to {most}.")
+            notes.append(
+                f"{of}: the dead time is the least; {model.growth} may let it grow to {most}."
+            )
         if model.left_out:
             notes.append(f"{of}: theory's linear loop leaves out {', '.join(model.left_out)}.")
     if any(answer.found and answer.found.stable for answer in answers):

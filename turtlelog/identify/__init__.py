@@ -15,6 +15,7 @@ from turtlelog.identify.robot_model import (
     RobotModel,
     TickDelays,
 )
+from turtlelog.identify.robot_scenario import RobotScenario, build_robot_scenario
 
 __all__ = [
     "AxisModel",
@@ -23,7 +24,9 @@ __all__ = [
     "PredictionError",
     "RobotEvent",
     "RobotModel",
+    "RobotScenario",
     "TickDelays",
+    "build_robot_scenario",
     "identify_robot",
     "measure_prediction",
     "predict_axis",

@@ -138,11 +138,6 @@ def find_timing(parameters: Parameters) -> LoopTiming | str:
     period_s, delay_s = every * step_s, read_number(parameters, "sensing.delay_s")
     if parameters.get("loop.trigger") == "timer":
         period_s = read_number(parameters, "loop.period_s")
-        if not _is_multiple(period_s, step_s):  # it begins when a pose comes: their ages are alike
-            return (
-                "the age of the pose that is read changes from sample to sample, where the timer's"
-                " period is no multiple of the plant's"
-            )
     if is_turtlesim and period_s > (_LONGEST_HOLD_TICKS + _WHOLE) * step_s:
         return "turtlesim stops by itself between two samples, 1 s after a command"
     delay_s += read_number(parameters, "loop.transport_delay_s")
@@ -152,7 +147,7 @@ def find_timing(parameters: Parameters) -> LoopTiming | str:
         delay_s = step_s * math.floor(delay_s / step_s + _WHOLE)
     elif queued:  # a robot takes it at its next period
         delay_s = step_s * math.ceil(delay_s / step_s - _WHOLE)
-    least_s = most_s = delay_s
+    least_s, most_s = delay_s, delay_s + _find_most_age(parameters, step_s)
     if queued and every == 1 and parameters.get("loop.trigger") != "timer":
         # One command leaves and one comes in each tick, so what waits first waits for good. No
         # pause makes it less: it drains commands while as many poses pile up, or a full queue.
@@ -184,7 +179,20 @@ def _is_of(command: str, key: str) -> bool:
 def hides_stability(parameters: Parameters) -> bool:
     """Return whether something that theory leaves out may steady a loop that it calls unstable."""
     known = _MODELLED | _ADDED
+    if _find_most_age(parameters, read_plant(parameters).period_s):
+        return True
     return any(key not in known and not key.startswith(_BESIDE) for key in parameters)
+
+
+def _find_most_age(parameters: Parameters, step_s: float) -> float:
+    """Return how old the pose that a timer reads may be [s].
+
+    The timer begins when a pose comes. Where its period is no multiple of the plant's, some later
+    pose is up to one period of the plant old.
+    """
+    if parameters.get("loop.trigger") != "timer":
+        return 0.0
+    return 0.0 if _is_multiple(read_number(parameters, "loop.period_s"), step_s) else step_s
 
 
 def _is_multiple(time_s: float, step_s: float) -> bool:

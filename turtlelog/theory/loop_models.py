@@ -51,7 +51,8 @@ class LoopModel:
         gains: None where the reason says why.
         process: Likewise; all dead time is in it.
         period_s: Sampling period T [s], None likewise.
-        most_dead_time_s: Dead time that queues may let it grow to [s]; None where it cannot grow.
+        most_dead_time_s: Dead time that it may grow to [s]; None where it cannot grow.
+        growth: What lets it grow, in words.
         reason: Why theory does not know the loop; empty where it does.
         sources: Where values come from, in words, by `gains`, `plant`, `period_s`, `dead_time_s`.
         left_out: What of the scenario the linear loop leaves out, as `key = value`.
@@ -62,6 +63,7 @@ class LoopModel:
     process: Process | None = None
     period_s: float | None = None
     most_dead_time_s: float | None = None
+    growth: str = "queues"
     reason: str = ""
     sources: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
@@ -128,12 +130,14 @@ def model_loop(
     left_out = list_neglected(loop, parameters)
     if isinstance(gains, str) or isinstance(process, str) or isinstance(timing, str):
         return LoopModel(loop=loop, reason="; ".join(reasons), left_out=left_out)
+    is_timed = parameters.get("loop.trigger") == "timer"
     found = LoopModel(
         loop=loop,
         gains=gains,
         process=process,
         period_s=timing.period_s,
         most_dead_time_s=None if most_s is None else most_s + process.dead_time_s - dead_time_s,
+        growth="the age of the poses" if is_timed else "queues",
         sources={**told, **timing.sources},
         left_out=left_out,
     )

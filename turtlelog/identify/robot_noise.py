@@ -1,0 +1,211 @@
+"""The noise of a robot's poses, and that of its rates.
+
+What a pose is off does not grow with time, what rates are off does: the mean square of what a way
+is off after a time t is `still` + noise^2 t. The noise of poses is read where the robot stands: in
+motion, times that are off look alike.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from turtlelog.identify.axis_motion import AXES, Axis, get_commands, read_axis_motion
+from turtlelog.identify.held_response import Values
+from turtlelog.identify.motion_prediction import predict_axis
+from turtlelog.identify.robot_model import RobotModel
+from turtlelog.run import Run
+
+_SHORTEST_STAND_S: Final = 1.0
+"""Shortest stretch of standing that is used [s]: 30 poses of a usual robot."""
+
+_SETTLED_S: Final = 0.5
+"""How long after the dead time and five lags of the last command a robot stands [s]."""
+
+_FADED: Final = 5.0
+"""Lags after which less than 1 % of a rate is left."""
+
+_MOST_RATE: Final = 0.05
+"""Mean rate, as a share of the largest command, above which a robot does not stand."""
+
+_SHORTEST_S, _LONGEST_S = 0.1, 5.0
+"""Times over which the model's error is looked at [s]: shorter ones show the noise of poses and of
+their times, longer ones a log does not hold often enough."""
+
+_FEWEST_WAYS: Final = 10.0
+"""So often a time must fit into a log to be looked at: the mean square is then right to a half."""
+
+_SURE: Final = 3.0
+"""Standard deviations above chance at which a noise is told: 0 is then called noise in 1 of 700
+robots."""
+
+_MATTERS: Final = 0.3
+"""Share of what does not grow that must be added in the longest time: less changes no prediction,
+and what dead times and lags are off, a little with every step of the commands, looks like it."""
+
+_LEAST: Final = 1e-6
+"""Least noise that is told [m] or [rad]: a tenth of what the closest odometry tells."""
+
+_FEWEST_HORIZONS: Final = 3
+"""Times that are looked at, each twice the one before: with two a curve passes for growth."""
+
+Stretch = NDArray[np.float64]
+"""What is summed up from pose to pose, after its times: shape (n, 1 + k)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensingNoise:
+    """Standard deviations of what a pose is off.
+
+    Attributes:
+        position_m: Of x and of y [m].
+        heading_rad: Of the heading [rad].
+        standing_s: For how long the robot stands in all [s].
+    """
+
+    position_m: float
+    heading_rad: float
+    standing_s: float
+
+
+def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNoise | None:
+    """Return the noise of poses from where a robot stands; None where it never does."""
+    places, headings, standing_s = [], [], 0.0
+    for run in runs:
+        for rows in _list_standing(model, run):
+            time_s = run.poses.time_ns[rows] / 1e9
+            turned = np.unwrap(run.poses.heading_rad[rows])
+            places.append(np.column_stack([time_s, run.poses.xy_m[rows]]))
+            headings.append(np.column_stack([time_s, turned]))
+            standing_s += float(time_s[-1] - time_s[0])
+    if not places:
+        return None
+    return SensingNoise(
+        position_m=_measure_still(places),
+        heading_rad=_measure_still(headings),
+        standing_s=standing_s,
+    )
+
+
+def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> float | None:
+    """Return by how much a model's error grows [m or rad by the root of a second].
+
+    Returns:
+        None where the axis has no model, or no run is long enough.
+    """
+    if not getattr(model, axis).is_known:
+        return None
+    stretches = [stretch for run in runs for stretch in _list_errors(model, axis, run)]
+    horizons_s, squares, in_line, in_all = _measure_growth(stretches)
+    if len(horizons_s) < _FEWEST_HORIZONS:
+        return None
+    weight = np.sqrt(in_line) / squares
+    terms = np.column_stack([horizons_s, np.ones(len(horizons_s))]) * weight[:, None]
+    power, still = nnls(terms, squares * weight)[0].tolist()
+    # Noise of poses alone gives each mean square alike, but for the chance of its many poses.
+    sure = max(_SURE * float(np.sqrt(2.0 / in_all[-1])), _MATTERS)
+    noise = float(np.sqrt(power))
+    return noise if power * horizons_s[-1] > sure * still and noise > _LEAST else 0.0
+
+
+def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
+    """Yield the rows of poses while the robot has had commands of 0 for long enough, and stands."""
+    if not len(run.commands):
+        return
+    settle_s = _SETTLED_S + max(
+        float(axis.dead_time_s) + _FADED * float(axis.lag_s)
+        for axis in model.axes
+        if axis.dead_time_s is not None and axis.lag_s is not None
+    )
+    time_s, command_s = run.poses.time_ns / 1e9, run.commands.time_ns / 1e9
+    moves = np.logical_or(*(get_commands(run, axis) != 0.0 for axis in AXES))
+    edges = np.flatnonzero(np.diff(moves, prepend=True))
+    ends_s = [*command_s[edges[1:]].tolist(), float("inf")]
+    # Before the first command nothing is commanded, or nothing is known; the motion tells.
+    stretches = [(-float("inf"), float(command_s[edges[0]] if len(edges) else command_s[0]))]
+    if len(moves) and moves[0]:
+        stretches = [(-float("inf"), float(command_s[0]))]
+    stretches += [
+        (float(command_s[row]) + settle_s, end_s)
+        for row, end_s in zip(edges.tolist(), ends_s, strict=True)
+        if not moves[row]
+    ]
+    for begin_s, end_s in stretches:
+        first, last = np.searchsorted(time_s, [begin_s, end_s]).tolist()
+        rows = slice(first, last)
+        is_long = last - first > 2 and time_s[last - 1] - time_s[first] >= _SHORTEST_STAND_S
+        if is_long and _stands(run, rows):
+            yield rows
+
+
+def _stands(run: Run, rows: slice) -> bool:
+    poses = run.poses
+    time_s, xy_m = poses.time_ns[rows] / 1e9, poses.xy_m[rows]
+    most_m, most_rad = (
+        _MOST_RATE * float(np.abs(get_commands(run, axis)).max()) * (time_s[-1] - time_s[0])
+        for axis in AXES
+    )
+    turned = np.unwrap(poses.heading_rad[rows])
+    # An axis that is never commanded has no scale of its own.
+    still_m = not most_m or float(np.hypot(*(xy_m[-1] - xy_m[0]))) <= most_m
+    return still_m and (not most_rad or abs(float(turned[-1] - turned[0])) <= most_rad)
+
+
+def _measure_still(stretches: Sequence[Stretch]) -> float:
+    """Return the standard deviation of what does not grow; 0 where none is sure.
+
+    The changes of neighbours are then correlated, by -1/2 if nothing grows.
+    """
+    changes = [np.diff(stretch[:, 1:], axis=0) for stretch in stretches]
+    size = sum(change.size for change in changes)
+    variance = sum(float((change**2).sum()) for change in changes) / size
+    beside = -sum(float((change[1:] * change[:-1]).sum()) for change in changes) / size
+    if beside <= max(_SURE * variance / np.sqrt(size), _LEAST**2):
+        return 0.0
+    return float(np.sqrt(beside))
+
+
+def _list_errors(model: RobotModel, axis: Axis, run: Run) -> Iterator[Stretch]:
+    """Yield by how much the model is off along a run, summed up over each unbroken stretch."""
+    motion = read_axis_motion(run, axis)
+    if not len(motion.moved):
+        return
+    way, _ = predict_axis(getattr(model, axis), run, motion.time_s)
+    first = motion.first
+    off = motion.moved - (way[first + 1] - way[first])
+    jumps_s = [
+        event.time_s for event in model.events if (event.file, event.axis) == (run.name, axis)
+    ]
+    is_jump = np.isin(motion.time_s[first + 1], jumps_s)
+    begins = ~motion.follows | is_jump | np.concatenate([[False], is_jump[:-1]])
+    for rows in np.split(np.arange(len(off)), np.flatnonzero(begins)):
+        if len(rows) > 1 and not is_jump[rows[0]]:
+            time_s = motion.time_s[[first[rows[0]], *(first[rows] + 1)]]
+            yield np.column_stack([time_s, np.concatenate([[0.0], np.cumsum(off[rows])])])
+
+
+def _measure_growth(stretches: Sequence[Stretch]) -> tuple[Values, Values, Values, Values]:
+    """Return times, the mean square of what the model is off after them, and how sure that is.
+
+    The last two are how many ways follow one another, and how many begin at any pose.
+    """
+    total_s = sum(float(stretch[-1, 0] - stretch[0, 0]) for stretch in stretches)
+    steps = sum(len(stretch) - 1 for stretch in stretches)
+    usual_s = total_s / max(steps, 1)
+    found = []
+    length = max(round(_SHORTEST_S / usual_s), 1) if total_s else 0
+    while total_s and length * usual_s <= min(_LONGEST_S, total_s / _FEWEST_WAYS):
+        ways = [stretch[length:] - stretch[:-length] for stretch in stretches]
+        if not (count := sum(len(way) for way in ways)):
+            break
+        horizon_s, square = (
+            float((np.concatenate([way[:, column] for way in ways]) ** power).mean())
+            for column, power in ((0, 1), (1, 2))
+        )
+        found.append((horizon_s, square, count / length, count))
+        length *= 2
+    columns = np.array(found, dtype=float).reshape(-1, 4).T
+    return columns[0], np.maximum(columns[1], np.finfo(float).tiny), columns[2], columns[3]

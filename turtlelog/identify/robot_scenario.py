@@ -1,0 +1,341 @@
+"""A scenario with the robot that a model describes, and where each of its numbers comes from."""
+
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.display import describe_count
+from turtlelog.errors import IdentifyError, ScenarioError
+from turtlelog.escapes import escape_controls
+from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
+from turtlelog.identify.robot_model import AxisModel, RobotModel
+from turtlelog.identify.robot_noise import measure_rate_noise, measure_sensing_noise
+from turtlelog.loops import LIMIT_KEYS, PLANT_KEYS
+from turtlelog.plants import LAGGED
+from turtlelog.run import Run
+from turtlelog.scenario import Scenario, format_scenario, get_preset, override_scenario
+
+_DIGITS: Final = 6
+"""Significant digits of what is written: a hundredth of the narrowest interval."""
+
+_REGULAR: Final = 0.2
+"""Share of the median by which intervals of a timer differ from it at most: a busy computer shifts
+a message of 10 Hz by some milliseconds, a hand at a keyboard by tenths of a second."""
+
+_MOSTLY: Final = 0.8
+"""Share of the intervals that must be so; others are lost messages and pauses."""
+
+_FEWEST: Final = 10
+"""Fewest intervals from which a period is told."""
+
+_WHOLE: Final = 0.05
+"""Share by which the timer's period may be off a multiple of the poses' to be made one: two clocks
+of one robot agree to less than a tenth of that, its scheduler shifts a period by some percent."""
+
+_FEWEST_ARRIVALS: Final = 3
+"""A limit is where commands arrive at exactly one largest value so often: two may be two steps of
+one drive."""
+
+_EXACT: Final = 1e-6
+"""Share by which commands that are meant to be alike differ: single precision, and sums of steps.
+"""
+
+_TOLERANCE: Final = 0.01
+"""Of the goal [m] and [rad]: wheeled robots keep about that."""
+
+_ABOVE_NOISE: Final = 5.0
+"""Standard deviations of the noise of poses that the tolerance is at least, or it is never kept."""
+
+_AHEAD_M: Final = 1.0
+"""Where a goal is set that the bag does not have: so far ahead, and to the left [m]."""
+
+_LONGEST_PERIOD_S: Final = 1.0
+_SHORTEST_PERIOD_S: Final = 0.001
+"""What a scenario takes as a period [s]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotScenario:
+    """A robot as a scenario.
+
+    Attributes:
+        scenario: With the plant `lagged`.
+        notes: Where its numbers come from, and what is not known, in sentences.
+    """
+
+    scenario: Scenario
+    notes: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """As a scenario file, with the notes as comments."""
+        heads = (f"The robot of {self.scenario.name}, as identified from its log.", *self.notes)
+        lines = [line for note in heads for line in textwrap.wrap(escape_controls(note), 97)]
+        return "".join(f"# {line}\n" for line in lines) + "\n" + format_scenario(self.scenario)
+
+
+def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotScenario:
+    """Return a scenario whose plant follows commands as a robot does.
+
+    An axis that is never commanded is taken to follow at once, and a note says so.
+
+    Args:
+        model: Of the robot.
+        runs: That it was identified from; the start and a goal are those of the first.
+
+    Raises:
+        IdentifyError: Where an axis that is commanded is not known, no axis is, or the robot is
+            turtlesim.
+    """
+    runs = [runs] if isinstance(runs, Run) else [*runs]
+    if not runs:
+        raise IdentifyError("runs: expected at least one, found none")
+    _require_robot(model)
+    parts = (
+        _list_plant(model),
+        _list_periods(runs),
+        _list_limits(model, runs),
+        _list_noise(model, runs),
+        _list_places(runs[0]),
+    )
+    values: dict[str, Any] = {"name": model.files[0] or "robot", "loop.pose_precision": "float64"}
+    notes: list[str] = []
+    for keys, sentences in parts:
+        values |= keys
+        notes += sentences
+    values |= _choose_tolerances(values)
+    notes.append(
+        "The law and its gains are not those of the log: sequential-p with gains of 1, to begin"
+        " with. `turtlelog theory` recommends gains for this file."
+    )
+    # The plant first: its world has no walls.
+    base = replace(get_preset(LAGGED), name=LAGGED)
+    try:
+        scenario = override_scenario(base, values, source="identified robot")
+    except ScenarioError as err:
+        raise IdentifyError(str(err)) from err
+    return RobotScenario(scenario=scenario, notes=tuple(notes))
+
+
+Part = tuple[dict[str, Any], list[str]]
+"""Keys of the scenario, and sentences on them."""
+
+
+def _require_robot(model: RobotModel) -> None:
+    if model.tick_delays is not None:
+        raise IdentifyError(
+            f"{model.files[0]}: expected a robot, found turtlesim, whose plant is known; `turtlelog"
+            " explain FILE --scenario X.toml` writes the scenario of such a log"
+        )
+    unknown = [axis for axis in model.axes if not axis.is_known]
+    commanded = [axis for axis in unknown if not _is_idle(axis)]
+    for axis in commanded or unknown:
+        if commanded or len(unknown) == len(model.axes):
+            raise IdentifyError(
+                f"{model.files[0]}: {NAMES[axis.axis]}: not identifiable: {axis.reason}; to know"
+                f" it, {axis.advice}"
+            )
+
+
+def _is_idle(axis: AxisModel) -> bool:
+    return axis.reason == f"the {NAMES[axis.axis]} is never commanded"
+
+
+def _list_plant(model: RobotModel) -> Part:
+    values: dict[str, Any] = {}
+    notes = []
+    for axis in model.axes:
+        key, name = PLANT_KEYS[axis.axis], NAMES[axis.axis]
+        numbers = [
+            (suffix, value.value)
+            for suffix, value in (
+                ("gain", axis.gain),
+                ("dead_time_s", axis.dead_time_s),
+                ("lag_s", axis.lag_s),
+            )
+            if value is not None
+        ]
+        if not axis.is_known:
+            values |= {f"{key}gain": 1.0, f"{key}dead_time_s": 0.0, f"{key}lag_s": 0.0}
+            notes.append(
+                f"The {name} is never commanded, so nothing is known of it: it is taken to follow"
+                f" at once with a gain of 1. Gains of a loop that acts on it mean nothing until it"
+                f" is driven."
+            )
+            continue
+        values |= {
+            f"{key}{suffix}": _round(value if suffix == "gain" else max(value, 0.0))
+            for suffix, value in numbers
+        }
+        if axis.model == "second_order":
+            notes.append(
+                f"The {name} is of second order, the plant of first: its lag is the sum of both."
+            )
+    notes.insert(
+        0,
+        "Gains, dead times and lags are those that `turtlelog identify` finds. The transport of"
+        " commands is 0, for the dead times hold it.",
+    )
+    return values, notes
+
+
+def _list_periods(runs: Sequence[Run]) -> Part:
+    pose_s = _find_period([run.poses.time_ns for run in runs])
+    if pose_s is None or not _SHORTEST_PERIOD_S <= pose_s <= _LONGEST_PERIOD_S:
+        found = "none" if pose_s is None else f"{pose_s:.3g} s"
+        raise IdentifyError(
+            f"{runs[0].name}: poses: expected a period from {_SHORTEST_PERIOD_S:g} to"
+            f" {_LONGEST_PERIOD_S:g} s, found {found}"
+        )
+    timer_s = _find_period([run.commands.time_ns for run in runs], regular=True)
+    told = f"Poses come every {1e3 * pose_s:.4g} ms"
+    if timer_s is None or not _SHORTEST_PERIOD_S <= timer_s <= _LONGEST_PERIOD_S:
+        note = f"{told}. Commands keep no period, so the controller answers each pose."
+        return {"plant.period_s": _round(pose_s)}, [note]
+    timer_s, note = _round(timer_s), f"{told}, commands every {1e3 * timer_s:.4g} ms"
+    times = round(timer_s / pose_s)
+    period_s = _round(pose_s)
+    if times and abs(timer_s / pose_s - times) <= _WHOLE * times:
+        # Down to a whole nanosecond: a pose is there before the timer that reads it.
+        period_s = round(timer_s * 1e9) // times / 1e9
+        if abs(period_s - pose_s) > 1e-4 * pose_s:
+            part = "that period" if times == 1 else f"1/{times} of that"
+            note += f"; the plant has {part}, so that each pose that is read is fresh"
+    keys = {"plant.period_s": period_s, "loop.trigger": "timer", "loop.period_s": timer_s}
+    return keys, [f"{note}."]
+
+
+def _find_period(times_ns: Sequence[Any], *, regular: bool = False) -> float | None:
+    """Return the period of some messages [s]; None where they keep none."""
+    apart_s = np.concatenate([np.diff(time_ns) / 1e9 for time_ns in times_ns])
+    if len(apart_s) < (_FEWEST if regular else 1):
+        return None
+    median_s = float(np.median(apart_s))
+    if median_s <= 0.0:
+        return None
+    near = np.abs(apart_s - median_s) <= _REGULAR * median_s
+    if regular and np.mean(near) < _MOSTLY:
+        return None
+    # As many are early as late; the others are gaps, or two messages at once.
+    return float(apart_s[near].mean())
+
+
+def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
+    values: dict[str, Any] = {}
+    notes = []
+    for axis in model.axes:
+        name, unit = NAMES[axis.axis], UNITS[axis.axis]
+        largest, arrivals = _find_largest(runs, axis.axis)
+        is_limit = arrivals >= _FEWEST_ARRIVALS
+        values[LIMIT_KEYS[axis.axis]] = largest if is_limit else math.inf
+        if is_limit:
+            notes.append(
+                f"Commands of the {name} arrive {describe_count(arrivals, 'time')} at exactly"
+                f" {largest:.6g} {unit}, the largest: that is the limit."
+            )
+        elif largest:
+            notes.append(
+                f"No limit of the {name} shows: the largest command is {largest:.6g} {unit}."
+                f" Where the robot has one, set {LIMIT_KEYS[axis.axis]}."
+            )
+        if axis.rate_limit is not None and axis.gain is not None:
+            key = "limits.acceleration_m_s2"
+            key = key if axis.axis == "speed" else "limits.turn_acceleration_rad_s2"
+            values[key] = _round(axis.rate_limit.value / abs(axis.gain.value))
+            notes.append(
+                f"The limit of how fast the {name} changes clips commands, so it is that of the"
+                f" motion by the gain."
+            )
+    return values, notes
+
+
+def _find_largest(runs: Sequence[Run], axis: Axis) -> tuple[float, int]:
+    """Return the largest magnitude of a command, and how often commands arrive at it."""
+    sizes = [np.abs(get_commands(run, axis)) for run in runs]
+    largest = max((float(size.max()) for size in sizes if len(size)), default=0.0)
+    if not largest:
+        return 0.0, 0
+    least = largest * (1.0 - _EXACT)
+    at = (np.diff((size >= least).astype(np.int8), prepend=0) > 0 for size in sizes)
+    return _round(largest), sum(int(np.count_nonzero(arrives)) for arrives in at)
+
+
+def _list_noise(model: RobotModel, runs: Sequence[Run]) -> Part:
+    sensing = measure_sensing_noise(model, runs)
+    values: dict[str, Any] = {}
+    notes = []
+    if sensing is None:
+        notes.append(
+            "The robot never stands for long with commands of 0, so the noise of poses is not"
+            " known: it is 0."
+        )
+    else:
+        position_m, heading_rad = _round(sensing.position_m), _round(sensing.heading_rad)
+        zero = "" if position_m and heading_rad else " What shows no noise has 0."
+        values |= {
+            "sensing.noise_position_m": position_m,
+            "sensing.noise_heading_rad": heading_rad,
+        }
+        notes.append(
+            f"The noise of poses is that of {sensing.standing_s:.3g} s in which the robot stands:"
+            f" {1e3 * position_m:.3g} mm and {1e3 * heading_rad:.3g} mrad.{zero}"
+        )
+    for axis, key in zip(AXES, ("noise_speed", "noise_turn_rate"), strict=True):
+        noise = measure_rate_noise(model, axis, runs)
+        values[f"disturbance.{key}"] = _round(noise or 0.0)
+        notes += _tell_rate_noise(axis, noise)
+    return values, notes
+
+
+def _tell_rate_noise(axis: Axis, noise: float | None) -> Iterator[str]:
+    if noise is None:
+        yield f"How the noise of the {NAMES[axis]} grows is not known: it is 0."
+    elif noise:
+        scale, unit = (1e3, "mm") if axis == "speed" else (1e3, "mrad")
+        yield (
+            f"The noise of the {NAMES[axis]} is how the model's error grows with time:"
+            f" {scale * noise:.3g} {unit} by the root of a second."
+        )
+    else:
+        yield f"The model's error of the {NAMES[axis]} does not grow with time: its noise is 0."
+
+
+def _list_places(run: Run) -> Part:
+    x_m, y_m = run.poses.xy_m[0].tolist()
+    heading_rad = float(run.poses.heading_rad[0])
+    values: dict[str, Any] = {
+        "start.x_m": round(x_m, _DIGITS),
+        "start.y_m": round(y_m, _DIGITS),
+        "start.heading_rad": round(heading_rad, _DIGITS),
+    }
+    if run.goal_xy_m is not None:
+        goal_m = run.goal_xy_m
+        note = "It starts at the first pose of the log, and has the log's goal."
+    else:
+        ahead, left = _AHEAD_M * math.cos(heading_rad), _AHEAD_M * math.sin(heading_rad)
+        goal_m = x_m + ahead - left, y_m + left + ahead
+        note = (
+            "It starts at the first pose of the log. The log has no goal: one is set"
+            f" {_AHEAD_M:g} m ahead and {_AHEAD_M:g} m to the left."
+        )
+    goals = zip(("goal.x_m", "goal.y_m"), goal_m, strict=True)
+    values |= {key: round(value, _DIGITS) for key, value in goals}
+    return values, [note]
+
+
+def _choose_tolerances(values: dict[str, Any]) -> dict[str, Any]:
+    """Return tolerances of the goal that noisy poses can keep."""
+    return {
+        f"law.{name}_tolerance_{unit}": max(
+            _TOLERANCE, _round(_ABOVE_NOISE * values.get(f"sensing.noise_{name}_{unit}", 0.0))
+        )
+        for name, unit in (("position", "m"), ("heading", "rad"))
+    }
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
