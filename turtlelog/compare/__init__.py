@@ -14,6 +14,13 @@ from turtlelog.compare.difference import (
 )
 from turtlelog.compare.like_loops import order_ids
 from turtlelog.compare.paper_tables import tabulate_table1, tabulate_whole_runs
+from turtlelog.compare.robot_comparison import (
+    ErrorBand,
+    ErrorGrowth,
+    RobotComparison,
+    tabulate_robots,
+)
+from turtlelog.compare.robot_prediction import HORIZONS_S, compare_robot
 from turtlelog.compare.run_names import name_runs, order_by_gain
 from turtlelog.compare.run_summary import (
     RunSummary,
@@ -48,12 +55,16 @@ from turtlelog.differences import SignalDifference
 
 __all__ = [
     "ALIGNMENTS",
+    "HORIZONS_S",
     "UNLOCKS",
     "Cell",
     "Column",
+    "ErrorBand",
+    "ErrorGrowth",
     "Mark",
     "MetricDifference",
     "PathError",
+    "RobotComparison",
     "RunComparison",
     "RunSummary",
     "SignalDifference",
@@ -61,6 +72,7 @@ __all__ = [
     "Tolerance",
     "choose_columns",
     "compare_metrics",
+    "compare_robot",
     "compare_runs",
     "compare_signals",
     "complete_summaries",
@@ -85,6 +97,7 @@ __all__ = [
     "tabulate_differences",
     "tabulate_measured",
     "tabulate_metrics",
+    "tabulate_robots",
     "tabulate_runs",
     "tabulate_table1",
     "tabulate_whole_runs",

@@ -2,8 +2,6 @@
 
 from turtlelog.identify.motion_prediction import (
     AxisTraces,
-    PredictionError,
-    measure_prediction,
     predict_axis,
     trace_axis,
 )
@@ -21,14 +19,12 @@ __all__ = [
     "AxisModel",
     "AxisTraces",
     "Estimate",
-    "PredictionError",
     "RobotEvent",
     "RobotModel",
     "RobotScenario",
     "TickDelays",
     "build_robot_scenario",
     "identify_robot",
-    "measure_prediction",
     "predict_axis",
     "trace_axis",
 ]

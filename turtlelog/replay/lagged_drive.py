@@ -1,21 +1,22 @@
 """The recorded commands through the lagged robot of the recorded scenario."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import ReplayError
-from turtlelog.laws import Decision
+from turtlelog.laws import Decision, Pose
 from turtlelog.plants import find_plant
 from turtlelog.replay.plant_ticks import CommandUse, Gap
 from turtlelog.replay.run_pairs import has_ticks
 from turtlelog.replay.sample_pairs import has_all_commands
-from turtlelog.run import Run
-from turtlelog.scenario import restore_scenario
+from turtlelog.run import CommandColumns, Run
+from turtlelog.scenario import Scenario, Start, restore_scenario
 from turtlelog.simulate import Sample
-from turtlelog.simulate.drives import build_drive
+from turtlelog.simulate.drives import LaggedDrive, State, build_drive
+from turtlelog.simulate.sensing import Sensor
 from turtlelog.simulate.transport import TimedCommands
 
 
@@ -50,7 +51,7 @@ def drive_lagged(run: Run) -> LaggedPoses:
     scenario, plant = restore_scenario(run), find_plant(run)
     commands = _CountedCommands(scenario, plant)
     drive = build_drive(scenario, plant, commands)
-    samples = [*_list_samples(run)]
+    samples = [*_list_samples(run.commands)]
     published_ns = run.commands.time_ns
     ticks = run.poses.time_ns // plant.period_ns
     last = int(ticks[-1])
@@ -82,6 +83,58 @@ def drive_lagged(run: Run) -> LaggedPoses:
     )
 
 
+def sense_driven(
+    scenario: Scenario, commands: CommandColumns, time_ns: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return what is sensed of a robot from the origin at some times, driven with commands.
+
+    The scenario's plant, transport, disturbance and sensing act, by its seed; its start, law and
+    limits play no part, nor do the delays and the dropout of sensed poses, which are by the time
+    of the pose.
+
+    Args:
+        scenario: Of a lagged robot.
+        commands: As published, with times from 0 on [ns].
+        time_ns: Not decreasing, from 0 on, shape (n,).
+
+    Returns:
+        x, y [m] and heading [rad], shape (n, 3).
+
+    Raises:
+        ReplayError: Where the scenario is of no lagged robot.
+        SimulationError: Where the robot runs away.
+    """
+    plant = scenario.plant.facts
+    origin = Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
+    sensing = replace(scenario.sensing, dropout_probability=0.0)
+    scenario = replace(scenario, start=origin, sensing=sensing)
+    queue = TimedCommands(scenario, plant)
+    drive = build_drive(scenario, plant, queue)
+    if not isinstance(drive, LaggedDrive):
+        raise ReplayError(
+            f"{scenario.name}: expected a lagged robot to drive, found {scenario.plant.kind}"
+        )
+    states: list[State] = []
+    ticks = np.arange(-(-int(time_ns[-1]) // plant.period_ns) + 1) * plant.period_ns
+    visits = np.searchsorted(time_ns, ticks, side="right").tolist()
+    puts = np.searchsorted(commands.time_ns, ticks + plant.period_ns).tolist()
+    samples, times, put = [*_list_samples(commands)], time_ns.tolist(), 0
+    for tick, visit in enumerate(visits):
+        states += drive.visit(tick, times[len(states) : visit])
+        for sample in samples[put : puts[tick]]:
+            queue.put(tick, sample)
+        put = puts[tick]
+    sensed: list[tuple[float, float, float]] = []
+    sensor = Sensor(
+        scenario,
+        plant.period_ns,
+        lambda _, pose: sensed.append((pose.x_m, pose.y_m, pose.heading_rad)),
+    )
+    for number, state in enumerate(states):
+        sensor.receive(number, Pose(*state[:3]))
+    return np.array(sensed)
+
+
 def _require_whole(run: Run) -> None:
     expected = "to drive a lagged robot with the recorded commands"
     if not run.scenario_is_complete:
@@ -106,9 +159,8 @@ def _require_whole(run: Run) -> None:
         )
 
 
-def _list_samples(run: Run) -> Iterator[Sample]:
-    """Yield the commands as samples, which carry them through the queues, in order."""
-    commands = run.commands
+def _list_samples(commands: CommandColumns) -> Iterator[Sample]:
+    """Yield commands as samples, which carry them through the queues, in order."""
     columns = (commands.time_ns, commands.speed_m_s, commands.turn_rate_rad_s)
     rows = zip(*(column.tolist() for column in columns), strict=True)
     for number, (time_ns, speed, turn_rate) in enumerate(rows):

@@ -1,7 +1,7 @@
 """A plant and what moves it: the commands that arrive, and what pushes it."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final, Protocol
 
@@ -118,6 +118,11 @@ class LaggedDrive:
 
     def step(self, tick: int) -> State:
         """Move up to the time of a tick and return the state then."""
+        (state,) = self.visit(tick, (tick * self._period_ns,))
+        return state
+
+    def visit(self, tick: int, times_ns: Sequence[int]) -> list[State]:
+        """Move up to the time of a tick and return the states at times since the tick before."""
         robot, time_ns = self.body, tick * self._period_ns
         since_ns = time_ns - self._period_ns
         if self._newest_only:
@@ -130,8 +135,13 @@ class LaggedDrive:
                 if push != self._push:
                     robot.push(push_ns, *push)
                     self._push = push
+        states = [self._move_to(at_ns) for at_ns in times_ns]
         robot.advance(time_ns)
-        state = robot.state
+        return states
+
+    def _move_to(self, time_ns: int) -> State:
+        self.body.advance(time_ns)
+        state = self.body.state
         if not max(map(abs, state)) < LARGEST_FLOAT:
             raise SimulationError(
                 f"the robot runs away: at {time_ns / 1e9:g} s x = {state[0]:g} m,"

@@ -1,0 +1,275 @@
+"""How far a simulated robot is from a recorded one: errors, and whether noise explains them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.compare.run_table import Cell, Column, Table
+from turtlelog.display import describe_count, format_html
+from turtlelog.escapes import escape_controls
+from turtlelog.identify import AxisTraces
+from turtlelog.run import Clock, PoseColumns
+
+Values = NDArray[np.float64]
+Quantity = Literal["position", "heading"]
+
+SEEDS: Final = 39
+"""Simulations of one motion: another one of the same kind lies between the least and the largest of
+them in 38 of 40 cases, which are 95 %."""
+
+CENTRAL: Final = (SEEDS - 1) / (SEEDS + 1)
+"""That share [1]."""
+
+_CHANCE: Final = 1e-3
+"""Probability below which so few errors within the band are no chance [1]: of a thousand bands of a
+robot with the right noise one is called otherwise."""
+
+_SHOWN: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
+"""Unit and factor in which errors are shown; values hold m and rad."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ErrorBand:
+    """Recorded errors after a time, and those of simulations of the same pieces.
+
+    An error is the magnitude of what lies between the pose and the prediction: the simulation
+    without noise, which begins at the pose one horizon before.
+
+    Attributes:
+        quantity: `position` [m] or `heading` [rad].
+        horizon_s: After which time [s].
+        time_s: Of the end of each piece, since the run's time zero [s], shape (n,).
+        recorded: Recorded errors, shape (n,).
+        simulated: Median of the simulated errors of each piece, shape (n,); None: no noise acts on
+            them.
+        low: The least of them, shape (n,); None likewise.
+        high: The largest of them, shape (n,); None likewise.
+    """
+
+    quantity: Quantity
+    horizon_s: float
+    time_s: Values
+    recorded: Values
+    simulated: Values | None = None
+    low: Values | None = None
+    high: Values | None = None
+
+    @property
+    def median(self) -> float:
+        """Median of the recorded errors [m] or [rad]."""
+        return float(np.median(self.recorded))
+
+    @property
+    def largest(self) -> float:
+        """The largest recorded error [m] or [rad]."""
+        return float(self.recorded.max())
+
+    @property
+    def largest_at_s(self) -> float:
+        """When it is reached, since the run's time zero [s]."""
+        return float(self.time_s[int(self.recorded.argmax())])
+
+    @property
+    def simulated_median(self) -> float | None:
+        """Median of the medians of simulated errors [m] or [rad]; None without noise."""
+        return None if self.simulated is None else float(np.median(self.simulated))
+
+    @property
+    def above(self) -> int | None:
+        """How many recorded errors are larger than the central 95 % of simulated ones."""
+        return None if self.high is None else int(np.count_nonzero(self.recorded > self.high))
+
+    @property
+    def below(self) -> int | None:
+        """How many recorded errors are smaller than these."""
+        return None if self.low is None else int(np.count_nonzero(self.recorded < self.low))
+
+    @property
+    def within_share(self) -> float | None:
+        """Share of recorded errors within the central 95 % of simulated ones; None: no noise."""
+        if self.above is None or self.below is None:
+            return None
+        return 1.0 - (self.above + self.below) / len(self.recorded)
+
+    @property
+    def verdict(self) -> Literal["as simulated", "larger", "smaller", "no noise"]:
+        """Whether the recorded errors may be of the simulated robot, or which way they differ."""
+        from scipy.special import bdtr
+
+        if self.above is None or self.below is None:
+            return "no noise"
+        count = len(self.recorded)
+        if bdtr(count - self.above - self.below, count, CENTRAL) >= _CHANCE:
+            return "as simulated"
+        return "larger" if self.above >= self.below else "smaller"
+
+    @property
+    def text(self) -> str:
+        """What the verdict means, in a sentence."""
+        head = f"{self.quantity.capitalize()} after {self.horizon_s:g} s: "
+        count = len(self.recorded)
+        if self.above is None or self.below is None:
+            return f"{head}the scenario has no noise that acts on it, so there is no band."
+        if self.verdict == "larger":
+            return (
+                f"{head}{self.above} of {count} errors are larger than the central 95 % of"
+                " simulated ones: the robot follows its commands otherwise than the scenario says,"
+                " or with more noise."
+            )
+        if self.verdict == "smaller":
+            return (
+                f"{head}{self.below} of {count} errors are smaller than the central 95 % of"
+                " simulated ones: the scenario has more noise than the robot."
+            )
+        return (
+            f"{head}{count - self.above - self.below} of {count} errors lie within the central"
+            " 95 % of simulated ones, as chance allows."
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ErrorGrowth:
+    """How errors grow from an anchor on.
+
+    Attributes:
+        quantity: `position` [m] or `heading` [rad].
+        since_s: Time since the anchor [s], shape (k,).
+        recorded: Of the recorded errors of all pieces 2.5 %, half and 97.5 % are smaller, shape
+            (k, 3).
+        simulated: Likewise of the errors of all pieces and seeds; None: no noise acts on them.
+    """
+
+    quantity: Quantity
+    since_s: Values
+    recorded: Values
+    simulated: Values | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotComparison:
+    """A recorded robot beside a simulated one that is driven with the recorded commands.
+
+    Attributes:
+        name: Of the run.
+        scenario: Name of the scenario.
+        seeds: Simulations of each motion; 0 where the scenario has no noise.
+        clock: What times the poses; None where there is but one clock.
+        bands: Errors of position and of heading by horizon.
+        growth: Of position and of heading, over the pieces of the longest horizon.
+        recorded: The recorded poses, as they were sensed where that is recorded, n rows.
+        simulated: Those of the simulation without noise at the same times, from the origin on; n
+            rows. `predict_pieces` moves them to where they belong.
+        begins: Row of the pose at which each piece of the longest horizon begins.
+        ends: Row of the pose at which it ends.
+        traces: Commanded, recorded and simulated (`modelled`) rates of both axes; their times are
+            the log's own.
+        start_s: The run's time zero on the log's own clock [s].
+        notes: What else there is to know, in sentences.
+    """
+
+    name: str
+    scenario: str
+    seeds: int
+    clock: Clock | None = None
+    bands: tuple[ErrorBand, ...]
+    growth: tuple[ErrorGrowth, ErrorGrowth]
+    recorded: PoseColumns
+    simulated: PoseColumns
+    begins: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    traces: tuple[AxisTraces, ...]
+    start_s: float
+    notes: tuple[str, ...] = ()
+
+    def find_band(self, quantity: Quantity, horizon_s: float) -> ErrorBand:
+        """Return the errors of a quantity after a time [s].
+
+        Raises:
+            KeyError: Where there are none.
+        """
+        for band in self.bands:
+            if (band.quantity, band.horizon_s) == (quantity, horizon_s):
+                return band
+        raise KeyError(f"{quantity} after {horizon_s:g} s")
+
+    def predict_pieces(self) -> Iterator[Values]:
+        """Yield the predicted positions of each piece of the longest horizon [m], shape (m, 2).
+
+        Each begins at the recorded pose.
+        """
+        for begin, end in zip(self.begins.tolist(), self.ends.tolist(), strict=True):
+            turn_rad = self.recorded.heading_rad[begin] - self.simulated.heading_rad[begin]
+            cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+            moved_m = self.simulated.xy_m[begin : end + 1] - self.simulated.xy_m[begin]
+            turned_m = moved_m @ np.array([[cosine, sine], [-sine, cosine]])
+            yield self.recorded.xy_m[begin] + turned_m
+
+    def __repr__(self) -> str:
+        told = ", ".join(
+            f"{1e3 * band.median:.3g} mm after {band.horizon_s:g} s"
+            for band in self.bands
+            if band.quantity == "position"
+        )
+        return escape_controls(
+            f"<RobotComparison of {self.name} with {self.scenario}: median error {told}>"
+        )
+
+    def _repr_html_(self) -> str:
+        table = tabulate_robots([self])
+        heads = tuple(column.title for column in table.columns)
+        return format_html(table.rows, heads=heads, title=repr(self))
+
+
+def tabulate_robots(found: Sequence[RobotComparison]) -> Table:
+    """Return the errors of some recorded robots beside simulated ones, with what they mean."""
+    first = found[0]
+    rows: list[tuple[Cell, ...]] = []
+    notes, breaks = [], []
+    for one in found:
+        breaks += [len(rows)] if rows else []
+        rows += [(one.name, *_list_cells(band)) for band in one.bands]
+        before = f"{one.name}: " if len(found) > 1 else ""
+        notes += [before + text for text in (*(band.text for band in one.bands), *one.notes)]
+    seeds = f", {first.seeds} seeds" if first.seeds else ""
+    return Table(
+        title=(
+            f"{describe_count(len(found), 'recorded robot')} beside {first.scenario}, driven with"
+            f" the recorded commands{seeds}"
+        ),
+        columns=(
+            Column(title="run"),
+            Column(title="error"),
+            Column(title="unit"),
+            Column(title="after", unit="s"),
+            Column(title="pieces"),
+            Column(title="median", digits=3),
+            Column(title="largest", digits=3),
+            Column(title="simulated", digits=3),
+            Column(title="within", unit="%", digits=0),
+            Column(title="above"),
+            Column(title="below"),
+        ),
+        rows=tuple(rows),
+        notes=tuple(notes),
+        breaks=tuple(breaks),
+    )
+
+
+def _list_cells(band: ErrorBand) -> tuple[Cell, ...]:
+    unit, factor = _SHOWN[band.quantity]
+    simulated, share = band.simulated_median, band.within_share
+    return (
+        band.quantity,
+        unit,
+        band.horizon_s,
+        len(band.recorded),
+        factor * band.median,
+        factor * band.largest,
+        None if simulated is None else factor * simulated,
+        None if share is None else 100.0 * share,
+        band.above,
+        band.below,
+    )
