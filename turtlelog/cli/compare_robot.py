@@ -1,0 +1,151 @@
+"""`turtlelog compare BAG... robot.toml`: recorded robots beside a simulated one."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import turtlelog as tl
+from turtlelog.cli.options import ReadingOptions, read_runs
+from turtlelog.cli.output import (
+    EXIT_BAD_INPUT,
+    EXIT_FINE,
+    print_error,
+    print_json,
+    print_note,
+    print_tables,
+)
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
+from turtlelog.errors import TurtlelogError, UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import RobotComparison, Scenario
+    from turtlelog.compare import ErrorBand
+
+_FIGURES: Final = frozenset({".pdf", ".png", ".svg"})
+
+
+def list_scenario_files(files: Sequence[Path]) -> list[Path]:
+    """Return those of some files that are scenarios, by their ending."""
+    return [file for file in files if file.suffix.lower() == ".toml"]
+
+
+def compare_with_robot(
+    files: Sequence[Path],
+    *,
+    plot: Path | None,
+    rrd: Path | None,
+    topics: ReadingOptions | None,
+    kind: str,
+) -> int:
+    """Print how far the robot of the scenario among some files is from those of the others."""
+    bags, scenario_file = _part(files)
+    _require_targets(plot, rrd, files, bags)
+    scenario = _load(scenario_file)
+    found: list[tuple[Path, RobotComparison]] = []
+    is_fine = True
+    for bag in bags:
+        try:
+            (run,) = read_runs([bag], topics)
+            with show_progress(f"simulating {run.name}"):
+                found.append((bag, tl.compare_robot(run, scenario)))
+        except TurtlelogError as err:
+            print_error(str(err))
+            is_fine = False
+    if found:
+        _print(found, scenario_file, kind)
+        _draw(found[0][1], plot, rrd)
+    return EXIT_FINE if is_fine else EXIT_BAD_INPUT
+
+
+def _part(files: Sequence[Path]) -> tuple[list[Path], Path]:
+    scenarios = list_scenario_files(files)
+    if len(scenarios) > 1:
+        named = ", ".join(map(str, scenarios))
+        raise UsageError(f"FILE: expected one scenario to compare bags with, found {named}")
+    bags = [file for file in files if file not in scenarios]
+    if not bags:
+        raise UsageError(
+            f"FILE: expected a bag or a recording to compare {scenarios[0]} with, found none; two"
+            " scenarios are compared by their runs, which turtlelog run records"
+        )
+    return bags, scenarios[0]
+
+
+def _require_targets(
+    plot: Path | None, rrd: Path | None, files: Sequence[Path], bags: Sequence[Path]
+) -> None:
+    """Refuse pictures that could not be written, before anything is read."""
+    for name, target in (("--plot", plot), ("--rrd", rrd)):
+        if target is not None and len(bags) > 1:
+            raise UsageError(f"{name}: expected one bag to draw, found {len(bags)}")
+    if plot is not None and plot.suffix.lower() not in _FIGURES:
+        expected = "a name that ends in .pdf, .png or .svg"
+        raise UsageError(f"--plot {plot}: expected {expected}, found another")
+    require_new_target(plot, files, suffix="" if plot is None else plot.suffix.lower())
+    require_new_target(rrd, files, suffix=".rrd")
+
+
+def _load(file: Path) -> "Scenario":
+    scenario = tl.scenario.read_scenario(file)
+    if scenario.plant.kind != "lagged":
+        raise UsageError(
+            f'{file}: expected a scenario of a robot, with plant.kind = "lagged", found'
+            f" {scenario.plant.kind}; turtlelog replay drives turtlesim with recorded commands"
+        )
+    return scenario
+
+
+def _print(found: "Sequence[tuple[Path, RobotComparison]]", scenario: Path, kind: str) -> None:
+    if kind == "json":
+        print_json(
+            {
+                "reference": str(scenario),
+                "alignment": "anchored",
+                "seeds": found[0][1].seeds,
+                "runs": [_describe(file, one) for file, one in found],
+            }
+        )
+        return
+    print_tables([tl.compare.tabulate_robots([one for _, one in found])], kind)
+
+
+def _describe(file: Path, found: "RobotComparison") -> dict[str, Any]:
+    time_ns = found.recorded.time_ns
+    return {
+        "file": str(file),
+        "name": found.name,
+        "overlap_s": int(time_ns[-1] - time_ns[0]) / 1e9,
+        "signals": [],
+        "metrics": [],
+        "errors": [_describe_band(band) for band in found.bands],
+        "clock": None if found.clock is None else asdict(found.clock),
+        "notes": list(found.notes),
+    }
+
+
+def _describe_band(band: "ErrorBand") -> dict[str, Any]:
+    return {
+        "quantity": band.quantity,
+        "unit": "m" if band.quantity == "position" else "rad",
+        "horizon_s": band.horizon_s,
+        "pieces": len(band.recorded),
+        "median": band.median,
+        "largest": band.largest,
+        "largest_at_s": band.largest_at_s,
+        "simulated_median": band.simulated_median,
+        "within_share": band.within_share,
+        "above": band.above,
+        "below": band.below,
+        "verdict": band.verdict,
+    }
+
+
+def _draw(found: "RobotComparison", plot: Path | None, rrd: Path | None) -> None:
+    if plot is not None:
+        tl.show.write_comparison_figure(found, plot)
+        print_note(f"wrote {plot}")
+    if rrd is not None:
+        tl.show.write_robot_comparison_rrd(found, rrd)
+        print_note(f"wrote {rrd}")
