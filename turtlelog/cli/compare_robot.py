@@ -144,8 +144,8 @@ def _describe_band(band: "ErrorBand") -> dict[str, Any]:
 
 def _draw(found: "RobotComparison", plot: Path | None, rrd: Path | None) -> None:
     if plot is not None:
-        tl.show.write_comparison_figure(found, plot)
+        tl.show.write_prediction_figure(found, plot)
         print_note(f"wrote {plot}")
     if rrd is not None:
-        tl.show.write_robot_comparison_rrd(found, rrd)
+        tl.show.write_prediction_rrd(found, rrd)
         print_note(f"wrote {rrd}")

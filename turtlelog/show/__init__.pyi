@@ -5,6 +5,7 @@ from .figures import (
     draw_figure as draw_figure,
     list_left_out as list_left_out,
     write_figures as write_figures,
+    write_prediction_figure as write_prediction_figure,
     write_robot_figure as write_robot_figure,
     write_tables as write_tables,
 )
@@ -15,6 +16,7 @@ from .rerun.live_viewer import (
     follow_recording as follow_recording,
     open_window as open_window,
 )
+from .rerun.prediction_scene import write_prediction_rrd as write_prediction_rrd
 from .rerun.robot_scene import write_robot_rrd as write_robot_rrd
 from .rerun.run_scene import (
     write_run_rrd as write_run_rrd,

@@ -11,6 +11,7 @@ load_library("matplotlib")
 from turtlelog.show.figures.figure_kinds import FIGURES, FigureKind
 from turtlelog.show.figures.left_out import list_left_out
 from turtlelog.show.figures.page import Page
+from turtlelog.show.figures.prediction_figure import write_prediction_figure
 from turtlelog.show.figures.robot_figure import write_robot_figure
 from turtlelog.show.figures.writing import FIGURE_FORMATS, draw_figure, write_figures, write_tables
 
@@ -22,6 +23,7 @@ __all__ = [
     "draw_figure",
     "list_left_out",
     "write_figures",
+    "write_prediction_figure",
     "write_robot_figure",
     "write_tables",
 ]

@@ -15,7 +15,7 @@ from turtlelog.show.palette import Color
 from turtlelog.show.rerun.rrd_file import open_recording
 
 _TITLES: Final = {"speed": "speed [m/s]", "turn_rate": "turn rate [rad/s]"}
-_TIMELINE: Final = "robot_time"
+TIMELINE: Final = "robot_time"
 _RESIDUAL: Final = "residual"
 
 _CURVES: Final[tuple[tuple[str, Color], ...]] = (
@@ -42,19 +42,20 @@ def write_robot_rrd(model: RobotModel, run: Run, path: str | Path) -> None:
     if not traces:
         reasons = "; ".join(axis.reason for axis in model.axes)
         raise ShowError(f"{path}: expected an axis that is known, found none: {reasons}")
-    views = [view for found in traces for view in _list_views(found)]
+    views = [view for found in traces for view in list_views(found)]
     shares = [2.0, 1.0] * len(traces)
     layout = rrb.Blueprint(
         rrb.Vertical(*views, row_shares=shares),
-        rrb.TimePanel(state=rrb.PanelState.Collapsed, timeline=_TIMELINE),
+        rrb.TimePanel(state=rrb.PanelState.Collapsed, timeline=TIMELINE),
         collapse_panels=True,
     )
     with open_recording(path, name=f"{run.name}, identified", layout=layout) as stream:
         for found in traces:
-            _draw_axis(stream, found)
+            draw_axis(stream, found)
 
 
-def _list_views(found: AxisTraces) -> list[rrb.View]:
+def list_views(found: AxisTraces) -> list[rrb.View]:
+    """Return a view of the rates of an axis, and one of what its model leaves."""
     title = _TITLES[found.axis]
     rates = [f"/{found.axis}/{name}" for name, _ in _CURVES if name != _RESIDUAL]
     link = rrb.TimeAxis(link="LinkToGlobal")
@@ -69,9 +70,10 @@ def _list_views(found: AxisTraces) -> list[rrb.View]:
     ]
 
 
-def _draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
+def draw_axis(stream: rr.RecordingStream, found: AxisTraces) -> None:
+    """Log the rates of an axis, and what its model leaves."""
     time_ns = np.rint(found.time_s * 1e9).astype("timedelta64[ns]")
-    index = [rr.TimeColumn(_TIMELINE, duration=time_ns)]
+    index = [rr.TimeColumn(TIMELINE, duration=time_ns)]
     for name, color in _CURVES:
         entity = f"/{found.axis}/{name}"
         style = rr.SeriesLines(names=name, colors=palette.pack_colors([color]))
