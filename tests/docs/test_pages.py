@@ -34,9 +34,10 @@ def find_blocks(language: str) -> list[object]:
 
 
 def find_files(page: Path) -> dict[str, str]:
-    """Return the files that the Python blocks of a page name first."""
+    """Return the files that blocks of Python and of TOML on a page name first."""
     text = page.read_text("utf-8")
-    return dict(re.findall(r"^```python\n# (\w+\.py)\n(.*?)^```$", text, re.M | re.S))
+    pattern = r"^```(?:python|toml)\n# (\w+\.(?:py|toml))\n(.*?)^```$"
+    return dict(re.findall(pattern, text, re.M | re.S))
 
 
 def write_files(files: dict[str, str], folder: Path) -> None:
