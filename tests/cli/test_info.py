@@ -163,11 +163,40 @@ def test_poses_that_cannot_be_read_are_described_all_the_same(call: Call, tmp_pa
 
 
 def test_two_turtles_are_named(call: Call, tmp_path: Path) -> None:
-    turtles = [*make_poses(30), *make_poses(30, topic="/turtle2/pose")]
+    still = {"linear_velocity": 0.0, "angular_velocity": 0.0}
+    turtles = [*make_poses(30, **still), *make_poses(30, topic="/turtle2/pose", **still)]
     path = write_mcap(tmp_path / "bag.mcap", turtles)
     (answer,) = call("info", path, "--json").json
     assert answer["summary"] == "turtlesim: /turtle1/pose at 62.5 Hz, no commands"
     assert answer["notes"]["other_pose_topics"] == "/turtle2/pose"
+
+
+@pytest.mark.parametrize(
+    ("tick_ms", "off", "kind"),
+    [
+        (16, 0.0, "turtlesim: "),
+        (17.9, 0.0, "turtlesim: "),
+        (18.1, 0.0, "a robot that publishes turtlesim/msg/Pose: "),
+        (50, 0.0, "a robot that publishes turtlesim/msg/Pose: "),
+        (16, 2e-4, "a robot that publishes turtlesim/msg/Pose: "),
+    ],
+)
+def test_only_what_moves_as_turtlesim_does_is_called_so(
+    call: Call, tmp_path: Path, tick_ms: float, off: float, kind: str
+) -> None:
+    rates = {"linear_velocity": 1.0, "angular_velocity": 0.0, "y": 5.0, "theta": 0.0}
+    poses = [
+        replace(
+            make_poses(1, x=3.0 + row * (0.016 + off), **rates)[0],
+            time_ns=START_NS + round(row * tick_ms * 1e6),
+        )
+        for row in range(30)
+    ]
+    path = write_mcap(tmp_path / "bag.mcap", poses)
+    assert call("info", path, "--json").json[0]["summary"].startswith(kind)
+    told = "a: turtlesim" if kind == "turtlesim: " else "poses as turtlesim does, not turtlesim"
+    assert told.removeprefix("a: ") in call("explain", path).out
+    assert ("was not driven" in call("explain", path).out) is False
 
 
 def test_an_empty_file_has_nothing_to_measure(call: Call, tmp_path: Path) -> None:

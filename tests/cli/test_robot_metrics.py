@@ -228,11 +228,13 @@ def test_a_first_specification_reads_later_runs_as_the_good_one_was_read(
 def test_a_robot_that_is_no_turtlesim_is_sent_to_what_can_tell_of_it(
     call: Call, robot: Path
 ) -> None:
-    answer = call("replay", robot, "--plant")
-    assert answer.code == 2
-    assert answer.err.splitlines()[-1].endswith(
-        "of another robot's, turtlelog explain and turtlelog metrics say what can be told"
-    )
+    for mode in (["--plant"], ["--law"], []):
+        answer = call("replay", robot, *mode)
+        assert answer.code == 2
+        assert answer.err.splitlines()[-1].endswith(
+            "of another robot's, turtlelog explain and turtlelog metrics say what can be told"
+        )
+        assert "--plant" not in answer.err
 
 
 @pytest.mark.parametrize(

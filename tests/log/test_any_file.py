@@ -55,6 +55,13 @@ def test_a_log_of_the_papers_is_imported() -> None:
             "expected a SQLite file of pages of 65536 bytes, found 116 bytes: cut short",
         ),
         ("a.mcap", bytes(100), "byte 0: expected an MCAP file"),
+        (
+            "a.db3",
+            bytes(100),
+            r"byte 0: expected a bag in SQLite \(0x53514c6974652066\), found 0x0",
+        ),
+        ("a.db3", b"text, text", r"byte 0: expected a bag in SQLite \(\w+\), found 0x746578742c"),
+        ("a.db3", b"", "expected a bag in SQLite, found an empty file"),
         ("a.log", b"timestamp,time", ".* found text: logs and tables are read where the name"),
         ("a.json", b"{", r"expected JSON, found"),
     ],

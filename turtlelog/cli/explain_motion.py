@@ -112,6 +112,8 @@ def _tell_kind(run: "Run", found: "MotionFacts") -> str:
     topics = [run.notes.get(f"{kind}_topic", "") for kind in ("pose", "command")]
     where = join_words([escape_controls(topic) for topic in topics if topic])
     kind = "turtlesim" if found.kind == "turtlesim" else "a robot, not turtlesim"
+    if found.kind == "robot" and run.poses.speed_m_s is not None and not run.parameters:
+        kind = "a robot that publishes poses as turtlesim does, not turtlesim"
     first_ns = min([*run.poses.time_ns[:1], *run.commands.time_ns[:1]])
     length = f"{(run.end_ns - first_ns) / 1e9:.3f} s"
     return f"{name}: {kind}, {length}{f' of {where}' if where else ''}."

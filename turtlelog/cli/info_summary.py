@@ -183,9 +183,12 @@ def _summarise_run(run: "Run", info: "RecordingInfo") -> Summary:
 
 def _describe_run(run: "Run") -> str:
     pose_topic = _name_topic(run, "pose_topic")
-    is_turtlesim = run.notes.get("pose_topic", "").partition("(")[2].startswith("turtlesim")
+    pose_type = run.notes.get("pose_topic", "").partition("(")[2].rstrip(")")
+    is_turtlesim = pose_type.startswith("turtlesim")
     rate = _describe_rate(run.poses.time_ns)
     kind = "turtlesim" if is_turtlesim else "a robot"
+    if is_turtlesim and not tl.replay.moves_as_turtlesim(run):
+        kind = f"a robot that publishes {pose_type}"
     if not pose_topic:
         kind = "a log of a controller" if len(run.samples) else "poses in a table"
     amount = rate if rate and pose_topic else describe_count(len(run.poses), "pose")
@@ -197,7 +200,7 @@ def _describe_run(run: "Run") -> str:
         parts.append(_describe_commands(run))
     else:
         parts.append("no commands")
-    end = "; not turtlesim" if kind == "a robot" else ""
+    end = "; not turtlesim" if kind.startswith("a robot") else ""
     return f"{kind}: {', '.join(parts)}{end}"
 
 

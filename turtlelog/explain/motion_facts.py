@@ -10,7 +10,7 @@ from turtlelog.errors import ReplayError
 from turtlelog.measure import Outlier, list_outliers
 from turtlelog.measure.breaks import PoseGap, PoseJump, find_gaps, find_jumps
 from turtlelog.plants import LAGGED, find_plant
-from turtlelog.replay import PlantReplay, follow_commands, replay_plant
+from turtlelog.replay import PlantReplay, follow_commands, moves_as_turtlesim, replay_plant
 from turtlelog.run import Run
 
 _SPREAD: Final = (5.0, 95.0)
@@ -103,8 +103,7 @@ class MotionFacts:
 
 def read_motion_facts(run: Run) -> MotionFacts:
     """Return what the poses and commands of a run tell, with or without samples."""
-    # Of all robots only turtlesim publishes what it applied.
-    is_turtlesim = run.poses.speed_m_s is not None and find_plant(run).name != LAGGED
+    is_turtlesim = find_plant(run).name != LAGGED and moves_as_turtlesim(run)
     replay, refused = None, ""
     if is_turtlesim:
         try:

@@ -1,7 +1,6 @@
 """The recorded poses through a law, against the recorded commands."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from turtlelog.log.recording.contents import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants import find_plant
+from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import compare_last_decision, has_ticks
 from turtlelog.replay.sample_pairs import (
     COMMANDS,
@@ -37,8 +37,6 @@ from turtlelog.replay.sample_pairs import (
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import Scenario, resolve_scenario, restore_scenario
 from turtlelog.simulate import Sample, SampleRows, build_driver, build_law
-
-_PLANT: Final = "--plant drives recorded commands through the plant"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,7 +115,9 @@ def replay_law(
     """
     require_tolerance(tolerance)
     if not len(run.samples):
-        raise ReplayError(f"{run.name}: {_describe_nothing_read(run)}; {_PLANT}: {run.source}")
+        raise ReplayError(
+            f"{run.name}: {_describe_nothing_read(run)}: {run.source}; {advise_other_mode(run)}"
+        )
     scenario = restore_scenario(run) if scenario is None else scenario
     if law is None:
         scenario = resolve_scenario(scenario, trust_law=trust_law)

@@ -16,6 +16,7 @@ from turtlelog.errors import ReplayError
 from turtlelog.escapes import escape_controls
 from turtlelog.plants import find_plant
 from turtlelog.replay.plant_replay import PoseError, find_pose_error
+from turtlelog.replay.plant_ticks import advise_other_mode
 from turtlelog.replay.run_pairs import (
     SENSED,
     RowCount,
@@ -110,7 +111,7 @@ def replay_loop(
         raise ReplayError(
             f"{run.name}: expected a pose per tick of exactly"
             f" {find_plant(run).period_ns / 1e6:g} ms, or the samples of a controller, found"
-            f" neither; --plant drives recorded commands through the plant: {run.source}"
+            f" neither: {run.source}; {advise_other_mode(run)}"
         )
     scenario = restore_scenario(run) if scenario is None else scenario
     scenario = resolve_scenario(scenario, trust_law=trust_law)

@@ -25,6 +25,15 @@ _NEAR_TICK_NS: Final = 2_000_000
 """How far the usual time between the poses of a real turtlesim may be from a tick [ns]."""
 
 
+_OBEYS: Final = 0.5
+"""Share of the moving steps that must be turtlesim's for a bag to be of it: of one that is, all
+are but where it was set elsewhere, ran into a wall or lost poses; of another robot's, next to none.
+"""
+
+_FEWEST_MOVING: Final = 10
+"""Steps in motion from which this can be told: fewer may all be at a wall."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedMotion:
     """Poses, one per tick, and the steps that lead to them; row i of a step ends at pose i + 1.
@@ -52,6 +61,38 @@ class RecordedMotion:
     is_simulated: bool
 
 
+def moves_as_turtlesim(run: Run) -> bool:
+    """Return whether poses with applied velocities come and go on as turtlesim's do.
+
+    Another robot may publish the same type: at another rate, or with velocities that do not lead
+    from one pose to the next. A run that names its scenario is taken at its word.
+    """
+    try:
+        motion = read_motion(run)
+    except ReplayError:
+        return False
+    if run.parameters:
+        return True
+    turned, gone = TICK_S * motion.turn_rate_rad_s[1:], TICK_S * np.abs(motion.speed_m_s[1:])
+    moves = (np.abs(turned) > _SLACK) | (gone > _SLACK)
+    off_rad = np.abs(subtract_headings(motion.step_rad, turned))
+    off_m = np.abs(np.hypot(*motion.step_xy_m.T) - gone)
+    obeys = (off_rad <= _SLACK) & (off_m <= _SLACK)
+    count = int(np.count_nonzero(moves))
+    return count < _FEWEST_MOVING or bool(np.count_nonzero(obeys & moves) >= _OBEYS * count)
+
+
+_OTHERS: Final = "of another robot's, turtlelog explain and turtlelog metrics say what can be told"
+"""What the replay of a robot's own recording is refused with."""
+
+
+def advise_other_mode(run: Run) -> str:
+    """Return what can be asked of a run that holds neither ticks nor samples."""
+    if run.poses.speed_m_s is None:
+        return _OTHERS
+    return "--plant drives recorded commands through the plant"
+
+
 def read_motion(run: Run) -> RecordedMotion:
     """Return the motion in a run of turtlesim's.
 
@@ -63,8 +104,7 @@ def read_motion(run: Run) -> RecordedMotion:
     if speed is None or turn_rate is None:
         raise ReplayError(
             f"{run.name}: expected poses with the applied velocities, as turtlesim publishes them,"
-            f" found none: {run.source}; of another robot's, turtlelog explain and turtlelog"
-            " metrics say what can be told"
+            f" found none: {run.source}; {_OTHERS}"
         )
     step_ns = np.diff(poses.time_ns)
     usual_ns = float(np.median(step_ns)) if len(step_ns) else TICK_NS

@@ -83,6 +83,20 @@ def test_what_was_done_is_said_in_words() -> None:
     assert (times.commands.time_ns == poses.log_ns[::4]).all()
 
 
+@pytest.mark.parametrize(
+    ("first_s", "words"),
+    [(999_999_000.0, "whose seconds are a simulation's: "), (1e9, "whose seconds are of another")],
+)
+def test_only_stamps_of_no_wall_clock_are_called_a_simulations(first_s: float, words: str) -> None:
+    # A recorder that falls behind: 2.5 s over 30 s.
+    true_ns = make_times(600)
+    late_ns = (true_ns - true_ns[0]) // 12
+    stamp_ns = true_ns - true_ns[0] + round(first_s * 1e9)
+    times = time_poses(Stamps(log_ns=true_ns + late_ns, stamp_ns=stamp_ns))
+    assert words in times.notes[CLOCK]
+    assert "s of the recorder's clock, ratio 0.923" in times.notes[CLOCK]
+
+
 @pytest.mark.parametrize(("pace", "is_other"), [(1.0019, False), (1.0021, True), (0.9979, True)])
 def test_a_pace_that_no_clock_drifts_by_is_a_simulations(pace: float, *, is_other: bool) -> None:
     poses = make_stamps(make_times(2400), pace=pace, jitter_ms=0.5)

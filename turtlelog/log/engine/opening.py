@@ -12,6 +12,7 @@ import zstandard
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
+from turtlelog.log.engine.framing import find_wrong_start
 from turtlelog.log.engine.limits import UNPACKED, Allowance
 from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
@@ -47,6 +48,7 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
             with open_sqlite(place) as source:
                 yield source
         else:
+            _require_start(path, stream)
             yield stream
 
 
@@ -56,6 +58,7 @@ def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
     with _open_content(Path(path)) as (stream, _):
         if _read_head(stream) == SQLITE_MAGIC:
             raise NoMcapError("expected an MCAP file, found a bag in SQLite")
+        _require_start(Path(path), stream)
         yield stream
 
 
@@ -141,6 +144,15 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
 
 def _describe_expected(path: Path) -> str:
     return "a bag in SQLite" if ".db3" in path.suffixes else "an MCAP file"
+
+
+def _require_start(path: Path, stream: BinaryIO) -> None:
+    """Refuse a file that is named as a bag in SQLite and holds something else."""
+    head = _read_head(stream)
+    if ".db3" not in path.suffixes or find_wrong_start(head) is None:
+        return
+    expected, found = SQLITE_MAGIC[:8].hex(), head[:8].hex()
+    raise LogError(f"byte 0: expected a bag in SQLite (0x{expected}), found 0x{found}")
 
 
 def _read_head(stream: BinaryIO) -> bytes:

@@ -43,6 +43,10 @@ _SAME_CLOCK_NS: Final = 1_000_000_000
 """Stamps of commands are of the poses' simulation where they lie this close [ns] to when the
 commands were received: two simulations, or a clock of the wall, are further apart."""
 
+_FIRST_WALL_NS: Final = 1_000_000_000_000_000_000
+"""Stamps before this [ns], in 2001, are of no clock on a wall: a simulation's begin at 0. Later
+ones that go at another pace may be a simulation's, or of a recorder that falls behind."""
+
 _SHOWN_DRIFT_NS: Final = 1_000_000
 """A drift that adds up to less [ns] is not worth a word."""
 
@@ -150,8 +154,10 @@ def _describe(found: StampClock) -> str:
     texts = []
     pace, offset_ns, jitter_ns = found.pace or 1.0, found.offset_ns or 0, found.jitter_ns or 0
     if found.is_other_pace:
+        first_ns = int(found.time_ns[found.known[0]]) - offset_ns
+        why = "a simulation's" if first_ns < _FIRST_WALL_NS else "of another pace"
         texts.append(
-            f", whose seconds are a simulation's: {found.stamps_span_ns / 1e9:.1f} s in"
+            f", whose seconds are {why}: {found.stamps_span_ns / 1e9:.1f} s in"
             f" {found.log_span_ns / 1e9:.1f} s of the recorder's clock, ratio {pace:.3g}"
         )
     else:

@@ -2,7 +2,7 @@
 
 A step leads from a command that has held long enough for the robot to come to rest at it to another
 that holds long enough for it to get there. What a stick or a ramp makes changes with every message,
-and is none. A response is judged by where it begins and where it comes to: a robot that drives 0.9
+and is none. A response is judged by its initial and its final value: a robot that drives 0.9
 times as fast as it is asked has no steady-state error here.
 """
 
@@ -254,12 +254,12 @@ for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
         f"run.{_axis}_settling_time",
         "s",
         "Time from the command until the measured rate stays within 5 % (or a wider `band`, or"
-        " its scatter) of where it comes to, their median.",
+        " its scatter) of its final value; median of the steps.",
     )(_take_median(_name, "settling_time_s"))
     run_metric(
         f"run.{_axis}_overshoot",
         "%",
-        "Furthest measured rate beyond where it comes to, of the answer; 0 within the band; their"
-        " median.",
+        "Furthest measured rate beyond its final value, as a share of the change; 0 within the"
+        " band; median of the steps.",
         floor=0.0,
     )(_take_median(_name, "overshoot", 100.0))
