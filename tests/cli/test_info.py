@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -163,7 +164,7 @@ def test_poses_that_cannot_be_read_are_described_all_the_same(call: Call, tmp_pa
 
 
 def test_two_turtles_are_named(call: Call, tmp_path: Path) -> None:
-    still = {"linear_velocity": 0.0, "angular_velocity": 0.0}
+    still: dict[str, Any] = {"linear_velocity": 0.0, "angular_velocity": 0.0}
     turtles = [*make_poses(30, **still), *make_poses(30, topic="/turtle2/pose", **still)]
     path = write_mcap(tmp_path / "bag.mcap", turtles)
     (answer,) = call("info", path, "--json").json
@@ -184,7 +185,12 @@ def test_two_turtles_are_named(call: Call, tmp_path: Path) -> None:
 def test_only_what_moves_as_turtlesim_does_is_called_so(
     call: Call, tmp_path: Path, tick_ms: float, off: float, kind: str
 ) -> None:
-    rates = {"linear_velocity": 1.0, "angular_velocity": 0.0, "y": 5.0, "theta": 0.0}
+    rates: dict[str, Any] = {
+        "linear_velocity": 1.0,
+        "angular_velocity": 0.0,
+        "y": 5.0,
+        "theta": 0.0,
+    }
     poses = [
         replace(
             make_poses(1, x=3.0 + row * (0.016 + off), **rates)[0],

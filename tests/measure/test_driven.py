@@ -12,6 +12,8 @@ from tests.measure.driven import Values, make_driven_run, publish, respond
 from turtlelog.angles import wrap_angle
 from turtlelog.measure import Status
 from turtlelog.measure.rates import read_rates, thin_poses
+from turtlelog.measure.table.command_steps import _SCATTER
+from turtlelog.measure.table.following import _has_second
 from turtlelog.measure.table.travel import compute_spectral_arc_length
 
 STEPS = [(2.0, 0.2), (5.0, 0.0), (8.0, 0.4), (11.0, 0.1), (14.0, -0.3), (17.0, 0.0)]
@@ -222,6 +224,65 @@ def test_commands_that_repeat_themselves_tell_no_lag() -> None:
     wave = [(float(at), 0.2 + 0.1 * math.sin(2.0 * math.pi * at)) for at in beats]
     reason = "several shifts fit alike: the commands repeat themselves"
     assert tell(drive(steps=wave), "run.speed_lag") == ("undetermined", reason)
+
+
+@pytest.mark.parametrize(
+    ("correlations", "repeats"),
+    [
+        ([0.2, 1.0, 0.89, 0.96], True),
+        ([0.2, 1.0, 0.89, 0.94], False),
+        ([0.2, 1.0, 0.91, 0.96], False),
+        ([0.96, 0.89, 1.0, 0.2], True),
+    ],
+)
+def test_a_second_shift_is_as_good_and_behind_a_valley(
+    correlations: list[float], *, repeats: bool
+) -> None:
+    found = np.array(correlations)
+    assert _has_second(found, int(found.argmax())) == repeats
+
+
+@pytest.mark.parametrize(
+    ("dead_s", "is_known"), [(1.95, True), (2.05, False), (-0.45, True), (-0.55, False)]
+)
+def test_a_lag_is_looked_for_from_half_a_second_before_to_two_after(
+    dead_s: float, *, is_known: bool
+) -> None:
+    metric = measure(drive(lag_s=0.0, dead_s=dead_s), "run.speed_lag")
+    if is_known:
+        assert metric.value == pytest.approx(dead_s, abs=2e-3)
+    else:
+        assert metric.reason == "no shift from -0.5 to 2 s fits best"
+
+
+@pytest.mark.parametrize(("gain", "answers"), [(0.52, True), (0.48, False)])
+def test_a_step_is_answered_by_half_of_it(gain: float, *, answers: bool) -> None:
+    at_s, values = publish(STEPS, 20.0)
+    rate, way = respond(AT_20_HZ, STEPS, 0.1)
+    run = make_driven_run(
+        AT_20_HZ,
+        speed=(gain * rate, gain * way),
+        commands=(at_s, values, np.zeros(len(at_s))),
+    )
+    assert (measure(run, "run.speed_rise_time").value is not None) == answers
+
+
+@pytest.mark.parametrize(("share", "is_seen"), [(0.19, True), (0.21, False)])
+def test_settling_is_not_seen_in_wide_scatter(share: float, *, is_seen: bool) -> None:
+    run = drive(steps=[(2.0, 0.4), (10.0, 0.0)], reports=True)
+    measured = run.poses.measured_speed_m_s
+    assert measured is not None
+    off = 0.4 * share / _SCATTER * np.tile([1.0, -1.0], len(measured) // 2)
+    poses = replace(run.poses, measured_speed_m_s=measured + off)
+    found = measure(replace(run, poses=poses), "run.speed_settling_time")
+    assert (found.value is not None) == is_seen
+
+
+@pytest.mark.parametrize(("hz", "is_seen"), [(5.1, True), (4.9, False)])
+def test_smoothness_takes_five_poses_a_second(hz: float, *, is_seen: bool) -> None:
+    found = measure(drive(np.arange(0.0, 20.0, 1.0 / hz)), "run.spectral_arc_length")
+    assert (found.status is Status.TOO_SHORT) != is_seen
+    assert is_seen or found.reason == "poses at 4.9 Hz, and it takes 5 Hz"
 
 
 def test_a_robot_that_does_not_listen_tells_no_lag() -> None:
