@@ -105,7 +105,7 @@ def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, k
     entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "why.rrd").stream()}
     names = ["recorded", "without_queue", "without_pause", "without_queue_and_pause"]
     assert {f"/runs/{name}/plane/path" for name in names} < entities
-    assert {"/shares/queue", "/shares/pause"} < entities
+    assert {"/attribution/bar_3", "/attribution/words", "/plane/gap"} < entities
 
 
 def test_the_tables_fit_a_terminal(call: Call, kp10: Path) -> None:
@@ -255,7 +255,7 @@ def test_a_scenario_that_is_not_identified_is_not_written(
     assert "textbook: expected a run of the law sequential-p, or one that its own" in answer.err
     drawn = call("explain", no_scenario, "--rrd", tmp_path / "why.rrd")
     assert (drawn.code, (tmp_path / "why.rrd").exists()) == (2, False)
-    assert "why.rrd: expected shares to draw, found none: No metric is explained" in drawn.err
+    assert "why.rrd: expected shares or a ghost, found none: No metric is explained" in drawn.err
 
 
 def test_nothing_is_said_of_a_law_that_is_another(call: Call, no_scenario: Path) -> None:

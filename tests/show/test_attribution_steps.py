@@ -125,3 +125,17 @@ def test_a_small_rest_is_never_written_as_nothing() -> None:
     scale = choose_step_scale(make_attribution())
     assert scale.format_value(0.004) == "0.004 deg"
     assert scale.format_value(0.006) == "0.01 deg"
+
+
+@pytest.mark.parametrize(("value", "says"), [(0.1, True), (0.11, False)])
+def test_a_value_within_the_tolerances_says_so(value: float, *, says: bool) -> None:
+    found = make_attribution(
+        metric="final.heading_error",
+        as_logged=value,
+        as_built=value,
+        without_all=value,
+        shares=(),
+        grain=Grain(size=0.1, reason="the heading tolerance"),
+    )
+    for step in list_attribution_steps(found):
+        assert ("no more than the tolerances leave" in step.text) == says

@@ -34,7 +34,8 @@ class ExplainOptions:
 
     Attributes:
         scenario: Write the identified scenario to this .toml file.
-        rrd: Write a Rerun recording of the run beside itself without each effect.
+        rrd: Write a Rerun recording of the run beside its ghosts without the effects, and the
+            attribution in steps.
         trust_law: Run the code of the law that the recording names, where it is not built in.
         jobs: Processes to simulate in; as many as cores where that is quicker. A law that is not
             built in takes one.

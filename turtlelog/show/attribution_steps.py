@@ -92,7 +92,7 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
             start=0.0,
             end=total,
             name="as simulated" if found.as_logged is None else "as logged",
-            text=scale.format_value(total),
+            text=f"{scale.format_value(total)}{_explain_little(found, total)}",
             color=palette.MAIN,
         )
     ]
@@ -174,10 +174,18 @@ def _describe_share(share: Share, total: float, scale: StepScale) -> str:
 def _explain_left(found: Attribution) -> str:
     """Return what explains the rest, as far as that is known."""
     acting = [share.mechanism for share in choose_acting_shares(found)]
-    is_bounded = found.metric in {"final.position_error", "final.heading_error"}
-    if is_bounded and found.without_all is not None and found.without_all <= found.grain.size:
-        is_tolerance = "tolerance" in found.grain.reason
-        return f"no more than {'the tolerances leave' if is_tolerance else found.grain.reason}"
+    little = _explain_little(found, found.without_all or 0.0)
+    if little:
+        return little.removeprefix(", ")
     if not acting:
         return "no effect changes it"
     return f"without {join_words(acting) if len(acting) <= _MOST_NAMED else 'all of these'}"
+
+
+def _explain_little(found: Attribution, value: float) -> str:
+    """Return that the tolerances leave as much, of an error at the end that they bound."""
+    if found.metric not in {"final.position_error", "final.heading_error"}:
+        return ""
+    if abs(value) > found.grain.size or "tolerance" not in found.grain.reason:
+        return ""
+    return ", no more than the tolerances leave"

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from tests.show.laws import KINDS, simulate_law, simulate_tracker
-from tests.show.rerun.rrds import simulate_preset
+from tests.show.rerun.rrds import make_attribution, simulate_preset
 from turtlelog.scenario import PAPER_RUNS
 from turtlelog.show import (
     write_comparison_rrd,
@@ -48,10 +48,9 @@ def comparison_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def explanation_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("explanation") / "explanation.rrd"
     without = {"pause": simulate_preset("paper-kp4"), "queue": simulate_preset("textbook")}
-    shares = {"pause": 0.05, "queue": -0.01}
-    write_explanation_rrd(
-        simulate_preset("paper-kp10"), without, shares, path, documents={"Notes": "# Notes"}
-    )
+    run = simulate_preset("paper-kp10")
+    found = make_attribution(run, {"pause": 0.05, "queue": -0.01})
+    write_explanation_rrd(run, found, without, path, documents={"Notes": "# Notes"})
     return path
 
 

@@ -1,6 +1,7 @@
 """Recordings read back by column, with Rerun's own reader."""
 
 import subprocess
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -11,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun.chunk import RrdReader
 
+from turtlelog.explain import Attribution, Grain, Share
 from turtlelog.loops import Declaration
-from turtlelog.measure import read_signal
+from turtlelog.measure import measure_run, read_signal
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show.rerun.viewer import find_viewer
@@ -24,6 +26,28 @@ NOTHING_NS = np.zeros(0, dtype=np.int64)
 @cache
 def simulate_preset(name: str) -> Run:
     return simulate_run(get_preset(name))
+
+
+def make_attribution(
+    run: Run, shares: Mapping[str, float], metric: str = "final.position_error"
+) -> Attribution:
+    """Return what says that a run's value has these shares."""
+    measured = measure_run(run, only=[metric])[metric]
+    value = measured.value or 0.0
+    return Attribution(
+        metric=metric,
+        unit=measured.unit,
+        as_logged=value,
+        as_built=value,
+        without_all=value - sum(shares.values()),
+        mechanisms=tuple(shares),
+        shares=tuple(
+            Share(mechanism=name, share=share, alone=None, meaning="none of it")
+            for name, share in shares.items()
+        ),
+        others=(),
+        grain=Grain(size=0.001, reason="one millimetre"),
+    )
 
 
 def make_foreign_run(rows: int) -> Run:

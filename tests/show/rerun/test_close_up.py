@@ -198,19 +198,6 @@ def test_rings_have_the_radius_that_they_name(run_rrd: Path, radius_m: float) ->
     np.testing.assert_allclose(np.hypot(*(points_m - [2.0, 10.0]).T), radius_m, rtol=1e-4)
 
 
-def test_words_are_further_from_their_dots_where_bars_leave_less_room(
-    explanation_rrd: Path, comparison_rrd: Path
-) -> None:
-    """A dot at 107 mm, in both close-ups of 150 mm to each side: its words stand to the right."""
-    place = simulate_preset("paper-kp10").poses.xy_m[-1]
-    aside_m = []
-    for rrd in (comparison_rrd, explanation_rrd):
-        texts = read_static(rrd, "/plane/close_up/misses", "Points2D:labels")
-        places = read_static(rrd, "/plane/close_up/misses", "Points2D:positions")
-        aside_m.append(places[texts.index("107 mm")][0] - place[0])
-    assert aside_m[1] > 1.2 * aside_m[0] > 0.0
-
-
 def test_only_the_close_up_has_rings_and_ends(comparison_rrd: Path) -> None:
     layout = read_layout(comparison_rrd)
     hidden = {"- /plane/close_up/**", "- /runs/paper-kp1/plane/end/**"}

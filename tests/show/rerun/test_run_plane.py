@@ -40,7 +40,7 @@ def test_the_trace_is_the_path_in_the_colours_of_its_phases(run_rrd: Path) -> No
     expected = palette.pack_colors(
         [*before, *(hues[span.phase] for span in RUN.find_phase_spans())]
     )
-    assert colors == expected.tolist()
+    assert [color | 255 for color in colors] == expected.tolist()
 
 
 def test_the_trace_by_speed_is_the_path_brightest_where_it_is_fast(run_rrd: Path) -> None:

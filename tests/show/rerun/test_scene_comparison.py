@@ -53,8 +53,9 @@ def test_a_run_has_one_colour_in_all_views(comparison_rrd: Path) -> None:
     colors: list[int] = []
     for name in PAPER_RUNS:
         prefix = f"/runs/{name}"
+        (faint,) = read_static(comparison_rrd, f"{prefix}/plane/path", "LineStrips2D:colors")
         of_run = {
-            *read_static(comparison_rrd, f"{prefix}/plane/path", "LineStrips2D:colors"),
+            faint | 255,
             *read_static(comparison_rrd, f"{prefix}/plane/turtle", "Points2D:colors"),
             *read_static(comparison_rrd, f"{prefix}/plane/turtle/arrow", "Arrows2D:colors"),
         }

@@ -1,11 +1,17 @@
 import re
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.known import known
+from tests.show.laws import simulate_law
 from tests.show.rerun.rrds import (
     list_entities,
+    make_attribution,
     read_layout,
     read_rows,
     read_static,
@@ -14,10 +20,35 @@ from tests.show.rerun.rrds import (
     verify,
 )
 from turtlelog.errors import ShowError
-from turtlelog.show import write_explanation_rrd
+from turtlelog.explain import Attribution, attribute_run, identify_run, simulate_what_ifs
+from turtlelog.run import Run
+from turtlelog.show import palette, write_explanation_rrd, write_run_rrd
+from turtlelog.show.ideal_pose import find_ideal_poses
+from turtlelog.show.rerun.ghosts import build_ideal_ghost, measure_gap
+from turtlelog.show.rerun.turtles import MOST_SEGMENTS, count_segments
 
 RUN = simulate_preset("paper-kp10")
 RECORDED = "/runs/recorded"
+MAIN = "/runs/without_queue_and_pause"
+
+
+@cache
+def explain(name: str) -> tuple[Attribution, dict[str, Run]]:
+    run = simulate_preset(name)
+    identified = identify_run(run)
+    found = attribute_run(run, identified=identified)
+    return found, dict(simulate_what_ifs(identified, found))
+
+
+@pytest.fixture(scope="module")
+def kp10_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("ghosts") / "why.rrd"
+    write_explanation_rrd(RUN, *explain("paper-kp10"), path)
+    return path
+
+
+def read_words(path: Path, entity: str) -> list[str]:
+    return list(read_static(path, entity, "Points2D:labels"))
 
 
 def test_the_recorded_run_stands_beside_its_what_ifs(explanation_rrd: Path) -> None:
@@ -31,15 +62,93 @@ def test_the_recorded_run_stands_beside_its_what_ifs(explanation_rrd: Path) -> N
     assert len(other) == len(simulate_preset("paper-kp4").poses)
 
 
-def test_shares_are_bars_in_the_colours_of_the_runs_without_them(explanation_rrd: Path) -> None:
-    view = "Shares of final.position_error [m]"
-    assert read_layout(explanation_rrd)[view] == ["/shares/**"]
-    colors = read_static(explanation_rrd, "/legend", "Points2D:colors")
-    for number, (name, share) in enumerate({"pause": 0.05, "queue": -0.01}.items()):
-        (values,) = read_static(explanation_rrd, f"/shares/{name}", "BarChart:values")
-        assert share in list(values["buffer"])
-        (color,) = read_static(explanation_rrd, f"/shares/{name}", "BarChart:color")
-        assert color == colors[number + 1]
+def test_the_steps_stand_with_their_words_in_a_view_of_their_own(kp10_rrd: Path) -> None:
+    view = read_layout(kp10_rrd)["Why final.position_error is 106.7 mm"]
+    assert view == ["/attribution/**"]
+    assert read_words(kp10_rrd, "/attribution/words") == [
+        "as logged",
+        "106.7 mm",
+        "queue",
+        "-51.1 mm (48 %)",
+        "pause",
+        "-50.6 mm (47 %)",
+        "left",
+        "5.1 mm, no more than the tolerances leave",
+    ]
+    places = np.array(read_static(kp10_rrd, "/attribution/words", "Points2D:positions"))
+    assert places[:, 0].min() > 0.0
+    assert places[:, 0].max() < 100.0
+
+
+def test_a_bar_begins_where_the_one_above_it_ends(kp10_rrd: Path) -> None:
+    spans = []
+    for number in range(4):
+        entity = f"/attribution/bar_{number}"
+        (place,) = read_static(kp10_rrd, entity, "Transform3D:translation")
+        (frame,) = read_static(kp10_rrd, entity, "Transform3D:mat3x3")
+        spans.append((place[0], place[0] + 2.0 * frame[0]))
+    total, queue, pause, left = spans
+    assert queue[1] == pytest.approx(total[1], abs=1e-3)
+    assert pause[1] == pytest.approx(queue[0], abs=1e-3)
+    assert (left[0], left[1]) == pytest.approx((total[0], pause[0]), abs=1e-3)
+
+
+def test_the_main_ghost_is_grey_and_the_others_have_their_mechanisms_colours(
+    kp10_rrd: Path,
+) -> None:
+    colors = palette.choose_mechanism_colors(explain("paper-kp10")[0].mechanisms)
+    for entity, color in (
+        (RECORDED, palette.MAIN),
+        (MAIN, palette.GHOST),
+        ("/runs/without_queue", colors["queue"]),
+    ):
+        (shown,) = read_static(kp10_rrd, f"{entity}/plane/turtle/body", "LineStrips2D:colors")
+        assert [shown >> 24, shown >> 16 & 255, shown >> 8 & 255] == list(color)
+    rows = read_words(kp10_rrd, "/plane/names/key/words")
+    assert rows == ["recorded", "without queue and pause", "without pause", "without queue"]
+
+
+def test_the_gap_to_the_ghost_is_written_beside_its_line(kp10_rrd: Path) -> None:
+    lines = read_rows(kp10_rrd, "/plane/gap", "LineStrips2D:strips")
+    names = read_rows(kp10_rrd, "/plane/names/gap", "Points2D:labels")
+    assert len(lines) <= 1000
+    (start, end), (label,) = lines[-1][0], names[-1]
+    gap_mm = 1e3 * float(np.hypot(*np.subtract(end, start)))
+    assert label == f"{gap_mm:.3g} mm apart" == "102 mm apart"
+    assert names[0] == []
+
+
+def test_the_distance_to_the_ghost_is_a_plot(kp10_rrd: Path) -> None:
+    assert "From ghost [mm]" in read_layout(kp10_rrd)
+    entity = f"{RECORDED}/gap_mm/without_queue_and_pause"
+    values = np.array(read_rows(kp10_rrd, entity, "Scalars:scalars"))[:, 0]
+    found = explain("paper-kp10")[1]["queue and pause"]
+    apart_m = np.hypot(*(RUN.poses.xy_m[-1] - found.poses.xy_m[-1]))
+    assert values[-1] == pytest.approx(1e3 * apart_m)
+    assert len(values) == len(RUN.poses)
+
+
+def test_a_trail_grows_by_segments_that_join_where_the_turtle_drives(kp10_rrd: Path) -> None:
+    strips = [
+        row[0] for row in read_rows(kp10_rrd, f"{RECORDED}/plane/trail", "LineStrips2D:strips")
+    ]
+    assert 100 < len(strips) <= MOST_SEGMENTS
+    assert all(one[-1] == other[0] for one, other in pairwise(strips))
+    times_ns = read_times(kp10_rrd, f"{RECORDED}/plane/trail")
+    rows = np.searchsorted(RUN.poses.time_ns - RUN.start_ns, times_ns)
+    np.testing.assert_allclose(RUN.poses.xy_m[rows], [s[-1] for s in strips], atol=1e-6)
+
+
+@pytest.mark.parametrize(("trails", "most"), [(1, 1000), (8, 1000), (10, 800), (400, 40)])
+def test_many_trails_have_fewer_segments_each(trails: int, most: int) -> None:
+    assert count_segments(trails) == most
+
+
+def test_the_way_ahead_is_drawn_faintly(kp10_rrd: Path) -> None:
+    (color,) = read_static(kp10_rrd, f"{RECORDED}/plane/path", "LineStrips2D:colors")
+    (trail,) = read_rows(kp10_rrd, f"{RECORDED}/plane/trail", "LineStrips2D:colors")[0]
+    assert color >> 8 == trail >> 8
+    assert (color & 255, trail & 255) == (45, 255)
 
 
 def test_pause_and_dead_time_are_marked_on_the_time_axis(explanation_rrd: Path) -> None:
@@ -55,8 +164,7 @@ def test_pause_and_dead_time_are_marked_on_the_time_axis(explanation_rrd: Path) 
 def test_the_lines_of_pause_and_dead_time_stand_in_every_plot(explanation_rrd: Path) -> None:
     lines = {f"{RECORDED}/lines/pause", f"{RECORDED}/lines/dead_time"}
     layout = read_layout(explanation_rrd)
-    plots = [view for view in layout if re.search(r"\[(deg|m|m/s|rad/s)\]$", view)]
-    plots.remove("Shares of final.position_error [m]")
+    plots = [view for view in layout if re.search(r"\[(deg|m|mm|m/s|rad/s)\]$", view)]
     assert len(plots) == 9
     assert all(lines < set(layout[view]) for view in plots)
     assert f"{RECORDED}/dead_time" in layout["Phases (brown: pause, pink: dead time)"]
@@ -64,18 +172,83 @@ def test_the_lines_of_pause_and_dead_time_stand_in_every_plot(explanation_rrd: P
 
 def test_the_shares_are_a_table_too(explanation_rrd: Path) -> None:
     (text,) = read_static(explanation_rrd, "/documents/Shares", "TextDocument:text")
-    assert "final.position_error: 0.10673 m as recorded" in text
-    assert "| pause | 0.05 | 0.00852" in text
+    assert "Why final.position_error is 106.7 mm" in text
+    assert "| pause | 0.05 |" in text
     assert "Notes" in read_layout(explanation_rrd)
 
 
-def test_a_run_without_what_ifs_is_shown_alone(tmp_path: Path) -> None:
-    write_explanation_rrd(RUN, {}, {}, tmp_path / "alone.rrd")
+def test_a_run_that_nothing_changes_stands_beside_the_ideal_loop(tmp_path: Path) -> None:
+    found = make_attribution(RUN, {})
+    write_explanation_rrd(RUN, found, {}, tmp_path / "alone.rrd")
     verify(tmp_path / "alone.rrd")
-    assert not {name for name in list_entities(tmp_path / "alone.rrd") if "shares" in name}
+    assert "/ideal_loop/plane/turtle" in list_entities(tmp_path / "alone.rrd")
+    words = read_words(tmp_path / "alone.rrd", "/attribution/words")
+    assert words[-1] == "106.7 mm, no effect changes it"
 
 
-def test_a_metric_that_there_is_not_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ShowError, match=r"metric: expected an id such as .*, found 'speed'"):
-        write_explanation_rrd(RUN, {}, {}, tmp_path / "none.rrd", metric="speed")
+def test_withheld_shares_give_their_reason_in_place_of_the_steps(tmp_path: Path) -> None:
+    reason = "they differ by more than a tenth of what the effects add together"
+    found = replace(make_attribution(RUN, {}), withheld=reason)
+    write_explanation_rrd(RUN, found, {}, tmp_path / "why.rrd")
+    assert "Why there are no shares of final.position_error" in read_layout(tmp_path / "why.rrd")
+    assert reason in " ".join(read_words(tmp_path / "why.rrd", "/attribution/words"))
+
+
+def test_where_there_are_neither_shares_nor_a_ghost_nothing_is_written(tmp_path: Path) -> None:
+    run = simulate_law("Follower")
+    found = make_attribution(run, {}, "run.path_length")
+    found = replace(found, withheld="they differ")
+    with pytest.raises(ShowError, match="expected shares or a ghost, found none: they differ"):
+        write_explanation_rrd(run, found, {}, tmp_path / "none.rrd")
     assert not list(tmp_path.iterdir())
+
+
+def test_the_ideal_loop_is_a_ghost_beside_a_single_run(run_rrd: Path) -> None:
+    assert read_words(run_rrd, "/plane/names/key/words") == ["the run", "ideal loop"]
+    assert "/ideal_loop/plane/turtle" in list_entities(run_rrd)
+    layout = read_layout(run_rrd)
+    assert "/ideal_loop/plane/**" in layout["Plane"]
+    assert "- /ideal_loop/plane/turtle/body/**" in layout["At the goal, ±150 mm"]
+
+
+def test_the_ideal_loop_turns_and_then_drives_to_the_goal() -> None:
+    poses, goal_xy_m = known(find_ideal_poses(RUN)), known(RUN.goal_xy_m)
+    spans = {span.phase: span for span in RUN.find_phase_spans()}
+    before = poses.time_ns <= spans["translate"].start_ns
+    np.testing.assert_allclose(poses.xy_m[before], RUN.poses.xy_m[:1].repeat(before.sum(), axis=0))
+    np.testing.assert_allclose(poses.xy_m[-1], goal_xy_m, atol=1e-9)
+    way = np.subtract(goal_xy_m, RUN.poses.xy_m[0])
+    assert poses.heading_rad[-1] == pytest.approx(np.arctan2(way[1], way[0]), abs=1e-4)
+    since_s = (poses.time_ns - spans["translate"].start_ns) / 1e9
+    row = int(np.argmin(np.abs(since_s - 0.1)))
+    left_m = float(np.hypot(*(poses.xy_m[row] - goal_xy_m)))
+    assert left_m == pytest.approx(np.hypot(*way) * np.exp(-10.0 * since_s[row]), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["posture", "track-square"])
+def test_where_loops_act_together_there_is_no_ideal_loop(name: str) -> None:
+    assert find_ideal_poses(simulate_preset(name)) is None
+
+
+def test_a_run_without_an_ideal_loop_has_no_ghost_and_no_key(tmp_path: Path) -> None:
+    write_run_rrd(simulate_preset("posture"), tmp_path / "run.rrd")
+    assert not [name for name in list_entities(tmp_path / "run.rrd") if "ideal_loop" in name]
+
+
+def test_a_gap_is_measured_at_the_same_time_after_the_start() -> None:
+    ghost = build_ideal_ghost(RUN)
+    assert ghost is not None
+    late = replace(ghost.run, poses=replace(ghost.run.poses))
+    gap_m = measure_gap(RUN, replace(ghost, run=late))
+    expected_m = np.hypot(*(RUN.poses.xy_m - ghost.run.poses.xy_m).T)
+    np.testing.assert_allclose(gap_m, expected_m, atol=1e-12)
+
+
+def test_six_mechanisms_with_long_words_stay_in_the_picture(tmp_path: Path) -> None:
+    shares = dict.fromkeys(("disturbance", "quantum", "dropout", "outlier", "repeat"), 0.01)
+    found = make_attribution(RUN, {**shares, "jitter": -0.02})
+    write_explanation_rrd(RUN, found, {}, tmp_path / "why.rrd")
+    places = np.array(read_static(tmp_path / "why.rrd", "/attribution/words", "Points2D:positions"))
+    words = read_words(tmp_path / "why.rrd", "/attribution/words")
+    reach = places[:, 0] + [0.95 * len(word) / 2.0 for word in words]
+    assert (len(words), reach.max() < 100.0, places[:, 1].max() < 35.0) == (16, True, True)

@@ -13,6 +13,7 @@ from tests.show.laws import KINDS, add_terms, forget_loops, simulate_law
 from tests.show.rerun.rrds import (
     list_entities,
     list_timelines,
+    make_attribution,
     read_blueprint_parts,
     read_layout,
     read_rows,
@@ -22,7 +23,7 @@ from tests.show.rerun.rrds import (
     verify,
 )
 from turtlelog.loops import Declaration
-from turtlelog.measure import list_metrics, measure_run
+from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette, write_comparison_rrd, write_explanation_rrd, write_run_rrd
 from turtlelog.show.rerun.timelines import build_compared_timelines, name_phase_timeline
@@ -138,7 +139,9 @@ def test_a_loop_with_an_integral_has_its_levels_and_no_response_of_theory(tmp_pa
     write_run_rrd(add_terms(KP10), tmp_path / "pid.rrd")
     of_p, of_pid = list_entities(tmp_path / "p.rrd"), list_entities(tmp_path / "pid.rrd")
     plots = ("heading_deg", "along_track")
-    assert of_p - of_pid == {f"/{plot}/{kind}" for plot in plots for kind in ("ideal", "sampled")}
+    ghosts = {name for name in of_p if name.startswith(("/ideal_loop/", "/plane/names/key"))}
+    lines = {f"/{plot}/{kind}" for plot in plots for kind in ("ideal", "sampled")}
+    assert of_p - of_pid == lines | ghosts
     assert of_pid < of_p
 
 
@@ -256,17 +259,18 @@ def test_a_metric_that_some_laws_do_not_have_is_nan_for_them(laws_rrd: Path) -> 
 def test_an_explanation_is_of_a_metric_that_the_law_has(tmp_path: Path) -> None:
     without = {"hesitation": simulate_law("strange", **{"law.hesitates_ticks": 0})}
     path, metric = tmp_path / "why.rrd", "b.settling_time"
-    write_explanation_rrd(STRANGE, without, {"hesitation": 0.2}, path, metric=metric)
+    found = make_attribution(STRANGE, {"hesitation": 0.2}, metric)
+    write_explanation_rrd(STRANGE, found, without, path)
     verify(path)
-    unit = list_metrics(STRANGE.declaration)[metric].unit
-    assert f"Shares of {metric} [{unit}]" in read_layout(path)
+    assert f"Why {metric} is {found.as_built:.3f} s" in read_layout(path)
     assert "/runs/recorded/lines/pause" in list_entities(path)
 
 
 def test_loops_that_begin_together_share_a_bar_of_dead_time(tmp_path: Path) -> None:
     delays = {"loop.transport_delay_ticks": 3}
     late = simulate_law("example", **delays)
-    write_explanation_rrd(late, {"delay": EXAMPLE}, {"delay": 0.1}, tmp_path / "why.rrd")
+    found = make_attribution(late, {"delay": 0.1})
+    write_explanation_rrd(late, found, {"delay": EXAMPLE}, tmp_path / "why.rrd")
     times_ns = read_times(tmp_path / "why.rrd", "/runs/recorded/dead_time")
     assert times_ns.tolist() == [0, 48_000_000]
 

@@ -78,6 +78,7 @@ class Content:
         overlaid: Groups whose states share a plot.
         idle: Plots of states that are 0 throughout in every run; they need no view.
         outliers: How many outliers plots leave out of their ranges, in words, by plot.
+        phase_rows: Prefixes of the runs whose phases are shown; empty: all.
         timelines: Names of all timelines: on each a trail grows to the cursor.
         ghosts: Entity prefixes of what stands beside the runs in the plane.
         corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
@@ -107,6 +108,7 @@ class Content:
     idle: frozenset[str] = frozenset()
     outliers: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
+    phase_rows: tuple[str, ...] = ()
     timelines: tuple[str, ...] = ()
     ghosts: tuple[str, ...] = ()
 

@@ -54,8 +54,6 @@ _RECORDED: Final = "recorded"
 _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
-_WITH_PHASES: Final = 2
-"""The run and its main ghost: phases of all would leave no room for the plots."""
 
 
 def write_explanation_rrd(
@@ -152,7 +150,7 @@ class _Scene:
         return (palette.MAIN, *(ghost.look.color for ghost in self.ghosts if ghost.is_run))
 
     def describe(self, documents: Mapping[str, str]) -> Content:
-        """Return what a recording of it holds."""
+        """Return what a recording of it holds: phases of the run and its main ghost alone."""
         series = ((*self.series[0], *self.gaps), *self.series[1:])
         content = describe_content(self.runs, self.prefixes, series, self.references, documents)
         others = [ghost.prefix for ghost in self.ghosts if not ghost.is_run]
@@ -161,7 +159,8 @@ class _Scene:
             content,
             plane=find_way_bounds(whole),
             ghosts=tuple(others),
-            with_phases=min(content.with_phases, _WITH_PHASES),
+            with_phases=min(content.with_phases, 2),
+            phase_rows=(self.prefixes[0], *self.prefixes[1:][-1:]),
         )
 
 

@@ -160,7 +160,7 @@ def draw_key(
     longest = max(len(name) for name, _ in rows) * _KEY_LETTER + _KEY_GAP
     width = _KEY_SAMPLE + _KEY_GAP + longest
     xy = (np.concatenate([run.poses.xy_m for run in runs]) - bounds.center_xy_m) / half_m
-    corners = [(-0.97, -0.97), (0.97 - width, -0.97), (-0.97, 0.97), (0.97 - width, 0.97)]
+    corners = [(-0.87, -0.87), (0.87 - width, -0.87), (-0.87, 0.87), (0.87 - width, 0.87)]
 
     def count_hidden(corner: tuple[float, float]) -> int:
         height = np.sign(-corner[1]) * _KEY_LINE * (len(rows) + 1)

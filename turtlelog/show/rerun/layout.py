@@ -406,7 +406,8 @@ def _view_plot(
 
 def _view_phases(content: Content) -> rrb.View:
     """Show the phases, a row per run; a pause is too short for its name."""
-    contents = [join_path(prefix, entities.PHASE) for prefix in content.prefixes]
+    rows = content.phase_rows or content.prefixes
+    contents = [join_path(prefix, entities.PHASE) for prefix in rows]
     if content.has_dead_time:
         contents.insert(0, join_path(content.prefixes[0], entities.DEAD_TIME))
     return rrb.StateTimelineView(
