@@ -12,6 +12,7 @@ from tests.show.laws import simulate_law
 from tests.show.rerun.rrds import (
     list_entities,
     make_attribution,
+    read_blueprint_parts,
     read_layout,
     read_rows,
     read_static,
@@ -25,7 +26,7 @@ from turtlelog.run import Run
 from turtlelog.show import palette, write_explanation_rrd, write_run_rrd
 from turtlelog.show.ideal_pose import find_ideal_poses
 from turtlelog.show.rerun.ghosts import build_ideal_ghost, measure_gap
-from turtlelog.show.rerun.turtles import MOST_SEGMENTS, count_segments
+from turtlelog.show.rerun.turtles import MOST_SEGMENTS, choose_size, count_segments
 
 RUN = simulate_preset("paper-kp10")
 RECORDED = "/runs/recorded"
@@ -142,6 +143,18 @@ def test_a_trail_grows_by_segments_that_join_where_the_turtle_drives(kp10_rrd: P
 @pytest.mark.parametrize(("trails", "most"), [(1, 1000), (8, 1000), (10, 800), (400, 40)])
 def test_many_trails_have_fewer_segments_each(trails: int, most: int) -> None:
     assert count_segments(trails) == most
+
+
+@pytest.mark.parametrize(("turtles", "size"), [(1, 1.0), (4, 1.0), (16, 0.5), (400, 0.3)])
+def test_many_turtles_are_smaller(turtles: int, size: float) -> None:
+    assert choose_size(turtles) == size
+
+
+def test_a_view_shows_the_trail_from_its_beginning_to_the_cursor(kp10_rrd: Path) -> None:
+    ranges = read_blueprint_parts(kp10_rrd, "VisibleTimeRanges:ranges")
+    assert {found["timeline"] for found in ranges} >= {"sim_time", "tick", "translate_time"}
+    spans = {(found["range"]["start"], found["range"]["end"]) for found in ranges}
+    assert spans == {(None, 0)}
 
 
 def test_the_way_ahead_is_drawn_faintly(kp10_rrd: Path) -> None:

@@ -38,7 +38,7 @@ from turtlelog.show.rerun.timelines import (
     build_compared_timelines,
     read_span,
 )
-from turtlelog.show.rerun.turtles import Look, count_segments, draw_trail, draw_turtle
+from turtlelog.show.rerun.turtles import Look, choose_size, count_segments, draw_trail, draw_turtle
 from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
 
 _RECORDED: Final = "recorded"
@@ -140,7 +140,7 @@ def _draw_overlay(
     streams = []
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
-        look = Look(color=overlay.colors[number])
+        look = Look(color=overlay.colors[number], size=choose_size(len(overlay.runs)))
         draw_trail(run_stream, run, look, segments=count_segments(len(overlay.runs)))
         plane.draw_reference_path(run_stream, run)
         draw_turtle(run_stream, run.poses, look, content.plane.half_size_m)
