@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from turtlelog.check.reference import ReferenceFile, load_reference
-from turtlelog.check.result import CheckResult, Verdict, describe_status
+from turtlelog.check.result import CheckResult, JudgedSignal, Verdict, describe_status
 from turtlelog.check.spec import Tolerances
 from turtlelog.check.spec_file import load_tolerances
 from turtlelog.check.vocabulary import choose_signals
@@ -145,6 +145,9 @@ def _judge_run(
             file=file,
             expected=_describe_tube(found, tolerance, alignment),
             names=names,
+            judged=JudgedSignal(
+                name=name, reference=reference, tolerance=tolerance, alignment=alignment
+            ),
         )
     known = list_metrics(reference.declaration, run.declaration)
     for pair in compare_metrics(reference, run, list(tolerances.metrics)):

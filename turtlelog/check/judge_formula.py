@@ -139,6 +139,7 @@ class _Judge:
             expected=self._check.describe(),
             reason=reason,
             names=choose_signals(self._check.formula.names, self._run.declaration),
+            judged=self._check,
         )
 
     def _find_lacking(self, formula: Expression) -> str:

@@ -16,6 +16,7 @@ from turtlelog.check.judge_formula import (
 )
 from turtlelog.check.result import (
     CheckResult,
+    JudgedMetric,
     MissingValueError,
     Verdict,
     describe_status,
@@ -221,7 +222,13 @@ class MetricValue(FloatArithmetic):
             unit=self.unit,
             value_s=self.at_s,
             names=choose_signals([self.metric.id], self._run.declaration),
+            judged=self._describe_judged(operator, limit),
         )
+
+    def _describe_judged(self, operator: str, limit: float) -> JudgedMetric:
+        if self._sign < 0:
+            operator, limit = MIRRORED[operator], -limit
+        return JudgedMetric(metric=self.metric, operator=operator, limit=limit)
 
     def _compare(self, operator: str, other: object) -> bool:
         result = self.judge(operator, other)

@@ -2,7 +2,7 @@
 
 import enum
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from turtlelog.display import format_html, format_number
@@ -10,7 +10,10 @@ from turtlelog.errors import CheckError
 from turtlelog.escapes import escape_controls
 
 if TYPE_CHECKING:
+    from turtlelog.check.spec import Check
+    from turtlelog.compare import Tolerance
     from turtlelog.measure import Metric
+    from turtlelog.run import Run
 
 
 class UndecidedError(CheckError, AssertionError):
@@ -37,6 +40,25 @@ class Verdict(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedSignal:
+    """A signal that was held to a reference, as it was."""
+
+    name: str
+    reference: "Run"
+    tolerance: "Tolerance"
+    alignment: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedMetric:
+    """A metric that was held to a limit, in the metric's unit."""
+
+    metric: "Metric"
+    operator: str
+    limit: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CheckResult:
     """One check on one recording. Times count from the first sample.
 
@@ -55,6 +77,8 @@ class CheckResult:
         reason: Why it fails or is skipped, where figures do not say it.
         names: Signals to look at around the violation.
         is_decided: Whether that is known; where not, the check fails, and `bool` of it raises.
+        judged: What was judged, for a closer look at the violation; None where that is no signal,
+            formula or metric.
     """
 
     file: str
@@ -71,6 +95,9 @@ class CheckResult:
     reason: str = ""
     names: tuple[str, ...] = ()
     is_decided: bool = True
+    judged: "Check | JudgedSignal | JudgedMetric | None" = field(
+        default=None, repr=False, compare=False
+    )
 
     def __bool__(self) -> bool:
         """Whether it passes.

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from turtlelog.compare.alignment import CommonClock, align_runs
+from turtlelog.compare.alignment import CommonClock, align_runs, find_zero_ns
 from turtlelog.compare.run_table import Cell, Column, Table
 from turtlelog.compare.tube import (
     Grid,
@@ -216,6 +217,88 @@ def compare_signals(
         CompareError: As `compare_runs`.
     """
     return _compare_signals(reference, run, align_runs(reference, run, alignment), tolerances)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SignalTube:
+    """A signal of a run and where it may be beside a reference, on the rows that are compared.
+
+    Attributes:
+        time_ns: In the run's own time [ns], shape (n,), not decreasing.
+        values: The run's, in the signal's unit, shape (n,).
+        reference: The value of the reference that each row is held to, shape (n,).
+        low: Lower end of what passes, shape (n,).
+        high: Upper end, shape (n,).
+        excess: How much further from the reference than allowed, shape (n,); not positive inside.
+    """
+
+    time_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    reference: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    excess: NDArray[np.float64]
+
+
+def trace_tube(
+    reference: Run, run: Run, name: str, tolerance: Tolerance, *, alignment: str = "first_sample"
+) -> SignalTube | None:
+    """Return a signal of numbers beside the reference's; None where they are not compared.
+
+    Angles of the reference are those within half a turn of the run's.
+
+    Args:
+        reference: The run that differences are taken from.
+        run: The other.
+        name: Of the signal.
+        tolerance: How far it may be off.
+        alignment: As in `compare_runs`.
+
+    Raises:
+        CompareError: As `compare_runs`.
+    """
+    pair = _read_signals(name, reference, run)
+    if pair[0] is None or pair[1] is None or pair[0].kind.compared_as == "label":
+        return None
+    clock = align_runs(reference, run, alignment)
+    theirs, ours = clock.place_signal(pair[0], reference), clock.place_signal(pair[1], run)
+    grid = lay_grid(theirs.time_ns, ours.time_ns, _find_span((theirs, ours), clock))
+    if not len(grid.at):
+        return None
+    rows = read_rows(ours, grid)
+    half_width = round(tolerance.time_s * 1e9) if clock.tells_time else 0
+    nearest = find_nearest(theirs, rows, tolerance, half_width=half_width)
+    turns = np.zeros(len(nearest))
+    if theirs.kind.compared_as == "angle":
+        turns = 2.0 * np.pi * np.round((rows.values - nearest) / (2.0 * np.pi))
+    limit = find_limit(theirs, nearest, tolerance)
+    low, high = nearest, nearest
+    if half_width:
+        # What comes nearest to something far beyond is the outermost value of its window.
+        kind = dataclasses.replace(theirs.kind, compared_as="number")
+        number = dataclasses.replace(theirs, kind=kind)
+        low, high = (
+            find_nearest(
+                number,
+                GridValues(grid=grid, values=np.full(len(nearest), beyond)),
+                tolerance,
+                half_width=half_width,
+            )
+            for beyond in (-_BEYOND, _BEYOND)
+        )
+    to_run_ns = find_zero_ns(run, alignment)
+    return SignalTube(
+        time_ns=np.array([clock.read_ns(int(unit)) for unit in grid.at], np.int64) + to_run_ns,
+        values=rows.values,
+        reference=nearest + turns,
+        low=low - find_limit(theirs, low, tolerance) + turns,
+        high=high + find_limit(theirs, high, tolerance) + turns,
+        excess=measure_distance(theirs, rows.values, nearest) - limit,
+    )
+
+
+_BEYOND: Final = 1e12
+"""Further than any signal reaches, in its unit."""
 
 
 def compare_metrics(reference: Run, run: Run, ids: Collection[str]) -> list[MetricDifference]:

@@ -1,0 +1,287 @@
+"""Where a comparison stands in a formula, and the band that it asks a measured value to stay in."""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.check.formula import find_unit
+from turtlelog.check.formula_trace import FormulaTrace
+from turtlelog.check.judge_formula import MIRRORED
+from turtlelog.check.robustness import FormulaWalk
+from turtlelog.expressions import (
+    Call,
+    Comparison,
+    Expression,
+    Kind,
+    Logic,
+    Name,
+    Node,
+    Prefix,
+    Temporal,
+    Until,
+    evaluate_node,
+    format_expression,
+    iterate_nodes,
+)
+from turtlelog.measure import list_signals
+from turtlelog.run import Run
+from turtlelog.show.shared_curves import Curve
+
+Values = NDArray[np.float64]
+
+_TURNED: Final = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "=="}
+"""What is asked where the contrary must not hold."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leaf:
+    """A comparison in a formula and how the formula comes to it.
+
+    Attributes:
+        node: It.
+        is_denied: Whether the formula asks that it does not hold.
+        start_s: Earliest moment that it is asked of, from the beginning [s].
+        end_s: Last moment [s].
+        body: The part below the innermost window, None where no `always` alone leads to it.
+        is_body_denied: Whether the formula asks that the body does not hold.
+    """
+
+    node: Comparison
+    is_denied: bool = False
+    start_s: float = 0.0
+    end_s: float = 0.0
+    body: Node | None = None
+    is_body_denied: bool = False
+
+    def list_links(self) -> list[str]:
+        """Return its comparisons of two as a result names them."""
+        return [format_expression(link) for link in _split(self.node)]
+
+    def find_failing(
+        self, formula: Expression, trace: FormulaTrace, time_ns: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Return at which times the comparison is asked for and the formula fails."""
+        first_ns = trace.start_ns + self.start_s * 1e9
+        last_ns = min(trace.start_ns + self.end_s * 1e9, trace.end_ns)
+        asked = (time_ns >= first_ns) & (time_ns <= last_ns)
+        if self.body is None:
+            return np.asarray(asked)
+        margins = FormulaWalk(formula, trace, exact=True).visit(self.body, 1).margins
+        pieces = np.searchsorted(margins.time_ns, time_ns, side="right") - 1
+        failing = margins.values[np.maximum(pieces, 0)] * (-1.0 if self.is_body_denied else 1.0)
+        return np.asarray(asked & (failing < 0.0))
+
+
+def _split(node: Comparison) -> Iterator[Comparison]:
+    for operator, left, right in zip(
+        node.operators, node.operands, node.operands[1:], strict=False
+    ):
+        yield Comparison(operators=(operator,), operands=(left, right))
+
+
+def list_leaves(formula: Expression) -> Iterator[Leaf]:
+    """Yield the comparisons of a formula, and how it comes to each."""
+    yield from _descend(formula.root, _Place())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Place:
+    """How the formula comes to a part: as in `Leaf`; `is_plain` until a window is within one."""
+
+    is_denied: bool = False
+    start_s: float = 0.0
+    end_s: float = 0.0
+    body: Node | None = None
+    is_body_denied: bool = False
+    windows: int = 0
+
+    def enter(self, node: Temporal) -> "_Place":
+        is_always = (node.operator == "always") is not self.is_denied
+        is_first = is_always and not self.windows
+        return _Place(
+            is_denied=self.is_denied,
+            start_s=self.start_s + node.start_s,
+            end_s=self.end_s + node.end_s,
+            body=node.operand if is_first else None,
+            is_body_denied=self.is_denied,
+            windows=self.windows + 1,
+        )
+
+    def deny(self) -> "_Place":
+        return replace(self, is_denied=not self.is_denied)
+
+
+def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
+    match node:
+        case Comparison():
+            yield Leaf(
+                node=node,
+                is_denied=place.is_denied,
+                start_s=place.start_s,
+                end_s=place.end_s,
+                body=place.body,
+                is_body_denied=place.is_body_denied,
+            )
+        case Temporal(operand=operand):
+            yield from _descend(operand, place.enter(node))
+        case Until():
+            for side in node.list_children():
+                window = Temporal(operator="eventually", end_s=node.end_s, operand=side)
+                yield from _descend(side, place.enter(window))
+        case Logic(operands=operands):
+            for number, operand in enumerate(operands):
+                is_condition = node.operator == "implies" and number == 0
+                yield from _descend(operand, place.deny() if is_condition else place)
+        case Prefix(operator="not", operand=operand):
+            yield from _descend(operand, place.deny())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Band:
+    """A measured side as a curve, its ends, where it is beyond them, and how far."""
+
+    name: str
+    unit: str
+    curve: Curve
+    low: Values | None
+    high: Values | None
+    excess: Values
+    is_beyond: NDArray[np.bool_]
+
+
+class BandReader:
+    """Reads what a comparison measures, and the limits on it, at the rows of its signals."""
+
+    def __init__(
+        self, run: Run, formula: Expression, leaf: Leaf, signals: Mapping[str, Any]
+    ) -> None:
+        self._run, self._formula, self._leaf = run, formula, leaf
+        columns = {
+            part.name: signals[part.name]
+            for part in iterate_nodes(leaf.node)
+            if isinstance(part, Name) and isinstance(signals.get(part.name), tuple)
+        }
+        self._signals = columns
+        longest = max(columns.values(), key=lambda column: len(column[0]))[0]
+        others = [time_ns for time_ns, _ in columns.values()]
+        one = all(np.array_equal(time_ns, longest) for time_ns in others)
+        self._time_ns = longest if one else np.unique(np.concatenate(others))
+        start_ns = max(int(time_ns[0]) for time_ns in others)
+        self._time_ns = self._time_ns[self._time_ns >= start_ns]
+        self._values = {
+            name: signals.get(name) if name not in columns else self._hold(*columns[name])
+            for name in formula.names
+        }
+
+    def _hold(self, time_ns: NDArray[np.int64], values: NDArray[Any]) -> NDArray[Any]:
+        return values[np.searchsorted(time_ns, self._time_ns, side="right") - 1]
+
+    def read(self, decided_by: str) -> Band | None:
+        """Return the band of the comparison that decides, with both ends where a chain has them."""
+        links = [*_split(self._leaf.node)]
+        decisive = next(link for link in links if format_expression(link) == decided_by)
+        measured = self._choose_measured(decisive)
+        bare = _read_magnitude(measured) or measured
+        shown = self._evaluate(bare)
+        if shown is None:
+            return None
+        low: Values | None = None
+        high: Values | None = None
+        is_strict, is_magnitude = False, bare is not measured
+        for link in links:
+            if measured not in link.operands:
+                continue
+            operator, limit = self._read_link(link, measured)
+            if limit is None or operator in {"==", "!="}:
+                return None
+            is_strict |= operator in {"<", ">"}
+            if operator in {"<", "<="}:
+                high = limit
+                low = -limit if is_magnitude else low
+            elif is_magnitude:
+                return None
+            else:
+                low = limit
+        values, excess = shown, np.full(len(shown), -np.inf)
+        excess = excess if high is None else np.fmax(excess, values - high)
+        excess = excess if low is None else np.fmax(excess, low - values)
+        unit, factor = find_scale(self._find_unit(measured))
+        curve = Curve(
+            start_ns=self._run.start_ns,
+            time_ns=self._time_ns,
+            values=values * factor,
+            holds=self._holds(bare),
+        )
+        return Band(
+            name=format_expression(bare),
+            unit=unit,
+            curve=curve,
+            low=None if low is None else low * factor,
+            high=None if high is None else high * factor,
+            excess=excess * factor,
+            is_beyond=excess >= 0.0 if is_strict else excess > 0.0,
+        )
+
+    def _choose_measured(self, link: Comparison) -> Node:
+        """Return the side that changes with time; the first one where both do."""
+        left, right = link.operands
+        return left if names_signals(left, self._signals) else right
+
+    def _read_link(self, link: Comparison, measured: Node) -> tuple[str, Values | None]:
+        operator: str = link.operators[0]
+        if link.operands[0] != measured:
+            operator, limit = MIRRORED[operator], link.operands[0]
+        else:
+            limit = link.operands[1]
+        return _TURNED[operator] if self._leaf.is_denied else operator, self._evaluate(limit)
+
+    def _evaluate(self, node: Node) -> Values | None:
+        found = evaluate_node(self._formula, node, self._values)
+        if found.kind is not Kind.NUMBER:
+            return None
+        return np.broadcast_to(np.asarray(found.data, np.float64), self._time_ns.shape).copy()
+
+    def _find_unit(self, node: Node) -> str:
+        """Return the unit of what is measured: of a sum that of its parts, where they have one."""
+        if isinstance(node, Call) and node.function == "deg":
+            return "deg"
+        if isinstance(node, Call) and node.function not in {"abs", "min", "max"}:
+            return ""
+        if isinstance(node, Name):
+            return find_unit(node.name, self._run.declaration) or ""
+        operator = getattr(node, "operator", "")
+        children = node.list_children()
+        if operator in {"*", "/", "**"} or not children:
+            return ""
+        found = {self._find_unit(child) for child in children if not _is_constant(child)}
+        return found.pop() if len(found) == 1 else ""
+
+    def _holds(self, node: Node) -> bool:
+        """Whether the curve is drawn in steps: where a signal in it is held between its rows."""
+        known = list_signals(self._run.declaration)
+        names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
+        return any(known[name].resampling == "hold" for name in names if name in known)
+
+
+def _read_magnitude(node: Node) -> Node | None:
+    """Return what `abs` is taken of; None of anything else."""
+    return node.arguments[0] if isinstance(node, Call) and node.function == "abs" else None
+
+
+def _is_constant(node: Node) -> bool:
+    return not any(isinstance(part, Name) for part in iterate_nodes(node))
+
+
+def names_signals(node: Node, signals: Mapping[str, Any]) -> bool:
+    """Whether anything below a node is a signal."""
+    names = [part.name for part in iterate_nodes(node) if isinstance(part, Name)]
+    return any(isinstance(signals.get(name), tuple) for name in names)
+
+
+def find_scale(unit: str) -> tuple[str, float]:
+    """Return the unit in which a check's message prints values, and the factor to it."""
+    return ("deg", math.degrees(1.0)) if unit == "rad" else (unit, 1.0)
