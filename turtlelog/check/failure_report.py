@@ -262,11 +262,16 @@ def write_artifacts(
 
 
 def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> None:
+    from turtlelog.check.violation import find_violated_signal
     from turtlelog.show import write_violation_rrd
 
-    message = "\n".join(describe_failure(run, result))
+    found = find_violated_signal(run, result)
+    lines = describe_failure(run, result)
+    if found.signal is None:
+        lines += textwrap.wrap(f"no band is drawn: {found.reason}", _WIDTH)
     title = shorten(result.check, _LONGEST, placeholder="...")
-    write_violation_rrd(run, rrd, at_s=at_s, title=title, message=message)
+    message = "\n".join(lines)
+    write_violation_rrd(run, rrd, at_s=at_s, title=title, message=message, violated=found.signal)
 
 
 def _cut(run: Run, at_s: float | None) -> Run:

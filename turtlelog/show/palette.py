@@ -105,6 +105,12 @@ EVENT: Final[Color] = _OKABE_ITO[5]
 ERROR: Final[Color] = _OKABE_ITO[4]
 """From the turtle to the goal."""
 
+VIOLATION: Final[Color] = (235, 50, 50)
+"""What violates a check; no run and no phase has this red."""
+
+ALLOWED: Final[Color] = (0, 158, 115)
+"""The band that a check asks a signal to stay in, thin enough to see curves on it."""
+
 MARK: Final[Color] = (165, 165, 165)
 """A metric where it has its place, to be seen on light ground too."""
 

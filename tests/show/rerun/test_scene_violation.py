@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +8,17 @@ from tests.show.rerun.headless import start_headless
 from tests.show.rerun.rrds import (
     list_entities,
     read_blueprint,
+    read_layout,
     read_rows,
     read_static,
     read_times,
     simulate_preset,
     verify,
 )
+from turtlelog.measure import read_signal
 from turtlelog.show import write_run_rrd, write_violation_rrd
+from turtlelog.show.shared_curves import read_curve
+from turtlelog.show.violated_signal import ViolatedSignal, ViolationMoment
 
 RUN = simulate_preset("paper-kp10")
 AT_S = 3.2
@@ -71,3 +76,87 @@ def test_a_violation_beyond_the_run_is_marked_at_its_end(at_s: float, tmp_path: 
     (place,) = read_static(path, "/plane/violation", "Points2D:positions")
     expected = RUN.poses.xy_m[-1 if at_s > 1.0 else 0]
     np.testing.assert_allclose(place, expected, atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def band_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A view of a cross-track that leaves a band of 0.05 m."""
+    path = tmp_path_factory.mktemp("band") / "band.rrd"
+    write_violation_rrd(
+        RUN, path, at_s=5.664, title="track", message="m", violated=violate_track(0.05)
+    )
+    return path
+
+
+def violate_track(limit: float, word: str = "worst") -> ViolatedSignal:
+    curve = read_curve(RUN, "cross_track")
+    assert curve is not None
+    ends = np.full(len(curve.values), limit)
+    outside = np.abs(curve.values) > limit
+    return ViolatedSignal(
+        name="cross_track",
+        unit="m",
+        curve=curve,
+        low=-ends,
+        high=ends,
+        outside=outside,
+        first=ViolationMoment(time_s=5.664, value=-0.05008),
+        worst=ViolationMoment(time_s=8.784, value=-0.10774),
+        worst_word=word,
+        check="track",
+    )
+
+
+def test_the_violated_signal_stands_on_top_with_limits_and_what_is_outside(band_rrd: Path) -> None:
+    verify(band_rrd)
+    title = "cross_track [m]: worst -0.10774 m at 8.784 s; violates track"
+    assert read_layout(band_rrd)[title] == ["/violated/**"]
+    track = read_signal(RUN, "cross_track")
+    assert track is not None
+    red = np.array(read_rows(band_rrd, "/violated/outside", "Scalars:scalars"))[:, 0]
+    shown = np.array(read_rows(band_rrd, "/violated/curve", "Scalars:scalars"))[:, 0]
+    np.testing.assert_array_equal(shown, track.values)
+    np.testing.assert_array_equal(red, np.where(np.abs(shown) > 0.05, shown, np.nan))
+    limits = {
+        side: {row[0] for row in read_rows(band_rrd, f"/violated/limit_{side}", "Scalars:scalars")}
+        for side in ("low", "high")
+    }
+    assert limits == {"low": {-0.05}, "high": {0.05}}
+
+
+def test_the_first_and_the_worst_moment_are_named_with_value_and_time(band_rrd: Path) -> None:
+    names = [
+        read_static(band_rrd, f"/violated/points/{part}", "SeriesPoints:names")
+        for part in ("first", "worst")
+    ]
+    assert names == [
+        ["● first violated -0.05008 m at 5.664 s"],
+        ["◆ worst -0.10774 m at 8.784 s"],
+    ]
+    times_ns = [read_times(band_rrd, f"/violated/points/{p}")[0] for p in ("first", "worst")]
+    assert times_ns == [5_664_000_000, 8_784_000_000]
+
+
+def test_the_plane_shows_where_the_turtle_was_outside(band_rrd: Path, tmp_path: Path) -> None:
+    (strip,) = read_static(band_rrd, "/plane/violated", "LineStrips2D:strips")
+    outside = violate_track(0.05).outside
+    np.testing.assert_allclose(strip, RUN.poses.xy_m[outside], atol=1e-6)
+    path = tmp_path / "x.rrd"
+    waited = violate_track(0.05, "nearest")
+    write_violation_rrd(RUN, path, at_s=1.0, title="t", message="m", violated=waited)
+    assert "/plane/violated" not in list_entities(path)
+
+
+@pytest.mark.parametrize(("span", "is_close_up"), [(3.99, False), (4.01, True)])
+def test_a_curve_that_would_hide_the_violation_is_shown_close_up(
+    span: float, *, is_close_up: bool, tmp_path: Path
+) -> None:
+    track = violate_track(0.05)
+    near = 0.05 - float(track.curve.values.min())  # from the upper limit to the worst
+    values = track.curve.values.copy()
+    values[0] = 0.05 + (span - 1.0) * near
+    far = replace(track, curve=replace(track.curve, values=values))
+    path = tmp_path / "x.rrd"
+    write_violation_rrd(RUN, path, at_s=1.0, title="t", message="m", violated=far)
+    titles = [name for name in read_layout(path) if name.startswith("cross_track [m], close up")]
+    assert bool(titles) is is_close_up

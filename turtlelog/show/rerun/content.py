@@ -217,6 +217,16 @@ def find_corners(
     return {plot: _find_emptiest(np.concatenate(places)) for plot, places in rows.items()}
 
 
+def find_emptiest_corner(
+    time_ns: NDArray[np.int64], values: NDArray[np.float64], limits: tuple[float, float]
+) -> str:
+    """Return the corner of a plot with these limits where the fewest rows of a curve lie."""
+    low, high = limits
+    across = (time_ns - time_ns[0]) / max(int(time_ns[-1] - time_ns[0]), 1)
+    places = np.column_stack([across, (values - low) / (high - low)])
+    return _find_emptiest(places[np.isfinite(values)])
+
+
 def _find_emptiest(places: NDArray[np.float64]) -> str:
     """Return the corner with the fewest places, from (0, 0) at the lower left to (1, 1)."""
     is_right, is_left = places[:, 0] > 1.0 - _LEGEND_WIDTH, places[:, 0] < _LEGEND_WIDTH

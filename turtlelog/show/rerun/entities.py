@@ -19,6 +19,7 @@ SPEED_PATH: Final = "plane/path_by_speed"
 ERROR: Final = "plane/error"
 EVENT_PLACES: Final = "plane/events"
 VIOLATION: Final = "plane/violation"
+VIOLATED_STRETCH: Final = "plane/violated"
 TRACKED_PATH: Final = "plane/tracked_path"
 REFERENCE_PATH: Final = "plane/reference_path"
 SENSED_PLACES: Final = "plane/sensed"
@@ -86,6 +87,8 @@ KEY: Final = "plane/names/key"
 KEY_NAMES: Final = "plane/names/key/words"
 GAP_MM: Final = "gap_mm"
 GAP_M: Final = "gap_m"
+VIOLATED: Final = "violated"
+"""Below it, in the order of drawing, as the viewer draws later names on top: band to points."""
 
 
 PLOTS: Final[Mapping[str, str]] = MappingProxyType(

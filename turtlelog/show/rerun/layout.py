@@ -85,6 +85,9 @@ _SHARED_TIME_AXIS: Final = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc/TimeAxis"
 
 _LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
 _COLUMN_SHARES: Final = (1.0, 1.8)
+_VIOLATION_ROWS: Final = (1.0, 1.2)
+_VIOLATION_COLUMNS: Final = (1.0, 1.3, 1.6)
+"""The message has lines of 92 letters, of which a window of 1400 pixels shows most."""
 _PHASE_HEAD_SHARE: Final = 0.09
 _PHASE_ROW_SHARE: Final = 0.055
 _LARGEST_PHASE_SHARE: Final = 0.4
@@ -133,6 +136,31 @@ def build_run_layout(content: Content) -> rrb.Blueprint:
 def build_comparison_layout(content: Content) -> rrb.Blueprint:
     """Return the layout of a comparison: the same views with every run in each, one legend."""
     return _build_blueprint(content, (_TURNING, _COMPARED_MOVING), _choose_legend(content))
+
+
+def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprint:
+    """Return the layout of a violation: its signal over all, then plane, message and plots.
+
+    The plots are as small as a legend, and have none.
+    """
+    tabs = [_view_document(title) for title in content.documents] + [_view_events(content)]
+    parts: list[rrb.Container | rrb.View] = [
+        _build_plane(content),
+        rrb.Tabs(*tabs, active_tab=0),
+    ]
+    columns = (_TURNING, _RUN_MOVING)
+    stacks = [cells for column in columns if (cells := _list_cells(content, column, {}))]
+    if stacks:
+        parts.append(rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks)))
+    below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
+    return LinkedBlueprint(
+        rrb.Vertical(violated, below, row_shares=_VIOLATION_ROWS),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
 
 
 def build_explanation_layout(content: Content) -> rrb.Blueprint:

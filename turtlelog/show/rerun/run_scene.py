@@ -1,4 +1,4 @@
-"""One run as a Rerun recording, also one that opens where something was violated."""
+"""One run as a Rerun recording."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -6,15 +6,11 @@ from pathlib import Path
 from typing import Final
 
 import rerun as rr
-import rerun.blueprint as rrb
-from rerun.blueprint.components import AbsoluteTimeRange
 
-from turtlelog.escapes import fence_markdown
 from turtlelog.measure import Metric, measure_run
-from turtlelog.run import Event, Run
+from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
-from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import (
     Content,
@@ -23,7 +19,7 @@ from turtlelog.show.rerun.content import (
     find_ends,
     find_largest,
 )
-from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
+from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.marks import (
@@ -49,8 +45,6 @@ from turtlelog.show.rerun.turtles import Look, draw_turtle
 from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
 
 _RUN: Final = "the run"
-_VIOLATION_RADIUS = 6.0
-_VIOLATION_COLOR: Color = (214, 39, 40)
 _EVENT_LINES: Final = f"{entities.LINES}/event"
 
 
@@ -75,40 +69,6 @@ def write_run_rrd(
     with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:
         draw_single(stream, single, content)
         draw_documents(stream, documents)
-
-
-def write_violation_rrd(
-    run: Run, path: str | Path, *, at_s: float, title: str, message: str
-) -> None:
-    """Write a recording of one run that opens at a moment and marks it.
-
-    The cursor stands there in every plot; the plane has a mark where the turtle was, the list of
-    events a line, and the message is the first tab.
-
-    Args:
-        run: What to show.
-        path: The .rrd file; replaced when the new one is complete.
-        at_s: The moment, from the first sample [s].
-        title: A few words, beside the mark.
-        message: All there is to say, as it would be printed.
-
-    Raises:
-        ShowError: Where the file cannot be written.
-    """
-    at_ns = run.start_ns + round(at_s * 1e9)
-    event = Event(time_ns=at_ns, kind="violation", text=f"Violation: {title}")
-    events = sorted((*run.events, event), key=lambda found: found.time_ns)
-    run = replace(run, events=tuple(events))
-    single = build_single(run)
-    documents = {"Violation": fence_markdown(message), **describe_run(run, metrics=single.metrics)}
-    documents = {**add_thinning(documents, [run])}
-    content = single.describe(documents)
-    layout = build_run_layout(content)
-    layout.time_panel = _stop_at(at_ns - run.start_ns)
-    with open_recording(path, name=f"{run.name}: {title}", layout=layout) as stream:
-        draw_single(stream, single, content)
-        draw_documents(stream, documents)
-        _draw_violation(stream, run, at_ns, title)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,31 +150,6 @@ def draw_single(stream: rr.RecordingStream, single: Single, content: Content) ->
     for curves in single.series:
         draw_series(run_stream, curves)
     draw_marks(run_stream, single.marks)
-
-
-def _stop_at(at_ns: int) -> rrb.TimePanel:
-    """Return a panel whose cursor stands at a time: it loops over a stretch of no length.
-
-    A layout cannot name the cursor's place, and a paused one stands at the beginning.
-    """
-    return rrb.TimePanel(
-        state="collapsed",
-        timeline=TIMELINE,
-        play_state="playing",
-        loop_mode="selection",
-        time_selection=AbsoluteTimeRange(min=at_ns, max=at_ns),
-    )
-
-
-def _draw_violation(stream: rr.RecordingStream, run: Run, at_ns: int, title: str) -> None:
-    row = max(int(run.poses.time_ns.searchsorted(at_ns, side="right")) - 1, 0)
-    mark = rr.Points2D(
-        run.poses.xy_m[row : row + 1],
-        radii=rr.Radius.ui_points(_VIOLATION_RADIUS),
-        colors=[_VIOLATION_COLOR],
-        labels=[title],
-    )
-    stream.log(join_path(VIOLATION), mark, static=True)
 
 
 def _draw_events(run_stream: RunStream, run: Run, largest: float) -> None:
