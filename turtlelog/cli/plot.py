@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog import show
+from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.options import Json, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
@@ -17,6 +18,7 @@ from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
+    from turtlelog.cli.asked_figures import Only
     from turtlelog.show import Page
 
 
@@ -29,14 +31,16 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     columns: Literal[1, 2] = 1,
     text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0,
+    asked: AskedOptions | None = None,
     topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
     """Make the paper's figures from any recordings, and its tables as LaTeX.
 
-    Into a folder: every figure that the recordings hold the data for; bode, nyquist
-    and step only where --only names them. Only what they hold is drawn;
-    what is left out, and why, is said on stderr. Without recordings: the figures of the ideal loop.
+    Into a folder: every figure that the recordings hold the data for; attribution, bode, gains,
+    nyquist, rates, step, strips and violation only where --only names them. Only what they hold
+    is drawn; what is left out, and why, is said on stderr. Without recordings: the figures of the
+    ideal loop.
     A name that ends in .pdf, .png or .svg is one figure: that of --only, otherwise an overview.
     Figures and tables that are there already are replaced.
 
@@ -45,6 +49,10 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     Example: turtlelog plot kp1.mcap kp4.mcap -o figures --only heading,plane
 
     Example: turtlelog plot paper-kp10 -o bode.png --only bode
+
+    Example: turtlelog plot kp10.mcap -o why.png --only attribution
+
+    Example: turtlelog plot runs/*.mcap -o gains.png --only gains --metric overshoot
 
     Args:
         files: Recordings (.mcap), ROS 2 bags, the paper's logs (.json, .csv), or presets and
@@ -75,14 +83,17 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         if is_file
         else _split("pdf" if formats is None else formats, "--format")
     )
+    asked = asked or AskedOptions()
+    asked.require_figures(names or [])
     runs = _collect_runs(files or [], topics)
+    kinds_of = None if names is None else asked.bind(names, runs)
     if is_file:
         name = names[0] if names else _choose_overview(runs)
-        figures = {_draw_one(output, runs, name, kinds, page): name}
+        figures = {_draw_one(output, runs, kinds_of or [name], kinds, page): name}
         tables: list[Path] = []
         left_out: Sequence[str] = ()
     else:
-        drawn, tables = _draw_all(output, runs, names, kinds, page)
+        drawn, tables = _draw_all(output, runs, kinds_of, kinds, page)
         figures = {path: path.stem for path in drawn}
         left_out = show.list_left_out(runs, names) if runs else ()
     for line in left_out:
@@ -136,7 +147,7 @@ def _choose_overview(runs: "Sequence[Run]") -> str:
 
 
 def _draw_one(
-    output: Path, runs: "Sequence[Run]", name: str, kinds: list[str], page: "Page"
+    output: Path, runs: "Sequence[Run]", only: "Only", kinds: list[str], page: "Page"
 ) -> Path:
     from turtlelog.show.figures.writing import add_figures
     from turtlelog.show.output_files import replace_file
@@ -147,18 +158,18 @@ def _draw_one(
             part.write_bytes(data)
             return output
 
-        add_figures(write, runs, only=[name], formats=kinds, page=page)
+        add_figures(write, runs, only=only, formats=kinds, page=page)
     return output
 
 
 def _draw_all(
-    output: Path, runs: "Sequence[Run]", names: list[str] | None, kinds: list[str], page: "Page"
+    output: Path, runs: "Sequence[Run]", only: "Only | None", kinds: list[str], page: "Page"
 ) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
     from turtlelog.show.figures.writing import add_figures, add_tables
     from turtlelog.show.output_files import replace_together
 
-    most = len(kinds) * len(tl.show.FIGURES if names is None else names)
+    most = len(kinds) * len(tl.show.FIGURES if only is None else only)
     with show_progress("drawing", most, "files at most") as progress:
 
         def count(_: Path) -> None:
@@ -166,9 +177,9 @@ def _draw_all(
 
         with replace_together(output) as write:
             figures = add_figures(
-                write, runs, only=names, formats=kinds, page=page, on_written=count
+                write, runs, only=only, formats=kinds, page=page, on_written=count
             )
-            tables = add_tables(write, runs) if runs and names is None else []
+            tables = add_tables(write, runs) if runs and only is None else []
     return figures, tables
 
 

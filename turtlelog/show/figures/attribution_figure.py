@@ -29,12 +29,12 @@ from turtlelog.show.attribution_steps import (
     choose_step_scale,
     list_attribution_steps,
 )
-from turtlelog.show.close_up import find_close_up, format_length
+from turtlelog.show.close_up import CloseUp, find_close_up, format_length
 from turtlelog.show.figures.direct_labels import Place, measure_text_mm, name_ring, place_words
 from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.show.figures.page import REFERENCE, choose_lines, label_runs
 from turtlelog.show.palette import Color
-from turtlelog.show.shared_curves import list_levels, read_curve
+from turtlelog.show.shared_curves import find_steps, list_levels, read_curve
 
 Values = NDArray[np.float64]
 
@@ -44,6 +44,11 @@ _SIDE_BY_SIDE_INCH: Final = 5.0
 
 _BAR: Final = 0.62
 """Height of a bar, of the room of its line."""
+
+_NEAR: Final = 0.1
+"""Share of the step within which overshoot and settling are seen."""
+
+_MINUS: Final = "\N{MINUS SIGN}"
 
 _GHOST: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.55", "linestyle": (0, (5, 1.5)), "linewidth": 1.3, "zorder": 1.9}
@@ -105,7 +110,8 @@ def explain_for_figure(
             f"figure attribution: expected shares of {chosen}, found none: {_tell(found)}"
         )
     ghosts = simulate_what_ifs(identified, found)
-    name, ghost = next(reversed(ghosts.items()), ("", None))
+    name = next(reversed([*ghosts]), "")
+    ghost = ghosts.get(name)
     return Explained(run=run, found=found, ghost=ghost, ghost_name=name)
 
 
@@ -154,7 +160,7 @@ def _draw_waterfall(
     ends = np.array([step.end for step in steps]) * scale.factor
     low, high = min(0.0, *starts, *ends), max(0.0, *starts, *ends)
     rights = np.maximum(starts, ends)
-    texts = [re.sub("^-", "−", step.text) for step in steps]
+    texts = [re.sub("^-", _MINUS, step.text) for step in steps]
     span = _find_span(texts, rights - low, high - low or 1.0, room_inch)
     if span > 2.2 * (high - low or 1.0):
         # Words longer than the panel's half would leave no room for bars.
@@ -169,7 +175,7 @@ def _draw_waterfall(
             at, below = ends[row], row + 1 - _BAR / 2.0
             axes.plot([at, at], [row + _BAR / 2.0, below], **_CONNECTOR)
     axes.axvline(0.0, color="0.2", linewidth=0.6)
-    names = [f"− {step.name}" if step.mechanism else step.name for step in steps]
+    names = [f"{_MINUS} {step.name}" if step.mechanism else step.name for step in steps]
     axes.set_yticks(range(len(steps)), names)
     axes.tick_params(axis="y", length=0.0, labelsize=_WORDS_POINTS + 0.5)
     axes.spines["left"].set_visible(False)
@@ -207,69 +213,101 @@ def _draw_run_and_ghost(axes: Axes, told: Explained) -> None:
 
 
 def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
-    """Draw a signal of the run and of its ghost."""
+    """Draw a signal of the run and of its ghost, from where it comes near its reference."""
     for level in {level.value for level in list_levels(told.run, signal)} or {0.0}:
         axes.axhline(level, **REFERENCE)
     lines = [(told.run, choose_lines(1)[0], "recorded")]
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without {told.ghost_name}"))
+    window_s = _find_arrival(told, signal)
+    shown: list[Values] = []
     for run, looks, name in lines:
         curve = read_curve(run, signal)
         if curve is not None:
-            draw_curve(axes, curve, **looks)
-            axes.plot([], [], **looks, label=name)
+            draw_curve(axes, curve, **looks, label=name)
+            shown.append(curve.values[_find_rows(curve.time_s, window_s)])
+    values = np.concatenate([*shown, np.zeros(0)])
+    if window_s is not None and len(values):
+        low, high = float(values.min()), float(values.max())
+        room = 0.12 * (high - low) or 1.0
+        axes.set(xlim=window_s, ylim=(low - room, high + room))
     unit = "deg" if "heading" in signal else "m"
     axes.set(xlabel="time from the first sample [s]", ylabel=f"{words} [{unit}]")
-    axes.set_title(_name(told))
-    axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none", borderpad=0.3)
+    axes.set_title(f"{_name(told)}{'' if window_s is None else ', the last tenth of the step'}")
+
+
+def _find_rows(time_s: Values, window_s: tuple[float, float] | None) -> NDArray[np.bool_]:
+    if window_s is None:
+        return np.ones(len(time_s), dtype=bool)
+    return (time_s >= window_s[0]) & (time_s <= window_s[1])
+
+
+def _find_arrival(told: Explained, signal: str) -> tuple[float, float] | None:
+    """Return from when to when a loop's signal is within a tenth of its step; None without one."""
+    curve = read_curve(told.run, signal)
+    steps = [step for step in find_steps(told.run, signal) if curve is not None]
+    steps = [step for step in steps if told.found.metric.startswith(f"{step.loop.name}.")]
+    if curve is None or not steps or steps[0].initial == steps[0].reference:
+        return None
+    (step, *_) = steps
+    off = np.abs(curve.values - step.reference) / abs(step.reference - step.initial)
+    near = np.flatnonzero((off <= _NEAR) & (curve.time_ns >= step.start_ns))
+    if not len(near):
+        return None
+    start_s, end_s = float(curve.time_s[near[0]]), (step.end_ns - told.run.start_ns) / 1e9
+    return (start_s, end_s) if end_s > start_s else None
 
 
 def _draw_ends(axes: Axes, told: Explained) -> None:
     """Draw where the run and its ghost end, close up where they arrive."""
-    runs = [told.run] if told.ghost is None else [told.run, told.ghost]
-    looks = [choose_lines(1)[0], _GHOST]
-    names = ["recorded", f"ghost: without\n{told.ghost_name}"]
-    close_up, goal = find_close_up(runs), told.run.goal_xy_m
-    if close_up is not None:
-        center, half_m = np.array(close_up.goal_xy_m), close_up.half_m
-        for ring_m in close_up.rings_m:
-            axes.add_patch(Circle(close_up.goal_xy_m, ring_m, **_RING))
-    else:
-        points = np.concatenate([run.poses.xy_m for run in runs] + ([[goal]] if goal else []))
-        center = (points.min(axis=0) + points.max(axis=0)) / 2.0
-        half_m = max(0.54 * float(np.ptp(points, axis=0).max()), 1e-3)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axes.set(
-        xlim=center[0] + half_m * np.array([-1, 1]), ylim=center[1] + half_m * np.array([-1, 1])
-    )
-    axes.locator_params(nbins=5)
-    axes.grid(visible=False)
-    half_inch = 0.36 * axes.get_figure().get_figwidth()  # type: ignore[union-attr]
-    if axes.get_figure().get_figwidth() >= _SIDE_BY_SIDE_INCH:  # type: ignore[union-attr]
-        half_inch *= 0.45
-    place = Place(center=center, half=half_m, half_mm=25.4 * half_inch)
-    for run in runs:
-        place.avoid_line(run.poses.xy_m)
-    if goal is not None:
-        place.avoid_point(np.array(goal))
-    for run, look in zip(runs, looks, strict=False):
+    lines = [(told.run, choose_lines(1)[0], "recorded")]
+    if told.ghost is not None:
+        lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
+    close_up = find_close_up([run for run, _, _ in lines])
+    goal = None if told.run.goal_xy_m is None else np.array(told.run.goal_xy_m)
+    place = _choose_place(axes, told, close_up)
+    for run, looks, _ in lines:
         xy_m = run.poses.xy_m
-        draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **look)
+        draw_thinned(axes, xy_m[:, 0], xy_m[:, 1], xy_m, **looks)
+        place.avoid_line(xy_m)
         place.avoid_point(xy_m[-1])
-    for run, look, name in zip(runs, looks, names, strict=False):
-        end = run.poses.xy_m[-1]
-        color = look["color"] if run is told.run else "0.35"
-        axes.plot(*end, "o", ms=4.5, color=look["color"], zorder=3, mec="white", mew=0.5)
-        miss = "" if goal is None else f"\n{_tell_miss(told, float(np.hypot(*(end - goal))))} off"
-        if np.abs(end - center).max() <= half_m:
-            place_words(axes, place, f"{name}{miss}", end, color, _WORDS_POINTS)
     if goal is not None:
         axes.plot(*goal, "+", ms=9.0, mew=1.6, color="black", zorder=2.8)
+        place.avoid_point(goal)
+    for run, looks, name in lines:
+        end = run.poses.xy_m[-1]
+        axes.plot(*end, "o", ms=4.5, color=looks["color"], zorder=3, mec="white", mew=0.5)
+        if np.abs(end - place.center).max() <= place.half:
+            miss = (
+                "" if goal is None else f"\n{_tell_miss(told, float(np.hypot(*(end - goal))))} off"
+            )
+            color = looks["color"] if run is told.run else "0.35"
+            place_words(axes, place, f"{name}{miss}", end, color, _WORDS_POINTS)
     for ring_m in () if close_up is None else close_up.rings_m:
+        axes.add_patch(Circle((place.center[0], place.center[1]), ring_m, **_RING))
         name_ring(axes, place, format_length(ring_m), ring_m)
-    outside = "" if close_up is None else close_up.count_outside()
-    where = "whole paths" if close_up is None else "at the goal"
-    axes.set_title(f"{_name(told)}, {where}{outside}")
+    where = "whole paths" if close_up is None else f"at the goal{close_up.count_outside()}"
+    axes.set_title(f"{_name(told)}, {where}")
+
+
+def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Place:
+    """Give the panel its limits: those of the close-up, or of all that was driven."""
+    if close_up is not None:
+        center, half_m = np.array(close_up.goal_xy_m), close_up.half_m
+    else:
+        ghosts = [] if told.ghost is None else [told.ghost.poses.xy_m]
+        goals = [] if told.run.goal_xy_m is None else [np.array([told.run.goal_xy_m])]
+        points = np.concatenate([told.run.poses.xy_m, *ghosts, *goals])
+        center = (points.min(axis=0) + points.max(axis=0)) / 2.0
+        half_m = max(0.56 * float(np.ptp(points, axis=0).max()), 1e-3)
+    sides = half_m * np.array([-1.0, 1.0])
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.set(xlim=center[0] + sides, ylim=center[1] + sides)
+    axes.locator_params(nbins=5)
+    axes.grid(visible=False)
+    width_inch = float(axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
+    share = 0.16 if width_inch >= _SIDE_BY_SIDE_INCH else 0.36
+    return Place(center=center, half=half_m, half_mm=25.4 * share * width_inch)
 
 
 def _tell_miss(told: Explained, miss_m: float) -> str:

@@ -95,7 +95,7 @@ class Place:
             low[0] < right and high[0] > left and low[1] < top and high[1] > bottom
             for left, right, bottom, top in self.boxes
         )
-        return outside + covered + 1e3 * words
+        return outside + covered + 1e3 * float(words)
 
 
 def place_words(

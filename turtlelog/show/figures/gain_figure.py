@@ -248,14 +248,14 @@ def _draw_panel(
     if len(places) == asked.sum():
         order = np.argsort(gains[asked], kind="stable")
         # NaN parts the line where a run has no value.
-        line = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
+        line: dict[str, Any] = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
         axes.plot(gains[asked][order], found.values[asked][order], **line)
     small = 4.5 if len(runs) <= 3 * _MOST_NAMED else 3.0
     for place, looks in zip(places, choose_lines(len(places)), strict=True):
         there = gains == place
         values = found.values[there]
         known = values[np.isfinite(values)]
-        look = {"ms": small, "color": looks["color"], "zorder": 3}
+        look: dict[str, Any] = {"ms": small, "color": looks["color"], "zorder": 3}
         axes.plot(np.full(len(known), place), known, "o", **look)
         if len(known) < len(values):
             look = {"ms": 5.0, "mew": 1.2, "color": "#b3261e", "label": "no value"}
@@ -282,36 +282,47 @@ def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
 def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
     """Draw from which gain theory's loop overshoots, and from which it is unstable."""
     left, right = axes.get_xlim()
-    both = (
+    starts: dict[str, float] = {}
+    beyond = []
+    for kind, looks, name in (
         ("overshoot", _OVERSHOOT, "overshoot begins (theory)"),
         ("stability", _UNSTABLE, "instability (theory)"),
-    )
-    beyond = []
-    starts: dict[str, float] = {}
-    for kind, looks, name in both:
+    ):
         limits = sorted({float(value) for one in loop.limits if (value := getattr(one, kind))})
+        if not limits:
+            continue
+        starts[kind] = min(max(limits[0], left), right)
         shown = [limit for limit in limits if left < limit < right]
-        if limits:
-            starts[kind] = min(max(limits[0], left), right)
-        if limits and not shown:
-            beyond.append((kind, limits[0], looks["color"], limits[0] >= right))
-        if len(shown) > _MOST_LINES:
-            axes.axvspan(shown[0], shown[-1], color=looks["color"], alpha=0.25, lw=0.0, label=name)
-            shown = [shown[0], shown[-1]]
+        if shown:
+            _draw_lines(axes, shown, looks, name)
         else:
-            for limit in shown:
-                axes.axvline(limit, **looks, label=name, zorder=1.5)
+            beyond.append((kind, limits[0], looks["color"], limits[0] >= right))
         if shown and is_first:
-            told = "–".join(dict.fromkeys(f"{limit:.3g}" for limit in (shown[0], shown[-1])))
-            middle = math.sqrt(shown[0] * shown[-1])
-            text = axes.text(middle, 1.02, told, fontsize=6.5, color=looks["color"])
-            text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
+            _tell_limits(axes, shown, looks["color"])
     if "stability" in starts:
         axes.axvspan(starts["stability"], right, **_BEYOND)
     if "overshoot" in starts:
         axes.axvspan(starts["overshoot"], starts.get("stability", right), **_OVERSHOOTING)
     if is_first:
         _tell_beyond(axes, beyond)
+
+
+def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], name: str) -> None:
+    """Draw a line for each limit; of many a band."""
+    if len(limits) > _MOST_LINES:
+        band = {"color": looks["color"], "alpha": 0.25, "linewidth": 0.0, "label": name}
+        axes.axvspan(limits[0], limits[-1], **band)
+        return
+    for limit in limits:
+        axes.axvline(limit, **looks, label=name, zorder=1.5)
+
+
+def _tell_limits(axes: Axes, limits: Sequence[float], color: str) -> None:
+    """Write the values of limits above their lines."""
+    told = "-".join(dict.fromkeys(f"{limit:.3g}" for limit in (limits[0], limits[-1])))
+    middle = math.sqrt(limits[0] * limits[-1])
+    text = axes.text(middle, 1.02, told, fontsize=6.2, color=color)
+    text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
 
 
 def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> None:
@@ -340,8 +351,8 @@ def _draw_theory(axes: Axes, loop: LoopGains, found: MetricValues) -> None:
             ]
             axes.plot(gains, times_s, **_LIMITED, label="ideal loop, limited")
     elif found.name == "overshoot":
-        for limit in loop.limits[:_MOST_LINES]:
-            values = [_overshoot(limit, float(gain)) for gain in gains]
+        for one in loop.limits[:_MOST_LINES]:
+            values = [_overshoot(one, float(gain)) for gain in gains]
             axes.plot(gains, values, **_SAMPLED, label="sampled loop, no limit")
 
 
@@ -356,8 +367,9 @@ def _overshoot(limit: GainLimits, kp: float) -> float:
 def _name_points(axes: Axes, runs: Sequence[Run], gains: Values, values: Values) -> None:
     for name, gain, value in zip(shorten_names(label_runs(runs)), gains, values, strict=True):
         if np.isfinite(gain) and np.isfinite(value):
-            look = {"fontsize": 6.5, "ha": "center", "va": "bottom", "color": "0.25"}
-            axes.annotate(name, (gain, value), (0.0, 3.5), textcoords="offset points", **look)
+            text = axes.annotate(name, (gain, value), (0.0, 4.0), textcoords="offset points")
+            text.set(fontsize=6.5, ha="center", va="bottom", color="0.25", zorder=3.5)
+            text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})
 
 
 def shorten_names(names: Sequence[str]) -> list[str]:

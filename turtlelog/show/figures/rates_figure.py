@@ -21,6 +21,7 @@ from turtlelog.identify import (
     predict_axis,
     trace_axis,
 )
+from turtlelog.identify.axis_motion import measure_steps
 from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
 from turtlelog.run import Run
 from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
@@ -48,6 +49,9 @@ _LARGE: Final = 0.5
 
 _FINE: Final = 600
 """Points of the model in the close-up."""
+
+_SHOWN_MS: Final = 2.0
+"""Width of an interval from which it is drawn [ms]: a narrower one is a stroke."""
 
 _REASON_LETTERS: Final = 58
 
@@ -122,8 +126,13 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
             span = slice(number, number + 1 + (one.traces is not None))
             _draw_step(figure.add_subplot(grid[span, 1]), one, run)
         is_last = not any(later == "rates" for _, later, _ in rows[number + 1 :])
-        if part == "left" or (one.traces is None and is_last):
-            axes.set_xlabel("time from the first pose [s]" if is_last else "")
+        if part == "left" or one.traces is None:
+            axes.set_xlabel(_tell_time(run) if is_last or not is_wide else "")
+        axes.tick_params(labelbottom=part == "left" or one.traces is None)
+
+
+def _tell_time(run: Run) -> str:
+    return f"time from the first {'sample' if len(run.samples) else 'pose'} [s]"
 
 
 def lacks_commands(run: Run) -> bool:
@@ -201,15 +210,17 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     if one.model.is_known:
         if dead_s > 0.0:
             axes.axvspan(step_s, step_s + dead_s, **_DEAD)
+        if one.model.dead_time_s is not None:
+            _draw_interval(axes, one.model.dead_time_s, step_s)
         if lag_s > 0.0:
             axes.axvspan(step_s + dead_s, step_s + dead_s + lag_s, **_LAG)
     command = _hold_to_end(one.command, run)
     axes.plot(command.time_s, command.values, drawstyle="steps-post", **_COMMAND)
     shown = [_cut(command.time_s, command.values, low_s, high_s, holds=True)]
     if one.measured is not None:
-        time_s, values = one.measured
-        dots: Mapping[str, Any] = {"marker": ".", "markersize": 3.5}
-        axes.plot(time_s, values, **measured, **dots)
+        # Unlike the whole run's, these are not joined to tenths of a second: delays are shorter.
+        time_s, values = _read_fine(one, run)
+        axes.plot(time_s, values, **measured, marker=".", markersize=3.0)
         shown.append(_cut(time_s, values, low_s, high_s))
     if one.traces is not None:
         fine_s = np.linspace(low_s, high_s, _FINE) + run.start_ns / 1e9
@@ -221,8 +232,27 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     room = 0.12 * (high - low or 1.0)
     axes.set(xlim=(low_s, high_s), ylim=(low - room, high + room))
     axes.set_title(tell_model(one.model), fontsize=7.0)
-    axes.set_xlabel("time from the first pose [s]")
+    axes.set_xlabel(_tell_time(run))
     axes.locator_params(axis="x", nbins=5)
+
+
+def _draw_interval(axes: Axes, dead_time: Estimate, step_s: float) -> None:
+    """Draw between which times the dead time ends, at the upper edge."""
+    if 1e3 * (dead_time.high - dead_time.low) < _SHOWN_MS:
+        return
+    ends = [step_s + dead_time.low, step_s + dead_time.high]
+    looks: dict[str, Any] = {"color": "#8a5a00", "linewidth": 0.9, "marker": "|", "markersize": 5.0}
+    label = "dead time: interval"
+    axes.plot(ends, [0.96, 0.96], transform=axes.get_xaxis_transform(), **looks, label=label)
+
+
+def _read_fine(one: DrawnAxis, run: Run) -> tuple[Values, Values]:
+    """Return the mean rate of each step between two poses, at its middle."""
+    if one.traces is None:
+        return one.measured or (np.empty(0), np.empty(0))
+    time_s, moved, _ = measure_steps(run.poses, one.model.axis)
+    apart_s = np.diff(time_s)
+    return time_s[:-1] + 0.5 * apart_s - run.start_ns / 1e9, moved / apart_s
 
 
 def _cut(
@@ -258,8 +288,8 @@ def tell_model(model: AxisModel) -> str:
     """Return what identification found of an axis, for a title."""
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
         return f"{COMMAND_WORDS[model.axis]}: the largest step"
-    times = [f"dead time {_tell_ms(model.dead_time_s)}", f"lag {_tell_ms(model.lag_s)}"]
-    return f"{', '.join(times)}\ngain {model.gain.value:.3g}"
+    times = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
+    return f"{times}, gain {model.gain.value:.3g}"
 
 
 def _tell_ms(found: Estimate) -> str:

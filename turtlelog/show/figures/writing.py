@@ -1,7 +1,7 @@
 """Figures as files."""
 
 import io
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -53,15 +53,27 @@ _NO_DATE: Final = {
 """Without these the same runs give the same bytes."""
 
 
-def draw_figure(name: str, runs: Sequence[Run] = (), *, page: Page | None = None) -> Figure:
+def draw_figure(
+    name: str,
+    runs: Sequence[Run] = (),
+    *,
+    page: Page | None = None,
+    kinds: Mapping[str, FigureKind] | None = None,
+) -> Figure:
     """Return one figure, drawn; several panels side by side take the whole text width.
 
     Runs stand in the order of their gains.
 
+    Args:
+        name: One of `FIGURES`.
+        runs: What to draw.
+        page: Where it will stand.
+        kinds: Figures that take the place of those of `FIGURES`, by their names.
+
     Raises:
         ShowError: Where there is no such figure, or the runs do not hold what it needs.
     """
-    kind, page = _find_kind(name, runs), page or Page()
+    kind, page = _find_kind(name, runs, kinds), page or Page()
     is_alone = name == "plane" and has_one_plane(runs)
     if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
         page = Page(text_width_mm=page.text_width_mm, columns=2)
@@ -77,7 +89,7 @@ def write_figures(
     runs: Sequence[Run],
     folder: str | Path,
     *,
-    only: Collection[str] | None = None,
+    only: Collection[str] | Mapping[str, FigureKind] | None = None,
     formats: Collection[str] = FIGURE_FORMATS,
     page: Page | None = None,
     on_written: Callable[[Path], None] | None = None,
@@ -87,7 +99,8 @@ def write_figures(
     Args:
         runs: What to draw; one in detail, several over each other. Theory needs none.
         folder: Made where it is not there.
-        only: Names of `FIGURES`; otherwise all usual ones that the runs hold the data for.
+        only: Names of `FIGURES`, or figures by such names that take their place; otherwise all
+            usual ones that the runs hold the data for.
         formats: Some of `FIGURE_FORMATS`.
         page: Where they will stand.
         on_written: Called with each file as it is drawn.
@@ -106,7 +119,7 @@ def add_figures(
     write: Callable[[str, bytes], Path],
     runs: Sequence[Run],
     *,
-    only: Collection[str] | None = None,
+    only: Collection[str] | Mapping[str, FigureKind] | None = None,
     formats: Collection[str] = FIGURE_FORMATS,
     page: Page | None = None,
     on_written: Callable[[Path], None] | None = None,
@@ -116,12 +129,13 @@ def add_figures(
     if unknown or not formats:
         found = repr(unknown[0]) if unknown else "none"
         raise ShowError(f"format: expected some of {', '.join(FIGURE_FORMATS)}, found {found}")
+    kinds = only if isinstance(only, Mapping) else None
     names = [name for name in list_usual_figures() if not FIGURES[name].find_lack(runs)]
     for name in (only or ()) if names else FIGURES:
-        _find_kind(name, runs)
+        _find_kind(name, runs, kinds)
     written = []
     for name in names if only is None else dict.fromkeys(only):
-        figure = draw_figure(name, runs, page=page)
+        figure = draw_figure(name, runs, page=page, kinds=kinds)
         _settle_layout(figure)
         for form in dict.fromkeys(formats):
             data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
@@ -146,13 +160,16 @@ def _settle_layout(figure: Figure) -> None:
     figure.set_layout_engine("none")
 
 
-def _find_kind(name: str, runs: Sequence[Run]) -> FigureKind:
+def _find_kind(
+    name: str, runs: Sequence[Run], kinds: Mapping[str, FigureKind] | None = None
+) -> FigureKind:
     if name not in FIGURES:
         raise ShowError(f"figure: expected {suggest_names(name, FIGURES)}, found {name!r}")
-    lack = FIGURES[name].find_lack(runs)
+    kind = (kinds or FIGURES)[name]
+    lack = kind.find_lack(runs)
     if lack:
         raise ShowError(f"figure {name}: expected {lack}, found none")
-    return FIGURES[name]
+    return kind
 
 
 def write_tables(runs: Sequence[Run], folder: str | Path) -> list[Path]:

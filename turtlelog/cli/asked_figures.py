@@ -1,0 +1,110 @@
+"""Figures of `turtlelog plot` that show what an option asks for: a metric, a formula."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Final
+
+from cyclopts import Parameter
+
+from turtlelog import show
+from turtlelog.cli.list_names import complete_metrics
+from turtlelog.cli.progress import show_progress
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run
+    from turtlelog.show.figures import FigureKind
+
+    Only = Collection[str] | Mapping[str, FigureKind]
+
+_OF_METRICS: Final = ("attribution", "gains", "strips")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskedOptions:
+    """What the figures attribution, gains, strips and violation show.
+
+    Attributes:
+        metric: What attribution explains, by its id (turtlelog list metrics), as explain does; or
+            what gains and strips show: ids, patterns, or names of any loop (overshoot), with
+            commas.
+        expect: The formula whose signal violation shows, as in "always(abs(cross_track) <= 0.05)".
+    """
+
+    metric: Annotated[str | None, Parameter(metavar="ID", completer=complete_metrics)] = None
+    expect: Annotated[str | None, Parameter(metavar="FORMULA")] = None
+
+    def require_figures(self, names: Sequence[str]) -> None:
+        """Refuse options of figures that are not asked for.
+
+        Raises:
+            UsageError: Where one has no figure, or a figure lacks its option.
+        """
+        if self.metric is not None and not {*names} & {*_OF_METRICS}:
+            expected = "--only attribution, gains or strips"
+            raise UsageError(f"--metric: expected {expected} beside it, found {_tell(names)}")
+        if self.expect is not None and "violation" not in names:
+            raise UsageError(f"--expect: expected --only violation beside it, found {_tell(names)}")
+        if self.expect is None and "violation" in names:
+            raise UsageError("--only violation: expected --expect FORMULA beside it, found none")
+
+    def bind(self, names: Sequence[str], runs: "Sequence[Run]") -> "Only":
+        """Return figures by name, with what they are asked to show."""
+        kinds = show.FIGURES
+        unknown = [name for name in names if name not in kinds]
+        if unknown or not runs:
+            return names
+        found = {name: kinds[name] for name in names}
+        for name in found:
+            if name in _BINDERS and not found[name].find_lack(runs):
+                found[name] = _BINDERS[name](self, found[name], runs)
+        return found
+
+    def list_metrics(self) -> list[str] | None:
+        """Return the metrics that are asked for; None where none are."""
+        if self.metric is None:
+            return None
+        names = [name.strip() for name in self.metric.split(",")]
+        if not all(names):
+            raise UsageError(f"--metric: expected ids with commas between, found {self.metric!r}")
+        return names
+
+
+def _tell(names: Sequence[str]) -> str:
+    return f"--only {','.join(names)}" if names else "none"
+
+
+def _bind_attribution(
+    asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]"
+) -> "FigureKind":
+    """Explain the run; it may take seconds."""
+    from turtlelog.show.figures.attribution_figure import draw_attribution, explain_for_figure
+
+    with show_progress("explaining", 100.0, "%") as progress:
+
+        def report(done: int, total: int) -> None:
+            progress.done = 100.0 * done / total
+
+        explained = explain_for_figure(runs, metric=asked.metric, report=report)
+    return replace(kind, draw=partial(draw_attribution, explained=explained))
+
+
+def _bind_gains(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
+    from turtlelog.show.figures.gain_figure import draw_gains
+
+    return replace(kind, draw=partial(draw_gains, metrics=asked.list_metrics()))
+
+
+def _bind_strips(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") -> "FigureKind":
+    from turtlelog.show.figures.strip_figure import draw_strips
+
+    return replace(kind, draw=partial(draw_strips, metrics=asked.list_metrics()))
+
+
+_BINDERS: Final = {
+    "attribution": _bind_attribution,
+    "gains": _bind_gains,
+    "strips": _bind_strips,
+}
