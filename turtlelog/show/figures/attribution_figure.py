@@ -306,7 +306,7 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Plac
     axes.locator_params(nbins=5)
     axes.grid(visible=False)
     width_inch = float(axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
-    share = 0.16 if width_inch >= _SIDE_BY_SIDE_INCH else 0.36
+    share = 0.16 if width_inch >= _SIDE_BY_SIDE_INCH else 0.29
     return Place(center=center, half=half_m, half_mm=25.4 * share * width_inch)
 
 

@@ -61,7 +61,7 @@ class Place:
 
     def avoid_point(self, point: Values) -> None:
         """Keep words off a dot."""
-        self.taken.append(np.repeat(point[None], _DENSE // 10, axis=0))
+        self.taken.append(np.repeat(point[None], _DENSE, axis=0))
 
     def find_room(self, dot: Values, width_mm: float, height_mm: float) -> Values:
         """Return the middle of a box near a dot that covers least."""

@@ -1,0 +1,168 @@
+"""The signal that a check holds to a band: the part outside, where it begins, where it is worst."""
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from turtlelog.display import format_number
+from turtlelog.errors import ShowError
+from turtlelog.run import Run
+from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
+from turtlelog.show.figures.page import choose_lines, label_runs
+from turtlelog.show.violated_signal import ViolatedSignal, ViolationMoment
+
+Values = NDArray[np.float64]
+
+_RED: Final = "#c62828"
+_HEIGHT: Final = 0.5
+_TITLE_LETTERS: Final = 11.5
+"""Letters of a title in an inch of its figure."""
+
+_LEAST_INCH: Final = 2.2
+_BAND: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#009e73", "alpha": 0.12, "linewidth": 0.0, "zorder": 0.6, "label": "asked for"}
+)
+_LIMIT: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#00674b", "linewidth": 0.9, "linestyle": (0, (5, 2)), "zorder": 1.6}
+)
+_REFERENCE: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "0.5", "linewidth": 0.7, "zorder": 1.5, "label": "reference"}
+)
+_OUTSIDE: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": _RED, "linewidth": 2.0, "zorder": 2.6, "solid_capstyle": "round"}
+)
+_POINT: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": _RED, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 4}
+)
+
+
+def draw_violation(
+    figure: Figure, runs: Sequence[Run], *, violated: ViolatedSignal | None = None
+) -> None:
+    """Draw the signal of a check with its band; where it holds, how near it comes.
+
+    Args:
+        figure: To draw on.
+        runs: The one that was checked.
+        violated: What the check found; nothing can be drawn without it.
+
+    Raises:
+        ShowError: Where there is not one run, or nothing was checked.
+    """
+    if len(runs) != 1:
+        raise ShowError(f"figure violation: expected one recording, found {len(runs)}")
+    if violated is None:
+        raise ShowError("figure violation: expected a formula to check (--expect), found none")
+    width = figure.get_figwidth()
+    figure.set_size_inches(width, max(_HEIGHT * width, _LEAST_INCH))
+    axes = figure.subplots()
+    curve, holds = violated.curve, not violated.outside.any()
+    _draw_band(axes, violated)
+    draw_curve(axes, curve, **choose_lines(1)[0], label=label_runs(runs)[0])
+    _draw_outside(axes, violated)
+    axes.set(xlabel="time from the first sample [s]", ylabel=violated.title.replace("_", " "))
+    axes.margins(x=0.01, y=0.16)
+    _keep_band_in_view(axes, violated)
+    told = "holds" if holds else "violated"
+    title = "\n".join(textwrap.wrap(f"{violated.expected}: {told}", int(_TITLE_LETTERS * width)))
+    axes.set_title(title, color="#00674b" if holds else _RED)
+    if holds:
+        _name_moment(axes, violated, violated.worst, "nearest to the limit")
+        return
+    _name_moment(axes, violated, violated.worst, violated.worst_word)
+    if violated.first != violated.worst:
+        _name_moment(axes, violated, violated.first, "first", is_below=True)
+
+
+def _draw_band(axes: Axes, violated: ViolatedSignal) -> None:
+    time_s = violated.curve.time_s
+    if violated.reference is not None:
+        axes.plot(time_s, violated.reference, **_REFERENCE)
+    names = violated.describe_limits()
+    for side, end in (("low", violated.low), ("high", violated.high)):
+        if end is not None:
+            draw_thinned(axes, time_s, end, end, **_LIMIT)
+            _name_limit(axes, time_s, end, names[side], is_low=side == "low")
+
+
+def _name_limit(axes: Axes, time_s: Values, end: Values, name: str, *, is_low: bool) -> None:
+    known = np.flatnonzero(np.isfinite(end))
+    if len(known):
+        at = (float(time_s[known[-1]]), float(end[known[-1]]))
+        offset = (0.0, -2.0 if is_low else 2.0)
+        text = axes.annotate(name, at, offset, textcoords="offset points")
+        text.set(fontsize=6.5, color=_LIMIT["color"], ha="right", va="top" if is_low else "bottom")
+        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.2, "alpha": 0.75})
+        text.set_zorder(2.4)
+
+
+def _draw_outside(axes: Axes, violated: ViolatedSignal) -> None:
+    """Draw in red what is outside, with the row after it where a value holds."""
+    outside = violated.outside
+    if not outside.any():
+        return
+    curve = violated.curve
+    shown = outside.copy()
+    if curve.holds:
+        shown[1:] |= outside[:-1]
+    values = np.where(shown, curve.values, np.nan)
+    alone = outside & ~np.r_[False, outside[:-1]] & ~np.r_[outside[1:], False]
+    drawstyle = "steps-post" if curve.holds else "default"
+    label = f"outside: {_measure_outside(violated)}"
+    axes.plot(curve.time_s, values, drawstyle=drawstyle, **_OUTSIDE, label=label)
+    axes.plot(curve.time_s[alone], curve.values[alone], "o", ms=2.5, color=_RED, zorder=2.6)
+
+
+def _measure_outside(violated: ViolatedSignal) -> str:
+    """Return for how long it is outside; of a single row that it is one."""
+    time_s = violated.curve.time_s
+    lasts_s = np.append(np.diff(time_s), 0.0)
+    rows = int(violated.outside.sum())
+    return "one row" if rows == 1 else f"{float(lasts_s[violated.outside].sum()):.3g} s"
+
+
+def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
+    """Shade the band, without its far side where the signal never goes."""
+    low, high = axes.get_ylim()
+    ends = [
+        np.where(np.isfinite(end), end, np.nan) if end is not None else np.full_like(values, edge)
+        for end, edge in ((violated.low, low), (violated.high, high))
+        for values in (violated.curve.values,)
+    ]
+    step = "post" if violated.curve.holds and violated.is_moving else None
+    axes.fill_between(violated.curve.time_s, *ends, step=step, **_BAND)
+    axes.set_ylim(low, high)
+
+
+def _name_moment(
+    axes: Axes,
+    violated: ViolatedSignal,
+    moment: ViolationMoment,
+    word: str,
+    *,
+    is_below: bool = False,
+) -> None:
+    """Mark a moment, and name it on the side where there is room."""
+    axes.plot([moment.time_s], [moment.value], "v" if is_below else "o", ms=5.5, **_POINT)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    across = (moment.time_s - left) / (right - left)
+    up = (moment.value - bottom) / (top - bottom)
+    text = f"{word} {format_number(moment.value, violated.unit)}\nat {moment.time_s:.3f} s"
+    side = "left" if across < 0.5 else "right"
+    rise = 1.0 if up < 0.5 else -1.0
+    offset = (7.0 if side == "left" else -7.0, rise * (16.0 if is_below else 12.0))
+    note = axes.annotate(
+        text,
+        (moment.time_s, moment.value),
+        offset,
+        textcoords="offset points",
+        arrowprops={"arrowstyle": "-", "color": _RED, "linewidth": 0.6, "shrinkB": 2.0},
+    )
+    note.set(fontsize=7.0, color=_RED, ha=side, va="bottom" if rise > 0 else "top", zorder=5)
+    note.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.85})
