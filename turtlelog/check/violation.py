@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -41,8 +41,28 @@ def find_violated_signal(run: Run, result: CheckResult) -> SignalSearch:
     """
     if result.verdict is not Verdict.FAIL:
         return SignalSearch(reason="the check was not violated")
-    if not result.is_decided:
+    return find_judged_signal(run, result)
+
+
+def find_judged_signal(run: Run, result: CheckResult) -> SignalSearch:
+    """Return the signal that a check holds to a band, or why there is none.
+
+    Where the check passes, nothing is outside, and the worst moment is the nearest to the limit.
+
+    Args:
+        run: That was checked.
+        result: What came of it.
+    """
+    if result.verdict is Verdict.SKIPPED or not result.is_decided:
         return SignalSearch(reason=f"undecided: {result.reason}")
+    found = _find_signal(run, result)
+    if found.signal is None or result.verdict is Verdict.FAIL:
+        return found
+    signal = found.signal
+    return SignalSearch(signal=replace(signal, outside=np.zeros_like(signal.outside)))
+
+
+def _find_signal(run: Run, result: CheckResult) -> SignalSearch:
     match result.judged:
         case None:
             return SignalSearch(reason=f"{result.check} is held to no band of a signal")
@@ -57,7 +77,7 @@ def _find_of_formula(run: Run, result: CheckResult, check: Check) -> SignalSearc
     metric = _read_metric_bound(run, check, result) if check.kind == "expect" else None
     if metric is not None:
         return _find_of_metric(run, result, metric)
-    if result.first_violation_s is None:
+    if result.verdict is Verdict.FAIL and result.first_violation_s is None:
         return SignalSearch(reason="it is violated at no single moment")
     return _find_over_time(run, result, check)
 

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from turtlelog import show
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import UsageError
+from turtlelog.errors import ShowError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -103,8 +103,27 @@ def _bind_strips(asked: AskedOptions, kind: "FigureKind", _: "Sequence[Run]") ->
     return replace(kind, draw=partial(draw_strips, metrics=asked.list_metrics()))
 
 
+def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run]") -> "FigureKind":
+    """Hold the run to the formula."""
+    import turtlelog as tl
+    from turtlelog.check.violation import find_judged_signal
+    from turtlelog.cli.check import build_spec
+    from turtlelog.show.figures.violation_figure import draw_violation
+
+    if len(runs) != 1 or asked.expect is None:
+        return kind
+    (result,) = tl.check_runs(build_spec([asked.expect]), [(runs[0].name, runs[0])])
+    found = find_judged_signal(runs[0], result)
+    if found.signal is None:
+        raise ShowError(
+            f"figure violation: expected a signal in a band, found none: {found.reason}"
+        )
+    return replace(kind, draw=partial(draw_violation, violated=found.signal))
+
+
 _BINDERS: Final = {
     "attribution": _bind_attribution,
     "gains": _bind_gains,
     "strips": _bind_strips,
+    "violation": _bind_violation,
 }

@@ -277,7 +277,7 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
     for run, looks, name in lines:
         end = run.poses.xy_m[-1]
         axes.plot(*end, "o", ms=4.5, color=looks["color"], zorder=3, mec="white", mew=0.5)
-        if np.abs(end - place.center).max() <= place.half:
+        if (np.abs(end - place.center) <= place.half).all():
             miss = (
                 "" if goal is None else f"\n{_tell_miss(told, float(np.hypot(*(end - goal))))} off"
             )
@@ -307,7 +307,8 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Plac
     axes.grid(visible=False)
     width_inch = float(axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
     share = 0.16 if width_inch >= _SIDE_BY_SIDE_INCH else 0.29
-    return Place(center=center, half=half_m, half_mm=25.4 * share * width_inch)
+    half_mm = np.full(2, 25.4 * share * width_inch)
+    return Place(center=center, half=np.full(2, half_m), half_mm=half_mm)
 
 
 def _tell_miss(told: Explained, miss_m: float) -> str:

@@ -33,29 +33,29 @@ def measure_text_mm(text: str, points: float = 7.0) -> float:
 
 @dataclass(slots=True, kw_only=True)
 class Place:
-    """A square panel with what words should not cover.
+    """A panel with linear axes, and what words should not cover.
 
     Attributes:
-        center: Of the panel, in data units.
-        half: Half of its side, in data units.
-        half_mm: The same in print [mm].
+        center: Of the panel, in data units, shape (2,).
+        half: Half of its width and height, in data units, shape (2,).
+        half_mm: The same in print [mm], shape (2,).
         taken: Points of lines and dots, shape (n, 2).
         boxes: Of words that stand there: left, right, bottom, top, in data units.
     """
 
     center: Values
-    half: float
-    half_mm: float
+    half: Values
+    half_mm: Values
     taken: list[Values] = field(default_factory=list)
     boxes: list[tuple[float, float, float, float]] = field(default_factory=list)
 
     def avoid_line(self, points: Values) -> None:
         """Keep words off a line, of which the panel shows a part."""
-        inside = np.flatnonzero(np.abs(points - self.center).max(axis=1) <= 1.2 * self.half)
+        inside = np.flatnonzero((np.abs(points - self.center) <= 1.2 * self.half).all(axis=1))
         if not len(inside):
             return
         part = points[max(inside[0] - 1, 0) : inside[-1] + 2]
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(part, axis=0).T))])
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(part, axis=0) / self.half).T))])
         at = np.linspace(0.0, way[-1], _DENSE)
         self.taken.append(np.stack([np.interp(at, way, part[:, i]) for i in (0, 1)], axis=1))
 
@@ -87,7 +87,7 @@ class Place:
     def count_covered(self, middle: Values, half: Values, points: Values) -> float:
         """Return how much a box would cover: words most, what lies outside most of all."""
         over = np.abs(middle - self.center) + half - 0.98 * self.half
-        outside = 1e4 * float(np.maximum(over, 0.0).sum() / self.half)
+        outside = 1e4 * float((np.maximum(over, 0.0) / self.half).sum())
         margin = half + 0.8 * self.half / self.half_mm
         covered = float((np.abs(points - middle) < margin).all(axis=1).sum())
         low, high = middle - half, middle + half

@@ -43,6 +43,7 @@ from turtlelog.show.figures.sampled_loops import (
     draw_step,
 )
 from turtlelog.show.figures.strip_figure import draw_strips
+from turtlelog.show.figures.violation_figure import draw_violation
 from turtlelog.show.robot_curves import lack_samples
 from turtlelog.show.shared_curves import (
     Command,
@@ -378,6 +379,13 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             paper="",
             draw=draw_rates,
             needs="commands",
+            is_usual=False,
+            is_extra=True,
+        ),
+        "violation": FigureKind(
+            title="The signal that a check holds to a band, and where it leaves it",
+            paper="",
+            draw=draw_violation,
             is_usual=False,
             is_extra=True,
         ),

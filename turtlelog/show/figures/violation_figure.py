@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.display import format_number
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
+from turtlelog.show.figures.direct_labels import Place, place_words
 from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.show.figures.page import choose_lines, label_runs
 from turtlelog.show.violated_signal import ViolatedSignal, ViolationMoment
@@ -21,6 +22,9 @@ Values = NDArray[np.float64]
 
 _RED: Final = "#c62828"
 _HEIGHT: Final = 0.5
+_SMALL: Final = 0.2
+"""Share of the axis below which limits and what is outside would be too small to be told apart."""
+
 _TITLE_LETTERS: Final = 11.5
 """Letters of a title in an inch of its figure."""
 
@@ -38,7 +42,7 @@ _OUTSIDE: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": _RED, "linewidth": 2.0, "zorder": 2.6, "solid_capstyle": "round"}
 )
 _POINT: Final[Mapping[str, Any]] = MappingProxyType(
-    {"color": _RED, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 4}
+    {"markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 4}
 )
 
 
@@ -73,11 +77,12 @@ def draw_violation(
     title = "\n".join(textwrap.wrap(f"{violated.expected}: {told}", int(_TITLE_LETTERS * width)))
     axes.set_title(title, color="#00674b" if holds else _RED)
     if holds:
-        _name_moment(axes, violated, violated.worst, "nearest to the limit")
+        _name_moments(axes, violated, {"nearest to the limit:": violated.worst})
         return
-    _name_moment(axes, violated, violated.worst, violated.worst_word)
+    named = {violated.worst_word: violated.worst}
     if violated.first != violated.worst:
-        _name_moment(axes, violated, violated.first, "first", is_below=True)
+        named["first"] = violated.first
+    _name_moments(axes, violated, named)
 
 
 def _draw_band(axes: Axes, violated: ViolatedSignal) -> None:
@@ -128,8 +133,17 @@ def _measure_outside(violated: ViolatedSignal) -> str:
 
 
 def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
-    """Shade the band, without its far side where the signal never goes."""
+    """Shade the band; where the signal goes far beyond what is of interest, show that alone."""
     low, high = axes.get_ylim()
+    near = _find_near(violated)
+    if np.ptp(near) < _SMALL * (high - low):
+        far = violated.curve.values[int(np.nanargmax(np.abs(violated.curve.values - near.mean())))]
+        room = 0.8 * float(np.ptp(near)) or 0.1 * abs(float(near[0])) or 1.0
+        low, high = float(near.min()) - room, float(near.max()) + room
+        axes.set_ylim(low, high)
+        told = f"close up: the signal goes to {format_number(float(far), violated.unit)}"
+        text = axes.text(0.99, 0.98, told, fontsize=6.5, color="0.4", ha="right", va="top")
+        text.set_transform(axes.transAxes)
     ends = [
         np.where(np.isfinite(end), end, np.nan) if end is not None else np.full_like(values, edge)
         for end, edge in ((violated.low, low), (violated.high, high))
@@ -140,29 +154,33 @@ def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
     axes.set_ylim(low, high)
 
 
-def _name_moment(
-    axes: Axes,
-    violated: ViolatedSignal,
-    moment: ViolationMoment,
-    word: str,
-    *,
-    is_below: bool = False,
+def _find_near(violated: ViolatedSignal) -> Values:
+    """Return values that must be seen: limits, what is outside, the moments that are named."""
+    ends = [end[np.isfinite(end)] for end in (violated.low, violated.high) if end is not None]
+    outside = violated.curve.values[violated.outside]
+    return np.concatenate([*ends, outside, [violated.first.value, violated.worst.value]])
+
+
+def _name_moments(
+    axes: Axes, violated: ViolatedSignal, named: Mapping[str, ViolationMoment]
 ) -> None:
-    """Mark a moment, and name it on the side where there is room."""
-    axes.plot([moment.time_s], [moment.value], "v" if is_below else "o", ms=5.5, **_POINT)
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    across = (moment.time_s - left) / (right - left)
-    up = (moment.value - bottom) / (top - bottom)
-    text = f"{word} {format_number(moment.value, violated.unit)}\nat {moment.time_s:.3f} s"
-    side = "left" if across < 0.5 else "right"
-    rise = 1.0 if up < 0.5 else -1.0
-    offset = (7.0 if side == "left" else -7.0, rise * (16.0 if is_below else 12.0))
-    note = axes.annotate(
-        text,
-        (moment.time_s, moment.value),
-        offset,
-        textcoords="offset points",
-        arrowprops={"arrowstyle": "-", "color": _RED, "linewidth": 0.6, "shrinkB": 2.0},
+    """Mark moments, and name them where the words cover least."""
+    figure = axes.get_figure(root=True)
+    width, height = figure.get_size_inches() if figure is not None else (1.0, 1.0)
+    x, y = np.array(axes.get_xlim()), np.array(axes.get_ylim())
+    place = Place(
+        center=np.array([x.mean(), y.mean()]),
+        half=np.array([np.ptp(x), np.ptp(y)]) / 2.0,
+        half_mm=25.4 * np.array([0.44 * width, 0.36 * height]),
     )
-    note.set(fontsize=7.0, color=_RED, ha=side, va="bottom" if rise > 0 else "top", zorder=5)
-    note.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.85})
+    time_s = violated.curve.time_s
+    for values in (violated.curve.values, violated.low, violated.high):
+        if values is not None:
+            place.avoid_line(np.stack([time_s, values], axis=1)[np.isfinite(values)])
+    for moment in named.values():
+        place.avoid_point(np.array([moment.time_s, moment.value]))
+    for (word, moment), marker in zip(named.items(), ("o", "v"), strict=False):
+        color = _RED if violated.outside.any() else "#00674b"
+        axes.plot([moment.time_s], [moment.value], marker, ms=5.5, color=color, **_POINT)
+        text = f"{word} {format_number(moment.value, violated.unit)}\nat {moment.time_s:.3f} s"
+        place_words(axes, place, text, np.array([moment.time_s, moment.value]), color, 7.0)
