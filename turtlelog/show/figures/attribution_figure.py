@@ -48,6 +48,9 @@ _BAR: Final = 0.62
 _NEAR: Final = 0.1
 """Share of the step within which overshoot and settling are seen."""
 
+_GOAL_MM: Final = 1.6
+"""Half of the size of the goal's cross in print [mm]."""
+
 _MINUS: Final = "\N{MINUS SIGN}"
 
 _GHOST: Final[Mapping[str, Any]] = MappingProxyType(
@@ -273,7 +276,7 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
         place.avoid_point(xy_m[-1])
     if goal is not None:
         axes.plot(*goal, "+", ms=9.0, mew=1.6, color="black", zorder=2.8)
-        place.avoid_point(goal)
+        place.avoid_point(goal, _GOAL_MM)
     for run, looks, name in lines:
         end = run.poses.xy_m[-1]
         axes.plot(*end, "o", ms=4.5, color=looks["color"], zorder=3, mec="white", mew=0.5)

@@ -59,9 +59,11 @@ class Place:
         at = np.linspace(0.0, way[-1], _DENSE)
         self.taken.append(np.stack([np.interp(at, way, part[:, i]) for i in (0, 1)], axis=1))
 
-    def avoid_point(self, point: Values) -> None:
-        """Keep words off a dot."""
-        self.taken.append(np.repeat(point[None], _DENSE, axis=0))
+    def avoid_point(self, point: Values, radius_mm: float = 0.0) -> None:
+        """Keep words off a dot, or a mark of some size."""
+        ring = np.stack([np.cos(_WAYS), np.sin(_WAYS)], axis=1) * radius_mm
+        marks = point + ring * self.half / self.half_mm
+        self.taken.append(np.repeat(marks, _DENSE // len(_WAYS), axis=0))
 
     def find_room(self, dot: Values, width_mm: float, height_mm: float) -> Values:
         """Return the middle of a box near a dot that covers least."""

@@ -22,7 +22,7 @@ Values = NDArray[np.float64]
 
 _RED: Final = "#c62828"
 _HEIGHT: Final = 0.5
-_SMALL: Final = 0.2
+_SMALL: Final = 0.12
 """Share of the axis below which limits and what is outside would be too small to be told apart."""
 
 _TITLE_LETTERS: Final = 11.5
@@ -144,13 +144,13 @@ def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
         told = f"close up: the signal goes to {format_number(float(far), violated.unit)}"
         text = axes.text(0.99, 0.98, told, fontsize=6.5, color="0.4", ha="right", va="top")
         text.set_transform(axes.transAxes)
-    ends = [
-        np.where(np.isfinite(end), end, np.nan) if end is not None else np.full_like(values, edge)
-        for end, edge in ((violated.low, low), (violated.high, high))
-        for values in (violated.curve.values,)
-    ]
-    step = "post" if violated.curve.holds and violated.is_moving else None
-    axes.fill_between(violated.curve.time_s, *ends, step=step, **_BAND)
+    time_s, whole = violated.curve.time_s, np.ones(len(violated.curve.values))
+    below = low * whole if violated.low is None else violated.low
+    above = high * whole if violated.high is None else violated.high
+    if violated.curve.holds and violated.is_moving:
+        axes.fill_between(time_s, below, above, step="post", **_BAND)
+    else:
+        axes.fill_between(time_s, below, above, **_BAND)
     axes.set_ylim(low, high)
 
 
