@@ -267,6 +267,8 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
     if told.ghost is not None:
         lines.append((told.ghost, _GHOST, f"ghost: without\n{told.ghost_name}"))
     close_up = find_close_up([run for run, _, _ in lines])
+    if close_up is not None and all(end.run for end in close_up.ends):
+        close_up = None  # the run itself, which is the first, ends elsewhere
     goal = None if told.run.goal_xy_m is None else np.array(told.run.goal_xy_m)
     place = _choose_place(axes, told, close_up)
     for run, looks, _ in lines:

@@ -376,7 +376,7 @@ def shorten_names(names: Sequence[str]) -> list[str]:
     """Return names without the words that all of them begin with."""
     if len(names) < 2:
         return [*names]
-    least, greatest = min(names), max(names)
-    same = next((row for row, (a, b) in enumerate(zip(least, greatest, strict=False)) if a != b), 0)
-    begins = max(least.rfind(letter, 0, same) for letter in "-_ /.") + 1
+    letters = zip(*names, strict=False)
+    same = next((row for row, found in enumerate(letters) if len({*found}) > 1), len(min(names)))
+    begins = max(names[0].rfind(letter, 0, same) for letter in "-_ /.") + 1
     return [name[begins:] for name in names]

@@ -23,6 +23,10 @@ _LOGARITHMIC: Final = 30.0
 """Greatest over least value from which a scale is logarithmic: on a linear one of 30 mm the least
 would be within 1 mm of 0."""
 
+_LEAST_PERCENT: Final = 0.5
+"""Height of an axis of shares [%]: on a finer one the last digits of a run that does not overshoot
+would look like an overshoot. A quarter of the band in which a response counts as settled."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricValues:
@@ -142,8 +146,10 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
         return
+    if found.label.endswith("[%]"):
+        high = max(high, low + _LEAST_PERCENT, _LEAST_PERCENT)
     room = 0.14 * (high - low) or 0.1 * abs(high) or 1.0
-    axes.set_ylim(min(low - room, 0.0), high + 1.4 * room)
+    axes.set_ylim(min(low - room, 0.0), max(high + 1.4 * room, 0.0))
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float], *, most: int = 9) -> None:

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from turtlelog.compare.run_names import has_one_gain
 from turtlelog.errors import ShowError
 from turtlelog.run import Parameter, Run
 from turtlelog.show.figures.direct_labels import measure_text_mm
@@ -73,7 +74,7 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     of_gain = [key for key in keys if key in gains]
     by = of_gain or keys
     cells = [tuple(run.parameters.get(key) for key in by) for run in runs]
-    is_one_gain = bool(of_gain) and all(len(set(cell)) == 1 for cell in cells)
+    is_one_gain = bool(of_gain) and all(has_one_gain(run) for run in runs)
     if is_one_gain:
         by, cells = ["Kp"], [cell[:1] for cell in cells]
     found: dict[tuple[Parameter | None, ...], list[int]] = {}
