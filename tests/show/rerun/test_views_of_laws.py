@@ -26,7 +26,8 @@ from turtlelog.loops import Declaration
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette, write_comparison_rrd, write_explanation_rrd, write_run_rrd
-from turtlelog.show.rerun.timelines import build_compared_timelines, name_phase_timeline
+from turtlelog.show.phase_timelines import name_phase_timeline
+from turtlelog.show.rerun.timelines import build_compared_timelines
 from turtlelog.show.rerun.world import find_plane_bounds
 
 STRANGE, EXAMPLE = simulate_law("strange"), simulate_law("example")

@@ -6,11 +6,10 @@ from typing import Final
 
 from rerun import escape_entity_path_part
 
+from turtlelog.show.phase_timelines import TIMELINE as TIMELINE, WALL_TIMELINE as WALL_TIMELINE
+
 APPLICATION_ID: Final = "turtlelog"
-TIMELINE: Final = "sim_time"
 TICKS: Final = "tick"
-PHASE_TIMELINE: Final = "{}_time"
-WALL_TIMELINE: Final = "wall_time"
 
 PLANE: Final = "plane"
 PATH: Final = "plane/path"

@@ -10,9 +10,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
-from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Run
-from turtlelog.show.rerun.entities import PHASE_TIMELINE, TICKS, TIMELINE, WALL_TIMELINE, join_path
+from turtlelog.show.phase_timelines import TIMELINE, WALL_TIMELINE, find_phase_zeros
+from turtlelog.show.rerun.entities import TICKS, join_path
 from turtlelog.show.shared_curves import choose_rows
 
 Times = NDArray[np.int64]
@@ -20,9 +20,6 @@ Times = NDArray[np.int64]
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _LARGEST_NS: Final = 2**62
 _SHARE_BEYOND: Final = 16
-_MOST_PHASES: Final = 8
-"""Timelines of phases in a run: each costs 8 bytes per row and entity."""
-
 Values = NDArray[np.float64]
 
 CHUNK_ROWS: Final = 65_536
@@ -75,13 +72,7 @@ def build_run_timelines(run: Run) -> Timelines:
 
 def build_compared_timelines(run: Run) -> Timelines:
     """Return the timelines of a run among others: from its first sample, and from later phases."""
-    return Timelines(zero_ns=run.start_ns, starts_ns=_find_starts_ns(run))
-
-
-def name_phase_timeline(phase: str) -> str:
-    """Return the timeline whose zero is the start of a phase; no other has its name."""
-    name = PHASE_TIMELINE.format(phase)
-    return PHASE_TIMELINE.format(f"phase.{phase}") if name in {TIMELINE, WALL_TIMELINE} else name
+    return Timelines(zero_ns=run.start_ns, starts_ns=find_phase_zeros(run))
 
 
 def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, Times]:
@@ -176,16 +167,6 @@ def add_thinning(documents: Mapping[str, str], runs: Sequence[Run]) -> Mapping[s
     """Return documents with one more that says what the pictures leave out, if anything."""
     text = _describe_thinning(runs)
     return {**documents, "Drawn": text} if text else documents
-
-
-def _find_starts_ns(run: Run) -> dict[str, int]:
-    """Return the timelines of the phases after the first that is declared, with their zeros."""
-    phases = [name for name in run.declaration.phases if name not in (PAUSE, DONE)]
-    starts_ns: dict[str, int] = {}
-    for span in run.find_phase_spans():
-        starts_ns.setdefault(span.phase, span.start_ns)
-    later = phases[1 : 1 + _MOST_PHASES]
-    return {name_phase_timeline(name): starts_ns[name] for name in later if name in starts_ns}
 
 
 def _find_first_ns(run: Run) -> int:
