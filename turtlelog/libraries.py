@@ -9,7 +9,9 @@ from turtlelog.errors import LibraryError
 _PURPOSES: Final = MappingProxyType(
     {
         "control": ("control", "these responses and margins"),
+        "cv2": ("opencv-python-headless", "movies in .mp4"),
         "matplotlib": ("matplotlib", "figures"),
+        "PIL": ("pillow", "movies in .gif"),
         "pandas": ("pandas", "data frames"),
         "pyarrow": ("pyarrow", "views, Arrow tables and Parquet files"),
         "rerun": ("rerun-sdk", "views, pictures of them and .rrd files"),

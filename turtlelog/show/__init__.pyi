@@ -9,6 +9,7 @@ from .figures import (
     write_robot_figure as write_robot_figure,
     write_tables as write_tables,
 )
+from .movie import write_movie as write_movie
 from .rerun.comparison_scene import write_comparison_rrd as write_comparison_rrd
 from .rerun.explanation_scene import write_explanation_rrd as write_explanation_rrd
 from .rerun.live_viewer import (

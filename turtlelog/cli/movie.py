@@ -1,0 +1,65 @@
+"""Options of movies, which `plot` and `view` share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from turtlelog.cli.output import print_note
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog import Run
+
+_SUFFIXES = (".mp4", ".gif")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MovieOptions:
+    """A movie of the runs.
+
+    Attributes:
+        movie: Write a movie of the runs driving into this .mp4 (VP9) or .gif file.
+        length: Of the movie, 1 to 600; otherwise real time, and at most 10 s.
+    """
+
+    movie: Path | None = None
+    length: Annotated[float | None, Parameter(metavar="SECONDS")] = None
+
+
+def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
+    """Refuse what cannot be written, before anything is read."""
+    if options.movie is None:
+        if options.length is not None:
+            raise UsageError(f"--length: expected together with --movie, found {options.length:g}")
+        return
+    suffix = options.movie.suffix.lower()
+    if suffix not in _SUFFIXES:
+        expected = "expected a name that ends in .mp4 or .gif"
+        raise UsageError(f"--movie {options.movie}: {expected}, found another")
+    require_new_target(options.movie, files, suffix=suffix)
+    from turtlelog.show.movie.encoding import require_encoder
+
+    require_encoder(suffix)
+
+
+def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) -> None:
+    """Write the movie, and say so."""
+    if options.movie is None:
+        return
+    from turtlelog.show.movie import write_movie
+
+    with show_progress("filming", 100.0, "%") as progress:
+
+        def count(done: int, total: int) -> None:
+            progress.done = 100.0 * done / total
+
+        write_movie(
+            runs, options.movie, timeline=timeline, length_s=options.length, on_picture=count
+        )
+    print_note(f"wrote {options.movie}")

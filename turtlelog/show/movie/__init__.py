@@ -1,0 +1,10 @@
+"""Movies of runs: `film` says which moment each picture shows, `picture` draws it."""
+
+from turtlelog.libraries import load_library
+
+load_library("matplotlib")
+
+from turtlelog.show.movie.encoding import MOVIE_FORMATS
+from turtlelog.show.movie.writing import write_movie
+
+__all__ = ["MOVIE_FORMATS", "write_movie"]
