@@ -62,6 +62,7 @@ def test_every_dependency_is_pinned() -> None:
 
 
 PACKAGES = {
+    "PIL": "pillow",
     "cv2": "opencv-python-headless",
     "lazy_loader": "lazy-loader",
     "rerun": "rerun-sdk",
@@ -118,4 +119,4 @@ def test_slim_installation_is_all_but_views_and_figures() -> None:
     slim = [line for line in lines if not line.startswith("#")]
     lacks = {re.split(r"[<>=\[;]", name)[0] for name in set(declared) - set(slim)}
     assert set(slim) <= set(declared)
-    assert lacks == {"rerun-sdk", "pyarrow", "matplotlib", "control"}
+    assert lacks == {"rerun-sdk", "pyarrow", "matplotlib", "control", "pillow"}

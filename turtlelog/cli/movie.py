@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -49,7 +48,7 @@ def require_movie(options: MovieOptions, files: Sequence[Path]) -> None:
 
 
 def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) -> None:
-    """Write the movie, and say so."""
+    """Write the movie, if one is asked for."""
     if options.movie is None:
         return
     from turtlelog.show.movie import write_movie
@@ -62,4 +61,3 @@ def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) ->
         write_movie(
             runs, options.movie, timeline=timeline, length_s=options.length, on_picture=count
         )
-    print_note(f"wrote {options.movie}")

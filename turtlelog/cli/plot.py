@@ -10,6 +10,7 @@ import turtlelog as tl
 from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
+from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import Json, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
@@ -26,12 +27,14 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     files: Annotated[list[Path] | None, Parameter(name="FILE")] = None,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
     only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     columns: Literal[1, 2] = 1,
     text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0,
     asked: AskedOptions | None = None,
+    movie: MovieOptions | None = None,
+    timeline: str = "sim_time",
     topics: ReadingOptions | None = None,
     json: Json = False,
 ) -> None:
@@ -54,29 +57,37 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 
     Example: turtlelog plot runs/*.mcap -o gains.png --only gains --metric overshoot
 
+    Example: turtlelog plot kp1.mcap kp10.mcap --movie race.mp4
+
     Args:
         files: Recordings (.mcap), ROS 2 bags, the paper's logs (.json, .csv), or presets and
             scenario files (.toml), which are simulated; one is drawn in detail, several over each
             other.
-        output: Write into this folder, or one figure to this .pdf, .png or .svg file.
+        output: Write into this folder, or one figure to this .pdf, .png or .svg file; with --movie
+            it may be missing.
         only: Figures by name, with commas (turtlelog list figures).
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
         columns: How many of two columns a figure spans; side-by-side panels always span both.
         text_width: Width of the page's text [mm], 120 to 1000.
+        timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
+            phase of each run, as translate_time.
         json: Print one JSON object instead of lines.
     """
+    movie = movie or MovieOptions()
+    require_movie(movie, files or [])
+    _require_clock(movie, timeline)
+    if output is None:
+        runs = _collect_runs(_require_scenes(files, movie), topics)
+        film_runs(runs, movie, timeline=timeline)
+        _tell(_describe(files or [], {}, []) | {"left_out": []}, movie, json=json)
+        return
     names = None if only is None else _split(only, "--only")
     is_file = output.suffix.lower() in _SUFFIXES
     if is_file:
         _require_one(output, names, formats)
         require_new_target(output, files or [], suffix=output.suffix.lower())
-    elif output.suffix.lower() in _OTHER_PICTURES:
-        raise UsageError(
-            f"{output}: expected a folder, or a file that ends in .pdf, .png or .svg, found"
-            f" {output.suffix}"
-        )
-    elif output.exists() and not output.is_dir():
-        raise UsageError(f"{output}: expected a folder to write to, found a file")
+    else:
+        _require_folder(output)
     page = tl.show.Page(text_width_mm=text_width, columns=columns)
     kinds = (
         [output.suffix[1:].lower()]
@@ -98,10 +109,28 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         left_out = show.list_left_out(runs, names) if runs else ()
     for line in left_out:
         print_note(f"plot: {line}")
+    film_runs(runs, movie, timeline=timeline)
+    told = {**_describe(files or [], figures, tables), "left_out": list(left_out)}
+    _tell(told, movie, json=json)
+
+
+def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
+    """Return the files of a movie without figures."""
+    if movie.movie is None:
+        raise UsageError("--output: expected a folder or a file to write, found none")
+    if not files:
+        raise UsageError("--movie: expected recordings to film, found none")
+    return files
+
+
+def _tell(told: dict[str, Any], movie: MovieOptions, *, json: bool) -> None:
+    """Say what was written."""
     if json:
-        print_json({**_describe(files or [], figures, tables), "left_out": list(left_out)})
-    else:
-        print_lines(f"wrote {path}" for path in [*figures, *tables])
+        print_json({**told, "movie": None if movie.movie is None else str(movie.movie)})
+        return
+    written = [*(figure["file"] for figure in told["figures"]), *told["tables"]]
+    movies = [] if movie.movie is None else [movie.movie]
+    print_lines(f"wrote {path}" for path in [*written, *movies])
 
 
 def _collect_runs(words: Sequence[Path], topics: ReadingOptions | None) -> "list[Run]":
@@ -130,6 +159,21 @@ _OTHER_PICTURES: Final = frozenset(
 """How no folder is called: who writes this means a picture."""
 _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 """What one file shows where nothing is asked for: the first that there is data for."""
+
+
+def _require_clock(movie: MovieOptions, timeline: str) -> None:
+    if movie.movie is None and timeline != "sim_time":
+        raise UsageError(f"--timeline: expected together with --movie, found {timeline}")
+
+
+def _require_folder(output: Path) -> None:
+    if output.suffix.lower() in _OTHER_PICTURES:
+        raise UsageError(
+            f"{output}: expected a folder, or a file that ends in .pdf, .png or .svg, found"
+            f" {output.suffix}"
+        )
+    if output.exists() and not output.is_dir():
+        raise UsageError(f"{output}: expected a folder to write to, found a file")
 
 
 def _require_one(output: Path, names: list[str] | None, formats: str | None) -> None:

@@ -4,6 +4,7 @@ import re
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import Connect, Files, ReadingOptions, read_runs, require_files
 from turtlelog.cli.output import outlive_reader, print_note, print_text
 from turtlelog.cli.progress import show_progress
@@ -30,8 +32,8 @@ class PictureOptions:
     Attributes:
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
         at: Time of the picture, from the first sample [s]; otherwise the end.
-        timeline: What --at tells: sim_time, or of several runs also PHASE_time, from the start of a
-            later phase of each, as translate_time.
+        timeline: What --at tells, and what a movie is driven on: sim_time, or of several runs also
+            PHASE_time, from the start of a later phase of each, as translate_time.
         size: Width and height of the picture [pixels].
     """
 
@@ -64,20 +66,26 @@ def view(
     save: Path | None = None,
     picture: PictureOptions | None = None,
     window: WindowOptions | None = None,
+    movie: MovieOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> None:
     """Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.
 
     Example: turtlelog view kp1.mcap kp10.mcap
 
+    Example: turtlelog view kp1.mcap kp10.mcap --movie race.mp4 --timeline translate_time
+
     Args:
         files: Recordings (.mcap), bags, the paper's logs (.json, .csv), or .rrd files as they are.
         save: Write this .rrd file and open nothing.
     """
     picture, window = picture or PictureOptions(), window or WindowOptions()
+    movie = movie or MovieOptions()
     require_files(files)
-    _require_one_way(files, save, picture, window)
-    _require_picture(picture)
+    outputs = [save, picture.snapshot, movie.movie]
+    _require_one_way(files, outputs, window)
+    _require_picture(picture, movie)
+    require_movie(movie, files)
     require_new_target(save, files, suffix=".rrd")
     require_new_target(picture.snapshot, files, suffix=".png")
     width_and_height = _parse_size(picture.size)
@@ -85,6 +93,10 @@ def view(
         with suppress(KeyboardInterrupt):  # as closing the window does
             _follow(files[0], window.connect)
         return
+    if movie.movie is not None:
+        _film(files, movie, picture.timeline, topics)
+        if save is None and picture.snapshot is None and not window.web:
+            return
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
         rrds = _prepare_rrds(files, save, picture.snapshot, Path(folder), topics)
         if save is not None:
@@ -106,17 +118,29 @@ def view(
                 tl.open_viewer(rrds)
 
 
-def _require_picture(picture: PictureOptions) -> None:
+def _film(
+    files: list[Path], movie: MovieOptions, timeline: str, topics: ReadingOptions | None
+) -> None:
+    ready = [path for path in files if path.suffix == ".rrd"]
+    if ready:
+        raise UsageError(f"--movie: expected recordings, found {ready[0]}, which is a view already")
+    film_runs(read_runs(files, topics), movie, timeline=timeline)
+    print_note(f"wrote {movie.movie}")
+
+
+def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
     if picture.at is not None and (picture.snapshot is None or not abs(picture.at) < _LONGEST_S):
         raise UsageError(f"--at: expected seconds together with --snapshot, found {picture.at}")
-    if picture.timeline != "sim_time" and picture.snapshot is None:
-        raise UsageError(f"--timeline: expected together with --snapshot, found {picture.timeline}")
+    is_timed = picture.snapshot is not None or movie.movie is not None
+    if picture.timeline != "sim_time" and not is_timed:
+        expected = "expected together with --snapshot or --movie"
+        raise UsageError(f"--timeline: {expected}, found {picture.timeline}")
 
 
 def _require_one_way(
-    files: list[Path], save: Path | None, picture: PictureOptions, window: WindowOptions
+    files: list[Path], outputs: Sequence[Path | None], window: WindowOptions
 ) -> None:
-    writes = save is not None or picture.snapshot is not None
+    writes = any(output is not None for output in outputs)
     if window.connect is not None and not window.follow:
         raise UsageError(f"--connect: expected together with --follow, found {window.connect}")
     if window.follow and (window.web or writes):
