@@ -20,7 +20,7 @@ LOG = Log(
 )
 """A robot of known truth."""
 
-KEYS = {"files", "clock", "axes", "tick_delays", "events", "notes"}
+KEYS = {"files", "clock", "axes", "tick_delays", "events", "notes", "scenario"}
 VALUES = {
     "speed": {"gain": 0.9, "dead_time_s": 0.08, "lag_s": 0.12, "total_delay_s": 0.2},
     "turn_rate": {"gain": 0.95, "dead_time_s": 0.06, "lag_s": 0.1, "total_delay_s": 0.16},

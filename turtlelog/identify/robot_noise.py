@@ -76,12 +76,14 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
     places, headings, standing_s = [], [], 0.0
     for run in runs:
         for rows in _list_standing(model, run):
-            time_s = run.poses.time_ns[rows] / 1e9
-            turned = np.unwrap(run.poses.heading_rad[rows])
-            places.append(np.column_stack([time_s, run.poses.xy_m[rows]]))
+            # The log of a simulated robot holds true poses too; the noise is that of sensed ones.
+            sensed = np.flatnonzero(~run.poses.dropped_out[rows]) + rows.start
+            time_s = run.poses.time_ns[sensed] / 1e9
+            turned = np.unwrap(run.poses.read_heading_rad[sensed])
+            places.append(np.column_stack([time_s, run.poses.read_xy_m[sensed]]))
             headings.append(np.column_stack([time_s, turned]))
-            standing_s += float(time_s[-1] - time_s[0])
-    if not places:
+            standing_s += float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
+    if not standing_s:
         return None
     return SensingNoise(
         position_m=_measure_still(places),
@@ -123,11 +125,9 @@ def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
     time_s, command_s = run.poses.time_ns / 1e9, run.commands.time_ns / 1e9
     moves = np.logical_or(*(get_commands(run, axis) != 0.0 for axis in AXES))
     edges = np.flatnonzero(np.diff(moves, prepend=True))
-    ends_s = [*command_s[edges[1:]].tolist(), float("inf")]
-    # Before the first command nothing is commanded, or nothing is known; the motion tells.
-    stretches = [(-float("inf"), float(command_s[edges[0]] if len(edges) else command_s[0]))]
-    if len(moves) and moves[0]:
-        stretches = [(-float("inf"), float(command_s[0]))]
+    ends_s = np.append(command_s[edges], np.inf)[1:].tolist()
+    # What held before the first command is not known; the motion tells.
+    stretches = [(-np.inf, float(command_s[0]))]
     stretches += [
         (float(command_s[row]) + settle_s, end_s)
         for row, end_s in zip(edges.tolist(), ends_s, strict=True)

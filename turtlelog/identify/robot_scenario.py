@@ -255,13 +255,16 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
 
 def _find_largest(runs: Sequence[Run], axis: Axis) -> tuple[float, int]:
     """Return the largest magnitude of a command, and how often commands arrive at it."""
-    sizes = [np.abs(get_commands(run, axis)) for run in runs]
-    largest = max((float(size.max()) for size in sizes if len(size)), default=0.0)
+    commands = [get_commands(run, axis) for run in runs]
+    largest = max((float(np.abs(value).max()) for value in commands if len(value)), default=0.0)
     if not largest:
         return 0.0, 0
-    least = largest * (1.0 - _EXACT)
-    at = (np.diff((size >= least).astype(np.int8), prepend=0) > 0 for size in sizes)
-    return _round(largest), sum(int(np.count_nonzero(arrives)) for arrives in at)
+    near = _EXACT * largest
+    arrivals = sum(
+        int(np.count_nonzero((np.abs(value) >= largest - near) & (np.abs(change) > near)))
+        for value, change in ((value, np.diff(value, prepend=0.0)) for value in commands)
+    )
+    return _round(largest), arrivals
 
 
 def _list_noise(model: RobotModel, runs: Sequence[Run]) -> Part:
