@@ -44,12 +44,24 @@ def test_a_simulation_that_is_not_the_log_tells_no_what_if() -> None:
     assert simulate_what_ifs(identified, replace(found, withheld="they differ", shares=())) == {}
 
 
-def test_where_a_value_is_missing_every_mechanism_is_taken_out() -> None:
+@pytest.mark.parametrize(
+    ("missing", "given", "names"),
+    [
+        (("pause",), (), ["pause"]),
+        ((), ("queue", "pause"), ["queue", "pause", "queue and pause"]),
+        ((), (), ["queue", "pause", "wrap", "queue, pause and wrap"]),
+    ],
+)
+def test_where_a_value_is_missing_those_that_decide_are_taken_out(
+    missing: tuple[str, ...], given: tuple[str, ...], names: list[str]
+) -> None:
     identified, found = explain_kp10()
-    case = ValueSet(mechanisms=("pause",), reason="it never settles")
-    missing = replace(found, withheld="no value", shares=(), without_value=(case,))
-    runs = simulate_what_ifs(identified, missing)
-    assert [*runs] == ["queue", "pause", "wrap", "queue, pause and wrap"]
+    without = (ValueSet(mechanisms=missing, reason="it never settles"),)
+    with_value = (ValueSet(mechanisms=given),) if given else ()
+    none = replace(
+        found, withheld="no value", shares=(), without_value=without, with_value=with_value
+    )
+    assert [*simulate_what_ifs(identified, none)] == names
 
 
 @pytest.mark.parametrize(

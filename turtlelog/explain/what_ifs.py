@@ -21,8 +21,8 @@ def simulate_what_ifs(
 ) -> Mapping[str, Run]:
     """Simulate the run without each mechanism that acts, and without all of them.
 
-    Those are the ones that change the value; where it has no value with some of them, every one
-    that takes part. None where re-simulation and log disagree: they
+    Those are the ones that change the value, or decide whether there is one; where there is none
+    with and without any, every one that takes part. None where re-simulation and log disagree: they
     would say nothing of the log.
 
     Args:
@@ -41,7 +41,7 @@ def simulate_what_ifs(
     """
     if found.withheld and not found.without_value:
         return {}
-    names = found.mechanisms if found.without_value else found.acting
+    names = _list_deciding(found) if found.without_value else found.acting
     chosen: list[tuple[str, ...]] = [(name,) for name in names]
     if len(names) > 1:
         chosen.append(tuple(names))
@@ -52,6 +52,13 @@ def simulate_what_ifs(
         if report is not None:
             report(number, len(chosen))
     return runs
+
+
+def _list_deciding(found: Attribution) -> tuple[str, ...]:
+    """Return the mechanisms with which there is no value, or with which alone there is one."""
+    cases = (*found.without_value, *found.with_value)
+    named = {name for case in cases for name in case.mechanisms}
+    return tuple(name for name in found.mechanisms if name in named) or found.mechanisms
 
 
 def name_without(mechanisms: tuple[str, ...]) -> str:

@@ -248,7 +248,7 @@ def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> 
     """Draw how far the main ghost is away, and name all turtles."""
     if scene.ghosts:
         main = scene.ghosts[-1]
-        draw_gap(stream, scene.recorded, main, content.plane.half_size_m)
+        draw_gap(stream, scene.recorded, main, content.plane)
         rows = [(ghost.name, ghost.look.color) for ghost in reversed(scene.ghosts)]
         rows.insert(0, (_RECORDED, palette.MAIN))
         draw_key(stream, rows, content.plane, [scene.recorded, main.run])

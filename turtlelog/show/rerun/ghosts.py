@@ -32,11 +32,17 @@ _ONE_M: Final = 1.0
 
 _GAP_WIDTH: Final = 1.0  # [points]
 _GAP_ORDER: Final = 27.0  # above turtles
+_ROOM: Final = 0.45
+"""Of the plane's half-width, from its middle: beyond, words beside a line would be cut off."""
+
 _ASIDE, _UP = 0.33, -0.1
 """Of the plane's half-width: where the distance stands beside its line, far from goal's name."""
 
 _KEY_LETTER: Final = 0.036
 """Of the plane's half-width: 7 pixels of 200."""
+
+_EDGE: Final = 0.87
+"""Of the plane's half-width: inside of the world's border."""
 
 _KEY_LINE: Final = 0.14
 _KEY_SAMPLE: Final = 0.1
@@ -114,8 +120,9 @@ def measure_gap(run: Run, ghost: Ghost) -> Values:
     return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
 
 
-def draw_gap(stream: rr.RecordingStream, run: Run, ghost: Ghost, half_size_m: float) -> None:
+def draw_gap(stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds) -> None:
     """Draw a line from the run to a ghost at the cursor, and how long it is."""
+    half_size_m = bounds.half_size_m
     rows = np.unique(
         np.linspace(0, len(run.poses) - 1, min(len(run.poses), _MOST_GAPS)).round().astype(int)
     )
@@ -140,8 +147,9 @@ def draw_gap(stream: rr.RecordingStream, run: Run, ghost: Ghost, half_size_m: fl
         static=True,
     )
     is_apart = gap_m >= _APART_M
-    aside = _choose_side(run) * _ASIDE * half_size_m
-    places_m = (own_m + other_m)[is_apart] / 2.0 + [aside, _UP * half_size_m]
+    middles_m = (own_m + other_m)[is_apart] / 2.0
+    places_m = middles_m + _UP * half_size_m * np.array([[0.0, 1.0]])
+    places_m[:, 0] += _find_aside(run, middles_m[:, 0], bounds)
     labels = [f"{format_length(float(gap))} apart" for gap in gap_m[is_apart]]
     names = rr.Points2D.columns(positions=places_m, labels=labels)
     stream.send_columns(
@@ -155,22 +163,21 @@ def draw_key(
     bounds: Bounds,
     runs: Sequence[Run],
 ) -> None:
-    """Name the turtles of a plane in the corner that they keep away from."""
+    """Name the turtles of a plane where they keep away from."""
     half_m = bounds.half_size_m
     longest = max(len(name) for name, _ in rows) * _KEY_LETTER + _KEY_GAP
     width = _KEY_SAMPLE + _KEY_GAP + longest
     xy = (np.concatenate([run.poses.xy_m for run in runs]) - bounds.center_xy_m) / half_m
-    corners = [(-0.87, -0.87), (0.87 - width, -0.87), (-0.87, 0.87), (0.87 - width, 0.87)]
+    height = _KEY_LINE * (len(rows) + 1)
+    lefts, tops = (-_EDGE, _EDGE - width, -width / 2.0), (height - _EDGE, _EDGE, height / 2.0)
 
     def count_hidden(corner: tuple[float, float]) -> int:
-        height = np.sign(-corner[1]) * _KEY_LINE * (len(rows) + 1)
         across = (xy[:, 0] > corner[0]) & (xy[:, 0] < corner[0] + width)
-        low, high = sorted((corner[1], corner[1] + height))
-        return int((across & (xy[:, 1] > low) & (xy[:, 1] < high)).sum())
+        return int((across & (xy[:, 1] > corner[1] - height) & (xy[:, 1] < corner[1])).sum())
 
-    left, edge = min(corners, key=count_hidden)
-    first = edge - _KEY_LINE / 2.0 if edge > 0.0 else edge + (len(rows) - 0.5) * _KEY_LINE
-    ys = first - _KEY_LINE * np.arange(len(rows))
+    # Of places that are as empty the first: the lower left.
+    left, top = min(((x, y) for y in tops for x in lefts), key=count_hidden)
+    ys = top - _KEY_LINE * (np.arange(len(rows)) + 1.0)
     samples = [[(left, y), (left + _KEY_SAMPLE, y)] for y in ys]
     middle = left + _KEY_SAMPLE + _KEY_GAP
     words = [
@@ -208,8 +215,9 @@ def _follow(run: Run, ghost: Ghost) -> Values:
     return np.column_stack([np.interp(own_ns, other_ns, column) for column in other.xy_m.T])
 
 
-def _choose_side(run: Run) -> float:
-    """Return the side on which start and goal have no name, or the start's: 1 is the right."""
-    x_m = run.poses.xy_m[:, 0]
-    goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(x_m[-1])
-    return 1.0 if goal_x_m <= x_m[0] else -1.0
+def _find_aside(run: Run, x_m: Values, bounds: Bounds) -> Values:
+    """Return how far to the right words stand [m]: where the goal has no name, if there is room."""
+    goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(run.poses.xy_m[-1, 0])
+    side = 1.0 if goal_x_m <= run.poses.xy_m[0, 0] else -1.0
+    has_room = side * (x_m - bounds.center_xy_m[0]) < _ROOM * bounds.half_size_m
+    return np.where(has_room, side, -side) * _ASIDE * bounds.half_size_m

@@ -28,7 +28,10 @@ _HIGHEST_BAR: Final = 5.5
 _LEAST_SCALE: Final = 25.0
 """Longest bar at least, however long its words are."""
 
-_LETTERS: Final = 84
+_PROSE_LETTER: Final = 0.84
+"""Of long lines, in which narrow letters and wide ones make up for each other."""
+
+_LETTERS: Final = 100
 """Of a line of text."""
 
 
@@ -65,7 +68,12 @@ def draw_reason(stream: rr.RecordingStream, sentences: Sequence[str]) -> None:
     if len(lines) > most:
         lines = [*lines[: most - 1], "..."]
     words = [
-        (_measure(line) / 2.0, (number + 0.5) * _LINE, line, palette.GOAL)
+        (
+            (_PROSE_LETTER * len(line) + _PADDING) / 2.0,
+            (number + 0.5) * _LINE,
+            line,
+            palette.GOAL,
+        )
         for number, line in enumerate(lines)
     ]
     _write(stream, words)
