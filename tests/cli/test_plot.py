@@ -196,3 +196,58 @@ def test_a_preset_or_a_scenario_file_is_simulated_and_drawn(
     code, out, err = run_plot(capsys, "nix.toml", "-o", str(tmp_path / "a.svg"))
     assert (code, out) == (2, "")
     assert "nix.toml: expected a recording, a bag or a log, found" in err
+
+
+def test_the_attribution_is_that_of_explain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kp10 = str(RECORDING.with_name("kp10.mcap"))
+    words = [kp10, "-o", str(tmp_path / "why.svg"), "--only", "attribution", "--json"]
+    code, out, err = run_plot(capsys, *words, "--metric", "final.heading_error")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["figures"][0]["figure"] == "attribution"
+    with pytest.raises(SystemExit):
+        main(["explain", kp10, "--metric", "final.heading_error", "--json"])
+    found = json.loads(capsys.readouterr().out)["attribution"]
+    texts = re.findall("<!-- (.*?) -->", (tmp_path / "why.svg").read_text("utf-8"))
+    assert f"what caused {found['as_logged']:.3f} deg" in texts
+    (share,) = [one["share"] for one in found["shares"] if one["mechanism"] == "pause"]
+    assert any(f"{-share:.3f} deg".replace("-", "\N{MINUS SIGN}") in text for text in texts)
+
+
+def test_a_violation_has_the_moments_of_check(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kp10, formula = str(RECORDING.with_name("kp10.mcap")), "always(abs(cross_track) <= 0.05)"
+    target = tmp_path / "outside.svg"
+    words = [kp10, "-o", str(target), "--only", "violation", "--expect", formula]
+    assert run_plot(capsys, *words) == (0, f"wrote {target}\n", "")
+    with pytest.raises(SystemExit):
+        main(["check", kp10, "--expect", formula, "--json"])
+    (result,) = json.loads(capsys.readouterr().out)["results"]
+    texts = re.findall("<!-- (.*?) -->", target.read_text("utf-8"), re.S)
+    assert f"worst -{result['value']:.5g} m\nat {result['value_s']:.3f} s" in texts
+    assert any(text.endswith(f"at {result['first_violation_s']:.3f} s") for text in texts[:-1])
+
+
+@pytest.mark.parametrize(
+    ("words", "match"),
+    [
+        (["--metric", "overshoot"], "--metric: expected --only attribution, gains or strips"),
+        (["--only", "plane", "--metric", "a"], "beside it, found --only plane"),
+        (["--only", "plane", "--expect", "speed < 1"], "--expect: expected --only violation"),
+        (["--only", "violation"], "--only violation: expected --expect FORMULA beside it"),
+        (["--only", "violation", "--expect", "speed <"], "--expect"),
+        (["--only", "gains", "--metric", "overshot"], "overshot"),
+        (["--only", "gains", "--metric", "a,"], "--metric: expected ids with commas between"),
+        (["--only", "attribution", "--metric", "final.speed"], "final.speed"),
+    ],
+)
+def test_figures_that_are_asked_in_vain_are_one_line(
+    words: list[str], match: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = run_plot(capsys, str(RECORDING), "-o", str(tmp_path / "new"), *words)
+    assert (code, out) == (2, "")
+    assert match in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "new").exists()

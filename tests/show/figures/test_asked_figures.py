@@ -24,6 +24,7 @@ from turtlelog.show.figures.attribution_figure import (
     draw_attribution,
     explain_for_figure,
 )
+from turtlelog.show.figures.figure_kinds import list_usual_figures
 from turtlelog.show.figures.gain_figure import draw_gains, find_loop_gains, shorten_names
 from turtlelog.show.figures.metric_panels import complete_name, measure_for_figure
 from turtlelog.show.figures.rates_figure import draw_rates, find_step
@@ -352,3 +353,20 @@ def test_without_commands_there_are_no_rates(robot: tl.Run) -> None:
     silent = replace(robot, commands=replace(robot.commands, **still))
     with pytest.raises(ShowError, match="figure rates: expected commands, found none"):
         tl.show.draw_figure("rates", [silent])
+
+
+def test_they_come_only_where_they_are_asked_for() -> None:
+    asked = {"attribution", "gains", "rates", "strips", "violation"}
+    assert asked <= {*tl.show.FIGURES}
+    assert not asked & {*list_usual_figures()}
+
+
+def test_violated_words_stay_on_the_narrowest_page() -> None:
+    figure = make_figure(57.0 / 25.4)
+    spec = tl.parse_spec({"checks": {"asked": {"holds": "always(abs(cross_track) <= 0.05)"}}})
+    (result,) = tl.check_runs(spec, [("run", read(10))])
+    draw_violation(figure, [read(10)], violated=find_judged_signal(read(10), result).signal)
+    figure.draw_without_rendering()
+    left, _, right, _ = figure.get_tightbbox().extents
+    assert left > -0.01
+    assert right < figure.get_figwidth() + 0.01

@@ -129,7 +129,7 @@ def test_a_step_response_is_theorys_and_an_unstable_one_is_said_to_be_so_and_cut
 
 def test_figures_of_sampled_loops_come_only_where_they_are_asked_for(tmp_path: Path) -> None:
     assert not {*list_usual_figures()} & {*EXTRA}
-    assert {*list_usual_figures()} | {*EXTRA} == {*tl.show.FIGURES}
+    assert {*EXTRA} < {*tl.show.FIGURES}
     written = tl.write_figures([KP10], tmp_path, only=["nyquist"], formats=["svg"])
     assert [path.name for path in written] == ["nyquist.svg"]
 

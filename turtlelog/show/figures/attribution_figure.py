@@ -146,6 +146,9 @@ def draw_attribution(
         low = line_inch * (len(steps) + 2.0)
         figure.set_size_inches(width, 0.82 * width + low)
         seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
+        if (engine := figure.get_layout_engine()) is not None:
+            # The square above the bars is laid out first, and takes a point of their names' room.
+            engine.set(w_pad=0.1)
         room_inch = 0.72 * width
     else:
         figure.set_size_inches(width, max(0.42 * width, line_inch * (len(steps) + 2.5)))

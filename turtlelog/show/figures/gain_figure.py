@@ -50,6 +50,10 @@ _RATIO: Final = 4.0
 _GAINS: Final = 48
 """Of a curve of theory: one in a millimetre of a panel."""
 
+_COLUMN_INCH: Final = 1.5
+"""A panel is at least so wide: in narrower ones the values of two limits touch. Loops whose panels
+would be narrower stand below each other."""
+
 _ROW_INCH: Final = 1.45
 
 _OVERSHOOT: Final[Mapping[str, Any]] = MappingProxyType(
@@ -204,24 +208,28 @@ def draw_gains(
     columns = [loop for loop in columns if loop.name in own] or columns[:1] if own else columns[:1]
     rows = list(dict.fromkeys(one.name for one in found if not own or one.loop or not one.loop))
     width = figure.get_figwidth()
-    figure.set_size_inches(width, 0.55 + _ROW_INCH * len(rows))
-    grid = figure.subplots(len(rows), len(columns), squeeze=False, sharex="col")
-    for row, name in enumerate(rows):
-        for column, loop in enumerate(columns):
-            axes = grid[row, column]
-            one = next(
-                (one for one in found if one.name == name and one.loop in ("", loop.name)), None
-            )
+    is_stacked = width < _COLUMN_INCH * len(columns)
+    shape = (len(rows) * len(columns), 1) if is_stacked else (len(rows), len(columns))
+    figure.set_size_inches(width, 0.55 + _ROW_INCH * shape[0])
+    grid = figure.subplots(*shape, squeeze=False)
+    for column, loop in enumerate(columns):
+        own_axes = grid[column * len(rows) :, 0] if is_stacked else grid[:, column]
+        for row, (axes, name) in enumerate(zip(own_axes, rows, strict=False)):
+            one = _find_values(found, name, loop)
             if one is None:
                 axes.set_axis_off()
                 continue
             _draw_panel(axes, runs, loop, one, is_first=row == 0)
-            axes.set_ylabel(one.label if column == 0 or one.loop else "")
-    for column, loop in enumerate(columns):
-        below = f"Kp of {loop.name} [1/s]"
-        grid[-1, column].set_xlabel(below)
-        grid[0, column].set_title(_name_loop(loop), pad=12.0)
+            axes.tick_params(labelbottom=row + 1 == len(rows))
+            axes.set_ylabel(one.label if column == 0 or one.loop or is_stacked else "")
+        own_axes[len(rows) - 1].set_xlabel(f"Kp of {loop.name} [1/s]")
+        own_axes[0].set_title(_name_loop(loop), pad=12.0)
     figure.align_ylabels()
+
+
+def _find_values(found: Sequence[MetricValues], name: str, loop: LoopGains) -> MetricValues | None:
+    """Return a metric of a loop, or of the whole run."""
+    return next((one for one in found if one.name == name and one.loop in ("", loop.name)), None)
 
 
 def _name_loop(loop: LoopGains) -> str:
