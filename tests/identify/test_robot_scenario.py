@@ -277,7 +277,7 @@ def test_a_simulated_robot_comes_back() -> None:
         "sensing.noise_position_m": 5e-4,
         "sensing.noise_heading_rad": 1e-3,
         "disturbance.noise_speed": 2e-3,
-        "disturbance.noise_turn_rate": 4e-3,
+        "disturbance.noise_turn_rate": 2e-3,
     }
     base = tl.override_scenario(
         tl.load_scenario("lagged"), {"law.kind": "open-loop"}, source="test"
@@ -289,5 +289,5 @@ def test_a_simulated_robot_comes_back() -> None:
             one, truth = (getattr(plant, f"{axis}_{name}") for plant in (found.plant, base.plant))
             assert one == pytest.approx(truth, rel=0.1)
     assert (found.plant.period_s, found.loop.period_s) == (0.05, 0.1)
-    assert list_noise(found) == pytest.approx((2e-3, 4e-3, 5e-4, 1e-3), rel=0.5)
+    assert list_noise(found) == pytest.approx((2e-3, 2e-3, 5e-4, 1e-3), rel=0.5)
     assert (found.limits.speed_m_s, found.loop.transport_delay_s) == (0.5, 0.0)
