@@ -35,7 +35,7 @@ NAMES = {"rotate": "angular", "translate": "linear"}
 @cache
 def build_robot(poses_hz: float = 30.0) -> tl.Scenario:
     run = make_run(replace(LOG, poses_hz=poses_hz), 4)
-    still = replace(build_robot_scenario(tl.identify_robot(run), run).scenario, max_duration_s=30.0)
+    still = replace(build_robot_scenario(tl.identify_robot(run), run).scenario, max_duration_s=40.0)
     quiet = tl.scenario.Disturbance(), tl.scenario.Sensing()
     start = tl.scenario.Start(x_m=0.0, y_m=0.0, heading_rad=0.0)
     return replace(still, disturbance=quiet[0], sensing=quiet[1], start=start)
@@ -63,10 +63,11 @@ def drive(scenario: tl.Scenario, loop: str, **gains: float) -> Run:
 
 
 def measure(run: Run, loop: str) -> float:
-    name = f"{loop}.overshoot"
-    value = tl.measure_run(run, only=[name])[name].value
-    assert value is not None
-    return value
+    """Return the overshoot of the pose itself [%]."""
+    x_m, y_m = run.goal_xy_m or (0.0, 0.0)
+    if loop == "rotate":
+        return 100.0 * (float(np.max(run.poses.heading_rad)) / math.atan2(y_m, x_m) - 1.0)
+    return 100.0 * (float(np.max(run.poses.xy_m[:, 0])) / x_m - 1.0)
 
 
 def simulate(scenario: tl.Scenario, loop: str, one: Recommendation) -> float:

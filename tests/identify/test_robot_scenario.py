@@ -120,7 +120,8 @@ def test_times_that_jitter_are_no_noise() -> None:
         assert noise == (0.0, 0.0, 0.0, 0.0)
     rates = 3e-3, 1e-2
     noise = list_noise(build(drive_with_noise(1, rates=rates, jitter_s=5e-3)).scenario)
-    assert noise == (pytest.approx(3e-3, rel=0.4), pytest.approx(1e-2, rel=0.4), 0.0, 0.0)
+    assert noise[:2] == pytest.approx(rates, rel=0.4)
+    assert noise[2:] == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("stand_s", "is_known"), [(1.0, False), (3.0, True)])
