@@ -30,7 +30,7 @@ _BEFORE_S: Final = 60.0
 _HALF: Final = 0.5
 
 _ROUNDING_NS: Final = 1000
-"""What a double of seconds since 1970 cannot tell [ns]: the command after a silence is not in it."""
+"""What a double of seconds since 1970 cannot tell [ns]: a silence ends before the next command."""
 
 
 def list_commands(
