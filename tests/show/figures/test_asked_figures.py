@@ -362,7 +362,7 @@ def test_they_come_only_where_they_are_asked_for() -> None:
 
 
 def test_violated_words_stay_on_the_narrowest_page() -> None:
-    figure = make_figure(57.0 / 25.4)
+    figure = make_figure(120.0 / 25.4)
     spec = tl.parse_spec({"checks": {"asked": {"holds": "always(abs(cross_track) <= 0.05)"}}})
     (result,) = tl.check_runs(spec, [("run", read(10))])
     draw_violation(figure, [read(10)], violated=find_judged_signal(read(10), result).signal)

@@ -20,9 +20,9 @@ from tests.show.laws import (
     simulate_tracker,
 )
 from turtlelog.scenario import get_preset
-from turtlelog.show.figures.figure_kinds import list_usual_figures
 from turtlelog.show import list_left_out
 from turtlelog.show.figures.figure_curves import compute_ideals, find_gains
+from turtlelog.show.figures.figure_kinds import list_usual_figures
 from turtlelog.show.shared_curves import list_levels, read_applied, read_curve
 
 STRANGE, EXAMPLE, FOLLOWER = map(simulate_law, ("strange", "example", "Follower"))

@@ -37,6 +37,9 @@ Values = NDArray[np.float64]
 _MOST_LINES: Final = 3
 """Dead times that have a line each; more are a band from the least limit to the greatest."""
 
+_MOST_LOOPS: Final = 4
+"""Of runs of several laws; more would be higher than a page."""
+
 _FAR: Final = 2.5
 """A limit beyond this many times the largest gain is told in words, not drawn: all runs would crowd
 at the left border."""
@@ -206,7 +209,11 @@ def draw_gains(
     columns = [loop for loop in loops if any(one.loop in ("", loop.name) for one in found)]
     own = {one.loop for one in found} - {""}
     columns = [loop for loop in columns if loop.name in own] or columns[:1] if own else columns[:1]
-    rows = list(dict.fromkeys(one.name for one in found if not own or one.loop or not one.loop))
+    if len(columns) > _MOST_LOOPS:
+        note = f"the first {_MOST_LOOPS} of {len(columns)} loops; --metric LOOP.METRIC chooses"
+        figure.supxlabel(note, fontsize=7.0, color="0.4")
+        columns = columns[:_MOST_LOOPS]
+    rows = list(dict.fromkeys(one.name for one in found if one.loop in _list_shown(columns)))
     width = figure.get_figwidth()
     is_stacked = width < _COLUMN_INCH * len(columns)
     shape = (len(rows) * len(columns), 1) if is_stacked else (len(rows), len(columns))
@@ -225,6 +232,10 @@ def draw_gains(
         own_axes[len(rows) - 1].set_xlabel(f"Kp of {loop.name} [1/s]")
         own_axes[0].set_title(_name_loop(loop), pad=12.0)
     figure.align_ylabels()
+
+
+def _list_shown(columns: Sequence[LoopGains]) -> set[str]:
+    return {"", *(loop.name for loop in columns)}
 
 
 def _find_values(found: Sequence[MetricValues], name: str, loop: LoopGains) -> MetricValues | None:

@@ -26,6 +26,11 @@ Values = NDArray[np.float64]
 _MOST_GROUPS: Final = 12
 """Side by side; in a column each then has 6 mm."""
 
+_MOST_KEYS: Final = 2
+"""Keys whose values name a group; of more the names would have no room below it."""
+
+_MOST_LETTERS: Final = 22
+
 _BOX_FROM: Final = 10
 """Values from which quartiles say something: of fewer each lies between two points or on one."""
 
@@ -73,6 +78,10 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     gains = [key for run in runs for key in run.declaration.list_gains()]
     of_gain = [key for key in keys if key in gains]
     by = of_gain or keys
+    more = len(by) - _MOST_KEYS
+    if more > 0:
+        by = ["law.kind"] if "law.kind" in keys else by[:_MOST_KEYS]
+        more = len(keys) - len(by)
     cells = [tuple(run.parameters.get(key) for key in by) for run in runs]
     is_one_gain = bool(of_gain) and all(has_one_gain(run) for run in runs)
     if is_one_gain:
@@ -81,6 +90,8 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     for row, cell in enumerate(cells):
         found.setdefault(cell, []).append(row)
     label = "Kp [1/s]" if is_one_gain else ", ".join(key.rpartition(".")[2] for key in by)
+    if more > 0 and not is_one_gain:
+        label += f" ({more} more keys differ)"
     if len(found) > _MOST_GROUPS:
         raise ShowError(
             f"figure strips: expected at most {_MOST_GROUPS} groups, found {len(found)} by"
@@ -89,9 +100,13 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     order = sorted(found, key=lambda cell: [_rank(value) for value in cell])
     return RunGroups(
         label=label,
-        names=tuple(", ".join(map(_tell, cell)) for cell in order),
+        names=tuple(_shorten(", ".join(map(_tell, cell))) for cell in order),
         rows=tuple(tuple(found[cell]) for cell in order),
     )
+
+
+def _shorten(name: str) -> str:
+    return name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 3]}..."
 
 
 def _find_differing(runs: Sequence[Run]) -> list[str]:
