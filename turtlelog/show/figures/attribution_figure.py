@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
@@ -146,7 +147,7 @@ def draw_attribution(
         low = line_inch * (len(steps) + 2.0)
         figure.set_size_inches(width, 0.82 * width + low)
         seen, bars = figure.subplots(2, 1, height_ratios=[0.82 * width, low])
-        if (engine := figure.get_layout_engine()) is not None:
+        if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
             # The square above the bars is laid out first, and takes a point of their names' room.
             engine.set(w_pad=0.1)
         room_inch = 0.72 * width
