@@ -8,6 +8,7 @@ from turtlelog.errors import LibraryError
 
 _PURPOSES: Final = MappingProxyType(
     {
+        "bokeh": ("bokeh", "reports"),
         "control": ("control", "these responses and margins"),
         "cv2": ("opencv-python-headless", "movies in .mp4"),
         "matplotlib": ("matplotlib", "figures"),

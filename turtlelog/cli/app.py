@@ -36,6 +36,7 @@ from turtlelog.cli.plot import plot
 from turtlelog.cli.progress import end_progress
 from turtlelog.cli.recover import recover
 from turtlelog.cli.replay import replay
+from turtlelog.cli.report import report
 from turtlelog.cli.run import run, scenario
 from turtlelog.cli.theory import theory
 from turtlelog.cli.usage_errors import describe_usage_error
@@ -71,7 +72,7 @@ _COMMANDS: Final[Mapping[str, Mapping[Callable[..., Any], str]]] = {
         list_: "KIND",
     },
     "Check": {check: "SPEC FILE..."},
-    "Show": {view: "FILE...", plot: "[FILE...] -o OUT"},
+    "Show": {view: "FILE...", plot: "[FILE...] -o OUT", report: "FILE... -o OUT"},
     "Files": {convert: "FILE -o OUT", recover: "FILE -o OUT", demo: ""},
 }
 """The commands as help groups them, and the words that each takes."""

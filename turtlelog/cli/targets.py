@@ -12,7 +12,7 @@ import turtlelog as tl
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
 
-_LIBRARIES: Final = MappingProxyType({".parquet": "pyarrow", ".rrd": "rerun"})
+_LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
 """What writes files of a suffix, where a slim installation lacks it."""
 
 

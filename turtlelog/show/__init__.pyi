@@ -10,6 +10,11 @@ from .figures import (
     write_tables as write_tables,
 )
 from .movie import write_movie as write_movie
+from .report import (
+    CheckLine as CheckLine,
+    Explanation as Explanation,
+    write_report as write_report,
+)
 from .rerun.comparison_scene import write_comparison_rrd as write_comparison_rrd
 from .rerun.explanation_scene import write_explanation_rrd as write_explanation_rrd
 from .rerun.live_viewer import (

@@ -1,0 +1,159 @@
+"""`turtlelog report`: runs as one file of HTML."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import Files, Json, ReadingOptions, read_runs, require_files
+from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_lines
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
+from turtlelog.display import format_number
+from turtlelog.errors import ExplainError, TurtlelogError
+
+if TYPE_CHECKING:
+    from turtlelog import CheckResult, Run
+    from turtlelog.show.report import CheckLine, Explanation
+
+
+def report(
+    files: Files,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    spec: Path | None = None,
+    explain: Literal["auto", "worst", "none"] = "auto",
+    topics: ReadingOptions | None = None,
+    json: Json = False,
+) -> int:
+    """Write a report on runs as one file of HTML, which opens without a network.
+
+    It begins with what is known in a sentence: which run ends nearest to its goal, which check
+    fails, what caused the worst. Below: the plane with a slider over time, plots to zoom, tables,
+    checks, and the files with their sha256.
+
+    The exit code is 1 where --spec is given and a check fails.
+
+    Example: turtlelog report kp1.mcap kp10.mcap -o report.html
+
+    Example: turtlelog report run.mcap --spec spec.toml -o report.html
+
+    Args:
+        files: Recordings (.mcap), ROS 2 bags, tables, or the paper's logs (.json, .csv).
+        output: Write this .html file.
+        spec: Hold the runs to this specification (.toml).
+        explain: Say what caused the final error of a run alone (auto), of the run that ends
+            furthest from its goal (worst), or of none.
+        json: Print one JSON object instead of a line.
+    """
+    require_files(files)
+    inputs = [*files, *([] if spec is None else [spec])]
+    require_new_target(output, inputs, suffix=".html")
+    runs = read_runs(files, topics)
+    found = _explain(runs, explain)
+    results = [] if spec is None else _check(spec, files, runs)
+    names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
+    words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
+    words += [] if explain == "auto" else ["--explain", explain]
+    with show_progress("drawing"):
+        tl.write_report(
+            runs,
+            output,
+            sources=files,
+            explanation=found,
+            checks=build_check_lines(results, names),
+            command=shlex.join(["turtlelog", "report", *words, "-o", str(output)]),
+        )
+    verdict = tl.check.join_verdicts(results) if results else None
+    if json:
+        explained = found.run.name if found is not None and found.attribution is not None else None
+        print_json(
+            {
+                "output": str(output),
+                "bytes": output.stat().st_size,
+                "runs": [
+                    {"file": str(file), "name": run.name}
+                    for file, run in zip(files, runs, strict=True)
+                ],
+                "explained": explained,
+                "verdict": None if verdict is None else verdict.value,
+            }
+        )
+    else:
+        print_lines([f"wrote {output}"])
+    return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
+
+
+def build_check_lines(
+    results: "Sequence[CheckResult]", names: dict[str, str]
+) -> "list[CheckLine]":
+    """Return results as a report shows them; `names` are those of runs by their files."""
+    from turtlelog.show.report import CheckLine
+
+    def tell(value: float | None, unit: str) -> str:
+        return "" if value is None else format_number(value, unit)
+
+    return [
+        CheckLine(
+            run=names.get(found.file, found.file),
+            check=found.check,
+            verdict=found.verdict.value,
+            value=tell(found.value, found.unit),
+            limit=tell(found.limit, found.unit),
+            margin=tell(found.margin, found.unit),
+            expected=found.expected,
+            first_violation_s=found.first_violation_s,
+            reason=found.reason,
+        )
+        for found in results
+    ]
+
+
+def _check(spec: Path, files: Sequence[Path], runs: "Sequence[Run]") -> "list[CheckResult]":
+    loaded = tl.load_spec(spec)
+    pairs = [(str(file), run) for file, run in zip(files, runs, strict=True)]
+    return [*tl.check_runs(loaded, pairs)]
+
+
+def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
+    """Return what caused the final error of the run that is to be explained."""
+    run = _choose_run(runs, choice)
+    if run is None:
+        return None
+    from turtlelog.explain import require_trust
+    from turtlelog.explain.what_ifs import simulate_what_ifs
+    from turtlelog.show.report import Explanation
+
+    try:
+        require_trust(run, trust_law=False)
+        found = tl.identify_run(run)
+        if found.scenario is None:
+            raise ExplainError("no scenario stands for this log")
+        with show_progress("simulated", 100.0, "%") as progress:
+
+            def tell(done: int, total: int) -> None:
+                progress.done = 100.0 * done / total
+
+            attribution = tl.attribute_run(
+                run, identified=found, work=tl.explain.Work(report=tell)
+            )
+        what_ifs = simulate_what_ifs(found, attribution)
+    except TurtlelogError as err:
+        return Explanation(run=run, note=str(err))
+    return Explanation(run=run, attribution=attribution, what_ifs=what_ifs)
+
+
+def _choose_run(runs: "Sequence[Run]", choice: str) -> "Run | None":
+    if choice == "none" or (choice == "auto" and len(runs) > 1):
+        return None
+    known = [run for run in runs if len(run.samples)]
+    misses_m = [
+        (found.value or 0.0, run)
+        for run in known
+        for found in [tl.measure_run(run, only=["final.position_error"])["final.position_error"]]
+    ]
+    return max(misses_m, key=lambda pair: pair[0])[1] if misses_m else None

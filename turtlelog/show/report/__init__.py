@@ -1,0 +1,5 @@
+"""A report as one file of HTML: plots to zoom, a plane to play, tables and provenance."""
+
+from turtlelog.show.report.report_file import CheckLine, Explanation, write_report
+
+__all__ = ["CheckLine", "Explanation", "write_report"]

@@ -1,0 +1,79 @@
+"""The sentences on top of a report: only what is measured, judged or explained."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from turtlelog.display import describe_count, join_words
+from turtlelog.explain import Attribution, write_sentences
+from turtlelog.measure import Metric, is_lawless
+from turtlelog.run import CUT_SHORT, Run
+from turtlelog.show.close_up import format_length
+
+_MOST_NAMED: Final = 4
+"""Runs or checks that a sentence names; of more it says how many there are."""
+
+
+def conclude(
+    runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
+) -> list[str]:
+    """Return which run ends nearest to its goal and which furthest, and which were cut short."""
+    found = list_misses(runs, metrics)
+    sentences = []
+    if len(runs) == 1 and found:
+        sentences.append(f"{names[0]} ends {format_length(found[0])} from its goal.")
+    elif len(found) == 1:
+        ((number, miss_m),) = found.items()
+        sentences.append(f"Only {names[number]} has a goal; it ends {format_length(miss_m)} off.")
+    elif found:
+        sentences.append(_compare(found, names, of=len(runs)))
+    cut = [name for run, name in zip(runs, names, strict=True) if run.stop_reason in CUT_SHORT]
+    if cut:
+        who = join_words(cut) if len(cut) <= _MOST_NAMED else describe_count(len(cut), "run")
+        sentences.append(f"{who} did not come to {'its' if len(cut) == 1 else 'their'} own end.")
+    return sentences
+
+
+def list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) -> dict[int, float]:
+    """Return the final position error of each run that aims at a goal [m], by its number."""
+    found = {}
+    for number, (run, known) in enumerate(zip(runs, metrics, strict=True)):
+        metric = known.get("final.position_error")
+        aims = is_lawless(run) or run.declaration.uses_goal
+        if aims and metric is not None and metric.value is not None:
+            found[number] = metric.value
+    return found
+
+
+def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
+    """Return how many checks fail and which; empty where nothing was judged.
+
+    Args:
+        verdicts: Name of the run, of the check, and its verdict.
+    """
+    judged = [found for found in verdicts if found[2] != "SKIPPED"]
+    failed = [f"{check} in {run}" for run, check, verdict in judged if verdict == "FAIL"]
+    if not judged:
+        return ""
+    if not failed:
+        return f"{'The check passes' if len(judged) == 1 else f'All {len(judged)} checks pass'}."
+    which = f": {join_words(failed)}" if len(failed) <= _MOST_NAMED else ""
+    verb = "fails" if len(failed) == 1 else "fail"
+    return f"{len(failed)} of {describe_count(len(judged), 'check')} {verb}{which}."
+
+
+def conclude_cause(name: str, found: Attribution) -> str:
+    """Return what causes the value of a run, in the words of `turtlelog explain`; empty if none."""
+    if found.withheld or found.without_value or not found.acting:
+        return ""
+    return f"Of {name}: {' '.join(write_sentences(found)[:2])}"
+
+
+def _compare(found: Mapping[int, float], names: Sequence[str], *, of: int) -> str:
+    nearest, furthest = (choose(found, key=lambda number: found[number]) for choose in (min, max))
+    runs = f"{of} runs" if len(found) == of else f"the {len(found)} runs with a goal"
+    if format_length(found[nearest]) == format_length(found[furthest]):
+        return f"Of {runs} each ends {format_length(found[nearest])} from its goal."
+    return (
+        f"Of {runs} {names[nearest]} ends nearest to its goal ({format_length(found[nearest])}),"
+        f" and {names[furthest]} furthest from it ({format_length(found[furthest])})."
+    )
