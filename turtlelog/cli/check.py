@@ -1,6 +1,7 @@
 """`turtlelog check`: hold recordings to a specification."""
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -42,10 +43,12 @@ class ReportOptions:
     Attributes:
         junit: Write JUnit XML, every metric a property, to this .xml file.
         artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
+        report: Write a report on the recordings and their checks to this .html file.
     """
 
     junit: Path | None = None
     artifacts: Path | None = None
+    report: Path | None = None
 
 
 @Parameter(name="*")
@@ -116,7 +119,9 @@ def check(
     files = words if expect else words[1:]
     require_files(files)
     require_new_target(reports.junit, words, suffix=".xml")
-    require_apart([path for path in (reports.junit, reports.artifacts) if path is not None])
+    require_new_target(reports.report, words, suffix=".html")
+    targets = (reports.junit, reports.artifacts, reports.report)
+    require_apart([path for path in targets if path is not None])
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
     results = _check(spec, files, reports, topics or ReadingOptions())
     verdict = tl.check.join_verdicts(results)
@@ -150,6 +155,7 @@ def _check(
     choice = spec.read.override(topics.build_choice())
     reference = read_reference_run(spec, choice)
     checked: list[CheckedFile] = []
+    runs: dict[str, Run] = {}
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(
             tl.check.ArtifactWriter(reports.artifacts)
@@ -166,6 +172,8 @@ def _check(
                     CheckedFile(file=str(path), results=failed, started=started, took_s=took_s)
                 )
                 continue
+            if reports.report is not None:
+                runs[str(path)] = run
             found = judge_run(spec, reference, run, file=str(path), allow_partial=topics.partial)
             timed = [(result, clock.lap()) for result in found]
             results = tuple(result for result, _ in timed)
@@ -181,7 +189,32 @@ def _check(
         with tl.log.replace_when_complete(reports.junit) as part:
             part.write_text(format_junit(checked), encoding="utf-8")
         print_note(f"wrote {reports.junit}")
-    return [result for file in checked for result in file.results]
+    judged = [result for file in checked for result in file.results]
+    if reports.report is not None:
+        _write_report(reports.report, runs, judged, spec)
+    return judged
+
+
+def _write_report(
+    path: Path, runs: "Mapping[str, Run]", results: "Sequence[CheckResult]", spec: "Spec"
+) -> None:
+    """Write a report on the recordings that could be read."""
+    from turtlelog.cli.report import build_check_lines
+
+    if not runs:
+        print_note(f"{path}: no report: none of the recordings could be read")
+        return
+    names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
+    words = ["turtlelog", "check", str(spec.source), *runs, "--report", str(path)]
+    is_file = not str(spec.source).startswith("--")
+    tl.write_report(
+        [*runs.values()],
+        path,
+        sources=[*runs],
+        checks=build_check_lines(results, names),
+        command=shlex.join(words) if is_file else "",
+    )
+    print_note(f"wrote {path}")
 
 
 class _Clock:

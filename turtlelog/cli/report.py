@@ -88,9 +88,7 @@ def report(
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 
-def build_check_lines(
-    results: "Sequence[CheckResult]", names: dict[str, str]
-) -> "list[CheckLine]":
+def build_check_lines(results: "Sequence[CheckResult]", names: dict[str, str]) -> "list[CheckLine]":
     """Return results as a report shows them; `names` are those of runs by their files."""
     from turtlelog.show.report import CheckLine
 
@@ -138,9 +136,7 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
             def tell(done: int, total: int) -> None:
                 progress.done = 100.0 * done / total
 
-            attribution = tl.attribute_run(
-                run, identified=found, work=tl.explain.Work(report=tell)
-            )
+            attribution = tl.attribute_run(run, identified=found, work=tl.explain.Work(report=tell))
         what_ifs = simulate_what_ifs(found, attribution)
     except TurtlelogError as err:
         return Explanation(run=run, note=str(err))

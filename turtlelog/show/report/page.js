@@ -67,17 +67,19 @@
       const curves = config.plots.map((plot) => plot.curves.find((one) => one.run === number));
       if (!shown[number] || !curves.some(Boolean)) return;
       const row = body.appendChild(document.createElement("tr"));
-      cell(row, run.name, "th").scope = "row";
+      const ends = Math.max(...curves.filter(Boolean).map((one) => model(one.source).data.t.at(-1)));
+      const ended = now > ends + 1e-3 ? ` (ended at ${ends.toFixed(2)} s)` : "";
+      cell(row, run.name + ended, "th").scope = "row";
       for (const curve of curves) {
         if (!curve) { cell(row, "-"); continue; }
         const {t, v} = model(curve.source).data, at = locate(t, now);
-        const inside = now >= t[0] && now <= t[t.length - 1] + 1e-3;
+        const inside = now >= t[0];
         const value = curve.holds ? v[at] : mix(t, v, now, at);
         cell(row, inside && Number.isFinite(value) ? value.toFixed(3) : "-");
       }
     });
     const caption = document.createElement("caption");
-    caption.textContent = `Values at ${now.toFixed(3)} s; - where a run has ended or holds none`;
+    caption.textContent = `Values at ${now.toFixed(3)} s; of a run that has ended its last ones`;
     table.replaceChildren(caption, head, body);
   }
 

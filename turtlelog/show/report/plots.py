@@ -11,7 +11,6 @@ from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
-from turtlelog.show import palette
 from turtlelog.show.close_up import CloseUp, find_close_up, format_length
 from turtlelog.show.palette import Color
 from turtlelog.show.robot_curves import is_turtlesim, part_curve
@@ -171,6 +170,7 @@ def _make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
         tools="pan,box_zoom,wheel_zoom,reset,save",
         active_drag="box_zoom" if "x_range" in options else "pan",
         sizing_mode="stretch_width",
+        styles={"background-color": "var(--ground)"},
         **options,
     )
     figure.toolbar.logo = None
@@ -212,16 +212,16 @@ def _draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None)
             )  # fmt: skip
             plots.config["runs"][number]["renderers"].append(line.id)
             still += [] if shown else [line]
-        figure.multi_line(
-            "xs", "ys", source=trails, color="color", alpha="alpha", line_width=2.5
-        )
+        figure.multi_line("xs", "ys", source=trails, color="color", alpha="alpha", line_width=2.5)
         turtles = models.ColumnDataSource(data={"xs": [], "ys": [], "color": [], "alpha": []})
         figure.patches(
             "xs", "ys", source=turtles, fill_color="color", fill_alpha="alpha",
             line_color="color", line_width=1.5,
         )  # fmt: skip
+        if shown is not None:
+            _draw_ends(figure, drawn, shown)
         figure.x_range.renderers = figure.y_range.renderers = still
-        size_m = 0.05 * shown.half_m * 2.0 if shown else 0.055 * _measure_size(drawn)
+        size_m = 0.07 * shown.half_m if shown else 0.045 * _measure_size(drawn)
         plots.config["planes"].append({"turtles": turtles.id, "size": size_m})
     plots.config["trails"] = trails.id
 
@@ -269,7 +269,6 @@ def _draw_still(figure: Any, drawn: Sequence[Drawn], shown: CloseUp | None) -> l
             )
         )  # fmt: skip
         _draw_rings(figure, shown)
-        _draw_ends(figure, drawn, shown)
     return still
 
 
@@ -291,10 +290,14 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
     figure.scatter(x_m, y_m, size=9, color=colors)
     told = ends if len(ends) <= _MOST_MARKED else (ends[0], ends[-1])
     told = [one for n, one in enumerate(told) if not _is_near(one, told[:n], shown)]
-    for end in told:
+    for number, end in enumerate(told):
+        # The nearest on the left, all others on the right: turtles come from one side.
+        is_left = number == 0 and len(told) > 1
         figure.text(
-            [end.xy_m[0]], [end.xy_m[1]], text=[format_length(end.miss_m)], x_offset=8, y_offset=-4,
+            [end.xy_m[0]], [end.xy_m[1]], text=[format_length(end.miss_m)], y_offset=-4,
+            x_offset=-14 if is_left else 14, text_align="right" if is_left else "left",
             text_color=to_hex(drawn[end.run].color), text_font_size="13px",
+            text_font_style="bold",
         )  # fmt: skip
 
 
@@ -322,7 +325,9 @@ def _draw_signal(
     levels = {level for one in drawn for level in list_levels(one.run, signal)}
     for level in sorted(levels, key=lambda found: found.value):
         figure.add_layout(
-            models.Span(location=level.value, dimension="width", line_color=_RING, line_dash="dashed")
+            models.Span(
+                location=level.value, dimension="width", line_color=_RING, line_dash="dashed"
+            )
         )
     for number, one in enumerate(drawn):
         curve = _read(one.run, signal) if one.is_plotted else None

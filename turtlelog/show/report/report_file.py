@@ -26,7 +26,7 @@ from turtlelog.show.documents import choose_essentials
 from turtlelog.show.output_files import replace_file
 from turtlelog.show.palette import GHOST, choose_mechanism_colors, choose_run_colors
 from turtlelog.show.report.conclusion import conclude, conclude_cause, conclude_checks
-from turtlelog.show.report.plots import Drawn, Plots, draw_plots, to_hex
+from turtlelog.show.report.plots import Drawn, Plots, draw_plots
 from turtlelog.show.report.sections import (
     CheckLine,
     show,
@@ -97,11 +97,13 @@ def write_report(
     ]
     drawn += _list_ghosts(explanation)
     violations_s = [
-        (line.check, line.first_violation_s) for line in checks if line.first_violation_s is not None
+        (line.check, line.first_violation_s)
+        for line in checks
+        if line.first_violation_s is not None
     ]
     plots = draw_plots(drawn, metrics, violations_s)
     body = _write_conclusion(runs, names, metrics, explanation, checks)
-    body += _write_stage(plots, len(drawn))
+    body += _write_stage(plots, len(runs))
     if explanation is not None:
         name = names[next(n for n, run in enumerate(runs) if run is explanation.run)]
         body += _write_explanation(name, explanation)
