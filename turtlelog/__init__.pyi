@@ -131,7 +131,6 @@ from .show import (
     open_viewer as open_viewer,
     write_comparison_rrd as write_comparison_rrd,
     write_figures as write_figures,
-    write_report as write_report,
     write_run_rrd as write_run_rrd,
 )
 from .simulate import (

@@ -207,7 +207,7 @@ def _write_report(
     names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
     words = ["turtlelog", "check", str(spec.source), *runs, "--report", str(path)]
     is_file = not str(spec.source).startswith("--")
-    tl.write_report(
+    tl.show.write_report(
         [*runs.values()],
         path,
         sources=[*runs],

@@ -60,7 +60,7 @@ def report(
     words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
     with show_progress("drawing"):
-        tl.write_report(
+        tl.show.write_report(
             runs,
             output,
             sources=files,
@@ -106,6 +106,7 @@ def build_check_lines(results: "Sequence[CheckResult]", names: dict[str, str]) -
             expected=found.expected,
             first_violation_s=found.first_violation_s,
             reason=found.reason,
+            signals=found.names,
         )
         for found in results
     ]

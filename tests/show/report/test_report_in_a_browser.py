@@ -60,7 +60,7 @@ def open_report(browser: Any) -> Iterator[Open]:
 def two_runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "two.html"
     runs = [tl.read_run(RECORDINGS / f"{name}.mcap") for name in ("kp4", "kp10")]
-    tl.write_report([replace(runs[0], name=SCRIPT), runs[1]], path)
+    tl.show.write_report([replace(runs[0], name=SCRIPT), runs[1]], path)
     return path
 
 
@@ -76,7 +76,9 @@ def read_pixels(page: Any, place: str) -> bytes:
     return pixels
 
 
-def test_the_slider_drives_turtles_and_values_by_keyboard(two_runs: Path, open_report: Open) -> None:
+def test_the_slider_drives_turtles_and_values_by_keyboard(
+    two_runs: Path, open_report: Open
+) -> None:
     page = open_report(two_runs)
     page.wait_for_timeout(300)
     before = read_pixels(page, "#plane")
@@ -142,8 +144,8 @@ def test_a_robot_s_bag_six_samples_and_a_long_name_are_shown(
 ) -> None:
     bag, run = make_foreign_run(50), tl.read_run(RECORDINGS / "kp4.mcap")
     short = replace(run.slice(0.0, 0.08), name="six_" * 60)
-    tl.write_report([bag], tmp_path / "bag.html")
-    tl.write_report([short], tmp_path / "short.html")
+    tl.show.write_report([bag], tmp_path / "bag.html")
+    tl.show.write_report([short], tmp_path / "short.html")
     for name in ("bag", "short"):
         page = open_report(tmp_path / f"{name}.html", width=390)
         assert page.evaluate("document.documentElement.scrollWidth") <= 390

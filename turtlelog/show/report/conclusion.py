@@ -56,7 +56,9 @@ def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
         return ""
     if not failed:
         return f"{'The check passes' if len(judged) == 1 else f'All {len(judged)} checks pass'}."
-    which = f": {join_words(failed)}" if len(failed) <= _MOST_NAMED else ""
+    where = {run for run, _, verdict in judged if verdict == "FAIL"}
+    which = f", all in {min(where)}" if len(where) == 1 else ""
+    which = f": {join_words(failed)}" if len(failed) <= _MOST_NAMED else which
     verb = "fails" if len(failed) == 1 else "fail"
     return f"{len(failed)} of {describe_count(len(judged), 'check')} {verb}{which}."
 

@@ -50,6 +50,9 @@ _TITLES: Final = {
     "measured_turn_rate": ("measured turn rate", "rad/s"),
 }
 _MARKED: Final = {"rise_time": "rise", "overshoot": "overshoot", "settling_time": "settled"}
+Violation = tuple[Sequence[str], float]
+"""The signals that a check names, and when it is first violated [s]."""
+
 _RED: Final = "#d0342c"
 _RING: Final = "#8a8a8a"
 _RING_POINTS: Final = 97
@@ -94,14 +97,14 @@ class Plots:
 def draw_plots(
     drawn: Sequence[Drawn],
     metrics: Sequence[Mapping[str, Metric]],
-    violations_s: Sequence[tuple[str, float]],
+    violations_s: Sequence[Violation],
 ) -> Plots:
     """Return the plane, the close-up of the goal where there is one, and the plots over time.
 
     Args:
         drawn: Runs first, then ghosts.
         metrics: Of the runs.
-        violations_s: Names of checks and when each is first violated.
+        violations_s: Signals of checks, and when each is first violated.
     """
     plots = Plots(points=max(_LEAST_POINTS, min(MOST_POINTS, _MOST_OF_ALL // len(drawn))))
     plots.config = {
@@ -196,7 +199,7 @@ def _draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None)
         sources.append(models.ColumnDataSource(data=stored))
         plots.config["runs"][number]["pose"] = sources[-1].id
     trails = models.ColumnDataSource(data={"xs": [], "ys": [], "color": [], "alpha": []})
-    views = [("plane", "The way", None)]
+    views: list[tuple[str, str, CloseUp | None]] = [("plane", "The way", None)]
     views += [] if close_up is None else [("goal", f"At the goal, {close_up.describe()}", close_up)]
     for place, title, shown in views:
         figure = _make_figure(
@@ -288,8 +291,8 @@ def _draw_ends(figure: Any, drawn: Sequence[Drawn], shown: CloseUp) -> None:
     colors = [to_hex(drawn[end.run].color) for end in ends]
     x_m, y_m = zip(*(end.xy_m for end in ends), strict=True)
     figure.scatter(x_m, y_m, size=9, color=colors)
-    told = ends if len(ends) <= _MOST_MARKED else (ends[0], ends[-1])
-    told = [one for n, one in enumerate(told) if not _is_near(one, told[:n], shown)]
+    some = ends if len(ends) <= _MOST_MARKED else (ends[0], ends[-1])
+    told = [one for n, one in enumerate(some) if not _is_near(one, some[:n], shown)]
     for number, end in enumerate(told):
         # The nearest on the left, all others on the right: turtles come from one side.
         is_left = number == 0 and len(told) > 1
@@ -311,7 +314,7 @@ def _draw_signal(
     drawn: Sequence[Drawn],
     signal: str,
     x_range: Any,
-    marked: tuple[Sequence[Mapping[str, Metric]], Sequence[tuple[str, float]]],
+    marked: tuple[Sequence[Mapping[str, Metric]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
     title, unit = _TITLES[signal]
@@ -345,10 +348,12 @@ def _draw_signal(
         plots.config["runs"][number]["renderers"].append(line.id)
         config["curves"].append({"run": number, "source": source.id, "holds": curve.holds})
     _draw_marks(plots, figure, drawn, signal, marked[0])
-    for name, at_s in marked[1]:
+    for signals, at_s in marked[1]:
+        if signal not in signals and not set(signals).isdisjoint(_TITLES):
+            continue
         figure.add_layout(
             models.Span(location=at_s, dimension="height", line_color=_RED, line_dash="dotted",
-                        line_width=2, name=name)
+                        line_width=2)
         )  # fmt: skip
     cursor = models.Span(location=0.0, dimension="height", line_color=_RING, line_width=1)
     figure.add_layout(cursor)

@@ -97,7 +97,7 @@ def write_report(
     ]
     drawn += _list_ghosts(explanation)
     violations_s = [
-        (line.check, line.first_violation_s)
+        (line.signals, line.first_violation_s)
         for line in checks
         if line.first_violation_s is not None
     ]

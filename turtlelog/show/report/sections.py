@@ -30,6 +30,7 @@ class CheckLine:
         expected: What was to hold, as written.
         first_violation_s: When it is first violated [s], None where at no moment.
         reason: Why it fails or is skipped, where values do not say it.
+        signals: Names of the signals that it is about.
     """
 
     run: str
@@ -41,6 +42,7 @@ class CheckLine:
     expected: str = ""
     first_violation_s: float | None = None
     reason: str = ""
+    signals: tuple[str, ...] = ()
 
 
 def show(text: object) -> str:

@@ -1,0 +1,79 @@
+import hashlib
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from turtlelog.cli.app import main
+
+RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])
+    printed = capsys.readouterr()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code, printed.out, printed.err
+
+
+def test_a_report_of_four_runs_is_one_file_that_names_all_of_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [RECORDINGS / f"kp{gain}.mcap" for gain in (1, 2, 4, 10)]
+    path = tmp_path / "report.html"
+    code, out, _ = run(capsys, "report", *files, "-o", path, "--json")
+    answer, text = json.loads(out), path.read_text("utf-8")
+    assert (code, answer["output"], answer["explained"]) == (0, str(path), None)
+    assert answer["bytes"] == path.stat().st_size < 3_000_000
+    assert "paper-kp2 ends nearest to its goal (1.01 mm), and paper-kp10 furthest" in text
+    assert [hashlib.sha256(file.read_bytes()).hexdigest() in text for file in files] == [True] * 4
+    assert re.search(r"<(script|link|img)[^>]+(src|href)=\"(?!data:)", text) is None
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_run_alone_is_explained_with_its_ghosts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "report.html"
+    assert run(capsys, "report", RECORDINGS / "kp10.mcap", "-o", path)[0] == 0
+    text = path.read_text("utf-8")
+    assert "Queue adds 0.05108 m and pause adds 0.05057 m" in text
+    for words in ("106.7 mm", "-51.1 mm (48 %)", "without queue and pause"):
+        assert words in text
+
+
+def test_a_check_that_fails_is_told_on_top_and_by_the_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spec, path = tmp_path / "spec.toml", tmp_path / "report.html"
+    spec.write_text('format = 1\n[checks.line]\nholds = "always(abs(cross_track) <= 0.05)"\n')
+    words = [RECORDINGS / "kp10.mcap", "--spec", spec, "-o", path, "--explain", "none"]
+    assert run(capsys, "report", *words)[0] == 1
+    text = path.read_text("utf-8")
+    assert "1 of 1 check fails: line in paper-kp10." in text
+    assert "5.664 s" in text
+    path.unlink()
+    words = [spec, RECORDINGS / "kp4.mcap", "--report", path]
+    assert run(capsys, "check", *words)[0] == 0
+    assert "The check passes." in path.read_text("utf-8")
+
+
+def test_without_bokeh_one_line_says_what_to_install(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "bokeh"]:
+        monkeypatch.delitem(sys.modules, name)
+
+    class Finder:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "bokeh":
+                raise ModuleNotFoundError(name, name=name)
+
+    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
+    path = tmp_path / "report.html"
+    code, _, err = run(capsys, "report", RECORDINGS / "kp4.mcap", "-o", path)
+    assert (code, err.count("\n"), path.exists()) == (2, 1, False)
+    assert "needed for reports, and not installed; `pip install bokeh`" in err
