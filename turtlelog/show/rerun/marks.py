@@ -8,10 +8,11 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from turtlelog.loops import DONE, PAUSE, ControlLoop, Declaration
+from turtlelog.loops import DONE, PAUSE
 from turtlelog.measure import Metric
 from turtlelog.run import Run
 from turtlelog.show import palette
+from turtlelog.show.characteristics import ALONG_ERROR, TO_REFERENCE, list_characteristics
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.plots import Series
@@ -26,7 +27,6 @@ _SIGNS: Final[Mapping[Shape, str]] = {"Circle": "●", "Diamond": "◆", "Right"
 
 _SIZE: Final = 4.0  # [points]
 _LINE_WIDTH: Final = 1.0
-_ROUNDING_NS: Final = 1_000
 _DECADES: Final = 10.0 ** -np.arange(8.0)
 _RESPONSE_WIDTH: Final = 1.0
 _POINTS: Final = 501
@@ -35,32 +35,28 @@ _MOST_DEAD_SAMPLES: Final = 1000
 _COLORS: Final = {entities.IDEAL: palette.IDEAL, entities.SAMPLED: palette.SAMPLED}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _MarkKind:
-    """Where a metric is marked: its id, the entity of its curve, its name there, and its shape."""
+_SHAPES: Final[Mapping[str, Shape]] = {
+    "settling_time": "Circle",
+    "overshoot": "Diamond",
+    "rise_time": "Up",
+    "largest_error": "Diamond",
+    "final_error": "Circle",
+    "longest_saturation": "Right",
+    "cross_track_max": "Diamond",
+    "time_to_goal": "Up",
+    "position_error": "Circle",
+}
+"""How metrics are marked, by their kind; others are shown elsewhere."""
 
-    metric: str
-    curve: str
-    word: str
-    shape: Shape
-
-
-_OF_RUN: Final = (
-    _MarkKind(metric="run.time_to_goal", curve=entities.DISTANCE, word="at the goal", shape="Up"),
-    _MarkKind(
-        metric="final.position_error", curve=entities.DISTANCE, word="at the end", shape="Circle"
-    ),
-)
-
-
-def list_marked(declaration: Declaration) -> tuple[_MarkKind, ...]:
-    """Return the metrics that are marked on a curve; the document gives the places of the others.
-
-    Of each loop those of its step on what it controls, and where it is furthest off if its
-    reference moves; its longest saturation on its command; and what is left of a heading.
-    """
-    found = [kind for loop in declaration.loops for kind in _list_of_loop(declaration, loop)]
-    return (*found, *_OF_RUN)
+_CURVES: Final[Mapping[str, str]] = {
+    **entities.PLOTS,
+    "heading_error": entities.HEADING_ERROR,
+    ALONG_ERROR: entities.ALONG_TRACK_ERROR,
+    TO_REFERENCE: f"{entities.DISTANCE}/{entities.TO_REFERENCE}",
+    "speed": f"{entities.SPEED}/{entities.COMMANDED}",
+    "turn_rate": f"{entities.TURN_RATE}/{entities.COMMANDED}",
+}
+"""The entity of each curve that has marks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,19 +91,18 @@ def list_marks(
     """Return the metrics that have a place on a curve that is drawn."""
     curves = {curve.entity: curve for curve in series}
     marks = []
-    for kind in list_marked(run.declaration):
-        metric, curve = metrics.get(kind.metric), curves.get(kind.curve)
-        if metric is None or metric.value is None or metric.at_s is None or curve is None:
+    for found in list_characteristics(run, metrics):
+        shape, curve = _SHAPES.get(found.kind), curves.get(_CURVES.get(found.signal, ""))
+        if shape is None or curve is None or found.level is None:
             continue
-        time_ns = run.start_ns + round(metric.at_s * 1e9)
         marks.append(
             Mark(
                 plot=curve.plot,
-                label=f"{kind.word} {metric.value:.3g} {metric.unit}",
-                unit=metric.unit,
-                shape=kind.shape,
-                time_ns=time_ns,
-                level=_read_level(curve, time_ns),
+                label=f"{found.word} {found.value:.3g} {found.unit}",
+                unit=found.unit,
+                shape=shape,
+                time_ns=run.start_ns + round(found.at_s * 1e9),
+                level=found.level,
             )
         )
     return tuple(marks)
@@ -204,56 +199,12 @@ def draw_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
     run_stream.send_few(entities.EVENTS, [event.time_ns for event in run.events], columns)
 
 
-def _list_of_loop(declaration: Declaration, loop: ControlLoop) -> Iterator[_MarkKind]:
-    def mark(metric: str, curve: str, word: str, shape: Shape) -> _MarkKind:
-        return _MarkKind(metric=f"{loop.name}.{metric}", curve=curve, word=word, shape=shape)
-
-    controlled, command = entities.PLOTS[loop.signal], f"{loop.command}/{entities.COMMANDED}"
-    if loop.signal == "distance" and loop.moves:
-        controlled = f"{entities.DISTANCE}/{entities.TO_REFERENCE}"
-    if loop.signal == "along_track" and loop.moves:
-        controlled = entities.ALONG_TRACK_ERROR
-    alike = [other for other in declaration.loops if other.signal == loop.signal]
-    whose = f"{loop.name} " if len(alike) > 1 else ""
-    if loop.moves:
-        yield mark("largest_error", controlled, f"{whose}furthest off", "Diamond")
-    else:
-        yield mark("settling_time", controlled, f"{whose}settled", "Circle")
-        yield mark("overshoot", controlled, f"{whose}overshoot", "Diamond")
-        yield mark("rise_time", controlled, f"{whose}rise", "Up")
-    if loop.signal == "heading":
-        yield mark("final_error", entities.HEADING_ERROR, _name_end(declaration, loop), "Circle")
-    commanding = [other for other in declaration.loops if other.command == loop.command]
-    whose = f"{loop.name} " if len(commanding) > 1 else ""
-    yield mark("longest_saturation", command, f"{whose}saturated for", "Right")
-    if loop.command == "speed" and not declaration.follows_path:
-        yield mark("cross_track_max", entities.CROSS_TRACK, "furthest", "Diamond")
-
-
-def _name_end(declaration: Declaration, loop: ControlLoop) -> str:
-    """Return what the error of a heading's loop at its end is called."""
-    phases = {name: acting for name, acting in declaration.phases.items() if name != PAUSE}
-    names = list(phases)
-    own = [number for number, name in enumerate(names) if loop.name in phases[name]]
-    following = phases[names[own[-1] + 1]] if own and own[-1] + 1 < len(names) else ()
-    drives = any(found.command == "speed" for found in declaration.loops if found.name in following)
-    return "when driving off" if drives else f"at the end of {loop.name}"
-
-
 def _name_marks(marks: Sequence[Mark]) -> list[str]:
     """Return a name for each mark; those of one unit share it, and so a line of the legend."""
     of_unit: dict[str, list[str]] = {}
     for mark in sorted(marks, key=lambda found: found.time_ns):
         of_unit.setdefault(mark.unit, []).append(f"{_SIGNS[mark.shape]} {mark.label}")
     return ["  ".join(of_unit[mark.unit]) for mark in marks]
-
-
-def _read_level(curve: Series, time_ns: int) -> float:
-    values = curve.values[:, 0]
-    if curve.holds:
-        row = int(np.searchsorted(curve.time_ns, time_ns + _ROUNDING_NS, side="right")) - 1
-        return float(values[max(row, 0)])
-    return float(np.interp(time_ns, curve.time_ns, values))
 
 
 def _compute_ideal(step: LoopStep, of: str) -> Series:
