@@ -163,6 +163,17 @@ def test_a_goal_is_set_and_the_start_is_the_first_pose() -> None:
     )
 
 
+def test_the_tolerance_of_the_goal_grows_with_noise() -> None:
+    law = build(drive_with_noise(1)).scenario.law.parameters
+    assert (law.heading_tolerance_rad, law.position_tolerance_m) == (0.01, 0.014)
+    robot = build(drive_with_noise(1, rates=(0.0, 1e-2), sensing=(5e-3, 1e-2)))
+    found, law = list_noise(robot.scenario), robot.scenario.law.parameters
+    assert law.heading_tolerance_rad == pytest.approx(5.0 * found[3], rel=0.05)
+    drift_rad = 2.0 * math.sqrt(5.0) * found[1]
+    expected = math.sqrt(2.0) * (5.0 * found[3] + drift_rad)
+    assert law.position_tolerance_m == pytest.approx(expected, rel=0.05)
+
+
 def test_the_text_is_the_scenario_with_its_notes() -> None:
     robot = build(drive_with_noise(1, rates=(3e-3, 1e-2)))
     assert tl.parse_scenario(robot.text) == robot.scenario

@@ -50,6 +50,14 @@ _TOLERANCE: Final = 0.01
 _ABOVE_NOISE: Final = 5.0
 """Standard deviations of the noise of poses that the tolerance is at least, or it is never kept."""
 
+_DRIVE_S: Final = 5.0
+"""For how long a robot drives towards the goal, and its heading drifts [s]."""
+
+_ABOVE_DRIFT: Final = 2.0
+"""Standard deviations of that drift that the tolerance allows: 1 drive of 20 drifts further."""
+
+_PLACE: Final = ("x_m", "y_m")
+
 _AHEAD_M: Final = 1.0
 """Where a goal is set that the bag does not have: so far ahead, and to the left [m]."""
 
@@ -107,7 +115,9 @@ def build_robot_scenario(model: RobotModel, runs: Run | Sequence[Run]) -> RobotS
     for keys, sentences in parts:
         values |= keys
         notes += sentences
-    values |= _choose_tolerances(values)
+    keys, sentences = _choose_tolerances(values)
+    values |= keys
+    notes += sentences
     notes.append(
         "The law and its gains are not those of the log: sequential-p with gains of 1, to begin"
         " with. `turtlelog theory` recommends gains for this file."
@@ -330,14 +340,24 @@ def _list_places(run: Run) -> Part:
     return values, [note]
 
 
-def _choose_tolerances(values: dict[str, Any]) -> dict[str, Any]:
-    """Return tolerances of the goal that noisy poses can keep."""
-    return {
-        f"law.{name}_tolerance_{unit}": max(
-            _TOLERANCE, _round(_ABOVE_NOISE * values.get(f"sensing.noise_{name}_{unit}", 0.0))
-        )
-        for name, unit in (("position", "m"), ("heading", "rad"))
+def _choose_tolerances(values: dict[str, Any]) -> Part:
+    """Return tolerances of the goal that a robot with such noise can keep."""
+    noise_m, noise_rad = (
+        values.get(f"sensing.noise_{name}", 0.0) for name in ("position_m", "heading_rad")
+    )
+    heading_rad = max(_TOLERANCE, _ABOVE_NOISE * noise_rad)
+    way_m = math.hypot(*(values[f"goal.{axis}"] - values[f"start.{axis}"] for axis in _PLACE))
+    drift_rad = _ABOVE_DRIFT * math.sqrt(_DRIVE_S) * values["disturbance.noise_turn_rate"]
+    position_m = max(_TOLERANCE, _ABOVE_NOISE * noise_m, way_m * (heading_rad + drift_rad))
+    keys = {
+        "law.heading_tolerance_rad": float(f"{heading_rad:.2g}"),
+        "law.position_tolerance_m": float(f"{position_m:.2g}"),
     }
+    told = f"{1e3 * position_m:.2g} mm and {1e3 * heading_rad:.2g} mrad"
+    return keys, [
+        f"The tolerance of the goal is {told}: what a robot with such noise keeps that turns first"
+        " and then drives."
+    ]
 
 
 def _round(value: float) -> float:
