@@ -60,6 +60,13 @@ def identify(
 
     Example: turtlelog identify robot_bag
 
+    Example: turtlelog identify robot_bag --scenario robot.toml
+
+    With --scenario the robot becomes a scenario whose plant is `lagged`: `run` simulates it,
+    `theory` recommends gains, `compare` sets it beside a bag. Comments in the file, and sentences
+    of the answer, say where each number comes from. An axis that is commanded and not identifiable
+    is refused.
+
     Delays are between the times of commands and those of poses. Where poses are timed by their
     stamps, the transport of the fastest message remains in them.
 
