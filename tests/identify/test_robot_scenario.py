@@ -203,6 +203,34 @@ def test_periods_are_those_of_the_messages(
         assert times == pytest.approx(round(times), abs=1e-6)
 
 
+@pytest.mark.parametrize(("poses_hz", "is_multiple"), [(20.9, True), (21.1, False)])
+def test_a_timer_near_a_multiple_of_the_poses_is_made_one(
+    poses_hz: float,
+    is_multiple: bool,  # noqa: FBT001
+) -> None:
+    # 5 % of two poses a period: 20 to 21 poses per second.
+    run = make_run(replace(LOG, poses_hz=poses_hz, jitter_s=0.0), 3)
+    commands = replace(
+        run.commands,
+        time_ns=np.rint(1e9 * (0.5 + 0.1 * np.arange(len(run.commands)))).astype(np.int64),
+    )
+    model = tl.identify_robot(run)
+    scenario = build_robot_scenario(model, replace(run, commands=commands)).scenario
+    assert scenario.plant.period_s == pytest.approx(0.05 if is_multiple else 1 / poses_hz, rel=1e-3)
+
+
+@pytest.mark.parametrize(("share", "trigger"), [(0.15, "timer"), (0.25, "pose")])
+def test_most_commands_keep_the_period_of_a_timer(share: float, trigger: str) -> None:
+    run = make_run(LOG, 3)
+    apart_s = np.full(len(run.commands) - 1, 0.1)
+    late = np.random.default_rng(1).choice(len(apart_s), round(share * len(apart_s)), replace=False)
+    apart_s[late] = 0.15
+    time_ns = np.rint(1e9 * (0.5 + np.concatenate([[0.0], np.cumsum(apart_s)]))).astype(np.int64)
+    commands = replace(run.commands, time_ns=time_ns)
+    robot = build_robot_scenario(tl.identify_robot(run), replace(run, commands=commands))
+    assert robot.scenario.loop.trigger == trigger
+
+
 def test_commands_without_a_period_have_no_timer() -> None:
     log = replace(LOG, commands_hz=4.0)
     rng = np.random.default_rng(1)
