@@ -326,9 +326,19 @@ def test_so_many_errors_beyond_the_band_are_no_chance(above: int, verdict: str) 
 
 @pytest.mark.parametrize(("late_s", "pieces"), [(0.09, 2), (0.11, 1)])
 def test_a_pose_ends_a_piece_within_a_tenth_of_the_horizon(late_s: float, pieces: int) -> None:
-    time_ns = np.rint(np.array([0.0, 1.0 + late_s, 2.0 + late_s]) * 1e9).astype(np.int64)
-    cut, gaps = cut_pieces(time_ns, 10**9, 0)
+    around_s = 0.01 * np.arange(5)
+    time_s = np.concatenate([around_s - 0.04, around_s + 1.0 + late_s, around_s + 2.04 + late_s])
+    time_ns = np.rint((time_s + 0.04) * 1e9).astype(np.int64)
+    cut, gaps = cut_pieces(time_ns, 10**9, int(time_ns[4]))
     assert (cut.shape[1], gaps) == (pieces, 2 - pieces)
+
+
+@pytest.mark.parametrize(("step_s", "pieces"), [(0.4, 8), (0.48, 10), (0.7, 0)])
+def test_of_sparse_poses_the_nearest_ends_a_piece_within_a_quarter(
+    step_s: float, pieces: int
+) -> None:
+    time_ns = np.rint(np.arange(0.0, 9.9, step_s) * 1e9).astype(np.int64)
+    assert cut_pieces(time_ns, 10**9, 0)[0].shape[1] == pieces
 
 
 @pytest.mark.parametrize(("further_m", "jumps"), [(0.9, 0), (1.1, 1)])
@@ -364,6 +374,12 @@ def test_the_command_that_ends_a_silence_acts_on_a_clock_since_1970() -> None:
     for one, other in zip(found[0].bands, found[1].bands, strict=True):
         assert one.recorded == pytest.approx(other.recorded, abs=1e-5)
         assert one.recorded[one.time_s > 21.5].max() < 1e-5
+
+
+def test_a_run_that_is_too_short_for_a_horizon_says_so() -> None:
+    found = tl.compare_robot(make_run(replace(QUIET, duration_s=4.0), 2), make_scenario())
+    assert {band.horizon_s for band in found.bands} == {1.0}
+    assert found.notes == ("No piece of 5 s is left to predict.",)
 
 
 def test_a_comparison_shows_its_median_errors() -> None:

@@ -16,6 +16,12 @@ Rows = NDArray[np.int64]
 _NEAR: Final = 0.1
 """Share of the horizon within which a pose must lie to end a piece: errors grow by as much."""
 
+_SPARSE: Final = 0.25
+"""The same where poses are so far apart that the nearest may lie further off."""
+
+_HALF_STEP: Final = 0.55
+"""How far off the nearest pose may lie, by the usual time between poses: half, and some jitter."""
+
 _JUMP_RATE: Final = 2.0
 """A jump goes further than so many times what the largest command leads to in the time."""
 
@@ -39,7 +45,9 @@ def cut_pieces(time_ns: Rows, horizon_ns: int, known_ns: int) -> tuple[Rows, int
     """
     row, gaps = int(np.searchsorted(time_ns, known_ns)), 0
     begins, ends = [], []
-    near_ns, last = round(_NEAR * horizon_ns), len(time_ns) - 1
+    last = len(time_ns) - 1
+    apart_ns = float(np.median(np.diff(time_ns))) if last else 0.0
+    near_ns = min(max(_NEAR * horizon_ns, _HALF_STEP * apart_ns), _SPARSE * horizon_ns)
     while row < last and time_ns[last] - time_ns[row] >= horizon_ns - near_ns:
         wanted_ns = int(time_ns[row]) + horizon_ns
         after = min(int(np.searchsorted(time_ns, wanted_ns)), last)

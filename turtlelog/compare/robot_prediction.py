@@ -106,6 +106,8 @@ def compare_robot(
         notes += _tell_lost(horizon_s, gaps, lost)
         if sound.shape[1]:
             cuts[horizon_s] = sound
+        else:
+            notes.append(f"No piece of {horizon_s:g} s is left to predict.")
     if not cuts:
         raise CompareError(_tell_too_short(run, horizons_s, known_ns, len(jumps)))
     longest = cuts[max(cuts)]
