@@ -21,7 +21,11 @@ from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.show.output_files import replace_file
 
 _HEIGHT: Final = 1.0
-"""Of the figure, as a share of the page's width."""
+_STACKED_HEIGHT: Final = 2.6
+"""Of the figure, as a share of its width: beside each other, or each panel below the last."""
+
+_SIDE_BY_SIDE_INCH: Final = 5.0
+"""Narrower than this, panels stand below each other: their labels would collide."""
 
 _UNITS: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
 
@@ -53,17 +57,20 @@ def write_prediction_figure(
     data = io.BytesIO()
     page = page or Page(columns=2)
     with mpl.rc_context(dict(LOOKS)):
-        size = (page.width_inch, page.width_inch * _HEIGHT)
+        is_wide = page.width_inch >= _SIDE_BY_SIDE_INCH
+        height = _HEIGHT if is_wide else _STACKED_HEIGHT
+        size = (page.width_inch, page.width_inch * height)
         figure = Figure(figsize=size, layout="constrained")
-        grid = figure.add_gridspec(4, 2, height_ratios=[1.2, 1.2, 1.0, 1.0])
-        _draw_paths(figure.add_subplot(grid[:2, 0]), found)
-        above = figure.add_subplot(grid[0, 1])
+        ratios = (1.2, 1.2, 1.0, 1.0) if is_wide else (1.0,) * 6
+        grid = figure.add_gridspec(len(ratios), 2, height_ratios=ratios)
+        _draw_paths(figure.add_subplot(grid[:2, 0] if is_wide else grid[:2, :]), found)
+        above = figure.add_subplot(grid[0, 1] if is_wide else grid[2, :])
         _draw_growth(above, found.growth[0])
-        below = figure.add_subplot(grid[1, 1], sharex=above)
+        below = figure.add_subplot(grid[1, 1] if is_wide else grid[3, :], sharex=above)
         _draw_growth(below, found.growth[1])
         below.set_xlabel("time since the recorded pose [s]")
         shared: Axes | None = None
-        for row, traces in enumerate(found.traces, start=2):
+        for row, traces in enumerate(found.traces, start=2 if is_wide else 4):
             shared = figure.add_subplot(grid[row, :], sharex=shared)
             _draw_rates(shared, traces, found.start_s)
         if shared is not None:
@@ -104,7 +111,7 @@ def _draw_growth(axes: Axes, growth: ErrorGrowth) -> None:
             linewidth=0.6,
             label="central 95 % of recorded errors",
         )
-    axes.set_ylabel(f"error of {growth.quantity} [{unit}]")
+    axes.set_ylabel(f"{growth.quantity} error [{unit}]")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
 
