@@ -39,7 +39,6 @@ from .check import (
     parse_spec as parse_spec,
 )
 from .compare import (
-    RobotComparison as RobotComparison,
     Tolerance as Tolerance,
     compare_robot as compare_robot,
     compare_runs as compare_runs,

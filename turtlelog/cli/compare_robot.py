@@ -20,8 +20,8 @@ from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import RobotComparison, Scenario
-    from turtlelog.compare import ErrorBand
+    from turtlelog import Scenario
+    from turtlelog.compare import ErrorBand, RobotComparison
 
 _FIGURES: Final = frozenset({".pdf", ".png", ".svg"})
 
