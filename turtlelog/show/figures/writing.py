@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Final
 
 import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from turtlelog.compare import (
@@ -149,14 +152,24 @@ def add_figures(
 def save_figure(figure: Figure, data: io.BytesIO, form: str) -> None:
     """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
     with mpl.rc_context(dict(LOOKS)):
-        figure.savefig(data, format=form, dpi=_DPI, metadata=_NO_DATE[form])
+        # `savefig` draws everything once more beforehand, to lay it out.
+        figure.dpi = _DPI
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+        if form == "pdf":
+            FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
+        elif form == "svg":
+            FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
+        else:
+            FigureCanvasAgg(figure).print_png(data, metadata=_NO_DATE[form])
 
 
 def _settle_layout(figure: Figure) -> None:
     """Lay a figure out once for all of its formats; the second pass sees the ticks of the first."""
     with mpl.rc_context(dict(LOOKS)):
-        figure.draw_without_rendering()
-        figure.draw_without_rendering()
+        if (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
+            engine.execute(figure)
     figure.set_layout_engine("none")
 
 
