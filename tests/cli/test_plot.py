@@ -251,3 +251,23 @@ def test_figures_that_are_asked_in_vain_are_one_line(
     assert match in err
     assert err.count("\n") == 1
     assert not (tmp_path / "new").exists()
+
+
+def test_dots_are_for_files_that_have_some(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "plant.png"
+    code, _, err = run_plot(capsys, "-o", str(picture), "--only", "plant", "--dpi", "72")
+    assert (code, err) == (0, "")
+    assert int.from_bytes(picture.read_bytes()[16:20]) == 513
+    words = ["-o", str(tmp_path / "all"), "--only", "plant", "--dpi"]
+    refused = [
+        (["72"], "--dpi: expected png files, found pdf"),
+        (["49", "--format", "png"], "dpi: expected 50 to 600, found 49"),
+    ]
+    for more, line in refused:
+        code, out, err = run_plot(capsys, *words, *more)
+        assert (code, out) == (2, "")
+        assert line in err
+        assert err.count("\n") == 1
+    assert not (tmp_path / "all").exists()

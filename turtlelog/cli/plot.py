@@ -32,6 +32,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     columns: Literal[1, 2] = 1,
     text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0,
+    dpi: int | None = None,
     asked: AskedOptions | None = None,
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
@@ -69,6 +70,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
         columns: How many of two columns a figure spans; side-by-side panels always span both.
         text_width: Width of the page's text [mm], 120 to 1000.
+        dpi: Dots per inch of png files, 50 to 600; otherwise 300.
         timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
         json: Print one JSON object instead of lines.
@@ -88,12 +90,13 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         require_new_target(output, files or [], suffix=output.suffix.lower())
     else:
         _require_folder(output)
-    page = tl.show.Page(text_width_mm=text_width, columns=columns)
     kinds = (
         [output.suffix[1:].lower()]
         if is_file
         else _split("pdf" if formats is None else formats, "--format")
     )
+    dots = _require_dots(dpi, kinds)
+    page = tl.show.Page(text_width_mm=text_width, columns=columns, dpi=dots)
     asked = asked or AskedOptions()
     asked.require_figures(names or [])
     runs = _collect_runs(files or [], topics)
@@ -164,6 +167,15 @@ _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 def _require_clock(movie: MovieOptions, timeline: str) -> None:
     if movie.movie is None and timeline != "sim_time":
         raise UsageError(f"--timeline: expected together with --movie, found {timeline}")
+
+
+def _require_dots(dpi: int | None, kinds: Sequence[str]) -> int:
+    """Return the dots per inch of png files; a file of another format has none to choose."""
+    if dpi is None:
+        return 300
+    if "png" not in kinds:
+        raise UsageError(f"--dpi: expected png files, found {', '.join(kinds)}")
+    return dpi
 
 
 def _require_folder(output: Path) -> None:

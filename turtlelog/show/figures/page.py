@@ -20,6 +20,8 @@ from turtlelog.show.shared_curves import BEARING_NOW, REFERENCE as AIMED
 _MM_PER_INCH: Final = 25.4
 _GAP_MM: Final = 6.0
 _NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
+_LEAST_DPI, _MOST_DPI = 50, 600
+"""Letters of 7 points are 5 pixels high at 50 dots per inch; printers resolve 600."""
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -120,13 +122,15 @@ class Page:
     Attributes:
         text_width_mm: Width of the text block [mm], 120 to 1000.
         columns: How many columns a figure spans: `1` of two, or `2`, the whole width.
+        dpi: Dots per inch of PNG files, 50 to 600; PDF and SVG have none.
 
     Raises:
-        ShowError: Where the width is out of range.
+        ShowError: Where the width or the resolution is out of range.
     """
 
     text_width_mm: float = 181.0
     columns: Literal[1, 2] = 1
+    dpi: int = 300
 
     def __post_init__(self) -> None:
         if not _NARROWEST_MM <= self.text_width_mm <= _WIDEST_MM:
@@ -136,6 +140,8 @@ class Page:
             )
         if self.columns not in {1, 2}:
             raise ShowError(f"columns: expected 1 or 2, found {self.columns}")
+        if not _LEAST_DPI <= self.dpi <= _MOST_DPI:
+            raise ShowError(f"dpi: expected {_LEAST_DPI} to {_MOST_DPI}, found {self.dpi}")
 
     @property
     def width_inch(self) -> float:

@@ -76,7 +76,7 @@ def write_prediction_figure(
         if shared is not None:
             shared.set_xlabel("time [s]")
         add_legend(figure)
-    save_figure(figure, data, kind)
+    save_figure(figure, data, kind, page)
     with replace_file(path) as part:
         part.write_bytes(data.getvalue())
     return path

@@ -41,7 +41,7 @@ def write_robot_figure(
         figure = Figure(figsize=(page.width_inch, page.width_inch), layout="constrained")
         draw_rates(figure, [run], model=model)
         add_legend(figure)
-    save_figure(figure, data, kind)
+    save_figure(figure, data, kind, page)
     with replace_file(path) as part:
         part.write_bytes(data.getvalue())
     return path

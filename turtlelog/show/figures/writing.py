@@ -38,7 +38,6 @@ from turtlelog.show.table_formats import format_latex
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 
-_DPI: Final = 300
 _LEAST_INCH: Final = 3.0
 """A narrower figure is no lower: its lettering is the same."""
 _MOST_COLUMNS: Final = 4
@@ -79,7 +78,7 @@ def draw_figure(
     kind, page = _find_kind(name, runs, kinds), page or Page()
     is_alone = name == "plane" and has_one_plane(runs)
     if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
-        page = Page(text_width_mm=page.text_width_mm, columns=2)
+        page = replace(page, columns=2)
     with mpl.rc_context(dict(LOOKS)):
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
         figure = Figure(figsize=size, layout="constrained")
@@ -142,18 +141,18 @@ def add_figures(
         _settle_layout(figure)
         for form in dict.fromkeys(formats):
             data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
-            save_figure(figure, data, form)
+            save_figure(figure, data, form, page)
             written.append(write(f"{name}.{form}", data.getvalue()))
             if on_written:
                 on_written(written[-1])
     return written
 
 
-def save_figure(figure: Figure, data: io.BytesIO, form: str) -> None:
+def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
     """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
     with mpl.rc_context(dict(LOOKS)):
         # `savefig` draws everything once more beforehand, to lay it out.
-        figure.dpi = _DPI
+        figure.dpi = (page or Page()).dpi
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
         if form == "pdf":
