@@ -176,6 +176,12 @@ def choose_phase_colors(names: Sequence[str]) -> tuple[PhaseColors, ...]:
     return tuple(by_name[name] for name in names)
 
 
+def dim(color: Color) -> Color:
+    """Return a colour halfway to the dark ground, for what must not hide others."""
+    red, green, blue = ((part + ground) // 2 for part, ground in zip(color, GROUND, strict=True))
+    return red, green, blue
+
+
 def pack_colors(colors: Sequence[Color]) -> NDArray[np.uint32]:
     """Return opaque colours as Rerun takes them fastest, shape (n,)."""
     red, green, blue = np.array(colors, dtype=np.uint32).reshape(-1, 3).T

@@ -55,7 +55,9 @@ def test_of_a_robot_without_commands_what_it_measured_is_shown(tmp_path: Path) -
 
 def test_compared_robots_show_commands_beside_what_was_measured(tmp_path: Path) -> None:
     path = tmp_path / "robots.rrd"
-    write_comparison_rrd([make_robot("a"), make_robot("b")], path)
+    other = make_robot("b")
+    moved = replace(other, poses=replace(other.poses, xy_m=other.poses.xy_m + 0.1))
+    write_comparison_rrd([make_robot("a"), moved], path)
     verify(path)
     for name in "ab":
         for kind, label in (("as_measured", name), ("commanded", f"{name} commanded")):

@@ -17,6 +17,7 @@ from tests.show.rerun.rrds import (
 )
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run, read_signal
+from turtlelog.run import Run
 from turtlelog.scenario import PAPER_RUNS
 from turtlelog.show import write_comparison_rrd, write_run_rrd
 
@@ -172,9 +173,14 @@ def test_a_turtle_shows_from_its_first_pose_on(comparison_rrd: Path) -> None:
         assert (first_ns + run.start_ns, more_ns) == (run.poses.time_ns[0], [])
 
 
+def move(run: Run, way_m: float) -> Run:
+    return replace(run, poses=replace(run.poses, xy_m=run.poses.xy_m + way_m))
+
+
 def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "same.rrd"
-    write_comparison_rrd([run, run, replace(run, name="run")], path)
+    others = [move(run, 0.1), replace(move(run, 0.2), name="run")]
+    write_comparison_rrd([run, *others], path)
     names = read_static(path, "/__properties/runs", "name")
     assert names == ["paper-kp10 (1)", "paper-kp10 (2)", "run"]
     entities = read_static(path, "/__properties/runs", "entity")
@@ -184,7 +190,8 @@ def test_runs_of_one_name_are_told_apart(tmp_path: Path) -> None:
 def test_names_need_not_be_entity_paths(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "odd.rrd"
     names = ["a/b", "Läufer 🐢", "- x", "$origin/**"]
-    write_comparison_rrd([replace(run, name=name) for name in names], path)
+    runs = [replace(move(run, 0.1 * step), name=name) for step, name in enumerate(names)]
+    write_comparison_rrd(runs, path)
     verify(path)
     for entity in read_static(path, "/__properties/runs", "entity"):
         assert len(read_rows(path, f"{entity}/distance", "Scalars:scalars")) == len(run.poses)
@@ -193,7 +200,8 @@ def test_names_need_not_be_entity_paths(tmp_path: Path) -> None:
 def test_twenty_runs_have_colours_and_a_legend_of_their_own(tmp_path: Path) -> None:
     run, path = simulate_preset("paper-kp10"), tmp_path / "many.rrd"
     names = [f"kp{number}" for number in range(20)]
-    write_comparison_rrd([replace(run, name=name) for name in names], path)
+    runs = [replace(move(run, 0.01 * step), name=name) for step, name in enumerate(names)]
+    write_comparison_rrd(runs, path)
     assert read_static(path, "/legend", "Points2D:labels") == names
     assert len(set(read_static(path, "/legend", "Points2D:colors"))) == 20
     assert "Runs" in read_layout(path)

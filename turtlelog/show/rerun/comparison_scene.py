@@ -5,21 +5,38 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import rerun as rr
 
 from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.errors import ShowError
-from turtlelog.measure import Metric, measure_run
+from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.documents import describe_runs
 from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities, plane
-from turtlelog.show.rerun.content import Content, describe_content
+from turtlelog.show.rerun.content import (
+    Content,
+    describe_content,
+    find_heading_close_up,
+    find_ranges,
+)
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
 from turtlelog.show.rerun.layout import (
+    RESTLESS_PLOTS,
+    SCALE_WIDTH,
     arrange_names,
     build_comparison_layout,
     choose_names,
+    choose_phase_rows,
+)
+from turtlelog.show.rerun.many_runs import (
+    MANY,
+    GainScale,
+    find_gain_scale,
+    find_restless,
+    group_equal,
+    shorten_names,
 )
 from turtlelog.show.rerun.marks import draw_events, draw_phases
 from turtlelog.show.rerun.plots import (
@@ -46,6 +63,20 @@ _LEGEND_RADIUS: Final = 5.0  # [points]
 _BAR_WIDTH: Final = 0.8
 _LEGEND_SHARE: Final = 0.35
 
+_THIN_WIDTH: Final = 1.0
+_MOST_RESTLESS: Final = 2
+"""Named in a title; of more their number is told."""
+
+_SCALE_HEIGHT: Final = 1.0
+_SCALE_LINES: Final = 8
+"""Lines side by side that fill a cell: the viewer rounds the ends of a thick one."""
+_SCALE_LABELS: Final = 12
+"""Values in a view 500 pixels wide: 40 each."""
+
+_MOST_EXTREMES: Final = 3
+_EXTREME_SHARE: Final = 0.2
+"""Of half the plane: nearer to the goal, or to another one, a name would cover others."""
+
 
 def write_comparison_rrd(
     runs: Sequence[Run], path: str | Path, *, documents: Mapping[str, str] | None = None
@@ -65,14 +96,19 @@ def write_comparison_rrd(
     if not runs:
         raise ShowError(f"{path}: expected at least one run to compare, found none")
     runs = order_by_gain(runs)
-    metrics, overlay = [measure_run(run) for run in runs], _build_overlay(runs, name_runs(runs))
+    metrics = [measure_run(run) for run in runs]
     if documents is None:
         documents = describe_runs(runs, metrics=metrics)
     documents = add_thinning(documents, runs)
+    groups = group_equal(runs)
+    overlay = _build_overlay([runs[first] for first, *_ in groups], _name_groups(runs, groups))
     content = overlay.describe(documents)
     layout = build_comparison_layout(content)
     with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
-        _draw_overlay(stream, overlay, content, metrics)
+        drawn = {number: place for place, group in enumerate(groups) for number in group}
+        prefixes = [overlay.prefixes[drawn[number]] for number in range(len(runs))]
+        send_comparison_properties(stream, runs, name_runs(runs), prefixes, metrics)
+        _draw_overlay(stream, overlay, content)
         draw_documents(stream, documents)
 
 
@@ -88,6 +124,8 @@ class _Overlay:
         timelines: Aligned at the first samples.
         series: The curves of each.
         references: Level lines that all share.
+        restless: Numbers of those among many that never come to rest.
+        scale: By what many differ; None where that is no one number.
     """
 
     runs: tuple[Run, ...]
@@ -97,17 +135,89 @@ class _Overlay:
     timelines: tuple[Timelines, ...]
     series: tuple[tuple[Series, ...], ...]
     references: tuple[LevelLines, ...]
+    restless: frozenset[int] = frozenset()
+    scale: GainScale | None = None
 
     def describe(self, documents: Mapping[str, str]) -> Content:
         """Return what a recording of it holds."""
-        return describe_content(
+        content = describe_content(
             self.runs, self.prefixes, self.series, self.references, documents, names=self.names
         )
+        calm = [number for number in range(len(self.runs)) if number not in self.restless]
+        content = replace(
+            content,
+            scale_title=None if self.scale is None else _title_scale(self.scale),
+            phase_rows=choose_phase_rows(self.prefixes),
+        )
+        if not self.restless:
+            return content
+        settled = [self.runs[number] for number in calm]
+        ranges = {
+            **content.ranges,
+            **find_ranges([self.series[number] for number in calm], self.references),
+            **find_heading_close_up(settled),
+        }
+        lasting = max(run.end_ns - run.start_ns for run in settled) / 1e9
+        longest = max(run.end_ns - run.start_ns for run in self.runs) / 1e9
+        return replace(
+            content,
+            ranges=ranges,
+            end_s=lasting if lasting < longest else None,
+            length_s=longest,
+            restless=self._join_names(sorted(self.restless)),
+            outliers={**content.outliers, **self._name_beyond(ranges)},
+        )
+
+    def _name_beyond(self, ranges: Mapping[str, tuple[float, float]]) -> dict[str, str]:
+        """Return which runs that never rest leave the range of each plot that shows them."""
+        found: dict[str, list[int]] = {}
+        for number in sorted(self.restless):
+            for series in self.series[number]:
+                low, high = ranges.get(series.plot, (-np.inf, np.inf))
+                values = series.values[np.isfinite(series.values)]
+                if ((values < low) | (values > high)).any():
+                    found.setdefault(series.plot, []).append(number)
+        return {plot: f"{self._join_names(numbers)} beyond" for plot, numbers in found.items()}
+
+    def _join_names(self, numbers: Sequence[int]) -> str:
+        """Return runs in words: from which value on, where they are the last in order."""
+        are_last = [*numbers] == [*range(len(self.runs) - len(numbers), len(self.runs))]
+        if self.scale is not None and are_last and len(numbers) > 1:
+            return f"{self.scale.word} from {self.scale.values[numbers[0]]:.3g} on"
+        names = ", ".join(self.name_run(number) for number in numbers[:_MOST_RESTLESS])
+        more = len(numbers) - _MOST_RESTLESS
+        return f"{names} and {more} more" if more > 0 else names
+
+    def name_run(self, number: int) -> str:
+        """Return what a run among many is called in a picture: by what the colours tell."""
+        if self.scale is None:
+            return self.names[number]
+        return f"{self.scale.word} {self.scale.values[number]:.3g}"
+
+
+def _name_groups(runs: Sequence[Run], groups: Sequence[Sequence[int]]) -> list[str]:
+    """Return a name for each group of equal runs: one is drawn, and says that it is all of them."""
+    names = name_runs(runs)
+    firsts = [runs[first] for first, *_ in groups]
+    brief = shorten_names(firsts, [names[first] for first, *_ in groups])
+    return [
+        name if len(group) == 1 else _name_equal(name, [names[number] for number in group])
+        for name, group in zip(brief, groups, strict=True)
+    ]
+
+
+def _name_equal(name: str, names: Sequence[str]) -> str:
+    if name not in names:
+        return f"{name} ({len(names)} equal runs)"
+    if len(names) == 2:
+        return f"{names[0]} and {names[1]} are equal"
+    return f"{name} and {len(names) - 1} more are equal"
 
 
 def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
     """Return runs with their colours, curves and timelines."""
     colors = choose_run_colors(len(runs))
+    restless = find_restless(runs) if len(runs) > MANY else frozenset()
     # The legend stands along the track, and has no room for more than the runs.
     references = [found for found in list_references(runs) if found.plot != ALONG_TRACK]
     return _Overlay(
@@ -117,10 +227,26 @@ def _build_overlay(runs: Sequence[Run], names: Sequence[str]) -> _Overlay:
         colors=colors,
         timelines=tuple(build_compared_timelines(run) for run in runs),
         series=tuple(
-            list_compared_series(run, name, color)
-            for run, name, color in zip(runs, names, colors, strict=True)
+            _list_series(run, names[number], colors[number], is_restless=number in restless)
+            if len(runs) > MANY
+            else list_compared_series(run, names[number], colors[number])
+            for number, run in enumerate(runs)
         ),
         references=tuple(references),
+        restless=restless,
+        scale=find_gain_scale(runs) if len(runs) > MANY else None,
+    )
+
+
+def _list_series(run: Run, name: str, color: Color, *, is_restless: bool) -> tuple[Series, ...]:
+    """Return curves of a run among many; commands of one that swings on would cover all others."""
+    found = list_compared_series(run, name, color)
+    if is_restless:
+        found = tuple(series for series in found if series.plot not in RESTLESS_PLOTS)
+        color = palette.dim(color)
+    return tuple(
+        replace(series, colors=(color,) * len(series.colors), width=min(series.width, _THIN_WIDTH))
+        for series in found
     )
 
 
@@ -128,15 +254,17 @@ def _draw_overlay(
     stream: rr.RecordingStream,
     overlay: _Overlay,
     content: Content,
-    metrics: Sequence[Mapping[str, Metric]],
 ) -> list[RunStream]:
     """Draw all runs and what they share; return a stream for each run."""
-    send_comparison_properties(stream, overlay.runs, overlay.names, overlay.prefixes, metrics)
     draw_world(stream, overlay.runs)
     span = read_span(overlay.runs, overlay.timelines)
     draw_references(stream, overlay.references, span)
-    if content.legend_names:
+    if overlay.scale is not None:
+        _draw_scale(stream, overlay.scale, overlay.colors)
+    elif content.legend_names:
         _draw_legend(stream, overlay.names, overlay.colors)
+    if len(overlay.runs) > MANY:
+        _name_extremes(stream, overlay, content)
     streams = []
     for number, run in enumerate(overlay.runs):
         run_stream = RunStream(stream, overlay.prefixes[number], overlay.timelines[number])
@@ -160,6 +288,65 @@ def _draw_overlay(
     if content.worst is not None:
         draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
     return streams
+
+
+def _title_scale(scale: GainScale) -> str:
+    low, high = min(scale.values), max(scale.values)
+    return f"{len(scale.values)} runs, coloured by {scale.word}: {low:g} to {high:g}"
+
+
+def _draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Color]) -> None:
+    """Draw a bar of the runs' colours in their order, with the values of some below it."""
+    width = SCALE_WIDTH / len(colors)
+    edges = np.arange(len(colors) + 1) * width
+    bar = rr.LineStrips2D(
+        [
+            [(x, (row + 0.5) * _SCALE_HEIGHT / _SCALE_LINES) for x in edges[number : number + 2]]
+            for number in range(len(colors))
+            for row in range(_SCALE_LINES)
+        ],
+        radii=_SCALE_HEIGHT / _SCALE_LINES * 0.6,
+        colors=palette.pack_colors([color for color in colors for _ in range(_SCALE_LINES)]),
+    )
+    stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
+    count = min(len(colors), _SCALE_LABELS)
+    shown = np.unique(np.linspace(0, len(colors) - 1, count).round().astype(int)).tolist()
+    labels = rr.Points2D(
+        [((number + 0.5) * width, _SCALE_HEIGHT) for number in shown],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[colors[number] for number in shown],
+        labels=[f"{scale.values[number]:.3g}" for number in shown],
+        show_labels=True,
+    )
+    stream.log(join_path(entities.LEGEND, "values"), labels, static=True)
+
+
+def _name_extremes(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
+    """Name the runs that end furthest from the goal, where they end."""
+    if content.goal is None:
+        return
+    misses = [(_miss(run), number) for number, run in enumerate(overlay.runs)]
+    least_m, furthest = _EXTREME_SHARE * content.plane.half_size_m, list[int]()
+    for miss_m, number in sorted(misses, reverse=True):
+        place = overlay.runs[number].poses.xy_m[-1]
+        ways = [place - overlay.runs[other].poses.xy_m[-1] for other in furthest]
+        if miss_m > least_m and all(np.hypot(*way) > least_m for way in ways):
+            furthest.append(number)
+    furthest = furthest[:_MOST_EXTREMES]
+    if not furthest:
+        return
+    labels = rr.Points2D(
+        [overlay.runs[number].poses.xy_m[-1] for number in furthest],
+        radii=rr.Radius.ui_points(0.0),
+        colors=[overlay.colors[number] for number in furthest],
+        labels=[overlay.name_run(number) for number in furthest],
+        show_labels=True,
+    )
+    stream.log(join_path(entities.EXTREMES), labels, static=True)
+
+
+def _miss(run: Run) -> float:
+    return 0.0 if run.goal_xy_m is None else float(np.hypot(*(run.poses.xy_m[-1] - run.goal_xy_m)))
 
 
 def _draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:

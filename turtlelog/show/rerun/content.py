@@ -81,6 +81,10 @@ class Content:
         phase_rows: Prefixes of the runs whose phases are shown; empty: all.
         timelines: Names of all timelines: on each a trail grows to the cursor.
         ghosts: Entity prefixes of what stands beside the runs in the plane.
+        scale_title: Title of the bar that tells the colours of many runs; None without it.
+        end_s: Where the plots end [s]; None where they show all there is.
+        length_s: How long the longest run is [s], where the plots end before.
+        restless: Runs that never come to rest, in words: their commands are left out.
         corners: Corner for the legend, by plot, as Rerun names it, where curves leave room there.
     """
 
@@ -111,6 +115,10 @@ class Content:
     phase_rows: tuple[str, ...] = ()
     timelines: tuple[str, ...] = ()
     ghosts: tuple[str, ...] = ()
+    scale_title: str | None = None
+    end_s: float | None = None
+    length_s: float = 0.0
+    restless: str = ""
 
     def list_states(self, group: StateGroup) -> list[str]:
         """Return the plots of those states of a group that are shown."""
@@ -138,7 +146,7 @@ def describe_content(
     names: Sequence[str] = (),
 ) -> Content:
     """Return what a recording of these runs holds, `series` being what is drawn of each."""
-    close_ups, goal = _find_close_up(runs), find_close_up(runs)
+    close_ups, goal = find_heading_close_up(runs), find_close_up(runs)
     states = group_states(*(run.declaration for run in runs))
     return Content(
         prefixes=tuple(prefixes),
@@ -160,8 +168,7 @@ def describe_content(
         idle=_find_idle(series),
         overlaid=frozenset(group for group in states if _are_overlaid(group, series)),
         ranges={
-            **_find_ranges(series, references),
-            **_find_command_ranges(series, references),
+            **find_ranges(series, references),
             **close_ups,
         },
         close_ups=frozenset(close_ups),
@@ -266,6 +273,13 @@ def find_ends(series: Sequence[Series], ranges: Mapping[str, object]) -> dict[st
     return ends
 
 
+def find_ranges(
+    series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
+) -> dict[str, tuple[float, float]]:
+    """Return ranges of plots that hold all that was measured, and a little more."""
+    return {**_find_ranges(series, references), **_find_command_ranges(series, references)}
+
+
 def _find_ranges(
     series: Sequence[Sequence[Series]], references: Sequence[LevelLines]
 ) -> dict[str, tuple[float, float]]:
@@ -305,7 +319,7 @@ def _find_command_ranges(
     return ranges
 
 
-def _find_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
+def find_heading_close_up(runs: Sequence[Run]) -> dict[str, tuple[float, float]]:
     """Return the range of heading errors that remain after turning: the turn itself hides them.
 
     None where a loop of the heading acts in every phase, or never.

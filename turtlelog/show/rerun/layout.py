@@ -15,6 +15,7 @@ from turtlelog.show.close_up import CloseUp, format_length
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.entities import TIMELINE, join_path, name_document
+from turtlelog.show.rerun.many_runs import MANY
 from turtlelog.show.rerun.waterfall import view_waterfall
 from turtlelog.show.rerun.world import Bounds
 from turtlelog.show.state_groups import StateGroup
@@ -109,6 +110,15 @@ _CROWDED: Final = frozenset({entities.HEADING, entities.ALONG_TRACK})
 """Plots whose legends have no room for more."""
 
 
+RESTLESS_PLOTS: Final = frozenset({entities.HEADING_ERROR, entities.SPEED, entities.TURN_RATE})
+"""Plots that one run's swinging would fill from end to end."""
+
+SCALE_WIDTH: Final = 12.0
+"""Of the bar that tells the colours of many runs, in heights of it."""
+_SCALE_DEPTH: Final = 2.5
+_MOST_PHASE_ROWS: Final = 4
+"""Of more than seven runs: plots above them keep the larger part."""
+
 _LEGEND_WIDTH: Final = 12.0  # in heights of a row
 _LEGEND_LETTERS: Final = 48
 _MOST_COLUMNS: Final = 4
@@ -122,9 +132,16 @@ class LinkedBlueprint(rrb.Blueprint):
     Of a range of its own the viewer would show one minute, which goes with the cursor.
     """
 
+    end_s: float | None = None
+    """Where they end instead, on every timeline [s]."""
+
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:
         super()._log_to_stream(stream)
-        stream.log(_SHARED_TIME_AXIS, rrb.TimeAxis(view_range=_WHOLE_TIME))
+        shown = _WHOLE_TIME
+        if self.end_s is not None:
+            end = rr.TimeRangeBoundary.absolute(seconds=self.end_s)
+            shown = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=end)
+        stream.log(_SHARED_TIME_AXIS, rrb.TimeAxis(view_range=shown))
 
 
 def build_run_layout(content: Content) -> rrb.Blueprint:
@@ -235,11 +252,12 @@ def _build_blueprint(
     if stacks:
         plots = rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks))
         parts.append(_add_phases(content, _add_states(content, plots)))
-    return _finish(rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)]))
+    root = rrb.Horizontal(*parts, column_shares=_COLUMN_SHARES[: len(parts)])
+    return _finish(root, end_s=content.end_s)
 
 
-def _finish(root: rrb.Container) -> rrb.Blueprint:
-    return LinkedBlueprint(
+def _finish(root: rrb.Container, *, end_s: float | None = None) -> rrb.Blueprint:
+    layout = LinkedBlueprint(
         root,
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
@@ -247,11 +265,17 @@ def _finish(root: rrb.Container) -> rrb.Blueprint:
         auto_views=False,
         auto_layout=False,
     )
+    layout.end_s = end_s
+    return layout
 
 
 def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
     left = _list_planes_of(content)
-    tabs = [_view_legend(content.legend_names)] if content.legend_names else []
+    tabs: list[rrb.View] = []
+    if content.scale_title is not None:
+        tabs.append(_view_scale(content.scale_title))
+    elif content.legend_names:
+        tabs.append(_view_legend(content.legend_names))
     tabs += [_view_document(title) for title in content.documents]
     if content.has_events:
         tabs.append(_view_events(content))
@@ -346,7 +370,8 @@ def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> 
     """Put the phases below plots; `height` is that of both together, as a share of the window."""
     if not content.with_phases:
         return plots
-    share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (content.with_phases + content.has_dead_time)
+    rows = min(content.with_phases, len(content.phase_rows) or content.with_phases)
+    share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (rows + content.has_dead_time)
     largest = _LARGEST_PHASE_SHARE if content.has_several_phases else _ONE_PHASE_SHARE
     share = min(share / height, largest)
     return rrb.Vertical(plots, _view_phases(content), row_shares=[1.0 - share, share])
@@ -422,6 +447,8 @@ def _view_plot(
     title, limits = name or _name_plot(plot), content.ranges.get(plot)
     if plot in content.outliers:
         title += f", {content.outliers[plot]}"
+    if content.restless and plot in RESTLESS_PLOTS:
+        title += f", without {content.restless}"
     return rrb.TimeSeriesView(
         origin="/",
         contents=contents,
@@ -434,14 +461,17 @@ def _view_plot(
 
 def _view_phases(content: Content) -> rrb.View:
     """Show the phases, a row per run; a pause is too short for its name."""
-    rows = content.phase_rows or content.prefixes
-    contents = [join_path(prefix, entities.PHASE) for prefix in rows]
+    shown = content.phase_rows or content.prefixes
+    contents = [join_path(prefix, entities.PHASE) for prefix in shown]
+    of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
+    dead = ", pink: dead time" if content.has_dead_time else ""
+    until = "" if content.end_s is None else f", {content.end_s:.0f} of {content.length_s:.0f} s"
     if content.has_dead_time:
         contents.insert(0, join_path(content.prefixes[0], entities.DEAD_TIME))
     return rrb.StateTimelineView(
         origin="/",
         contents=contents,
-        name=f"Phases (brown: pause{', pink: dead time' if content.has_dead_time else ''})",
+        name=f"Phases{of}{until} (brown: pause{dead})",
         time_view=rrb.TimeAxis(link="LinkToGlobal"),
     )
 
@@ -459,6 +489,27 @@ def _view_legend(names: Sequence[str]) -> rrb.View:
             x_range=(0.0, _LEGEND_WIDTH), y_range=(-0.5, last_row + 1.0)
         ),
     )
+
+
+def _view_scale(title: str) -> rrb.View:
+    """Show the bar of the colours of many runs."""
+    return rrb.Spatial2DView(
+        origin="/",
+        contents=[f"{join_path(entities.LEGEND)}/**"],
+        name=title,
+        background=palette.GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=(-0.3, SCALE_WIDTH + 0.3), y_range=(-0.5, _SCALE_DEPTH)
+        ),
+    )
+
+
+def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:
+    """Return the runs whose phases are shown: of many a few, the first and the last among them."""
+    if len(prefixes) <= MANY:
+        return ()
+    rows = np.linspace(0, len(prefixes) - 1, _MOST_PHASE_ROWS).round().astype(int)
+    return tuple(prefixes[row] for row in rows)
 
 
 def _view_document(title: str) -> rrb.View:

@@ -1,0 +1,152 @@
+"""Many runs in one view: what they share is seen, and what is left out is named."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.show.rerun.rrds import (
+    list_entities,
+    read_blueprint_parts,
+    read_layout,
+    read_static,
+    simulate_preset,
+)
+from turtlelog.run import Run
+from turtlelog.scenario import get_preset, override_gains
+from turtlelog.show import write_comparison_rrd
+from turtlelog.show.rerun.many_runs import (
+    LONGEST_NAME,
+    find_gain_scale,
+    find_restless,
+    group_equal,
+    shorten_names,
+)
+from turtlelog.simulate import simulate_run
+
+KEYS = ("law.kp_angular", "law.kp_linear")
+
+
+def set_gain(run: Run, kp: float, **others: float | bool) -> Run:
+    parameters = {**run.parameters, **dict.fromkeys(KEYS, kp), **others}
+    return replace(run, name=f"gain-{kp:g}", parameters=parameters)
+
+
+@cache
+def simulate_gains() -> tuple[Run, ...]:
+    """Return seven runs that come to rest, and one that does not."""
+    swinging = simulate_run(override_gains(get_preset("paper-kp1"), KEYS, 25.0))
+    calm = [simulate_preset(f"paper-kp{kp}") for kp in (1, 4, 10)]
+    shifted = [
+        replace(run, poses=replace(run.poses, xy_m=run.poses.xy_m + 1e-3 * step))
+        for step, run in enumerate([*calm, *calm, calm[0]])
+    ]
+    gains = [set_gain(run, 1.0 + number) for number, run in enumerate(shifted)]
+    return (*gains, set_gain(swinging, 25.0))
+
+
+@pytest.fixture(scope="module")
+def many_rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("many") / "many.rrd"
+    write_comparison_rrd(simulate_gains(), path)
+    return path
+
+
+def test_a_bar_tells_the_colours_of_more_than_seven_runs(many_rrd: Path) -> None:
+    layout = read_layout(many_rrd)
+    assert layout["8 runs, coloured by Kp: 1 to 25"] == ["/legend/**"]
+    values = read_static(many_rrd, "/legend/values", "Points2D:labels")
+    assert values == ["1", "2", "3", "4", "5", "6", "7", "25"]
+    colors = read_static(many_rrd, "/legend/values", "Points2D:colors")
+    bar = read_static(many_rrd, "/legend/bar", "LineStrips2D:colors")
+    assert list(dict.fromkeys(bar)) == colors
+
+
+def test_seven_runs_have_a_legend_and_no_bar(tmp_path: Path) -> None:
+    path = tmp_path / "seven.rrd"
+    write_comparison_rrd(simulate_gains()[:7], path)
+    assert "Runs" in read_layout(path)
+    assert "/legend/bar" not in list_entities(path)
+
+
+def test_one_that_swings_on_hides_no_other_and_is_named(many_rrd: Path) -> None:
+    layout, shown = read_layout(many_rrd), list_entities(many_rrd)
+    assert "Turn rate [rad/s], without Kp 25" in layout
+    assert "/runs/gain-25/turn_rate/commanded" not in shown
+    assert "/runs/gain-7/turn_rate/commanded" in shown
+    assert "/runs/gain-25/along_track" in shown
+    widths = read_static(many_rrd, "/runs/gain-7/along_track", "SeriesLines:widths")
+    assert widths == [1.0]
+
+
+def test_the_time_that_is_shown_ends_with_the_last_that_comes_to_rest(many_rrd: Path) -> None:
+    calm = simulate_gains()[:7]
+    last_ns = max(run.end_ns - run.start_ns for run in calm)
+    ends = [part["end"] for part in read_blueprint_parts(many_rrd, "TimeAxis:view_range")]
+    assert last_ns in ends
+    title = next(name for name in read_layout(many_rrd) if name.startswith("Phases"))
+    assert title.startswith("Phases of 4 of 8 runs, 21 of 60 s")
+
+
+@pytest.mark.parametrize(("swings", "expected"), [(10, frozenset()), (11, {1})])
+def test_a_run_is_restless_above_ten_swings(swings: int, expected: set[int]) -> None:
+    run = simulate_preset("paper-kp10")
+    speed = np.zeros(len(run.samples))
+    speed[-swings - 1 :] = np.resize([1.0, -1.0], swings + 1)
+    samples = replace(run.samples, speed_m_s=speed, turn_rate_rad_s=np.zeros(len(speed)))
+    swinging = replace(run, samples=samples, stop_reason="timeout")
+    assert find_restless([run, swinging]) == expected
+    assert find_restless([run, replace(swinging, stop_reason="standstill")]) == frozenset()
+    assert find_restless([swinging, swinging]) == frozenset()
+
+
+def test_equal_runs_are_drawn_once_and_said_to_be_equal(tmp_path: Path) -> None:
+    run, other = simulate_preset("paper-kp1"), simulate_preset("paper-kp4")
+    again = replace(run, name="again")
+    assert group_equal([run, other, again]) == [[0, 2], [1]]
+    nearly = replace(again, poses=replace(run.poses, xy_m=run.poses.xy_m + 1e-12))
+    assert group_equal([run, nearly]) == [[0], [1]]
+    path = tmp_path / "equal.rrd"
+    write_comparison_rrd([run, again, other], path)
+    (name,) = read_static(
+        path, "/runs/again_and_paper-kp1_are_equal/along_track", "SeriesLines:names"
+    )
+    assert name == "again and paper-kp1 are equal"
+    (text,) = (
+        read_static(path, "/documents/Side%20by%20side", "TextDocument:text")
+        if ("/documents/Side%20by%20side" in list_entities(path))
+        else read_static(path, r"/documents/Side\ by\ side", "TextDocument:text")
+    )
+    assert "again" in text
+    assert "paper-kp1" in text
+
+
+def test_long_names_become_what_differs() -> None:
+    run = simulate_preset("paper-kp4")
+    long = "x" * LONGEST_NAME
+    limits = set_gain(run, 4.0, **{"limits.speed_m_s": 1e9})
+    delayed = set_gain(run, 8.0, **{"loop.transport_delay_ticks": 3})
+    assert shorten_names([run, limits], [f"{long}-a", f"{long}-b"]) == (
+        "speed limit 1",
+        "no speed limit",
+    )
+    assert shorten_names([run, delayed], ["a", f"{long}b"]) == (
+        "Kp 4, delay 0 ticks",
+        "Kp 8, delay 3 ticks",
+    )
+    assert shorten_names([run, limits], ["a", long]) == ("a", long)
+    assert shorten_names([run, run], [f"{long}-a-z", f"{long}-b-z"]) == ("a", "b")
+
+
+def test_a_scale_needs_one_number_that_differs() -> None:
+    run = simulate_preset("paper-kp4")
+    scale = find_gain_scale([run, set_gain(run, 8.0)])
+    assert scale is not None
+    assert (scale.word, scale.values) == ("Kp", (4.0, 8.0))
+    assert find_gain_scale([run, replace(run, name="other")]) is None
+    paused = set_gain(run, 8.0, **{"law.pause_ticks": 3})
+    assert find_gain_scale([run, paused]) == scale
+    slow = set_gain(run, 4.0, **{"limits.speed_m_s": 0.5, "law.pause_ticks": 3})
+    assert find_gain_scale([run, slow]) is None
