@@ -22,6 +22,12 @@ from turtlelog.errors import UsageError
 
 _LONGEST_S = 1e9
 _HOUR_S = 3600.0
+_ROUNDING_S = 1e-3
+"""The end is printed in milliseconds."""
+
+_LEAST_SIZE = 480, 320
+"""Width and height of a picture at least [pixels]: titles and axes take 40 of every row of plots,
+and what is left of it is 45 high."""
 
 
 @Parameter(name="*")
@@ -31,10 +37,11 @@ class PictureOptions:
 
     Attributes:
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
-        at: Time of the picture, from the first sample [s]; otherwise the end.
+        at: Time of the picture, from the first sample [s]; otherwise the end of the longest run.
         timeline: What --at tells, and what a movie is driven on: sim_time, or of several runs also
             PHASE_time, from the start of a later phase of each, as translate_time.
-        size: Width and height of the picture [pixels].
+        size: Width and height of the picture [pixels], at least 480x320; below 1000x700 legends,
+            phases and tables give way to curves.
     """
 
     snapshot: Path | None = None
@@ -98,7 +105,7 @@ def view(
         if save is None and picture.snapshot is None and not window.web:
             return
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        rrds = _prepare_rrds(files, save, picture.snapshot, Path(folder), topics)
+        rrds, end_s = _prepare_rrds(files, save, picture, Path(folder), topics)
         if save is not None:
             print_note(f"wrote {save}")
         if picture.snapshot is not None:
@@ -106,7 +113,7 @@ def view(
                 tl.show.write_snapshot(
                     rrds[0],
                     picture.snapshot,
-                    at_s=picture.at,
+                    at_s=_choose_time(picture, end_s),
                     timeline=picture.timeline,
                     size=width_and_height,
                 )
@@ -172,28 +179,45 @@ def _parse_size(text: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
     if found is None:
         raise UsageError(f"--size: expected WIDTHxHEIGHT up to 9999, found {text!r}")
-    return int(found[1]), int(found[2])
+    width, height = int(found[1]), int(found[2])
+    if width < _LEAST_SIZE[0] or height < _LEAST_SIZE[1]:
+        least = "x".join(map(str, _LEAST_SIZE))
+        raise UsageError(
+            f"--size: expected at least {least}, as no curve shows below, found {text}"
+        )
+    return width, height
 
 
 def _prepare_rrds(
     files: list[Path],
     save: Path | None,
-    snapshot: Path | None,
+    picture: PictureOptions,
     folder: Path,
     topics: ReadingOptions | None,
-) -> list[Path]:
+) -> tuple[list[Path], float | None]:
+    """Return the views, and where the longest run ends [s], where that is known."""
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
         raise UsageError(f"FILE: expected recordings, found {ready[0]}, which is a view already")
-    if len(ready) > 1 and snapshot is not None:
+    if len(ready) > 1 and picture.snapshot is not None:
         raise UsageError(f"--snapshot: expected one view, found {len(ready)}")
     if ready:
-        return ready
+        return ready, None
     runs = read_runs(files, topics)
     rrd = save or folder / "view.rrd"
     with show_progress("drawing"):
+        size = None if picture.snapshot is None else _parse_size(picture.size)
         if len(runs) == 1:
-            tl.write_run_rrd(runs[0], rrd)
+            tl.write_run_rrd(runs[0], rrd, size=size)
         else:
-            tl.write_comparison_rrd(runs, rrd)
-    return [rrd]
+            tl.write_comparison_rrd(runs, rrd, size=size)
+    return [rrd], max(run.end_ns - run.start_ns for run in runs) / 1e9
+
+
+def _choose_time(picture: PictureOptions, end_s: float | None) -> float | None:
+    """Return the time of the picture: a view is a little longer than its runs."""
+    if picture.timeline != "sim_time" or end_s is None:
+        return picture.at
+    if picture.at is not None and picture.at > end_s + _ROUNDING_S:
+        raise UsageError(f"--at: expected at most {end_s:.3f} s, where it ends, found {picture.at}")
+    return end_s if picture.at is None else picture.at

@@ -14,6 +14,7 @@ from turtlelog.compare import (
     tabulate_whole_runs,
 )
 from turtlelog.compare.run_names import name_runs
+from turtlelog.display import describe_count
 from turtlelog.escapes import escape_markdown
 from turtlelog.loops import PAUSE
 from turtlelog.measure import Metric, find_first_stretch, list_essential_metrics, measure_run
@@ -77,8 +78,9 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
     groups = groupby(metrics.values(), lambda metric: metric.id.partition(".")[0])
     tables = [(group, list(found)) for group, found in groups]
     if not len(run.samples):
-        # What there is comes first: of somebody's robot, its motion.
-        tables.sort(key=lambda table: all(metric.value is None for metric in table[1]))
+        yield from _summarise_absent([one for one in metrics.values() if one.value is None])
+        held = [(group, [one for one in found if one.value is not None]) for group, found in tables]
+        tables = [(group, found) for group, found in held if found]
     for group, listed in tables:
         known = [metric for metric in listed if metric.value is not None]
         yield from ("", f"**{_HEADS.get(group) or _head_loop(run, group)}**", "")
@@ -90,6 +92,16 @@ def _list_metrics(run: Run, metrics: Mapping[str, Metric]) -> Iterable[str]:
         for reason in reasons:
             names = [_shorten(metric.id) for metric in missing if metric.reason == reason]
             yield from ("", f"No {', '.join(names)}: {escape_markdown(reason)}.")
+
+
+def _summarise_absent(missing: Sequence[Metric]) -> Iterable[str]:
+    """Yield one line on what a robot's recording has no values of; `metrics` lists it with why."""
+    if missing:
+        reasons = dict.fromkeys(metric.reason for metric in missing)
+        first, others = next(iter(reasons)), len(reasons) - 1
+        why = f"{first}, and {describe_count(others, 'other reason')}" if others else first
+        told = f"{describe_count(len(missing), 'metric')} without a value: {why}."
+        yield from ("", escape_markdown(told))
 
 
 def _head_loop(run: Run, name: str) -> str:

@@ -1,19 +1,22 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.show.rerun.rrds import (
     list_entities,
     make_foreign_run,
+    read_blueprint_parts,
     read_layout,
     read_rows,
     read_static,
     simulate_preset,
     verify,
 )
-from turtlelog.run import Run, SampleColumns, take_rows
-from turtlelog.show import write_run_rrd
+from turtlelog.run import PoseColumns, Run, SampleColumns, take_rows
+from turtlelog.show import describe_run, write_run_rrd
 
 RUN = simulate_preset("paper-kp10")
 
@@ -31,7 +34,13 @@ def test_a_run_without_samples_shows_what_it_holds(tmp_path: Path) -> None:
     run, path = make_foreign_run(300), tmp_path / "bag.rrd"
     write_run_rrd(run, path)
     verify(path)
-    views = {"Plane", "Heading [deg]", "Turn rate [rad/s]", "Position [m]", "Speed [m/s]"}
+    views = {
+        "Plane (yellow: command)",
+        "Heading [deg]",
+        "Turn rate [rad/s]",
+        "Position [m]",
+        "Speed [m/s]",
+    }
     views |= {"Metrics", "Scenario", "By speed, 0 to 0.333 m/s"}
     assert set(read_layout(path)) == views
     rows = np.array(read_rows(path, "/speed/commanded", "Scalars:scalars"))
@@ -41,7 +50,11 @@ def test_a_run_without_samples_shows_what_it_holds(tmp_path: Path) -> None:
 def test_a_single_pose_shows_the_plane_alone(tmp_path: Path) -> None:
     write_run_rrd(make_foreign_run(1), tmp_path / "run.rrd")
     verify(tmp_path / "run.rrd")
-    assert set(read_layout(tmp_path / "run.rrd")) == {"Plane", "Metrics", "Scenario"}
+    assert set(read_layout(tmp_path / "run.rrd")) == {
+        "Plane (yellow: command)",
+        "Metrics",
+        "Scenario",
+    }
 
 
 def cut_samples(count: int) -> SampleColumns:
@@ -81,3 +94,48 @@ def test_a_run_that_never_reaches_its_goal_works(tmp_path: Path) -> None:
     assert "/along_track/marks" not in list_entities(tmp_path / "run.rrd")
     (text,) = read_static(tmp_path / "run.rrd", "/documents/Metrics", "TextDocument:text")
     assert "the run has no phase translate" in text
+
+
+@pytest.mark.parametrize("size", [(999, 700), (1000, 699)])
+def test_in_a_small_window_curves_have_the_room_of_legends_phases_and_tables(
+    size: tuple[int, int], tmp_path: Path
+) -> None:
+    run, path = simulate_preset("paper-kp10"), tmp_path / "small.rrd"
+    write_run_rrd(run, path, size=size)
+    small = read_layout(path)
+    assert "Plane" in small
+    assert "Heading [deg]" in small
+    assert "Metrics" not in small
+    assert not [name for name in small if name.startswith("Phases")]
+    assert not any(read_blueprint_parts(path, "PlotLegend:visible"))
+    write_run_rrd(run, path, size=(1000, 700))
+    large = read_layout(path)
+    assert "Plane (pink: to the goal, yellow: command)" in large
+    assert {"Metrics", "Phases (brown: pause)"} < set(large)
+    assert any(read_blueprint_parts(path, "PlotLegend:visible"))
+
+
+def test_curves_are_parted_where_a_turtle_was_put_elsewhere(tmp_path: Path) -> None:
+    time_ns = np.arange(40, dtype=np.int64) * 16_000_000
+    x_m = np.where(time_ns < time_ns[20], 2.0, 8.0)
+    turtle = make_foreign_run(40)
+    poses = PoseColumns(
+        time_ns=time_ns,
+        xy_m=np.column_stack([x_m, x_m]),
+        heading_rad=np.where(time_ns < time_ns[20], 0.0, 1.5),
+        speed_m_s=np.zeros(40),
+        turn_rate_rad_s=np.zeros(40),
+    )
+    path = tmp_path / "reset.rrd"
+    write_run_rrd(replace(turtle, poses=poses), path)
+    for plot in ("heading_deg", "position"):
+        rows = np.array(read_rows(path, f"/{plot}", "Scalars:scalars"))
+        assert np.flatnonzero(np.isnan(rows[:, 0])).tolist() == [20]
+        assert len(rows) == 41
+
+
+def test_what_a_robot_has_no_metrics_of_is_one_line() -> None:
+    text = describe_run(make_foreign_run(40))["Metrics"]
+    (line,) = [line for line in text.splitlines() if "without a value" in line]
+    assert re.match(r"\d+ metrics without a value: .*, and \d+ other reasons?\.", line)
+    assert "\nNo " not in text

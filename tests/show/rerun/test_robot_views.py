@@ -28,7 +28,7 @@ def test_a_robot_s_commands_and_measured_rates_are_entities_of_their_own(tmp_pat
     assert found == {
         *("/turn_rate/commanded", "/turn_rate/as_measured", "/turn_rate/as_measured/outliers"),
     }
-    views = {"Plane", "Heading [deg]", "Position [m]", "Speed [m/s]"}
+    views = {"Plane (yellow: command)", "Heading [deg]", "Position [m]", "Speed [m/s]"}
     views.add("Turn rate [rad/s], 1 outlier left out")
     assert set(read_layout(path)) == {
         *(*views, "Metrics", "Scenario", "By speed, 0 to 0.21 m/s"),

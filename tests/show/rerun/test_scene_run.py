@@ -101,7 +101,12 @@ def test_recording_verifies_and_stays_small(run_rrd: Path) -> None:
 
 
 def test_the_layout_has_its_views(run_rrd: Path) -> None:
-    views = {"Plane", "Heading [deg]", "Speed [m/s]", "Phases (brown: pause)"}
+    views = {
+        "Plane (pink: to the goal, yellow: command)",
+        "Heading [deg]",
+        "Speed [m/s]",
+        "Phases (brown: pause)",
+    }
     assert views < set(read_layout(run_rrd))
 
 

@@ -1,7 +1,7 @@
 """Several runs over each other as one Rerun recording."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +12,7 @@ from turtlelog.compare import name_runs, order_by_gain
 from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
+from turtlelog.show import palette
 from turtlelog.show.documents import describe_runs
 from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities, plane
@@ -29,6 +30,7 @@ from turtlelog.show.rerun.layout import (
     build_comparison_layout,
     choose_names,
     choose_phase_rows,
+    is_small,
 )
 from turtlelog.show.rerun.many_runs import (
     MANY,
@@ -79,7 +81,11 @@ _EXTREME_SHARE: Final = 0.2
 
 
 def write_comparison_rrd(
-    runs: Sequence[Run], path: str | Path, *, documents: Mapping[str, str] | None = None
+    runs: Sequence[Run],
+    path: str | Path,
+    *,
+    documents: Mapping[str, str] | None = None,
+    size: tuple[int, int] | None = None,
 ) -> None:
     """Write one recording of several runs over each other; time zero is each one's first sample.
 
@@ -89,6 +95,7 @@ def write_comparison_rrd(
         runs: At least one; each keeps its colour in every view, in the order of `order_by_gain`.
         path: The .rrd file; replaced when the new one is complete.
         documents: Markdown texts by title, shown as tabs; `describe_runs` where None.
+        size: As in `write_run_rrd`.
 
     Raises:
         ShowError: Where there is no run, or the file cannot be written.
@@ -102,7 +109,7 @@ def write_comparison_rrd(
     documents = add_thinning(documents, runs)
     groups = group_equal(runs)
     overlay = _build_overlay([runs[first] for first, *_ in groups], _name_groups(runs, groups))
-    content = overlay.describe(documents)
+    content = replace(overlay.describe(documents), is_small=is_small(size))
     layout = build_comparison_layout(content)
     with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
         drawn = {number: place for place, group in enumerate(groups) for number in group}

@@ -81,6 +81,8 @@ class Content:
         phase_rows: Prefixes of the runs whose phases are shown; empty: all.
         timelines: Names of all timelines: on each a trail grows to the cursor.
         ghosts: Entity prefixes of what stands beside the runs in the plane.
+        arrows: What the arrows in the plane are, in words; empty without them.
+        is_small: Whether the window is too small for legends, phases and documents.
         scale_title: Title of the bar that tells the colours of many runs; None without it.
         end_s: Where the plots end [s]; None where they show all there is.
         length_s: How long the longest run is [s], where the plots end before.
@@ -112,6 +114,8 @@ class Content:
     idle: frozenset[str] = frozenset()
     outliers: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
+    arrows: str = ""
+    is_small: bool = False
     phase_rows: tuple[str, ...] = ()
     timelines: tuple[str, ...] = ()
     ghosts: tuple[str, ...] = ()

@@ -113,6 +113,11 @@ _CROWDED: Final = frozenset({entities.HEADING, entities.ALONG_TRACK})
 RESTLESS_PLOTS: Final = frozenset({entities.HEADING_ERROR, entities.SPEED, entities.TURN_RATE})
 """Plots that one run's swinging would fill from end to end."""
 
+_LEAST_WIDTH: Final = 1000
+"""Plots of a window 1000 pixels wide have 320, of which a legend takes 210."""
+_LEAST_HEIGHT: Final = 700
+"""Plots of a window 700 pixels high have 110, of which a legend of three lines takes 85."""
+
 SCALE_WIDTH: Final = 12.0
 """Of the bar that tells the colours of many runs, in heights of it."""
 _SCALE_DEPTH: Final = 2.5
@@ -142,6 +147,11 @@ class LinkedBlueprint(rrb.Blueprint):
             end = rr.TimeRangeBoundary.absolute(seconds=self.end_s)
             shown = rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=end)
         stream.log(_SHARED_TIME_AXIS, rrb.TimeAxis(view_range=shown))
+
+
+def is_small(size: tuple[int, int] | None) -> bool:
+    """Whether legends would cover the curves of plots in a window of this size [pixels]."""
+    return size is not None and (size[0] < _LEAST_WIDTH or size[1] < _LEAST_HEIGHT)
 
 
 def build_run_layout(content: Content) -> rrb.Blueprint:
@@ -271,6 +281,13 @@ def _finish(root: rrb.Container, *, end_s: float | None = None) -> rrb.Blueprint
 
 def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
     left = _list_planes_of(content)
+    tabs = [] if content.is_small else _list_tabs(content)
+    if tabs:
+        left.append(rrb.Tabs(*tabs, active_tab=0))
+    return left
+
+
+def _list_tabs(content: Content) -> list[rrb.View]:
     tabs: list[rrb.View] = []
     if content.scale_title is not None:
         tabs.append(_view_scale(content.scale_title))
@@ -279,9 +296,7 @@ def _list_left_views(content: Content) -> list[rrb.View | rrb.Container]:
     tabs += [_view_document(title) for title in content.documents]
     if content.has_events:
         tabs.append(_view_events(content))
-    if tabs:
-        left.append(rrb.Tabs(*tabs, active_tab=0))
-    return left
+    return tabs
 
 
 def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
@@ -312,7 +327,7 @@ def _list_cells(
     cells: list[rrb.View | rrb.Container] = []
     for cell in column:
         plots = [
-            _view_plot(content, plot, legends.get(plot))
+            _view_plot(content, plot, None if content.is_small else legends.get(plot))
             for plot in cell
             if content.list_curves(plot)
         ]
@@ -368,7 +383,7 @@ def _view_states(content: Content, group: StateGroup) -> rrb.View | rrb.Containe
 
 def _add_phases(content: Content, plots: rrb.Container, height: float = 1.0) -> rrb.Container:
     """Put the phases below plots; `height` is that of both together, as a share of the window."""
-    if not content.with_phases:
+    if not content.with_phases or content.is_small:
         return plots
     rows = min(content.with_phases, len(content.phase_rows) or content.with_phases)
     share = _PHASE_HEAD_SHARE + _PHASE_ROW_SHARE * (rows + content.has_dead_time)
@@ -382,7 +397,7 @@ def _view_plane(content: Content) -> rrb.View:
     return rrb.Spatial2DView(
         origin="/",
         contents=[*_list_planes(content), *_hide([entities.SPEED_PATH], content)],
-        name="Plane",
+        name=f"Plane ({content.arrows})" if content.arrows and not content.is_small else "Plane",
         background=palette.GROUND,
         overrides=show_trails(content),
         visual_bounds=_turn_bounds(content.plane),

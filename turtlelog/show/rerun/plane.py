@@ -161,6 +161,14 @@ def draw_arrows(run_stream: RunStream, run: Run) -> None:
         run_stream.send(entities.COMMAND, table.time_ns, values, _build_command)
 
 
+def name_arrows(run: Run) -> str:
+    """Return what the thin arrows at the turtle are, in words, as `draw_arrows` draws them."""
+    aim = "goal" if run.goal_xy_m is not None else "reference"
+    words = [f"pink: to the {aim}"] if _read_errors(run) is not None else []
+    words += ["yellow: command"] if len(run.samples) or len(run.commands) else []
+    return ", ".join(words)
+
+
 def _read_errors(run: Run) -> Values | None:
     """Return the way from every pose to where the robot should be [m], shape (n, 2)."""
     if run.goal_xy_m is not None:

@@ -14,7 +14,7 @@ from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.timelines import RunStream, Times, Values, build_index
-from turtlelog.show.robot_curves import read_measured
+from turtlelog.show.robot_curves import find_jump_rows, part_curve, part_path, read_measured
 from turtlelog.show.shared_curves import (
     Command,
     find_limits,
@@ -305,11 +305,13 @@ def _name_curves(name: str, labels: tuple[str, ...]) -> tuple[str, ...]:
 def _list_pairs(run: Run) -> Iterable[Series]:
     """Yield what has a value along x and one along y of the world."""
     poses, samples = run.poses, run.samples
-    yield _build_pair(entities.POSITION, ("x", "y"), poses.time_ns, poses.xy_m)
+    xy_m, jumps = part_path(run), find_jump_rows(run)
+    time_ns = np.insert(poses.time_ns, jumps, poses.time_ns[jumps]) if len(jumps) else poses.time_ns
+    yield _build_pair(entities.POSITION, ("x", "y"), time_ns, xy_m)
     if run.goal_xy_m is not None:
-        errors_m = np.array(run.goal_xy_m) - poses.xy_m
+        errors_m = np.array(run.goal_xy_m) - xy_m
         labels = ("goal x - x", "goal y - y")
-        series = _build_pair(entities.POSITION_ERROR, labels, poses.time_ns, errors_m)
+        series = _build_pair(entities.POSITION_ERROR, labels, time_ns, errors_m)
         yield replace(series, is_main=False)
     velocity = read_world_velocity(run)
     if velocity is not None:
@@ -342,6 +344,7 @@ def _list_pose_series(run: Run) -> Iterable[Series]:
     for entity, signal_name, label in _POSE_SIGNALS:
         curve = read_curve(run, signal_name)
         if curve is not None:
+            curve = part_curve(run, curve)
             values = curve.values[:, np.newaxis]
             yield Series(entity=entity, labels=(label,), time_ns=curve.time_ns, values=values)
 

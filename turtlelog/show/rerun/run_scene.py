@@ -21,7 +21,7 @@ from turtlelog.show.rerun.content import (
 )
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.ghosts import Ghost, build_ideal_ghost, draw_ghost, draw_key
-from turtlelog.show.rerun.layout import build_run_layout
+from turtlelog.show.rerun.layout import build_run_layout, is_small
 from turtlelog.show.rerun.marks import (
     Mark,
     draw_events,
@@ -49,7 +49,11 @@ _EVENT_LINES: Final = f"{entities.LINES}/event"
 
 
 def write_run_rrd(
-    run: Run, path: str | Path, *, documents: Mapping[str, str] | None = None
+    run: Run,
+    path: str | Path,
+    *,
+    documents: Mapping[str, str] | None = None,
+    size: tuple[int, int] | None = None,
 ) -> None:
     """Write a recording of one run with its layout; time zero is the first sample.
 
@@ -57,6 +61,8 @@ def write_run_rrd(
         run: What to show.
         path: The .rrd file; replaced when the new one is complete.
         documents: Markdown texts by title, shown as tabs; `describe_run` where None.
+        size: Of the window that it is for [pixels], where known: in a small one legends, phases and
+            documents give way to curves.
 
     Raises:
         ShowError: Where the file cannot be written.
@@ -65,7 +71,7 @@ def write_run_rrd(
     if documents is None:
         documents = describe_run(run, metrics=single.metrics)
     documents = add_thinning(documents, [run])
-    content = single.describe(documents)
+    content = replace(single.describe(documents), is_small=is_small(size))
     with open_recording(path, name=run.name, layout=build_run_layout(content)) as stream:
         draw_single(stream, single, content)
         draw_documents(stream, documents)
@@ -101,6 +107,7 @@ class Single:
             ends=find_ends(self.series, content.ranges),
             corners=find_corners(self.series, content.ranges) if self.run.goal_xy_m is None else {},
             series=(*content.series, *dict.fromkeys(join_path(mark.entity) for mark in self.marks)),
+            arrows=plane.name_arrows(self.run),
             lines=(join_path(_EVENT_LINES),) if plane.list_placed(self.run) else (),
             ghosts=() if self.ideal is None else (self.ideal.prefix,),
             highest_speed_m_s=None if self.by_speed is None else self.by_speed.highest_m_s,
