@@ -220,7 +220,7 @@ def test_the_ideal_loop_is_a_ghost_beside_a_single_run(run_rrd: Path) -> None:
     assert read_words(run_rrd, "/plane/names/key/words") == ["the run", "ideal loop"]
     assert "/ideal_loop/plane/turtle" in list_entities(run_rrd)
     layout = read_layout(run_rrd)
-    assert "/ideal_loop/plane/**" in layout["Plane"]
+    assert "/ideal_loop/plane/**" in layout["Plane (pink: to the goal, yellow: command)"]
     assert "- /ideal_loop/plane/turtle/body/**" in layout["At the goal, ±150 mm"]
 
 
