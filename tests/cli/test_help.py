@@ -14,7 +14,7 @@ GROUPS = {
     "Simulate": ["run", "scenario", "theory"],
     "Ask": ["info", "metrics", "compare", "explain", "identify", "replay", "list"],
     "Check": ["check"],
-    "Show": ["view", "plot"],
+    "Show": ["view", "plot", "report"],
     "Files": ["convert", "recover", "demo"],
 }
 NUMBERS = "INT|FLOAT|GAINS?|SECONDS|SHARE|WIDTH|VALUE|WIDTHxHEIGHT"

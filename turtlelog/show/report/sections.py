@@ -12,6 +12,9 @@ from turtlelog.run import Run
 from turtlelog.show.attribution_steps import list_attribution_steps
 from turtlelog.show.report.plots import to_hex
 
+_MOST_LISTED: Final = 12
+"""Scenarios of more runs fold into one line."""
+
 _LEAST_PERCENT: Final = 0.4
 """Of the width: a narrower bar would not be seen."""
 
@@ -138,10 +141,14 @@ def write_provenance(
         for run, name, (file, key) in zip(runs, names, sources, strict=True)
     ]
     parts.append(_wrap_table("Recordings", ["run", "file", "sha256", "source"], files))
-    for run, name in zip(runs, names, strict=True):
-        parts.append(
-            f"<details><summary>Scenario of {show(name)}</summary>{_list_scenario(run)}</details>"
-        )
+    scenarios = "".join(
+        f"<details><summary>Scenario of {show(name)}</summary>{_list_scenario(run)}</details>"
+        for run, name in zip(runs, names, strict=True)
+    )
+    if len(runs) > _MOST_LISTED:
+        heading = f"Scenarios of {len(runs)} runs"
+        scenarios = f"<details><summary>{heading}</summary>{scenarios}</details>"
+    parts.append(scenarios)
     return f'<section id="provenance"><h2>Where this comes from</h2>{"".join(parts)}</section>'
 
 
