@@ -40,7 +40,6 @@ from .check import (
 )
 from .compare import (
     Tolerance as Tolerance,
-    compare_robot as compare_robot,
     compare_runs as compare_runs,
     summarise_run as summarise_run,
     tabulate_runs as tabulate_runs,

@@ -62,7 +62,7 @@ def find_share(found: list[RobotComparison]) -> float:
 
 
 def test_a_robot_without_noise_moves_as_its_scenario_says() -> None:
-    found = tl.compare_robot(make_run(QUIET, 2), make_scenario())
+    found = tl.compare.compare_robot(make_run(QUIET, 2), make_scenario())
     assert [(band.quantity, band.horizon_s, len(band.recorded)) for band in found.bands] == [
         *(("position", 1.0, 40), ("heading", 1.0, 40), ("position", 5.0, 8), ("heading", 5.0, 8))
     ]
@@ -75,7 +75,7 @@ def test_a_robot_without_noise_moves_as_its_scenario_says() -> None:
 
 def test_the_band_holds_95_percent_of_the_errors_of_a_robot_with_the_right_noise() -> None:
     scenario = add_noise(make_scenario())
-    found = [tl.compare_robot(simulate(scenario, seed), scenario) for seed in (1, 2)]
+    found = [tl.compare.compare_robot(simulate(scenario, seed), scenario) for seed in (1, 2)]
     assert 0.92 <= find_share(found) <= 0.98
     assert all(one.seeds == 39 for one in found)
     assert {verdict for one in found for verdict in list_verdicts(one)} == {"as simulated"}
@@ -89,7 +89,7 @@ def test_sensed_noise_of_an_independent_simulator_is_held() -> None:
     log = replace(QUIET, noise_m=1e-3, noise_rad=2e-3)
     noise = {"sensing__noise_position_m": 1e-3, "sensing__noise_heading_rad": 2e-3}
     scenario = make_scenario(**noise)
-    found = [tl.compare_robot(make_run(log, seed), scenario) for seed in (1, 2)]
+    found = [tl.compare.compare_robot(make_run(log, seed), scenario) for seed in (1, 2)]
     assert 0.92 <= find_share(found) <= 0.98
     assert {verdict for one in found for verdict in list_verdicts(one)} == {"as simulated"}
 
@@ -106,7 +106,7 @@ def test_sensed_noise_of_an_independent_simulator_is_held() -> None:
 def test_errors_of_a_wrong_robot_leave_the_band(key: str, value: float, quantity: Quantity) -> None:
     right = add_noise(make_scenario(), 0.5)
     wrong = tl.override_scenario(right, {f"plant.{key}": value}, source="test")
-    band = tl.compare_robot(simulate(right, 1), wrong).find_band(quantity, 1.0)
+    band = tl.compare.compare_robot(simulate(right, 1), wrong).find_band(quantity, 1.0)
     assert band.verdict == "larger"
     assert band.within_share is not None
     assert band.within_share < 0.8
@@ -117,23 +117,23 @@ def test_errors_of_a_wrong_robot_leave_the_band(key: str, value: float, quantity
 
 def test_noise_that_is_too_small_or_too_large_is_told() -> None:
     scenario = make_scenario()
-    noisy = tl.compare_robot(simulate(add_noise(scenario, 10.0), 1), add_noise(scenario))
+    noisy = tl.compare.compare_robot(simulate(add_noise(scenario, 10.0), 1), add_noise(scenario))
     assert list_verdicts(noisy) == ["larger"] * 4
-    calm = tl.compare_robot(simulate(add_noise(scenario), 1), add_noise(scenario, 10.0))
+    calm = tl.compare.compare_robot(simulate(add_noise(scenario), 1), add_noise(scenario, 10.0))
     assert calm.bands[0].verdict == "smaller"
     assert "the scenario has more noise than the robot" in calm.bands[0].text
 
 
 def test_noise_of_one_axis_leaves_the_other_without_a_band() -> None:
     scenario = make_scenario(disturbance__noise_speed=0.01)
-    found = tl.compare_robot(simulate(scenario, 1, 20.0), scenario)
+    found = tl.compare.compare_robot(simulate(scenario, 1, 20.0), scenario)
     assert list_verdicts(found) == ["as simulated", "no noise"] * 2
 
 
 def test_a_prediction_is_the_same_each_time() -> None:
     scenario = add_noise(make_scenario())
     run = simulate(scenario, 3, 15.0)
-    one, other = (tl.compare_robot(run, scenario) for _ in range(2))
+    one, other = (tl.compare.compare_robot(run, scenario) for _ in range(2))
     for mine, others in zip(one.bands, other.bands, strict=True):
         assert np.array_equal(mine.recorded, others.recorded)
         assert mine.high is not None
@@ -143,7 +143,7 @@ def test_a_prediction_is_the_same_each_time() -> None:
 
 def test_predicted_pieces_begin_at_recorded_poses_and_end_off_by_the_errors() -> None:
     run = make_run(QUIET, 2)
-    found = tl.compare_robot(run, make_scenario(plant__turn_gain=0.8))
+    found = tl.compare.compare_robot(run, make_scenario(plant__turn_gain=0.8))
     band = found.find_band("position", 5.0)
     for piece, begin, end, error in zip(
         found.predict_pieces(), found.begins, found.ends, band.recorded, strict=True
@@ -165,8 +165,10 @@ def test_where_a_robot_stands_and_of_what_clock_it_is_does_not_matter() -> None:
         heading_rad=np.mod(run.poses.heading_rad + turn_rad + np.pi, 2.0 * np.pi) - np.pi,
     )
     commands = replace(run.commands, time_ns=run.commands.time_ns + later_ns)
-    found = tl.compare_robot(replace(run, poses=moved, commands=commands), scenario)
-    for mine, others in zip(found.bands, tl.compare_robot(run, scenario).bands, strict=True):
+    found = tl.compare.compare_robot(replace(run, poses=moved, commands=commands), scenario)
+    for mine, others in zip(
+        found.bands, tl.compare.compare_robot(run, scenario).bands, strict=True
+    ):
         assert mine.recorded == pytest.approx(others.recorded, abs=1e-6)
         assert mine.time_s == pytest.approx(others.time_s)
 
@@ -174,7 +176,7 @@ def test_where_a_robot_stands_and_of_what_clock_it_is_does_not_matter() -> None:
 def test_a_bag_that_begins_while_the_robot_moves_is_predicted_once_its_rates_are_known() -> None:
     run = make_run(QUIET, 2).slice(start_s=11.0)
     assert np.hypot(*(run.poses.xy_m[15] - run.poses.xy_m[0])) > 0.05
-    found = tl.compare_robot(run, make_scenario())
+    found = tl.compare.compare_robot(run, make_scenario())
     # Dead time and seven lags of 0.1 s each.
     assert "Predictions begin at 0.8" in found.notes[0]
     assert found.bands[0].time_s[0] == pytest.approx(1.8, abs=0.1)
@@ -191,7 +193,7 @@ def test_gaps_of_the_poses_are_not_predicted_over() -> None:
         xy_m=run.poses.xy_m[kept],
         heading_rad=run.poses.heading_rad[kept],
     )
-    found = tl.compare_robot(replace(run, poses=poses), make_scenario())
+    found = tl.compare.compare_robot(replace(run, poses=poses), make_scenario())
     assert "After 1 s: 1 gap of the poses, over which nothing is predicted." in found.notes
     times_s = found.bands[0].time_s
     assert not ((times_s > 10.5) & (times_s < 14.9)).any()
@@ -200,7 +202,7 @@ def test_gaps_of_the_poses_are_not_predicted_over() -> None:
 
 def test_jumps_are_named_and_their_pieces_do_not_count() -> None:
     log = replace(QUIET, jumps=2)
-    found = tl.compare_robot(make_run(log, 2), make_scenario())
+    found = tl.compare.compare_robot(make_run(log, 2), make_scenario())
     assert "After 1 s: 2 outliers, as the poses jump meanwhile; not counted." in found.notes
     assert sum(note.startswith("Jump: the pose at") for note in found.notes) == 2
     assert all(band.largest < 2e-6 for band in found.bands)
@@ -216,7 +218,7 @@ def test_lost_commands_show_as_errors_where_they_acted() -> None:
         lateral_speed_m_s=run.commands.lateral_speed_m_s[kept],
         turn_rate_rad_s=run.commands.turn_rate_rad_s[kept],
     )
-    band = tl.compare_robot(replace(run, commands=commands), make_scenario()).bands[0]
+    band = tl.compare.compare_robot(replace(run, commands=commands), make_scenario()).bands[0]
     assert 20.0 < band.largest_at_s < 24.5
     assert band.largest > 0.01
     assert band.recorded[band.time_s < 20.0].max() < 2e-6
@@ -240,7 +242,7 @@ def compare_silent(later_ns: int) -> RobotComparison:
         turn_rate_rad_s=run.commands.turn_rate_rad_s[told],
     )
     poses = replace(run.poses, time_ns=run.poses.time_ns + later_ns)
-    return tl.compare_robot(replace(run, commands=commands, poses=poses), make_scenario())
+    return tl.compare.compare_robot(replace(run, commands=commands, poses=poses), make_scenario())
 
 
 def test_a_robot_that_stops_by_itself_is_stopped() -> None:
@@ -256,7 +258,7 @@ def test_sensed_poses_of_a_recording_are_what_is_compared() -> None:
     scenario = add_noise(make_scenario(max_duration_s=20.0, seed=7))
     run = tl.simulate_run(scenario)
     assert run.poses.sensed_xy_m is not None
-    found = tl.compare_robot(run, scenario)
+    found = tl.compare.compare_robot(run, scenario)
     assert np.array_equal(found.recorded.xy_m, run.poses.sensed_xy_m)
     assert set(list_verdicts(found)) == {"as simulated"}
 
@@ -264,13 +266,13 @@ def test_sensed_poses_of_a_recording_are_what_is_compared() -> None:
 def test_a_long_run_is_compared_for_ten_minutes() -> None:
     run = make_run(replace(QUIET, duration_s=20.0), 2)
     slow = replace(run, poses=replace(run.poses, time_ns=run.poses.time_ns * 40))
-    found = tl.compare_robot(slow, make_scenario(), [20.0])
+    found = tl.compare.compare_robot(slow, make_scenario(), [20.0])
     assert found.notes[0] == "The first 600 s of 799 s are compared."
     assert found.bands[0].time_s[-1] <= 600.0
-    fine = tl.compare_robot(run, make_scenario(plant__period_s=0.001))
+    fine = tl.compare.compare_robot(run, make_scenario(plant__period_s=0.001))
     assert fine.notes == ()
     slow = replace(run, poses=replace(run.poses, time_ns=run.poses.time_ns * 2))
-    fine = tl.compare_robot(slow, make_scenario(plant__period_s=0.001))
+    fine = tl.compare.compare_robot(slow, make_scenario(plant__period_s=0.001))
     assert fine.notes[0] == "The first 30 s of 40 s are compared."
 
 
@@ -279,7 +281,7 @@ def test_half_of_a_real_drive_predicts_the_other_half() -> None:
     half_s = (run.end_ns - run.start_ns) / 2e9
     second = run.slice(start_s=half_s)
     scenario = tl.identify.build_robot_scenario(tl.identify_robot(second), second).scenario
-    found = tl.compare_robot(run.slice(end_s=half_s), scenario)
+    found = tl.compare.compare_robot(run.slice(end_s=half_s), scenario)
     assert found.find_band("position", 1.0).median < 3e-3
     assert found.find_band("position", 5.0).median < 15e-3
 
@@ -302,7 +304,7 @@ def test_what_cannot_be_compared_is_refused_in_one_line() -> None:
         (run, scenario, [float("nan")], "horizons_s: expected times above 0 s, found"),
     ):
         with pytest.raises(tl.CompareError, match=message):
-            tl.compare_robot(refused, robot, horizons_s)
+            tl.compare.compare_robot(refused, robot, horizons_s)
 
 
 @pytest.mark.parametrize(("above", "verdict"), [(6, "as simulated"), (7, "larger")])
@@ -351,7 +353,9 @@ def test_a_jump_is_further_than_twice_what_the_largest_command_leads_to(
     far_m = 2.0 * further_m * float(np.abs(run.commands.speed_m_s).max()) * step_s
     xy_m = run.poses.xy_m.copy()
     xy_m[row:, 0] += far_m
-    found = tl.compare_robot(replace(run, poses=replace(run.poses, xy_m=xy_m)), make_scenario())
+    found = tl.compare.compare_robot(
+        replace(run, poses=replace(run.poses, xy_m=xy_m)), make_scenario()
+    )
     assert sum(note.startswith("Jump: the pose at") for note in found.notes) == jumps
 
 
@@ -364,7 +368,9 @@ def test_a_robot_stands_before_its_first_command_below_2_percent_of_the_largest(
     creep_m = share * float(np.abs(run.commands.speed_m_s).max())
     xy_m = run.poses.xy_m.copy()
     xy_m[:, 0] += creep_m * np.minimum(run.poses.time_ns / 1e9, first_s)
-    found = tl.compare_robot(replace(run, poses=replace(run.poses, xy_m=xy_m)), make_scenario())
+    found = tl.compare.compare_robot(
+        replace(run, poses=replace(run.poses, xy_m=xy_m)), make_scenario()
+    )
     assert found.find_band("position", 1.0).time_s[0] - 1.0 == pytest.approx(begins_s, abs=0.05)
 
 
@@ -377,13 +383,13 @@ def test_the_command_that_ends_a_silence_acts_on_a_clock_since_1970() -> None:
 
 
 def test_a_run_that_is_too_short_for_a_horizon_says_so() -> None:
-    found = tl.compare_robot(make_run(replace(QUIET, duration_s=4.0), 2), make_scenario())
+    found = tl.compare.compare_robot(make_run(replace(QUIET, duration_s=4.0), 2), make_scenario())
     assert {band.horizon_s for band in found.bands} == {1.0}
     assert found.notes == ("No piece of 5 s is left to predict.",)
 
 
 def test_a_comparison_shows_its_median_errors() -> None:
-    found = tl.compare_robot(make_run(QUIET, 2), make_scenario(plant__turn_gain=0.8))
+    found = tl.compare.compare_robot(make_run(QUIET, 2), make_scenario(plant__turn_gain=0.8))
     assert repr(found).startswith("<RobotComparison of robot with robot: median error ")
     assert "mm after 1 s" in repr(found)
     assert "<table" in found._repr_html_()

@@ -49,7 +49,7 @@ def compare_with_robot(
         try:
             (run,) = read_runs([bag], topics)
             with show_progress(f"simulating {run.name}"):
-                found.append((bag, tl.compare_robot(run, scenario)))
+                found.append((bag, tl.compare.compare_robot(run, scenario)))
         except TurtlelogError as err:
             print_error(str(err))
             is_fine = False

@@ -70,7 +70,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
         columns: How many of two columns a figure spans; side-by-side panels always span both.
         text_width: Width of the page's text [mm], 120 to 1000.
-        dpi: Dots per inch of png files, 50 to 600; otherwise 300.
+        dpi: Dots per inch of png files [1/inch], 50 to 600; otherwise 300.
         timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
         json: Print one JSON object instead of lines.

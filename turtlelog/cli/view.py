@@ -80,7 +80,7 @@ def view(
 
     Example: turtlelog view kp1.mcap kp10.mcap
 
-    Example: turtlelog view kp1.mcap kp10.mcap --movie race.mp4 --timeline translate_time
+    Example: turtlelog view kp1.mcap kp10.mcap --movie race.mp4
 
     Args:
         files: Recordings (.mcap), bags, the paper's logs (.json, .csv), or .rrd files as they are.

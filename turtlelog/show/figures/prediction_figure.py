@@ -43,7 +43,7 @@ def write_prediction_figure(
     """Write a figure of a recorded robot beside a simulated one, and return its path.
 
     Args:
-        found: What `turtlelog.compare_robot` returned.
+        found: What `turtlelog.compare.compare_robot` returned.
         path: Ends in .pdf, .png or .svg.
         page: Where it will stand.
 

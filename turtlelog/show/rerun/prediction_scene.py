@@ -24,7 +24,7 @@ def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
     """Write a recording of a recorded robot beside a simulated one.
 
     Args:
-        found: What `turtlelog.compare_robot` returned.
+        found: What `turtlelog.compare.compare_robot` returned.
         path: The .rrd file; replaced when the new one is complete.
 
     Raises:
