@@ -92,7 +92,10 @@ def test_options_that_take_a_number_tell_its_unit(call: Call, command: str) -> N
         (["compar"], "turtlelog: expected a command (compare), found 'compar'"),
         (["explain"], "turtlelog explain: expected FILE, found none"),
         (["convert", "a"], "turtlelog convert: --output: expected OUT, found none"),
-        (["plot", "-o", "x", "--columns", "3"], "--columns: expected 1 or 2, found '3'"),
+        (
+            ["plot", "-o", "x", "--for", "wall"],
+            "--for: expected column, page or slide, found 'wall'",
+        ),
         (["theory", "--kp", "1", "--kp=2"], "--kp: expected it once, found it 2 times"),
         (["replay", "--law", "a", "b", "c"], "--law: expected at most 2 words, found 3"),
         (["list", "metric"], "KIND: expected metrics, signals, presets, laws, mechanisms or"),

@@ -88,8 +88,16 @@ def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
         (["--only", "plant,"], "--only: expected names with commas between, found 'plant,'"),
         (["--format", "gif"], "format: expected some of pdf, png, svg, found 'gif'"),
         (["--format", ""], "--format: expected names"),
-        (["--columns", "3"], "--columns"),
+        (["--for", "wall"], "--for"),
         (["--text-width", "nan"], "text width: expected 120 to 1000 mm, found nan"),
+        (["--dpi", "200", "--format", "pdf,svg"], "--dpi: expected png files, found pdf, svg"),
+        (["--dpi", "601", "--format", "png"], "dpi: expected 50 to 600, found 601"),
+        (["--from", "nan"], "from: expected a time [s], found nan"),
+        (["--to", "inf"], "to: expected a time [s], found inf"),
+        (["--from", "3", "--to", "3"], "from: expected a time before 3 s, where it ends, found 3"),
+        (["--to", "3"], "to: expected a recording to cut, found none"),
+        ([str(RECORDING), "--to", "99"], "s, for which the runs last, found 99 s"),
+        ([str(RECORDING), "--from", "-1"], "s, for which the runs last, found -1 s"),
         (["none.mcap"], "none.mcap"),
     ],
 )
@@ -271,3 +279,25 @@ def test_dots_are_for_files_that_have_some(
         assert line in err
         assert err.count("\n") == 1
     assert not (tmp_path / "all").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "pixels"),
+    [
+        (["--for", "slide"], (1920, 1080)),
+        (["--for", "slide", "--dpi", "72"], (960, 540)),
+        (["--for", "page", "--dpi", "100"], (712, 442)),
+    ],
+)
+def test_a_png_has_the_pixels_that_are_asked_for(
+    words: list[str],
+    pixels: tuple[int, int],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "a.png"
+    code, _, err = run_plot(capsys, str(RECORDING), "-o", str(path), "--only", "heading", *words)
+    assert (code, err) == (0, "")
+    width, height = (int.from_bytes(path.read_bytes()[at : at + 4], "big") for at in (16, 20))
+    assert width == pixels[0]
+    assert height == pytest.approx(pixels[1], abs=0 if "slide" in words else 60)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
 
@@ -13,6 +13,7 @@ from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import Json, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
+from turtlelog.cli.page_options import PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -30,9 +31,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
     only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
-    columns: Literal[1, 2] = 1,
-    text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0,
-    dpi: int | None = None,
+    where: PageOptions | None = None,
     asked: AskedOptions | None = None,
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
@@ -58,6 +57,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
 
     Example: turtlelog plot runs/*.mcap -o gains.png --only gains --metric overshoot
 
+    Example: turtlelog plot kp10.mcap -o turn.png --only heading --for slide --to 3
+
     Example: turtlelog plot kp1.mcap kp10.mcap --movie race.mp4
 
     Args:
@@ -68,9 +69,6 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
             it may be missing.
         only: Figures by name, with commas (turtlelog list figures).
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
-        columns: How many of two columns a figure spans; side-by-side panels always span both.
-        text_width: Width of the page's text [mm], 120 to 1000.
-        dpi: Dots per inch of png files [1/inch], 50 to 600; otherwise 300.
         timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
         json: Print one JSON object instead of lines.
@@ -95,8 +93,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         if is_file
         else _split("pdf" if formats is None else formats, "--format")
     )
-    dots = _require_dots(dpi, kinds)
-    page = tl.show.Page(text_width_mm=text_width, columns=columns, dpi=dots)
+    page = (where or PageOptions()).build_page(kinds)
     asked = asked or AskedOptions()
     asked.require_figures(names or [])
     runs = _collect_runs(files or [], topics)
@@ -167,15 +164,6 @@ _OVERVIEWS: Final = ("panel", "plane", "step-responses")
 def _require_clock(movie: MovieOptions, timeline: str) -> None:
     if movie.movie is None and timeline != "sim_time":
         raise UsageError(f"--timeline: expected together with --movie, found {timeline}")
-
-
-def _require_dots(dpi: int | None, kinds: Sequence[str]) -> int:
-    """Return the dots per inch of png files; a file of another format has none to choose."""
-    if dpi is None:
-        return 300
-    if "png" not in kinds:
-        raise UsageError(f"--dpi: expected png files, found {', '.join(kinds)}")
-    return dpi
 
 
 def _require_folder(output: Path) -> None:

@@ -23,7 +23,7 @@ from turtlelog.run import CommandColumns, PoseColumns, SampleColumns
 from turtlelog.scenario import get_preset
 from turtlelog.show import list_left_out
 from turtlelog.show.figures.figure_curves import find_gains
-from turtlelog.show.figures.page import choose_lines
+from turtlelog.show.figures.page import PageKind, choose_lines
 
 Columns = TypeVar("Columns", SampleColumns, CommandColumns)
 
@@ -101,9 +101,9 @@ def test_the_plane_keeps_its_proportions_and_shows_how_runs_end() -> None:
     assert low < 2.0 < high
 
 
-@pytest.mark.parametrize(("columns", "width_mm"), [(1, 87.5), (2, 181.0)])
-def test_figures_are_as_wide_as_the_page_has_room(columns: int, width_mm: float) -> None:
-    figure = tl.show.draw_figure("heading", [simulate(1)], page=tl.show.Page(columns=columns))  # type: ignore[arg-type]
+@pytest.mark.parametrize(("kind", "width_mm"), [("column", 87.5), ("page", 181.0)])
+def test_figures_are_as_wide_as_the_page_has_room(kind: PageKind, width_mm: float) -> None:
+    figure = tl.show.draw_figure("heading", [simulate(1)], page=tl.show.Page(kind=kind))
     assert figure.get_size_inches()[0] * 25.4 == pytest.approx(width_mm)
 
 

@@ -1,10 +1,10 @@
 """The printed page: how wide a figure is, fonts and lines, the legend, how runs are told apart."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import ceil
+from dataclasses import dataclass, replace
+from math import ceil, isfinite
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from matplotlib import rcParams
 from matplotlib.figure import Figure
@@ -22,6 +22,14 @@ _GAP_MM: Final = 6.0
 _NARROWEST_MM, _WIDEST_MM = 120.0, 1000.0
 _LEAST_DPI, _MOST_DPI = 50, 600
 """Letters of 7 points are 5 pixels high at 50 dots per inch; printers resolve 600."""
+
+_DPI: Final = 300.0
+
+_SLIDE_INCH: Final = (6.4, 3.6)
+"""16:9, so small that lettering of 8 points is 1/32 of its height: 17 points where it is shown."""
+_PROJECTED_INCH: Final = 40.0 / 3.0
+"""Width of a slide in presentation programs."""
+_SLIDE_DPI: Final = 144.0
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -115,22 +123,31 @@ _LINE_HEIGHT: Final = 1.45
 _POINTS_PER_INCH: Final = 72.0
 
 
+PageKind = Literal["column", "page", "slide"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """Where figures will stand.
+    """Where figures will stand, and what of the runs they show there.
 
     Attributes:
-        text_width_mm: Width of the text block [mm], 120 to 1000.
-        columns: How many columns a figure spans: `1` of two, or `2`, the whole width.
-        dpi: Dots per inch of PNG files, 50 to 600; PDF and SVG have none.
+        kind: `column`, one of two columns of a paper; `page`, its whole width; `slide`, 16:9 with
+            lettering and lines for a projector.
+        text_width_mm: Width of the text block [mm], 120 to 1000; of no slide.
+        dpi: Resolution of a PNG, 50 to 600; of a slide on 13.33 by 7.5 inch, as projected. None
+            for 300, of a slide 144: 1920 by 1080 pixels.
+        from_s: Where time axes begin, from the first sample [s]; None where the runs do.
+        to_s: Where time axes end [s]; None where the runs do.
 
     Raises:
-        ShowError: Where the width or the resolution is out of range.
+        ShowError: Where a value is out of range.
     """
 
+    kind: PageKind = "column"
     text_width_mm: float = 181.0
-    columns: Literal[1, 2] = 1
-    dpi: int = 300
+    dpi: int | None = None
+    from_s: float | None = None
+    to_s: float | None = None
 
     def __post_init__(self) -> None:
         if not _NARROWEST_MM <= self.text_width_mm <= _WIDEST_MM:
@@ -138,16 +155,42 @@ class Page:
                 f"text width: expected {_NARROWEST_MM:g} to {_WIDEST_MM:g} mm,"
                 f" found {self.text_width_mm}"
             )
-        if self.columns not in {1, 2}:
-            raise ShowError(f"columns: expected 1 or 2, found {self.columns}")
-        if not _LEAST_DPI <= self.dpi <= _MOST_DPI:
+        if self.kind not in get_args(PageKind):
+            raise ShowError(f"page: expected column, page or slide, found {self.kind}")
+        if self.dpi is not None and not _LEAST_DPI <= self.dpi <= _MOST_DPI:
             raise ShowError(f"dpi: expected {_LEAST_DPI} to {_MOST_DPI}, found {self.dpi}")
+        for name, bound_s in (("from", self.from_s), ("to", self.to_s)):
+            if bound_s is not None and not isfinite(bound_s):
+                raise ShowError(f"{name}: expected a time [s], found {bound_s}")
+        if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
+            raise ShowError(
+                f"from: expected a time before {self.to_s:g} s, where it ends,"
+                f" found {self.from_s:g} s"
+            )
 
     @property
     def width_inch(self) -> float:
         """Width of a figure [inch]."""
+        if self.kind == "slide":
+            return _SLIDE_INCH[0]
         whole_mm = self.text_width_mm
-        return (whole_mm if self.columns == 2 else (whole_mm - _GAP_MM) / 2.0) / _MM_PER_INCH
+        return (whole_mm if self.kind == "page" else (whole_mm - _GAP_MM) / 2.0) / _MM_PER_INCH
+
+    @property
+    def pixels_per_inch(self) -> float:
+        """Resolution of a PNG, per inch of a figure as it is drawn."""
+        if self.kind == "slide":
+            return (self.dpi or _SLIDE_DPI) * _PROJECTED_INCH / _SLIDE_INCH[0]
+        return self.dpi or _DPI
+
+    def widen(self) -> "Page":
+        """Return the page for figures with panels side by side."""
+        return replace(self, kind="page") if self.kind == "column" else self
+
+    def fit(self, figure: Figure) -> None:
+        """Give a figure that is drawn the size that this page insists on."""
+        if self.kind == "slide":
+            figure.set_size_inches(*_SLIDE_INCH)
 
 
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:

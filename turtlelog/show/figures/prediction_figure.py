@@ -55,7 +55,7 @@ def write_prediction_figure(
     if kind not in FIGURE_FORMATS:
         raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")
     data = io.BytesIO()
-    page = page or Page(columns=2)
+    page = page or Page(kind="page")
     with mpl.rc_context(dict(LOOKS)):
         is_wide = page.width_inch >= _SIDE_BY_SIDE_INCH
         height = _HEIGHT if is_wide else _STACKED_HEIGHT

@@ -36,7 +36,7 @@ def write_robot_figure(
     if not any(axis.is_known for axis in model.axes):
         raise ShowError(f"{path}: expected an axis that is known, found none: {_tell(model.axes)}")
     data = io.BytesIO()
-    page = page or Page(columns=2)
+    page = page or Page(kind="page")
     with mpl.rc_context(dict(LOOKS)):
         figure = Figure(figsize=(page.width_inch, page.width_inch), layout="constrained")
         draw_rates(figure, [run], model=model)

@@ -33,6 +33,7 @@ from turtlelog.show.figures.figure_kinds import (
 from turtlelog.show.figures.left_out import has_table1
 from turtlelog.show.figures.page import LOOKS, Page, add_legend
 from turtlelog.show.figures.panels import has_one_plane
+from turtlelog.show.figures.time_window import cut_time_axes, require_window
 from turtlelog.show.output_files import replace_together
 from turtlelog.show.table_formats import format_latex
 
@@ -77,13 +78,16 @@ def draw_figure(
     """
     kind, page = _find_kind(name, runs, kinds), page or Page()
     is_alone = name == "plane" and has_one_plane(runs)
+    require_window(runs, page)
     if (name in _WIDE and not is_alone) or (runs and name in _WIDE_OF_RUNS):
-        page = replace(page, columns=2)
+        page = page.widen()
     with mpl.rc_context(dict(LOOKS)):
         size = (page.width_inch, max(page.width_inch, _LEAST_INCH) * kind.find_height(runs))
         figure = Figure(figsize=size, layout="constrained")
         kind.draw_on(figure, order_by_gain(runs))
+        cut_time_axes(figure, runs, page)
         add_legend(figure)
+        page.fit(figure)
     return figure
 
 
@@ -127,6 +131,7 @@ def add_figures(
     on_written: Callable[[Path], None] | None = None,
 ) -> list[Path]:
     """Write figures as `write_figures` does, with what `replace_together` yields."""
+    page = page or Page()
     unknown = [form for form in formats if form not in FIGURE_FORMATS]
     if unknown or not formats:
         found = repr(unknown[0]) if unknown else "none"
@@ -152,7 +157,7 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
     """Write a figure in one of `FIGURE_FORMATS`; the same figure gives the same bytes."""
     with mpl.rc_context(dict(LOOKS)):
         # `savefig` draws everything once more beforehand, to lay it out.
-        figure.dpi = (page or Page()).dpi
+        figure.dpi = (page or Page()).pixels_per_inch
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
         if form == "pdf":

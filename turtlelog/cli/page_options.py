@@ -1,0 +1,52 @@
+"""Where figures of `turtlelog plot` will stand, and what of the runs they show there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from turtlelog import show
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog.show import Page
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PageOptions:
+    """Where figures will stand, and what they show of the runs.
+
+    Attributes:
+        kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
+            lettering; figures with panels side by side always take the page.
+        text_width: Width of the paper's text [mm], 120 to 1000.
+        dpi: Resolution of PNGs, 50 to 600; 300 unless given, and 144 of a slide, which is 1920 by
+            1080 pixels.
+        from_s: Begin time axes here, from the first sample [s].
+        to_s: End time axes here [s].
+    """
+
+    kind: Annotated[Literal["column", "page", "slide"], Parameter(name="--for")] = "column"
+    text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0
+    dpi: int | None = None
+    from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
+    to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
+
+    def build_page(self, formats: Sequence[str]) -> "Page":
+        """Return the page for figures in some formats.
+
+        Raises:
+            UsageError: Where no format has a resolution.
+            ShowError: Where a value is out of range.
+        """
+        if self.dpi is not None and "png" not in formats:
+            raise UsageError(f"--dpi: expected png files, found {', '.join(formats)}")
+        return show.Page(
+            kind=self.kind,
+            text_width_mm=self.text_width,
+            dpi=self.dpi,
+            from_s=self.from_s,
+            to_s=self.to_s,
+        )
