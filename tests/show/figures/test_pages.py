@@ -9,7 +9,7 @@ from turtlelog.errors import ShowError
 
 
 def test_a_png_has_the_dots_per_inch_of_its_page(tmp_path: Path) -> None:
-    page = tl.show.Page(columns=2, dpi=100)
+    page = tl.show.Page(kind="page", dpi=100)
     (path,) = tl.write_figures([], tmp_path, only=["plant"], formats=["png"], page=page)
     assert int.from_bytes(path.read_bytes()[16:20]) == pytest.approx(181.0 / 25.4 * 100.0, abs=1.0)
 
