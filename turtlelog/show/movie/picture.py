@@ -365,7 +365,8 @@ def _tell_film(film: Film) -> str:
     """Return what the time is counted from, where that is not the first sample, and how fast."""
     phase = film.timeline.removesuffix("_time").removeprefix("phase.")
     zero = "" if film.timeline == TIMELINE else f" from the start of {phase}"
-    return zero + ("" if abs(film.pace - 1.0) < 0.005 else f", {film.pace:.2g} times real time")
+    pace = f"{film.pace:.0f}" if film.pace >= 10.0 else f"{film.pace:.2g}"
+    return zero + ("" if abs(film.pace - 1.0) < 0.005 else f", {pace} times real time")
 
 
 def _find_ratio(figure: Figure, place: tuple[float, float, float, float]) -> float:
