@@ -21,7 +21,7 @@ from turtlelog.compare.tube import (
     measure_distance,
     read_rows,
 )
-from turtlelog.differences import Difference, SignalDifference
+from turtlelog.differences import Difference, SignalDifference as SignalDifference
 from turtlelog.display import format_html, show_angle
 from turtlelog.escapes import escape_controls
 from turtlelog.measure import (

@@ -1,30 +1,8 @@
-"""A robot's dynamics from commands and motion."""
+"""A robot's dynamics from commands and motion.
 
-from turtlelog.identify.motion_prediction import (
-    AxisTraces,
-    predict_axis,
-    trace_axis,
-)
-from turtlelog.identify.robot_identification import identify_robot
-from turtlelog.identify.robot_model import (
-    AxisModel,
-    Estimate,
-    RobotEvent,
-    RobotModel,
-    TickDelays,
-)
-from turtlelog.identify.robot_scenario import RobotScenario, build_robot_scenario
+The names stand in `__init__.pyi` and load on first use.
+"""
 
-__all__ = [
-    "AxisModel",
-    "AxisTraces",
-    "Estimate",
-    "RobotEvent",
-    "RobotModel",
-    "RobotScenario",
-    "TickDelays",
-    "build_robot_scenario",
-    "identify_robot",
-    "predict_axis",
-    "trace_axis",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,61 @@
+from .alignment import ALIGNMENTS as ALIGNMENTS
+from .difference import (
+    MetricDifference as MetricDifference,
+    PathError as PathError,
+    RunComparison as RunComparison,
+    SignalDifference as SignalDifference,
+    compare_metrics as compare_metrics,
+    compare_runs as compare_runs,
+    compare_signals as compare_signals,
+    iter_comparisons as iter_comparisons,
+    measure_path_error as measure_path_error,
+    tabulate_differences as tabulate_differences,
+)
+from .like_loops import order_ids as order_ids
+from .paper_tables import (
+    tabulate_table1 as tabulate_table1,
+    tabulate_whole_runs as tabulate_whole_runs,
+)
+from .robot_comparison import (
+    ErrorBand as ErrorBand,
+    ErrorGrowth as ErrorGrowth,
+    RobotComparison as RobotComparison,
+    tabulate_robots as tabulate_robots,
+)
+from .robot_prediction import (
+    HORIZONS_S as HORIZONS_S,
+    compare_robot as compare_robot,
+)
+from .run_names import (
+    name_runs as name_runs,
+    order_by_gain as order_by_gain,
+)
+from .run_summary import (
+    RunSummary as RunSummary,
+    choose_columns as choose_columns,
+    complete_summaries as complete_summaries,
+    list_lacks as list_lacks,
+    list_needed_metrics as list_needed_metrics,
+    list_usual_metrics as list_usual_metrics,
+    list_usual_of_run as list_usual_of_run,
+    select_runs as select_runs,
+    sort_runs as sort_runs,
+    summarise_files as summarise_files,
+    summarise_run as summarise_run,
+)
+from .run_table import (
+    UNLOCKS as UNLOCKS,
+    Cell as Cell,
+    Column as Column,
+    Mark as Mark,
+    Table as Table,
+    drop_absent as drop_absent,
+    format_cell as format_cell,
+    list_units as list_units,
+    list_unlocks as list_unlocks,
+    mark_metric as mark_metric,
+    tabulate_measured as tabulate_measured,
+    tabulate_metrics as tabulate_metrics,
+    tabulate_runs as tabulate_runs,
+)
+from .tube import Tolerance as Tolerance
