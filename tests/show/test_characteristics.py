@@ -94,7 +94,20 @@ def test_pause_dead_time_and_saturation_last_as_long_as_they_say() -> None:
     pause = MARKS["run.pause"]
     assert (pause.signal, pause.level) == ("", None)
     assert pause.value == pytest.approx(0.528)
-    assert MARKS["translate.dead_time"].at_s == pytest.approx(2.992)
+
+
+def test_the_robot_follows_a_command_when_its_dead_time_is_over() -> None:
+    mark, poses = MARKS["rotate.dead_time"], RUN.poses
+    assert mark.span_s is not None
+    assert poses.turn_rate_rad_s is not None
+    answered, follows = (
+        int(np.argmin(np.abs((poses.time_ns - RUN.start_ns) / 1e9 - at_s))) for at_s in mark.span_s
+    )
+    (row,) = np.flatnonzero(RUN.samples.pose_sequence == answered)
+    commanded, before = RUN.samples.turn_rate_rad_s[[row, row - 1]]
+    assert poses.turn_rate_rad_s[follows] == pytest.approx(before, abs=1e-6)
+    assert poses.turn_rate_rad_s[follows + 1] == pytest.approx(commanded, abs=1e-6)
+    assert abs(commanded - before) > 0.1
 
 
 def test_a_metric_without_a_value_is_nowhere() -> None:

@@ -26,6 +26,8 @@ class PageOptions:
             1080 pixels.
         from_s: Begin time axes here, from the first sample [s].
         to_s: End time axes here [s].
+        marks: Mark rise, settling time with its band, peak and overshoot, dead time and pause on
+            the curves that loops control, and cut single panels to the phase.
     """
 
     kind: Annotated[Literal["column", "page", "slide"], Parameter(name="--for")] = "column"
@@ -33,6 +35,7 @@ class PageOptions:
     dpi: int | None = None
     from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
     to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
+    marks: Annotated[bool, Parameter(negative=())] = False
 
     def build_page(self, formats: Sequence[str]) -> "Page":
         """Return the page for figures in some formats.
@@ -49,4 +52,5 @@ class PageOptions:
             dpi=self.dpi,
             from_s=self.from_s,
             to_s=self.to_s,
+            has_marks=self.marks,
         )

@@ -7,9 +7,14 @@ from typing import Final
 import numpy as np
 
 from turtlelog.loops import PAUSE, ControlLoop, Declaration
-from turtlelog.measure import MeasureSettings, Metric, read_signal
+from turtlelog.measure import (
+    MeasureSettings,
+    Metric,
+    find_dead_time,
+    read_signal,
+)
 from turtlelog.measure.metric import Missing
-from turtlelog.measure.response import Response, find_response
+from turtlelog.measure.response import Response, find_loop_samples, find_response
 from turtlelog.run import Run
 from turtlelog.show.shared_curves import Curve, read_command, read_curve, read_distance_to_reference
 from turtlelog.show.tracked_path import read_along_error
@@ -33,7 +38,8 @@ class Characteristic:
         value: In `unit`.
         unit: As the metric has it.
         at_s: When it is taken, from the first sample [s]; where its span begins, if it is one of a
-            pause, a dead time or a saturation.
+            pause or a saturation; of a dead time at the pose that is answered by the loop's largest
+            change of command, which the robot follows that much later.
         level: Of the curve then, in its unit (headings in deg); None for a pause.
         span_s: From when to when it lasts [s]: of a rise from 10 % to 90 %, of a settling time from
             when the curve stays in its band to the end of the loop's stretch, of pause, dead time
@@ -108,7 +114,7 @@ def list_characteristics(
         if place.loop is not None and place.loop.name not in responses:
             responses[place.loop.name] = _find_response(run, place.loop, settings)
         response = None if place.loop is None else responses[place.loop.name]
-        mark = _place(place, metric, curves[place.signal], response)
+        mark = _place(run, place, metric, curves[place.signal], response)
         if mark is not None:
             found.append(mark)
     return (*found, *_list_pauses(run))
@@ -141,11 +147,11 @@ def _find_response(
 
 
 def _place(
-    place: _Place, metric: Metric, curve: Curve | None, response: Response | None
+    run: Run, place: _Place, metric: Metric, curve: Curve | None, response: Response | None
 ) -> Characteristic | None:
     """Return a metric at its place, None where it has none."""
     start_s = 0.0 if response is None else response.start_s
-    at_s = start_s if place.kind == "dead_time" else metric.at_s
+    at_s = _find_dead_start(run, place.loop) if place.kind == "dead_time" else metric.at_s
     if metric.value is None or at_s is None or curve is None:
         return None
     mark = Characteristic(
@@ -162,6 +168,27 @@ def _place(
     if place.kind in {"dead_time", "longest_saturation"}:
         return replace(mark, span_s=(at_s, at_s + metric.value))
     return mark if response is None else _add_step(mark, response)
+
+
+def _find_dead_start(run: Run, loop: ControlLoop | None) -> float | None:
+    """Return the time of the pose that a loop answers by its largest change of command [s].
+
+    There the dead time is seen best: the robot follows that much later. The first answers, which
+    may have waited, and those before the dead time last changed have another one.
+    """
+    found = None if loop is None else find_dead_time(run, loop)
+    if loop is None or found is None or isinstance(found, Missing):
+        return None
+    rows = find_loop_samples(run, loop)
+    command = read_command(run, "speed" if loop.command == "speed" else "turn_rate")
+    if rows is None or command is None:
+        return None
+    times_ns = run.poses.time_ns[run.samples.pose_sequence[rows]]
+    since_ns = found.changes[-1].time_ns if found.changes else times_ns[0]
+    jumps = np.abs(np.diff(command.values[rows])) * (times_ns[1:] > since_ns)
+    if not len(jumps) or not jumps.any():
+        return None
+    return float(times_ns[1 + int(jumps.argmax())] - run.start_ns) / 1e9
 
 
 def _add_step(mark: Characteristic, response: Response) -> Characteristic:

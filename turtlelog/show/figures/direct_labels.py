@@ -65,16 +65,22 @@ class Place:
         marks = point + ring * self.half / self.half_mm
         self.taken.append(np.repeat(marks, _DENSE // len(_WAYS), axis=0))
 
-    def find_room(self, dot: Values, width_mm: float, height_mm: float) -> Values:
+    def find_room(
+        self,
+        dot: Values,
+        width_mm: float,
+        height_mm: float,
+        away_mm: tuple[float, ...] = _AWAY_MM,
+    ) -> Values:
         """Return the middle of a box near a dot that covers least."""
         scale = self.half / self.half_mm
         half = np.array([width_mm, height_mm]) / 2.0 * scale
         points = np.concatenate(self.taken) if self.taken else np.empty((0, 2))
         best, least = dot, np.inf
-        for order, away_mm in enumerate(_AWAY_MM):
+        for order, gap_mm in enumerate(away_mm):
             for angle in _WAYS:
                 way = np.array([np.cos(angle), np.sin(angle)])
-                middle = dot + way * (away_mm * scale + half * np.minimum(np.abs(way) * 1.3, 1.0))
+                middle = dot + way * (gap_mm * scale + half * np.minimum(np.abs(way) * 1.3, 1.0))
                 cost = self.count_covered(middle, half, points) + 3.0 * order
                 if cost < least:
                     best, least = middle, cost

@@ -246,6 +246,17 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             paper="9-16",
             panels=(_signal("heading", "heading [deg]", "poses", "heading"),),
         ),
+        "along-track": FigureKind(
+            title="Way along the track, or distance, the goal and the ideal response",
+            paper="",
+            panels=(
+                Panel(name="along track", needs="track", draw=draw_track, loop="along_track"),
+                _signal("distance", "distance [m]", "goal", "distance", is_usual=False),
+            ),
+            needs="track",
+            is_usual=False,
+            is_extra=True,
+        ),
         "position": FigureKind(
             title="Position, the goal and the ideal response",
             paper="9-16",

@@ -30,6 +30,8 @@ _SLIDE_INCH: Final = (6.4, 3.6)
 _PROJECTED_INCH: Final = 40.0 / 3.0
 """Width of a slide in presentation programs."""
 _SLIDE_DPI: Final = 144.0
+_LOW_ROWS: Final = 3
+"""Panels in so many rows of a slide have no room for a unit beside its name."""
 
 LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -138,6 +140,7 @@ class Page:
             for 300, of a slide 144: 1920 by 1080 pixels.
         from_s: Where time axes begin, from the first sample [s]; None where the runs do.
         to_s: Where time axes end [s]; None where the runs do.
+        has_marks: Whether characteristics stand on the curves that loops control.
 
     Raises:
         ShowError: Where a value is out of range.
@@ -148,6 +151,7 @@ class Page:
     dpi: int | None = None
     from_s: float | None = None
     to_s: float | None = None
+    has_marks: bool = False
 
     def __post_init__(self) -> None:
         if not _NARROWEST_MM <= self.text_width_mm <= _WIDEST_MM:
@@ -191,6 +195,10 @@ class Page:
         """Give a figure that is drawn the size that this page insists on."""
         if self.kind == "slide":
             figure.set_size_inches(*_SLIDE_INCH)
+            for axes in figure.axes:
+                place = axes.get_subplotspec()
+                if place is not None and place.get_gridspec().nrows >= _LOW_ROWS:
+                    axes.set_ylabel(axes.get_ylabel().replace(" [", "\n["))
 
 
 def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:

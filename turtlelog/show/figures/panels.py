@@ -106,6 +106,7 @@ Draw = Callable[[Axes, Sequence[Run]], None]
 
 def draw_signal(axes: Axes, runs: Sequence[Run], *, signal: str, label: str) -> None:
     """Draw one signal of every run, with what it aims at and the ideal response where known."""
+    axes.set_label(signal)
     _draw_targets(axes, runs, signal)
     _draw_aims(axes, runs, signal)
     for run, looks in _style_runs(runs):
@@ -153,6 +154,7 @@ def draw_error_magnitude(axes: Axes, runs: Sequence[Run], *, signal: str, label:
 
     The axis spans what was measured; an error of zero is a gap.
     """
+    axes.set_label(f"|{signal}|")
     axes.set_yscale("log")
     _draw_tolerances(axes, runs, signal)
     extremes: list[float] = []

@@ -31,6 +31,7 @@ from turtlelog.show.figures.figure_kinds import (
     list_usual_figures,
 )
 from turtlelog.show.figures.left_out import has_table1
+from turtlelog.show.figures.marked_panels import mark_panels
 from turtlelog.show.figures.page import LOOKS, Page, add_legend
 from turtlelog.show.figures.panels import has_one_plane
 from turtlelog.show.figures.time_window import cut_time_axes, require_window
@@ -88,6 +89,9 @@ def draw_figure(
         cut_time_axes(figure, runs, page)
         add_legend(figure)
         page.fit(figure)
+        if page.has_marks:
+            is_cut = page.from_s is not None or page.to_s is not None
+            mark_panels(figure, order_by_gain(runs), is_cut=is_cut)
     return figure
 
 

@@ -1,0 +1,105 @@
+"""Characteristics on the curves of figures."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+import turtlelog as tl
+from turtlelog.measure import measure_run
+from turtlelog.scenario import get_preset
+from turtlelog.show import Page, draw_figure
+from turtlelog.show.figures.page import PageKind
+
+RUNS = [tl.simulate_run(get_preset(f"paper-kp{kp}")) for kp in (1, 2, 4, 10)]
+RUN = RUNS[-1]
+METRICS = measure_run(RUN)
+MARKED = Page(has_marks=True)
+
+
+def list_words(axes: Axes) -> list[str]:
+    return [text.get_text() for text in axes.texts]
+
+
+def list_dots(axes: Axes) -> list[tuple[float, float]]:
+    lines = [line for line in axes.get_lines() if line.get_marker() == "o"]
+    return [tuple(np.asarray(line.get_xydata())[0].tolist()) for line in lines]
+
+
+def test_a_heading_has_its_characteristics_with_their_values() -> None:
+    (axes,) = draw_figure("heading", [RUN], page=MARKED).axes
+    assert list_words(axes) == [
+        "dead time 64 ms",
+        "rise 1.79 s",
+        "settled 2.21 s",
+        "peak 129.8 deg\novershoot 1.01 %",
+        "pause 0.528 s",
+    ]
+
+
+def test_dots_stand_on_the_curve_at_the_times_of_metrics() -> None:
+    (axes,) = draw_figure("heading", [RUN], page=MARKED).axes
+    time_s, heading_deg = (
+        (RUN.poses.time_ns - RUN.start_ns) / 1e9,
+        np.degrees(RUN.poses.heading_rad),
+    )
+    dots = list_dots(axes)
+    for name in ("rotate.rise_time", "rotate.settling_time", "rotate.peak"):
+        at_s = METRICS[name].at_s
+        assert at_s is not None
+        level = float(np.interp(at_s, time_s, heading_deg))
+        assert any(dot == pytest.approx((at_s, level)) for dot in dots)
+
+
+def test_marks_cut_a_panel_to_its_phase_unless_times_are_given() -> None:
+    (axes,) = draw_figure("heading", [RUN], page=MARKED).axes
+    assert axes.get_xlim()[1] == pytest.approx(2.992 * 1.04)
+    (axes,) = draw_figure("heading", [RUN], page=Page(has_marks=True, to_s=8.0)).axes
+    assert axes.get_xlim()[1] == 8.0
+
+
+def test_without_marks_nothing_is_marked() -> None:
+    (axes,) = draw_figure("heading", [RUN]).axes
+    assert (list_words(axes), list_dots(axes)) == ([], [])
+
+
+@pytest.mark.parametrize("kind", ["column", "page", "slide"])
+@pytest.mark.parametrize("name", ["heading", "along-track"])
+def test_words_cover_neither_each_other_nor_dots_nor_leave_the_panel(
+    kind: PageKind, name: str
+) -> None:
+    figure = draw_figure(name, [RUN], page=Page(kind=kind, has_marks=True))
+    FigureCanvasAgg(figure).draw()
+    (axes,) = figure.axes
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert len(boxes) >= 4
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    dots = axes.transData.transform(list_dots(axes))
+    assert not any(box.contains(*dot) for box in boxes for dot in dots)
+    panel = axes.get_window_extent()
+    assert all(panel.x0 <= box.x0 and box.x1 <= panel.x1 for box in boxes)
+    assert all(panel.y0 <= box.y0 and box.y1 <= panel.y1 for box in boxes)
+
+
+def test_several_runs_have_settling_times_in_their_colours() -> None:
+    (axes,) = draw_figure("heading", RUNS, page=MARKED).axes
+    settled = [text for text in axes.texts if text.get_text().startswith("settled")]
+    assert len({text.get_color() for text in settled}) == len(RUNS)
+
+
+@pytest.mark.parametrize(("count", "has_words"), [(4, True), (5, False)])
+def test_more_than_four_runs_have_dots_without_words(count: int, has_words: bool) -> None:  # noqa: FBT001
+    (axes,) = draw_figure("heading", [*RUNS, RUN][:count], page=MARKED).axes
+    assert bool(list_words(axes)) == has_words
+    assert len(list_dots(axes)) >= count
+
+
+def test_an_error_s_band_lies_around_zero() -> None:
+    (axes,) = draw_figure("heading-error", [RUN], page=MARKED).axes
+    assert "settled 2.21 s" in list_words(axes)
+    levels = [np.unique(np.asarray(line.get_ydata())).tolist() for line in axes.get_lines()]
+    half_deg = 0.02 * 128.50264418385171
+    assert [pytest.approx(half_deg)] in levels
+    assert [pytest.approx(-half_deg)] in levels
