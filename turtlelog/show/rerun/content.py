@@ -11,9 +11,9 @@ from turtlelog.loops import ControlLoop
 from turtlelog.measure import read_signal
 from turtlelog.run import Run
 from turtlelog.show.close_up import CloseUp, find_close_up
-from turtlelog.show.phase_timelines import name_phase_timeline
+from turtlelog.show.phase_timelines import TIMELINE, WALL_TIMELINE, name_phase_timeline
 from turtlelog.show.rerun import entities
-from turtlelog.show.rerun.entities import TICKS, TIMELINE, WALL_TIMELINE, join_path
+from turtlelog.show.rerun.entities import TICKS, join_path
 from turtlelog.show.rerun.plots import LevelLines, Series
 from turtlelog.show.rerun.world import Bounds, find_plane_bounds
 from turtlelog.show.shared_curves import find_end_of_turn

@@ -6,8 +6,6 @@ from typing import Final
 
 from rerun import escape_entity_path_part
 
-from turtlelog.show.phase_timelines import TIMELINE as TIMELINE, WALL_TIMELINE as WALL_TIMELINE
-
 APPLICATION_ID: Final = "turtlelog"
 TICKS: Final = "tick"
 

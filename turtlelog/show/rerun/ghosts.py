@@ -12,8 +12,9 @@ from turtlelog.show import palette
 from turtlelog.show.close_up import format_length
 from turtlelog.show.ideal_pose import NAME as IDEAL_LOOP, find_ideal_poses
 from turtlelog.show.palette import Color
+from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import entities
-from turtlelog.show.rerun.entities import TIMELINE, join_path
+from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.plots import Series
 from turtlelog.show.rerun.timelines import RunStream, Timelines, Values, build_index
 from turtlelog.show.rerun.turtles import MOST_SEGMENTS, Look, draw_trail, draw_turtle

@@ -12,9 +12,10 @@ from turtlelog.errors import ShowError
 from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
+from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import Content, describe_content
-from turtlelog.show.rerun.entities import APPLICATION_ID, TIMELINE, join_path
+from turtlelog.show.rerun.entities import APPLICATION_ID, join_path
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.marks import draw_events, draw_phases
 from turtlelog.show.rerun.plots import (

@@ -11,7 +11,8 @@ from rerun.experimental import ViewerClient
 
 from turtlelog.errors import ShowError
 from turtlelog.show.output_files import replace_file
-from turtlelog.show.rerun.entities import TICKS, TIMELINE, WALL_TIMELINE
+from turtlelog.show.phase_timelines import TIMELINE, WALL_TIMELINE
+from turtlelog.show.rerun.entities import TICKS
 from turtlelog.show.rerun.viewer import (
     ViewerProcess,
     find_free_port,

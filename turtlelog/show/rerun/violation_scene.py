@@ -15,9 +15,10 @@ from turtlelog.escapes import fence_markdown
 from turtlelog.run import Event, Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
+from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import find_emptiest_corner
-from turtlelog.show.rerun.entities import TIMELINE, VIOLATION, join_path
+from turtlelog.show.rerun.entities import VIOLATION, join_path
 from turtlelog.show.rerun.layout import build_run_layout, build_violation_layout
 from turtlelog.show.rerun.rrd_file import draw_documents, open_recording
 from turtlelog.show.rerun.run_scene import build_single, draw_single
