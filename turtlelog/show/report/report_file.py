@@ -26,7 +26,7 @@ from turtlelog.show.documents import choose_essentials
 from turtlelog.show.output_files import replace_file
 from turtlelog.show.palette import GHOST, choose_mechanism_colors, choose_run_colors
 from turtlelog.show.report.conclusion import conclude, conclude_cause, conclude_checks
-from turtlelog.show.report.plots import Drawn, Plots, draw_plots
+from turtlelog.show.report.page_plots import Drawn, Plots, draw_plots
 from turtlelog.show.report.sections import (
     CheckLine,
     show,

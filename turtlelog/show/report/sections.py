@@ -10,7 +10,7 @@ from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, write_sentences
 from turtlelog.run import Run
 from turtlelog.show.attribution_steps import list_attribution_steps
-from turtlelog.show.report.plots import to_hex
+from turtlelog.show.report.page_plots import to_hex
 
 _MOST_LISTED: Final = 12
 """Scenarios of more runs fold into one line."""
