@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.loops import DONE, PAUSE, REFERENCE_WORDS, ControlLoop, read_number
-from turtlelog.measure import find_first_stretch, read_reference, read_signal
+from turtlelog.measure import find_first_stretch, list_signals, read_reference, read_signal
 from turtlelog.measure.references import project_on_line
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
@@ -135,6 +135,12 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
         values=np.degrees(signal.values) if signal.kind.unit == "rad" else signal.values,
         holds=signal.kind.resampling == "hold",
     )
+
+
+def find_unit(run: Run, signal_name: str) -> str:
+    """Return the unit of the values of `read_curve`: deg of an angle, otherwise the signal's."""
+    unit = list_signals(run.declaration)[signal_name].unit
+    return "deg" if unit == "rad" else unit
 
 
 def select_rows(curve: Curve, rows: NDArray[np.int64]) -> Curve:

@@ -35,7 +35,7 @@ from turtlelog.show.figures.direct_labels import Place, measure_text_mm, name_ri
 from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.show.figures.page import REFERENCE, choose_lines, label_runs
 from turtlelog.show.palette import Color
-from turtlelog.show.shared_curves import find_steps, list_levels, read_curve
+from turtlelog.show.shared_curves import find_steps, find_unit, list_levels, read_curve
 
 Values = NDArray[np.float64]
 
@@ -238,8 +238,8 @@ def _draw_signals(axes: Axes, told: Explained, signal: str, words: str) -> None:
         low, high = float(values.min()), float(values.max())
         room = 0.12 * (high - low) or 1.0
         axes.set(xlim=window_s, ylim=(low - room, high + room))
-    unit = "deg" if "heading" in signal else "m"
-    axes.set(xlabel="time from the first sample [s]", ylabel=f"{words} [{unit}]")
+    ylabel = f"{words} [{find_unit(told.run, signal)}]"
+    axes.set(xlabel="time from the first sample [s]", ylabel=ylabel)
     axes.set_title(f"{_name(told)}{'' if window_s is None else ', the last tenth of the step'}")
 
 

@@ -28,7 +28,7 @@ from turtlelog.show.movie.encoding import Picture
 from turtlelog.show.movie.film import Film, Values, locate_run
 from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.robot_curves import part_path
-from turtlelog.show.shared_curves import Curve, choose_rows, list_levels, read_curve
+from turtlelog.show.shared_curves import Curve, choose_rows, find_unit, list_levels, read_curve
 from turtlelog.show.tracked_path import list_paths, outline_path
 
 _INCH: Final = (12.8, 7.2)
@@ -249,14 +249,8 @@ def _set_curve(
     levels = dict.fromkeys(level.value for run in runs for level in list_levels(run, signal))
     for level in levels if len(levels) == 1 else ():
         axes.axhline(level, color="0.45", linewidth=1.0, zorder=1)
-    unit = (
-        "deg"
-        if signal == "heading"
-        else "m"
-        if "track" in signal or signal == "distance"
-        else "m/s"
-    )
-    axes.set_title(f"{signal.replace('_', '-')} [{unit}]", loc="left", pad=4.0)
+    title = f"{signal.replace('_', '-')} [{find_unit(runs[0], signal)}]"
+    axes.set_title(title, loc="left", pad=4.0)
     axes.set_xlim(float(stage.film.time_s[0]), float(stage.film.time_s[-1]))
     axes.margins(y=0.12)
     axes.locator_params(axis="y", nbins=4)

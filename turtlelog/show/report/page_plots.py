@@ -17,6 +17,7 @@ from turtlelog.show.robot_curves import is_turtlesim, part_curve
 from turtlelog.show.shared_curves import (
     Curve,
     choose_rows,
+    find_unit,
     list_levels,
     read_applied,
     read_command,
@@ -41,13 +42,13 @@ _MOST_MARKED: Final = 4
 
 _ALWAYS: Final = ("heading", "distance", "cross_track", "speed", "turn_rate")
 _TITLES: Final = {
-    "heading": ("heading", "deg"),
-    "distance": ("distance to the goal", "m"),
-    "cross_track": ("cross-track error", "m"),
-    "speed": ("commanded speed", "m/s"),
-    "turn_rate": ("commanded turn rate", "rad/s"),
-    "measured_speed": ("measured speed", "m/s"),
-    "measured_turn_rate": ("measured turn rate", "rad/s"),
+    "heading": "heading",
+    "distance": "distance to the goal",
+    "cross_track": "cross-track error",
+    "speed": "commanded speed",
+    "turn_rate": "commanded turn rate",
+    "measured_speed": "measured speed",
+    "measured_turn_rate": "measured turn rate",
 }
 _MARKED: Final = {"rise_time": "rise", "overshoot": "overshoot", "settling_time": "settled"}
 Violation = tuple[Sequence[str], float]
@@ -317,7 +318,7 @@ def _draw_signal(
     marked: tuple[Sequence[Mapping[str, Metric]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
-    title, unit = _TITLES[signal]
+    title, unit = _TITLES[signal], find_unit(drawn[0].run, signal)
     figure = _make_figure(
         plots, f"plot-{signal}", f"{title} [{unit}]", x_range=x_range, height=230,
         x_axis_label="time from the first sample [s]",
