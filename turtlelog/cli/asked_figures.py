@@ -83,11 +83,7 @@ def _bind_attribution(
     from turtlelog.show.figures.attribution_figure import draw_attribution, explain_for_figure
 
     with show_progress("explaining", 100.0, "%") as progress:
-
-        def report(done: int, total: int) -> None:
-            progress.done = 100.0 * done / total
-
-        explained = explain_for_figure(runs, metric=asked.metric, report=report)
+        explained = explain_for_figure(runs, metric=asked.metric, report=progress.count)
     return replace(kind, draw=partial(draw_attribution, explained=explained))
 
 

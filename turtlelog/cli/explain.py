@@ -116,17 +116,13 @@ def explain(
     attribution = None
     if found.scenario is not None:
         with show_progress("simulated", 100.0, "%") as progress:
-
-            def report(done: int, total: int) -> None:
-                progress.done = 100.0 * done / total
-
             attribution = tl.attribute_run(
                 run,
                 metric=metric,
                 mechanisms=names,
                 identified=found,
                 trust_law=options.trust_law,
-                work=tl.explain.Work(jobs=options.jobs, report=report),
+                work=tl.explain.Work(jobs=options.jobs, report=progress.count),
             )
     motion = None if len(run.samples) else tl.explain.read_motion_facts(run)
     if json:
@@ -152,11 +148,7 @@ def _draw(
     if attribution is None:
         raise ExplainError(f"{path}: expected shares or a ghost, found none: {_NOTHING}")
     with show_progress("simulating without", 100.0, "%") as progress:
-
-        def report(done: int, total: int) -> None:
-            progress.done = 100.0 * done / total
-
-        without = tl.explain.simulate_what_ifs(found, attribution, report=report)
+        without = tl.explain.simulate_what_ifs(found, attribution, report=progress.count)
     tl.show.write_explanation_rrd(run, attribution, without, path)
     print_note(f"wrote {path}")
 

@@ -54,10 +54,10 @@ def film_runs(runs: "Sequence[Run]", options: MovieOptions, *, timeline: str) ->
     from turtlelog.show.movie import write_movie
 
     with show_progress("filming", 100.0, "%") as progress:
-
-        def count(done: int, total: int) -> None:
-            progress.done = 100.0 * done / total
-
         write_movie(
-            runs, options.movie, timeline=timeline, length_s=options.length, on_picture=count
+            runs,
+            options.movie,
+            timeline=timeline,
+            length_s=options.length,
+            on_picture=progress.count,
         )

@@ -36,6 +36,10 @@ class Progress:
         if _is_terminal():
             self._thread.start()
 
+    def count(self, done: int, total: int) -> None:
+        """Say how many of all steps are done, of a bar in percent."""
+        self.done = 100.0 * done / total
+
     def close(self) -> None:
         """Leave the terminal as it was; a second call does nothing."""
         self._ended.set()

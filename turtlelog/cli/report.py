@@ -133,11 +133,9 @@ def _explain(runs: "Sequence[Run]", choice: str) -> "Explanation | None":
         if found.scenario is None:
             raise ExplainError("no scenario stands for this log")
         with show_progress("simulated", 100.0, "%") as progress:
-
-            def tell(done: int, total: int) -> None:
-                progress.done = 100.0 * done / total
-
-            attribution = tl.attribute_run(run, identified=found, work=tl.explain.Work(report=tell))
+            attribution = tl.attribute_run(
+                run, identified=found, work=tl.explain.Work(report=progress.count)
+            )
         what_ifs = simulate_what_ifs(found, attribution)
     except TurtlelogError as err:
         return Explanation(run=run, note=str(err))
