@@ -8,7 +8,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # The tests start hundreds of processes: without compiled files each compiles the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-without-graphics check torture recordings pictures bench clean
+.PHONY: demo test test-without-graphics check torture recordings pictures contact-sheet bench clean
 
 demo: .venv/installed
 	$(BIN)/python -m turtlelog demo -o $(OUT)
@@ -52,7 +52,13 @@ pictures: .venv/installed
 	$(BIN)/python -m turtlelog plot recordings/paper/kp1.mcap recordings/paper/kp2.mcap \
 		recordings/paper/kp4.mcap recordings/paper/kp10.mcap \
 		-o docs/images --format svg \
-		--only plant,step-responses,root-locus,heading,panel,speed,wanted-speed,plane
+		--only plant,step-responses,root-locus,heading,panel,speed,wanted-speed,plane,gains
+	$(BIN)/python -m turtlelog plot recordings/paper/kp10.mcap -o docs/images --format svg \
+		--only attribution,violation --expect 'always(abs(cross_track) <= 0.05)'
+
+# Odd runs in every view, figure, movie and report, on one sheet to be looked at.
+contact-sheet: .venv/installed-dev
+	$(BIN)/python tests/show/contact_sheet.py .venv/contact-sheet.png $(BAG)
 
 bench: .venv/installed-dev
 	for file in benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done
