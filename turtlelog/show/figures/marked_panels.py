@@ -21,7 +21,7 @@ from turtlelog.show.shared_curves import Curve, read_curve
 Values = NDArray[np.float64]
 
 MOST_WORDED: Final = 4
-"""Of more runs the dots have no words: their values would cover the curves."""
+"""Of more runs the dots have neither words nor guides: these would cover the curves."""
 
 _WORDS_POINTS: Final = 6.5
 _LINE_MM: Final = 1.25 * _WORDS_POINTS * 25.4 / 72.0
@@ -32,6 +32,9 @@ _LEADER_MM: Final = 4.0
 _GUIDE: Final[Mapping[str, Any]] = MappingProxyType(
     {"linestyle": (0, (1, 1.6)), "linewidth": 0.7, "zorder": 1.6}
 )
+_GUIDE_POINTS: Final = 40
+"""Points of a guide line that words avoid: a tenth of a curve's, as it may rather be covered."""
+
 _PAUSE: Final[Mapping[str, Any]] = MappingProxyType(
     {"facecolor": "0.90", "edgecolor": "none", "zorder": 0.4}
 )
@@ -46,6 +49,9 @@ _ROOM: Final = 0.04
 """Of a phase, shown before and behind it where the axis is cut to it."""
 _LEAST_OVERSHOOT: Final = 0.1
 """Where other marks crowd, less [% of the step] is thinner than the line of the curve."""
+
+_LEAST_PAUSE: Final = 0.005
+"""Of an axis: a narrower stripe is a line of a third of a millimetre in a column."""
 
 _DEAD_WORDS: Final = "#8a4f1d"
 _AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0, 19.0, 25.0, 32.0)
@@ -68,6 +74,7 @@ class _Marked:
         is_error: Whether the panel shows what is missing to the reference.
         is_magnitude: Whether without its sign.
         is_alone: Whether no other run is in the panel.
+        has_guides: Whether lines lead from dots to the axes.
         color: Of the run.
     """
 
@@ -76,6 +83,7 @@ class _Marked:
     is_error: bool
     is_magnitude: bool
     is_alone: bool
+    has_guides: bool
     color: Any
 
     def read(self, at_s: float) -> float:
@@ -134,6 +142,7 @@ def _mark_panel(
             is_error=signal in _OF_ERRORS,
             is_magnitude=label != signal,
             is_alone=len(runs) == 1,
+            has_guides=len(runs) <= MOST_WORDED,
             color=looks["color"],
         )
         own = [mark for mark in marks if mark.signal in {signal, _OF_ERRORS.get(signal, signal)}]
@@ -183,7 +192,7 @@ def _mark_overshoot(panel: _Marked, mark: Characteristic, others: Sequence[Chara
 
 
 def _mark_dead_time(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
-    if not panel.is_alone or panel.is_error or mark.span_s is None:
+    if not panel.is_alone or panel.is_error or mark.span_s is None or mark.value <= 0.0:
         return ""
     panel.axes.axvspan(*mark.span_s, **_DEAD)
     return f"{mark.word} {1e3 * mark.value:.3g} ms"
@@ -221,14 +230,15 @@ def _guide(panel: _Marked, from_s: float | None, at_s: float) -> None:
     axes, level = panel.axes, panel.read(at_s)
     color = "0.35" if panel.is_alone else panel.color
     bottom = axes.get_ylim()[0]
-    axes.plot([at_s, at_s], [bottom, level], color=color, **_GUIDE)
-    if from_s is not None:
+    if panel.has_guides:
+        axes.plot([at_s, at_s], [bottom, level], color=color, **_GUIDE)
+    if panel.has_guides and from_s is not None:
         axes.plot([from_s, at_s], [level, level], color=color, **_GUIDE)
     axes.plot([at_s], [level], "o", ms=3.2, mfc="white", mec=panel.color, mew=0.9, zorder=3.2)
 
 
 def _draw_band(panel: _Marked, mark: Characteristic) -> None:
-    if mark.levels is None or mark.span_s is None:
+    if mark.levels is None or mark.span_s is None or not panel.has_guides:
         return
     low, high = mark.levels
     half = (high - low) / 2.0
@@ -245,13 +255,13 @@ def _draw_band(panel: _Marked, mark: Characteristic) -> None:
 
 
 def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[_Word]:
-    """Shade the pauses that are seen by half at least."""
+    """Shade the pauses that are seen by half at least, and wider than a line."""
     left, right = axes.get_xlim()
     for mark in marks:
         if mark.kind != "pause" or mark.span_s is None:
             continue
         start_s, end_s = max(mark.span_s[0], left), min(mark.span_s[1], right)
-        if end_s - start_s < 0.5 * mark.value:
+        if end_s - start_s < max(0.5 * mark.value, _LEAST_PAUSE * (right - left)):
             continue
         axes.axvspan(*mark.span_s, **_PAUSE)
         bottom, top = axes.get_ylim()
@@ -292,10 +302,12 @@ def _write_words(axes: Axes, words: Sequence[_Word]) -> None:
     place = Place(center=np.full(2, 0.5), half=np.full(2, 0.5), half_mm=half_mm)
     to_panel = axes.transData + axes.transAxes.inverted()
     for line in axes.get_lines():
-        transform = line.get_transform()
-        if transform == axes.transData or line.get_linestyle() != "None":
-            points = line.get_transform().transform(np.asarray(line.get_xydata(), dtype=np.float64))
-            place.avoid_line(axes.transAxes.inverted().transform(_drop_gaps(points)))
+        points = line.get_transform().transform(np.asarray(line.get_xydata(), dtype=np.float64))
+        points = axes.transAxes.inverted().transform(_drop_gaps(points))
+        if line.get_zorder() == _GUIDE["zorder"]:
+            place.taken.append(np.linspace(points[0], points[-1], _GUIDE_POINTS))
+        else:
+            place.avoid_line(points)
     low, high = sorted(axes.get_xlim())
     shown = [word for word in words if low <= word.at[0] <= high]
     dots = to_panel.transform([word.at for word in shown]) if shown else np.empty((0, 2))

@@ -1,6 +1,6 @@
 """The printed page: how wide a figure is, fonts and lines, the legend, how runs are told apart."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil, isfinite
 from types import MappingProxyType
@@ -225,13 +225,17 @@ def label_runs(runs: Sequence[Run]) -> list[str]:
     return labels
 
 
-def add_legend(figure: Figure) -> None:
-    """Name what the panels show above them; the figure grows by the lines that this takes."""
+def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
+    """Name what the panels show above them; the figure grows by the lines that this takes.
+
+    What is named elsewhere is left out, and what would stand alone where nothing is.
+    """
     named: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            named.setdefault(label, handle)
-    if len(named) < 2:
+            if label not in without:
+                named.setdefault(label, handle)
+    if len(named) < 2 and not (named and without):
         return
     width, height = figure.get_size_inches()
     columns = _count_columns(list(named), width * _POINTS_PER_INCH)

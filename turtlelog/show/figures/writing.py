@@ -30,6 +30,7 @@ from turtlelog.show.figures.figure_kinds import (
     FigureKind,
     list_usual_figures,
 )
+from turtlelog.show.figures.gain_bar import add_gain_bar
 from turtlelog.show.figures.left_out import has_table1
 from turtlelog.show.figures.marked_panels import mark_panels
 from turtlelog.show.figures.page import LOOKS, Page, add_legend
@@ -87,7 +88,7 @@ def draw_figure(
         figure = Figure(figsize=size, layout="constrained")
         kind.draw_on(figure, order_by_gain(runs))
         cut_time_axes(figure, runs, page)
-        add_legend(figure)
+        add_legend(figure, without=add_gain_bar(figure, order_by_gain(runs)))
         page.fit(figure)
         if page.has_marks:
             is_cut = page.from_s is not None or page.to_s is not None
