@@ -11,6 +11,7 @@ from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.plants.turtlesim import WORLD_SIZE_M
 from turtlelog.run import Run
+from turtlelog.show.characteristics import list_characteristics
 from turtlelog.show.close_up import CloseUp, find_close_up, format_length
 from turtlelog.show.palette import Color
 from turtlelog.show.robot_curves import is_turtlesim, part_curve
@@ -50,7 +51,7 @@ _TITLES: Final = {
     "measured_speed": "measured speed",
     "measured_turn_rate": "measured turn rate",
 }
-_MARKED: Final = {"rise_time": "rise", "overshoot": "overshoot", "settling_time": "settled"}
+_MARKED: Final = {"rise_time", "overshoot", "settling_time"}
 Violation = tuple[Sequence[str], float]
 """The signals that a check names, and when it is first violated [s]."""
 
@@ -379,19 +380,14 @@ def _draw_marks(
     if len(metrics) > _MOST_MARKED:
         return
     for number, known in enumerate(metrics):
-        run, curve = drawn[number].run, _read(drawn[number].run, signal)
-        for loop in run.declaration.loops:
-            if curve is None or loop.signal != signal or loop.moves:
+        color = to_hex(drawn[number].color)
+        for found in list_characteristics(drawn[number].run, known):
+            if found.signal != signal or found.kind not in _MARKED:
                 continue
-            for name, word in _MARKED.items():
-                metric = known.get(f"{loop.name}.{name}")
-                if metric is None or metric.value is None or metric.at_s is None:
-                    continue
-                level = float(np.interp(metric.at_s, curve.time_s, curve.values))
-                text = f"{drawn[number].name}: {word} {metric.value:.3g} {metric.unit}"
-                mark = figure.scatter(
-                    [metric.at_s], [level], marker="diamond" if name == "overshoot" else "circle",
-                    size=9, line_color=to_hex(drawn[number].color), fill_alpha=0.25,
-                    fill_color=to_hex(drawn[number].color), line_width=1.8, name=text,
-                )  # fmt: skip
-                plots.config["marks"].append({"run": number, "renderer": mark.id, "text": text})
+            text = f"{drawn[number].name}: {found.word} {found.value:.3g} {found.unit}"
+            mark = figure.scatter(
+                [found.at_s], [found.level], size=9, name=text, line_width=1.8, line_color=color,
+                marker="diamond" if found.kind == "overshoot" else "circle",
+                fill_color=color, fill_alpha=0.25,
+            )  # fmt: skip
+            plots.config["marks"].append({"run": number, "renderer": mark.id, "text": text})
