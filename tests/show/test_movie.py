@@ -12,8 +12,9 @@ from turtlelog import Run, read_run
 from turtlelog.errors import ShowError
 from turtlelog.show import write_movie
 from turtlelog.show.movie import encoding
-from turtlelog.show.movie.film import locate_run, plan_film
+from turtlelog.show.movie.film import plan_film
 from turtlelog.show.movie.picture import draw_pictures
+from turtlelog.show.phase_timelines import locate_run
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 

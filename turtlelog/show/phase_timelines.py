@@ -1,9 +1,14 @@
-"""What the timelines of compared runs are called, and where the zero of each lies in a run."""
+"""The timelines of compared runs: names, where zero lies in each run, and where the run is then."""
 
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from turtlelog.loops import DONE, PAUSE
 from turtlelog.run import Run
+
+Values = NDArray[np.float64]
 
 TIMELINE: Final = "sim_time"
 WALL_TIMELINE: Final = "wall_time"
@@ -30,3 +35,19 @@ def find_phase_zeros(run: Run) -> dict[str, int]:
         starts_ns.setdefault(span.phase, span.start_ns)
     later = phases[1 : 1 + _MOST_PHASES]
     return {name_phase_timeline(name): starts_ns[name] for name in later if name in starts_ns}
+
+
+def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
+    """Return where a run is at times of a timeline: x and y [m], shape (n, 2), and heading [rad].
+
+    Between two poses it moves straight; before the first and after the last it stands.
+
+    Args:
+        run: With at least one pose.
+        zero_ns: Where the timeline is zero, in the run's own time [ns].
+        time_s: Times [s], shape (n,).
+    """
+    own_s = (run.poses.time_ns - zero_ns) / 1e9
+    heading_rad = np.unwrap(run.poses.heading_rad)
+    xy_m = np.column_stack([np.interp(time_s, own_s, values) for values in run.poses.xy_m.T])
+    return xy_m, np.interp(time_s, own_s, heading_rad)

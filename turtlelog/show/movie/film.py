@@ -1,4 +1,4 @@
-"""Which moment of the runs each picture of a movie shows, and where the runs are then."""
+"""Which moment of the runs each picture of a movie shows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -91,14 +91,3 @@ def _find_zero_ns(run: Run, timeline: str) -> int:
         known = ", ".join([TIMELINE, *zeros_ns])
         raise ShowError(f"timeline: {run.name}: expected one of {known}, found {timeline!r}")
     return zeros_ns[timeline]
-
-
-def locate_run(run: Run, zero_ns: int, time_s: Values) -> tuple[Values, Values]:
-    """Return where a run is at times of the film: x and y [m], shape (n, 2), and heading [rad].
-
-    Between two poses it moves straight; before the first and after the last it stands.
-    """
-    own_s = (run.poses.time_ns - zero_ns) / 1e9
-    heading_rad = np.unwrap(run.poses.heading_rad)
-    xy_m = np.column_stack([np.interp(time_s, own_s, values) for values in run.poses.xy_m.T])
-    return xy_m, np.interp(time_s, own_s, heading_rad)

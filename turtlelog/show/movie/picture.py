@@ -25,8 +25,8 @@ from turtlelog.show.close_up import (
 )
 from turtlelog.show.figures.page import LOOKS, choose_lines, label_runs
 from turtlelog.show.movie.encoding import Picture
-from turtlelog.show.movie.film import Film, Values, locate_run
-from turtlelog.show.phase_timelines import TIMELINE
+from turtlelog.show.movie.film import Film, Values
+from turtlelog.show.phase_timelines import TIMELINE, locate_run
 from turtlelog.show.robot_curves import part_path
 from turtlelog.show.shared_curves import Curve, choose_rows, find_unit, list_levels, read_curve
 from turtlelog.show.tracked_path import list_paths, outline_path

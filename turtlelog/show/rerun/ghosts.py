@@ -12,7 +12,7 @@ from turtlelog.show import palette
 from turtlelog.show.close_up import format_length
 from turtlelog.show.ideal_pose import NAME as IDEAL_LOOP, find_ideal_poses
 from turtlelog.show.palette import Color
-from turtlelog.show.phase_timelines import TIMELINE
+from turtlelog.show.phase_timelines import TIMELINE, locate_run
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
 from turtlelog.show.rerun.plots import Series
@@ -210,10 +210,8 @@ def draw_key(
 
 def _follow(run: Run, ghost: Ghost) -> Values:
     """Return where the ghost is at each of the run's poses, as long after its start [m]."""
-    own_ns = run.poses.time_ns - run.start_ns
-    other = ghost.run.poses
-    other_ns = other.time_ns - ghost.run.start_ns
-    return np.column_stack([np.interp(own_ns, other_ns, column) for column in other.xy_m.T])
+    since_start_s = (run.poses.time_ns - run.start_ns) / 1e9
+    return locate_run(ghost.run, ghost.run.start_ns, since_start_s)[0]
 
 
 def _find_aside(run: Run, x_m: Values, bounds: Bounds) -> Values:
