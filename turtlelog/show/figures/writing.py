@@ -1,12 +1,14 @@
 """Figures as files."""
 
 import io
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import matplotlib as mpl
+from fontTools import subset
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -41,6 +43,8 @@ from turtlelog.show.table_formats import format_latex
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 
+_LAYOUT_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern")
+"""How letters join and move beside each other; a PDF has a place for each letter instead."""
 _LEAST_INCH: Final = 3.0
 """A narrower figure is no lower: its lettering is the same."""
 _MOST_COLUMNS: Final = 4
@@ -166,18 +170,30 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
         if form == "pdf":
-            FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
+            with _drop_layout_tables():
+                FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
         elif form == "svg":
             FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
         else:
             FigureCanvasAgg(figure).print_png(data, metadata=_NO_DATE[form])
 
 
+@contextmanager
+def _drop_layout_tables() -> Iterator[None]:
+    """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing."""
+    options: Any = subset.Options
+    usual = options._drop_tables_default
+    options._drop_tables_default = [*usual, *_LAYOUT_TABLES]
+    try:
+        yield
+    finally:
+        options._drop_tables_default = usual
+
+
 def _settle_layout(figure: Figure) -> None:
-    """Lay a figure out once for all of its formats; the second pass sees the ticks of the first."""
+    """Lay a figure out once for all of its formats."""
     with mpl.rc_context(dict(LOOKS)):
         if (engine := figure.get_layout_engine()) is not None:
-            engine.execute(figure)
             engine.execute(figure)
     figure.set_layout_engine("none")
 
