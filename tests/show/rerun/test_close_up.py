@@ -18,7 +18,7 @@ from turtlelog.show.close_up import (
     list_miss_labels,
     list_ring_labels,
 )
-from turtlelog.show.rerun.layout import choose_names
+from turtlelog.show.rerun.views import choose_names
 
 LETTERING = Lettering(letter=0.06, line=0.2, gap=0.1)
 RUN = simulate_preset("paper-kp4")

@@ -23,15 +23,7 @@ from turtlelog.show.rerun.content import (
     find_ranges,
 )
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
-from turtlelog.show.rerun.layout import (
-    RESTLESS_PLOTS,
-    SCALE_WIDTH,
-    arrange_names,
-    build_comparison_layout,
-    choose_names,
-    choose_phase_rows,
-    is_small,
-)
+from turtlelog.show.rerun.layout import build_comparison_layout, is_small
 from turtlelog.show.rerun.many_runs import (
     MANY,
     GainScale,
@@ -58,6 +50,13 @@ from turtlelog.show.rerun.timelines import (
     read_span,
 )
 from turtlelog.show.rerun.turtles import Look, choose_size, count_segments, draw_trail, draw_turtle
+from turtlelog.show.rerun.views import (
+    RESTLESS_PLOTS,
+    SCALE_WIDTH,
+    arrange_names,
+    choose_names,
+    choose_phase_rows,
+)
 from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
 
 _RECORDED: Final = "recorded"
