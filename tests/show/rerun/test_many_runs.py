@@ -17,7 +17,7 @@ from tests.show.rerun.rrds import (
 from turtlelog.run import Run
 from turtlelog.scenario import get_preset, override_gains
 from turtlelog.show import write_comparison_rrd
-from turtlelog.show.rerun.many_runs import (
+from turtlelog.show.many_runs import (
     LONGEST_NAME,
     find_gain_scale,
     find_restless,

@@ -14,6 +14,14 @@ from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_runs
+from turtlelog.show.many_runs import (
+    MANY,
+    GainScale,
+    find_gain_scale,
+    find_restless,
+    group_equal,
+    shorten_names,
+)
 from turtlelog.show.palette import Color, choose_run_colors
 from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import (
@@ -24,14 +32,6 @@ from turtlelog.show.rerun.content import (
 )
 from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
 from turtlelog.show.rerun.layout import build_comparison_layout, is_small
-from turtlelog.show.rerun.many_runs import (
-    MANY,
-    GainScale,
-    find_gain_scale,
-    find_restless,
-    group_equal,
-    shorten_names,
-)
 from turtlelog.show.rerun.marks import draw_events, draw_phases
 from turtlelog.show.rerun.plots import (
     LevelLines,

@@ -10,11 +10,11 @@ from rerun.blueprint.archetypes import VisibleTimeRanges
 
 from turtlelog.show import palette
 from turtlelog.show.close_up import CloseUp, format_length
+from turtlelog.show.many_runs import MANY
 from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
 from turtlelog.show.rerun.entities import join_path, name_document
-from turtlelog.show.rerun.many_runs import MANY
 from turtlelog.show.rerun.world import Bounds
 from turtlelog.show.tracked_path import WorstPlace
 
