@@ -1,5 +1,6 @@
 """What keeps many runs readable: equal ones once, restless ones dimmed, short names, a bar."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -23,6 +24,8 @@ paper's runs that come to rest do so at most 4 times."""
 
 LONGEST_NAME: Final = 24
 """In letters: a legend takes half of a plot 350 pixels wide with more."""
+
+_BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
 _MOST_KEYS: Final = 3
 _NO_LIMIT: Final = 1e9
@@ -133,7 +136,7 @@ def shorten_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:
         told = [", ".join(_tell(complete_parameters(run), keys, gains)) for run in runs]
         if len({*told}) == len(told):
             return tuple(told)
-    return _cut_alike(names)
+    return cut_alike(names)
 
 
 def _tell(known: Mapping[str, Parameter], keys: Sequence[str], gains: set[str]) -> Iterator[str]:
@@ -150,11 +153,16 @@ def _tell(known: Mapping[str, Parameter], keys: Sequence[str], gains: set[str]) 
             yield f"{word} {value}"
 
 
-def _cut_alike(names: Sequence[str]) -> tuple[str, ...]:
-    """Return long names without the words that all begin and end with."""
-    parts = [name.replace("_", "-").split("-") for name in names]
-    head, tail = _count_alike(parts), _count_alike([part[::-1] for part in parts])
-    cut = ["-".join(part[head : len(part) - tail]) for part in parts]
+def cut_alike(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names without the words that all begin and end with: `kp1` and `kp10`.
+
+    Words are parted by spaces, dashes and underscores before letters, so that numbers stay whole.
+    """
+    # Words and what parts them take turns.
+    parts = [_BETWEEN_WORDS.split(name) for name in names]
+    words = [part[::2] for part in parts]
+    head, tail = _count_alike(words), _count_alike([word[::-1] for word in words])
+    cut = ["".join(part[2 * head : len(part) - 2 * tail]) for part in parts]
     return tuple(cut) if all(cut) and len({*cut}) == len(cut) else tuple(names)
 
 

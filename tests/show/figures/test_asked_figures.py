@@ -25,7 +25,7 @@ from turtlelog.show.figures.attribution_figure import (
     explain_for_figure,
 )
 from turtlelog.show.figures.figure_kinds import list_usual_figures
-from turtlelog.show.figures.gain_figure import draw_gains, find_loop_gains, shorten_names
+from turtlelog.show.figures.gain_figure import draw_gains, find_loop_gains
 from turtlelog.show.figures.metric_panels import complete_name, measure_for_figure
 from turtlelog.show.figures.rates_figure import draw_rates, find_step
 from turtlelog.show.figures.strip_figure import draw_strips, group_runs
@@ -221,12 +221,6 @@ def test_names_of_metrics_stand_for_those_of_any_loop() -> None:
         ShowError, match=r"gains: expected a value of run\.time_to_goal, found none"
     ):
         measure_for_figure("gains", [replace(read(4), goal_xy_m=None)], ["run.time_to_goal"])
-
-
-def test_names_lose_the_words_that_all_of_them_share() -> None:
-    assert shorten_names(["paper-kp1", "paper-kp10"]) == ["kp1", "kp10"]
-    assert shorten_names(["one"]) == ["one"]
-    assert shorten_names(["left", "right"]) == ["left", "right"]
 
 
 def repeat(count: int, *changes: tuple[str, float | str]) -> list[tl.Run]:

@@ -19,6 +19,7 @@ from turtlelog.scenario import get_preset, override_gains
 from turtlelog.show import write_comparison_rrd
 from turtlelog.show.many_runs import (
     LONGEST_NAME,
+    cut_alike,
     find_gain_scale,
     find_restless,
     group_equal,
@@ -138,6 +139,14 @@ def test_long_names_become_what_differs() -> None:
     )
     assert shorten_names([run, limits], ["a", long]) == ("a", long)
     assert shorten_names([run, run], [f"{long}-a-z", f"{long}-b-z"]) == ("a", "b")
+
+
+def test_names_lose_the_words_that_all_of_them_share_and_keep_their_numbers() -> None:
+    assert cut_alike(["paper-kp1", "paper-kp10"]) == ("kp1", "kp10")
+    assert cut_alike(["one"]) == ("one",)
+    assert cut_alike(["left", "right"]) == ("left", "right")
+    assert cut_alike(["a law.kp=1.5", "a law.kp=1.6"]) == ("law.kp=1.5", "law.kp=1.6")
+    assert cut_alike(["a x=-1", "a x=-2"]) == ("x=-1", "x=-2")
 
 
 def test_a_scale_needs_one_number_that_differs() -> None:

@@ -22,6 +22,7 @@ from turtlelog.show.figures.metric_panels import (
     set_value_scale,
 )
 from turtlelog.show.figures.page import choose_lines, label_runs
+from turtlelog.show.many_runs import cut_alike
 from turtlelog.show.shared_curves import find_steps
 from turtlelog.theory import (
     PidGains,
@@ -384,18 +385,8 @@ def _overshoot(limit: GainLimits, kp: float) -> float:
 
 
 def _name_points(axes: Axes, runs: Sequence[Run], gains: Values, values: Values) -> None:
-    for name, gain, value in zip(shorten_names(label_runs(runs)), gains, values, strict=True):
+    for name, gain, value in zip(cut_alike(label_runs(runs)), gains, values, strict=True):
         if np.isfinite(gain) and np.isfinite(value):
             text = axes.annotate(name, (gain, value), (0.0, 4.0), textcoords="offset points")
             text.set(fontsize=6.5, ha="center", va="bottom", color="0.25", zorder=3.5)
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})
-
-
-def shorten_names(names: Sequence[str]) -> list[str]:
-    """Return names without the words that all of them begin with."""
-    if len(names) < 2:
-        return [*names]
-    letters = zip(*names, strict=False)
-    same = next((row for row, found in enumerate(letters) if len({*found}) > 1), len(min(names)))
-    begins = max(names[0].rfind(letter, 0, same) for letter in "-_ /.") + 1
-    return [name[begins:] for name in names]
