@@ -77,6 +77,25 @@ def test_a_robot_that_still_moves_has_not_stopped(share: float, stops: int) -> N
     assert len(found) == stops
 
 
+@pytest.mark.parametrize(("share", "stops"), [(0.24, 1), (0.26, 0)])
+def test_a_robot_that_follows_a_slow_command_has_not_stopped(share: float, stops: int) -> None:
+    # Before the slow command it was fast: what is left is little of that.
+    time_s = np.arange(0.0, 4.0, 0.01)
+    moved = 0.01 * np.where(time_s[:-1] < 1.2, 1.0, share * 0.05)
+    command = np.array([1.0, 0.05])
+    found = find_silent_stops(np.array([0.0, 1.0]), command, time_s, moved)
+    assert len([stop for stop in found if stop.begin_s == 1.0]) == stops
+
+
+def test_noise_of_poses_does_not_hide_that_a_slow_robot_stops() -> None:
+    time_s = np.arange(0.0, 4.0, 0.05)
+    for seed in range(20):
+        noise_m = np.random.default_rng(seed).normal(0.0, 2e-4, len(time_s))
+        way_m = 0.036 * np.minimum(time_s, 1.5) + noise_m
+        found = find_silent_stops(np.array([0.0]), np.array([0.04]), time_s, np.diff(way_m))
+        assert [stop.stop_s for stop in found] == pytest.approx([1.5], abs=0.11)
+
+
 @pytest.mark.parametrize(("steps", "status"), [(49, "not_identifiable"), (50, "ok")])
 def test_few_steps_tell_nothing(steps: int, status: str) -> None:
     time_s = np.arange(0.0, 10.0, 0.05)

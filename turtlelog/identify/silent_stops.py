@@ -18,8 +18,15 @@ _SILENCE_S: Final = 0.4
 _LOOK_S: Final = 0.3
 """How long before the end of a silence the robot must stand [s]."""
 
+_JOINED_S: Final = 0.1
+"""Over what rates are averaged [s]: the noise of poses would hide when a robot stops."""
+
 _STOPPED: Final = 0.1
 """Share of its largest rate within the silence below which it stands."""
+
+_OBEYS: Final = 0.25
+"""Share of the held command from which on the robot still follows it: gains are 0.5 and more. What
+it did before a small command may be ten times as fast."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,14 +60,16 @@ def find_silent_stops(
     ends_s = np.append(command_s[1:], time_s[-1])
     silent = np.flatnonzero((ends_s - command_s > _SILENCE_S + _LOOK_S) & (command != 0.0))
     found = [
-        _look_at_silence(float(command_s[row]), float(ends_s[row]), time_s, moved)
+        _look_at_silence(
+            float(command_s[row]), float(ends_s[row]), abs(float(command[row])), time_s, moved
+        )
         for row in silent.tolist()
     ]
     return [stop for stop in found if stop is not None]
 
 
 def _look_at_silence(
-    begin_s: float, end_s: float, time_s: Values, moved: Values
+    begin_s: float, end_s: float, held: float, time_s: Values, moved: Values
 ) -> SilentStop | None:
     first, after = np.searchsorted(time_s, [begin_s, end_s])
     way = np.concatenate([[0.0], np.cumsum(moved[first : after - 1])])
@@ -68,11 +77,13 @@ def _look_at_silence(
     last_s = at_s[-1] - _LOOK_S if len(at_s) else begin_s
     if len(at_s) < 4 or last_s <= begin_s:
         return None
-    # Rates over a tenth of a second: noise of poses would hide a stop.
-    before = np.interp(at_s - 0.1, at_s, way)
-    rate = np.abs(way - before)[at_s >= at_s[0] + 0.1]
-    rate_s = at_s[at_s >= at_s[0] + 0.1] - 0.05
-    if not len(rate) or rate[rate_s >= last_s].max(initial=0.0) > _STOPPED * rate.max():
+    before = np.interp(at_s - _JOINED_S, at_s, way)
+    is_whole = at_s >= at_s[0] + _JOINED_S
+    rate = np.abs(way - before)[is_whole] / _JOINED_S
+    rate_s = at_s[is_whole] - 0.5 * _JOINED_S
+    # The mean: of a slow command the noise of poses looks like motion.
+    left = abs(float(way[-1] - np.interp(last_s, at_s, way))) / _LOOK_S
+    if not len(rate) or left > min(_STOPPED * float(rate.max()), _OBEYS * held):
         return None
     moving = np.flatnonzero(rate > 0.5 * rate.max())
     stop_s = float(rate_s[moving[-1]])
