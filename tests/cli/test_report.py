@@ -54,11 +54,15 @@ def test_a_check_that_fails_is_told_on_top_and_by_the_exit_code(
     assert run(capsys, "report", *words)[0] == 1
     text = path.read_text("utf-8")
     assert "1 of 1 check fails: line in paper-kp10." in text
-    assert "5.664 s" in text
+    assert "first -0.05008 m at 5.664 s; worst -0.10774 m at 8.784 s" in text
     path.unlink()
     words = [spec, RECORDINGS / "kp4.mcap", "--report", path]
     assert run(capsys, "check", *words)[0] == 0
     assert "The check passes." in path.read_text("utf-8")
+    path.unlink()
+    words = [spec, RECORDINGS / "kp10.mcap", "--report", path]
+    assert run(capsys, "check", *words)[0] == 1
+    assert 'id="violation-0"' in path.read_text("utf-8")
 
 
 def test_without_bokeh_one_line_says_what_to_install(

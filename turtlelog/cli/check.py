@@ -211,7 +211,7 @@ def _write_report(
         [*runs.values()],
         path,
         sources=[*runs],
-        checks=build_check_lines(results, names),
+        checks=build_check_lines(results, names, runs),
         command=shlex.join(words) if is_file else "",
     )
     print_note(f"wrote {path}")

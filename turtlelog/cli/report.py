@@ -1,7 +1,7 @@
 """`turtlelog report`: runs as one file of HTML."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,6 +18,7 @@ from turtlelog.errors import ExplainError, TurtlelogError
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Run
     from turtlelog.show.report import CheckLine, Explanation
+    from turtlelog.show.violated_signal import ViolatedSignal
 
 
 def report(
@@ -65,7 +66,7 @@ def report(
             output,
             sources=files,
             explanation=found,
-            checks=build_check_lines(results, names),
+            checks=build_check_lines(results, names, dict(zip(map(str, files), runs, strict=True))),
             command=shlex.join(["turtlelog", "report", *words, "-o", str(output)]),
         )
     verdict = tl.check.join_verdicts(results) if results else None
@@ -88,13 +89,28 @@ def report(
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
 
 
-def build_check_lines(results: "Sequence[CheckResult]", names: dict[str, str]) -> "list[CheckLine]":
-    """Return results as a report shows them; `names` are those of runs by their files."""
+def build_check_lines(
+    results: "Sequence[CheckResult]", names: "Mapping[str, str]", runs: "Mapping[str, Run]"
+) -> "list[CheckLine]":
+    """Return results as a report shows them.
+
+    Args:
+        results: Of checks.
+        names: Of runs by their files.
+        runs: By their files: those that could be read.
+    """
+    from turtlelog.check.violation import find_violated_signal
     from turtlelog.show.report import CheckLine
+    from turtlelog.show.report.violation_plots import MOST_VIOLATIONS
 
     def tell(value: float | None, unit: str) -> str:
         return "" if value is None else format_number(value, unit)
 
+    signals: dict[int, ViolatedSignal] = {}
+    for number, found in enumerate(results):
+        if found.file in runs and found.verdict == "FAIL" and len(signals) < MOST_VIOLATIONS:
+            signal = find_violated_signal(runs[found.file], found).signal
+            signals |= {} if signal is None else {number: signal}
     return [
         CheckLine(
             run=names.get(found.file, found.file),
@@ -106,9 +122,10 @@ def build_check_lines(results: "Sequence[CheckResult]", names: dict[str, str]) -
             expected=found.expected,
             first_violation_s=found.first_violation_s,
             reason=found.reason,
-            signals=found.names,
+            names=found.names,
+            signal=signals.get(number),
         )
-        for found in results
+        for number, found in enumerate(results)
     ]
 
 

@@ -129,6 +129,8 @@
   function paint(is_dark) {
     const ink = is_dark ? "#e8eaed" : "#1c1f23", soft = is_dark ? "#3a4047" : "#dde1e6";
     const ground = is_dark ? "#14171a" : "#ffffff";
+    for (const id of config.words)
+      model(id).setv({background_fill_color: ground, background_fill_alpha: 0.75});
     for (const id of config.figures) {
       const figure = model(id);
       figure.setv({background_fill_color: ground, border_fill_color: ground,

@@ -26,10 +26,12 @@ from turtlelog.show.documents import choose_essentials
 from turtlelog.show.output_files import replace_file
 from turtlelog.show.palette import GHOST, choose_mechanism_colors, choose_run_colors
 from turtlelog.show.report.conclusion import conclude, conclude_cause, conclude_checks
-from turtlelog.show.report.page_plots import Drawn, Plots, draw_plots
+from turtlelog.show.report.drawn import Drawn, Plots
+from turtlelog.show.report.plots import Violation, draw_plots
 from turtlelog.show.report.sections import (
     CheckLine,
     show,
+    sort_checks,
     write_attribution,
     write_checks,
     write_provenance,
@@ -96,12 +98,17 @@ def write_report(
         for run, name, color in zip(runs, names, choose_run_colors(len(runs)), strict=True)
     ]
     drawn += _list_ghosts(explanation)
-    violations_s = [
-        (line.signals, line.first_violation_s)
-        for line in checks
-        if line.first_violation_s is not None
+    violations = [
+        Violation(
+            names=line.names,
+            first_s=line.first_violation_s,
+            run=names.index(line.run) if line.run in names else None,
+            signal=line.signal,
+        )
+        for line in sort_checks(checks)
+        if line.verdict == "FAIL"
     ]
-    plots = draw_plots(drawn, metrics, violations_s)
+    plots = draw_plots(drawn, metrics, violations)
     body = _write_conclusion(runs, names, metrics, explanation, checks)
     body += _write_stage(plots, len(runs))
     if explanation is not None:
@@ -177,6 +184,7 @@ def _write_stage(plots: Plots, count: int) -> str:
     )
     places = {place: f'<div class="plot" id="{place}"></div>' for place in plots.roots}
     planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
+    series = "".join(place for name, place in places.items() if name.startswith("plot-"))
     marks = '<label><input type="checkbox" checked id="marks">marks</label>'
     return f"""<section id="stage"><h2>{"The run" if count == 1 else "The runs"}</h2>
 <div class="controls">
@@ -191,7 +199,7 @@ def _write_stage(plots: Plots, count: int) -> str:
 <div class="planes">{planes}</div>
 <div class="wide" tabindex="0" role="region" aria-label="Values at the time of the slider">
 <table id="values"></table></div>
-<div class="series">{"".join(places.values())}</div></section>"""
+<div class="series">{series}</div></section>"""
 
 
 def _write_tables(

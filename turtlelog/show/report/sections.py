@@ -6,11 +6,14 @@ from html import escape
 from typing import Final
 
 from turtlelog.compare import Table, format_cell
+from turtlelog.display import describe_count
 from turtlelog.escapes import escape_controls
 from turtlelog.explain import Attribution, write_sentences
 from turtlelog.run import Run
 from turtlelog.show.attribution_steps import list_attribution_steps
-from turtlelog.show.report.page_plots import to_hex
+from turtlelog.show.report.drawn import to_hex
+from turtlelog.show.report.violation_plots import MOST_VIOLATIONS
+from turtlelog.show.violated_signal import ViolatedSignal
 
 _MOST_LISTED: Final = 12
 """Scenarios of more runs fold into one line."""
@@ -33,7 +36,8 @@ class CheckLine:
         expected: What was to hold, as written.
         first_violation_s: When it is first violated [s], None where at no moment.
         reason: Why it fails or is skipped, where values do not say it.
-        signals: Names of the signals that it is about.
+        names: Of the signals that it is about.
+        signal: What violated it, with the band that it left; None where no signal did.
     """
 
     run: str
@@ -45,7 +49,8 @@ class CheckLine:
     expected: str = ""
     first_violation_s: float | None = None
     reason: str = ""
-    signals: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    signal: ViolatedSignal | None = None
 
 
 def show(text: object) -> str:
@@ -99,7 +104,7 @@ def write_attribution(name: str, found: Attribution) -> str:
 def write_checks(lines: Sequence[CheckLine]) -> str:
     """Return the checks as a table, those that fail first, each with when it is first violated."""
     heads = ["verdict", "run", "check", "value", "limit", "margin", "first violated", "why"]
-    order = sorted(lines, key=lambda line: line.verdict != "FAIL")
+    order = sort_checks(lines)
     rows = []
     for line in order:
         at = "" if line.first_violation_s is None else f"{line.first_violation_s:.3f} s"
@@ -113,7 +118,32 @@ def write_checks(lines: Sequence[CheckLine]) -> str:
         else ""
     )
     table = _wrap_table("Checks; times from the first sample", heads, rows)
-    return f'<section id="checks"><h2>Checks</h2>{table}{marks}</section>'
+    return f'<section id="checks"><h2>Checks</h2>{table}{marks}{_place_violations(order)}</section>'
+
+
+def sort_checks(lines: Sequence[CheckLine]) -> list[CheckLine]:
+    """Return checks in the order in which they are shown: those that fail first."""
+    return sorted(lines, key=lambda line: line.verdict != "FAIL")
+
+
+def _place_violations(lines: Sequence[CheckLine]) -> str:
+    """Return the places of the plots of failed checks, each with what it shows in words."""
+    failed = [line for line in lines if line.verdict == "FAIL"]
+    drawn = [(line, line.signal) for line in failed if line.signal is not None][:MOST_VIOLATIONS]
+    parts = []
+    for number, (line, signal) in enumerate(drawn):
+        moments = [signal.describe_moment(signal.worst, signal.worst_word)]
+        if signal.first != signal.worst:
+            moments.insert(0, signal.describe_moment(signal.first, "first"))
+        parts.append(
+            f"<div><h3>{show(line.check)} in {show(line.run)}</h3>"
+            f'<p class="note">expected {show(line.expected)}; {show("; ".join(moments))}</p>'
+            f'<div class="plot" id="violation-{number}"></div></div>'
+        )
+    left = len(failed) - len(drawn)
+    note = f'<p class="note">{describe_count(left, "more failed check")} without a plot.</p>'
+    places = f'<div class="series">{"".join(parts)}</div>' if parts else ""
+    return places + (note if left and drawn else "")
 
 
 def write_provenance(
