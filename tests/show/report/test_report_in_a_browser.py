@@ -108,7 +108,7 @@ def test_runs_and_play_answer_the_space_bar_in_the_order_of_tab(
         "(r => [r.start, r.end])(Bokeh.documents[0].get_model_by_id("
         "JSON.parse(document.getElementById('config').textContent).x_range))"
     )
-    assert end - start == pytest.approx(12.608 / 2.0, rel=1e-3)
+    assert end - start == pytest.approx(1.024 * 12.608 / 2.0, rel=1e-3)
 
 
 def test_names_are_text_and_a_narrow_window_has_one_column(

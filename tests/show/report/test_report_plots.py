@@ -11,6 +11,7 @@ from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
 from turtlelog.run import Run
 from turtlelog.show.report.drawn import Drawn, Plots
+from turtlelog.show.report.marked_plots import MOST_MARKED
 from turtlelog.show.report.plots import Violation, draw_plots
 from turtlelog.show.report.violation_plots import MOST_VIOLATIONS, RED
 
@@ -71,3 +72,17 @@ def test_no_more_than_six_failed_checks_have_a_plot() -> None:
     one = violate(run, "always(abs(cross_track) <= 0.05)")
     places = draw(run, violations=(one,) * (MOST_VIOLATIONS + 1)).roots
     assert len([place for place in places if place.startswith("violation-")]) == 6
+
+
+def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None:
+    run = read(10)
+    figure = draw(run).roots["plot-heading"]
+    words = [text for text in list_texts(figure) if not text.startswith("run 0: ")]
+    assert words == [
+        "■ dead time 64 ms",
+        "▲ rise 1.79 s",
+        "● settled 2.21 s",
+        "◆ peak 129.8 deg, overshoot 1 %",
+    ]
+    assert len(draw(*[run] * MOST_MARKED).config["marks"]) > 0
+    assert draw(*[run] * (MOST_MARKED + 1)).config["marks"] == []

@@ -122,8 +122,9 @@
 
   function zoom(factor) {
     const range = model(config.x_range), half = factor * (range.end - range.start) / 2;
-    const least = Math.min(Math.max(now - half, 0), Math.max(config.end_s - 2 * half, 0));
-    range.setv({start: least, end: Math.min(least + 2 * half, config.end_s)});
+    const room = config.room_s, end = config.end_s + room;
+    const least = Math.min(Math.max(now - half, -room), Math.max(end - 2 * half, -room));
+    range.setv({start: least, end: Math.min(least + 2 * half, end)});
   }
 
   function paint(is_dark) {
@@ -184,7 +185,7 @@
     find("closer").addEventListener("click", () => zoom(0.5));
     find("wider").addEventListener("click", () => zoom(2));
     find("whole").addEventListener("click", () =>
-      model(config.x_range).setv({start: 0, end: config.end_s}));
+      model(config.x_range).setv({start: -config.room_s, end: config.end_s + config.room_s}));
     document.querySelectorAll("[data-run], #marks").forEach((box) =>
       box.addEventListener("change", toggle));
     for (const [id, state] of [["all", true], ["none", false]])

@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric
 from turtlelog.run import Run
+from turtlelog.show.characteristics import Characteristic, list_characteristics
 from turtlelog.show.close_up import find_close_up
 from turtlelog.show.report.drawn import (
     MOST_POINTS,
@@ -19,6 +18,7 @@ from turtlelog.show.report.drawn import (
     thin,
     to_hex,
 )
+from turtlelog.show.report.marked_plots import draw_marks
 from turtlelog.show.report.planes import draw_planes
 from turtlelog.show.report.violation_plots import RED, draw_violations
 from turtlelog.show.robot_curves import part_curve
@@ -36,8 +36,8 @@ _MOST_OF_ALL: Final = 24_000
 """
 
 _LEAST_POINTS: Final = 200
-_MOST_MARKED: Final = 4
-"""Marks of more runs would hide each other."""
+_ROOM: Final = 0.012
+"""Of the time, before and behind it: dots at its ends are seen whole."""
 
 _ALWAYS: Final = ("heading", "distance", "cross_track", "speed", "turn_rate")
 _TITLES: Final = {
@@ -49,7 +49,6 @@ _TITLES: Final = {
     "measured_speed": "measured speed",
     "measured_turn_rate": "measured turn rate",
 }
-_MARKED: Final = {"rise_time": "rise", "overshoot": "overshoot", "settling_time": "settled"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,10 +97,15 @@ def draw_plots(
     draw_planes(plots, drawn, find_close_up(runs))
     end_s = max(float(one.run.duration_s) for one in drawn) or 1.0
     plots.config["end_s"] = end_s
-    x_range = load_library("bokeh.models").Range1d(0.0, end_s, bounds=None)
+    x_range = load_library("bokeh.models").Range1d(
+        -_ROOM * end_s, (1.0 + _ROOM) * end_s, bounds=None
+    )
     plots.config["x_range"] = x_range.id
+    plots.config["room_s"] = _ROOM * end_s
+    pairs = zip(runs, metrics, strict=False)
+    marks = [list_characteristics(run, known) for run, known in pairs]
     for signal in _choose_signals(runs):
-        _draw_signal(plots, drawn, signal, x_range, (metrics, violations))
+        _draw_signal(plots, drawn, signal, x_range, (marks, violations))
     found = [
         (one.signal, None if one.run is None else drawn[one.run].color)
         for one in violations
@@ -135,7 +139,7 @@ def _draw_signal(
     drawn: Sequence[Drawn],
     signal: str,
     x_range: Any,
-    marked: tuple[Sequence[Mapping[str, Metric]], Sequence[Violation]],
+    marked: tuple[Sequence[Sequence[Characteristic]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
     title, unit = _TITLES[signal]
@@ -168,7 +172,7 @@ def _draw_signal(
         )  # fmt: skip
         plots.config["runs"][number]["renderers"].append(line.id)
         config["curves"].append({"run": number, "source": source.id, "holds": curve.holds})
-    _draw_marks(plots, figure, drawn, signal, marked[0])
+    draw_marks(plots, figure, drawn, signal, marked[0])
     for found in marked[1]:
         if signal not in found.names and not set(found.names).isdisjoint(_TITLES):
             continue
@@ -187,27 +191,3 @@ def _draw_signal(
         ),
         models.CrosshairTool(dimensions="height", line_alpha=0.5),
     )
-
-
-def _draw_marks(
-    plots: Plots,
-    figure: Any,
-    drawn: Sequence[Drawn],
-    signal: str,
-    metrics: Sequence[Mapping[str, Metric]],
-) -> None:
-    """Mark rise, overshoot and settling of the loops that control a signal, of a few runs."""
-    if len(metrics) > _MOST_MARKED:
-        return
-    for number, known in enumerate(metrics):
-        color = to_hex(drawn[number].color)
-        for found in list_characteristics(drawn[number].run, known):
-            if found.signal != signal or found.kind not in _MARKED:
-                continue
-            text = f"{drawn[number].name}: {found.word} {found.value:.3g} {found.unit}"
-            mark = figure.scatter(
-                [found.at_s], [found.level], size=9, name=text, line_width=1.8, line_color=color,
-                marker="diamond" if found.kind == "overshoot" else "circle",
-                fill_color=color, fill_alpha=0.25,
-            )  # fmt: skip
-            plots.config["marks"].append({"run": number, "renderer": mark.id, "text": text})

@@ -43,6 +43,10 @@ _MOST_COLUMNS: Final = 4
 """Metrics of more runs than these would be wider than a page."""
 
 _MOST_TITLED: Final = 4
+_MARKS_NOTE: Final = (
+    '<p class="note">Shaded where a run has them: pauses over the whole height, dead times in'
+    " brown, settling bands along the reference.</p>"
+)
 _LARGE: Final = 2**20
 
 
@@ -186,6 +190,7 @@ def _write_stage(plots: Plots, count: int) -> str:
     planes = "".join(places.pop(place) for place in ("plane", "goal") if place in places)
     series = "".join(place for name, place in places.items() if name.startswith("plot-"))
     marks = '<label><input type="checkbox" checked id="marks">marks</label>'
+    note = _MARKS_NOTE if plots.config["marks"] else ""
     return f"""<section id="stage"><h2>{"The run" if count == 1 else "The runs"}</h2>
 <div class="controls">
 <button type="button" id="play" aria-pressed="false">Play</button>
@@ -199,7 +204,7 @@ def _write_stage(plots: Plots, count: int) -> str:
 <div class="planes">{planes}</div>
 <div class="wide" tabindex="0" role="region" aria-label="Values at the time of the slider">
 <table id="values"></table></div>
-<div class="series">{series}</div></section>"""
+{note}<div class="series">{series}</div></section>"""
 
 
 def _write_tables(
