@@ -27,9 +27,9 @@ class AskedOptions:
     """What the figures attribution, gains, strips and violation show.
 
     Attributes:
-        metric: What attribution explains, by its id (turtlelog list metrics), as explain does; or
-            what gains and strips show: ids, patterns, or names of any loop (overshoot), with
-            commas.
+        metric: The metric that attribution explains, by its id (turtlelog list metrics); or those
+            that gains and strips show: ids, patterns, or names of metrics of any loop (overshoot),
+            separated by commas.
         expect: The formula whose signal violation shows, as in "always(abs(cross_track) <= 0.05)".
     """
 

@@ -24,7 +24,7 @@ class MovieOptions:
 
     Attributes:
         movie: Write a movie of the runs driving into this .mp4 (VP9) or .gif file.
-        length: Of the movie [s], 1 to 600; otherwise real time, and at most 10 s.
+        length: Length of the movie [s], 1 to 600; without it real time, and at most 10 s.
     """
 
     movie: Path | None = None

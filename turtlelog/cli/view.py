@@ -38,8 +38,8 @@ class PictureOptions:
     Attributes:
         snapshot: Write a picture of the view to this .png file and open nothing; needs no display.
         at: Time of the picture, from the first sample [s]; otherwise the end of the longest run.
-        timeline: What --at tells, and what a movie is driven on: sim_time, or of several runs also
-            PHASE_time, from the start of a later phase of each, as translate_time.
+        timeline: The timeline of --at and of a movie: sim_time, or for several runs also
+            PHASE_time, which begins at a later phase of each, as translate_time.
         size: Width and height of the picture [pixels], at least 480x320; below 1000x700 legends,
             phases and tables give way to curves.
     """

@@ -1,4 +1,4 @@
-"""What drives a simulated robot in place of a recorded one: its commands, and who else acts."""
+"""The commands that drive a simulated robot in place of a recorded one, and what is random."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from turtlelog.run.columns import take_rows
 from turtlelog.scenario import Scenario
 
 _FADED: Final = 1e-3
-"""Share of an earlier rate that is left when it counts no more."""
+"""Share of an earlier rate below which it no longer counts."""
 
 _STANDING: Final = 0.02
 """Mean rate, as a share of the largest command, below which a robot stands."""
@@ -84,7 +84,7 @@ def find_known(run: Run, scenario: Scenario) -> int:
 
 
 def silence(scenario: Scenario) -> Scenario:
-    """Return a scenario without what is random."""
+    """Return a scenario without its random effects."""
     loop = replace(
         scenario.loop,
         jitter_s=0.0,

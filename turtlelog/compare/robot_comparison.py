@@ -24,8 +24,8 @@ CENTRAL: Final = (SEEDS - 1) / (SEEDS + 1)
 """That share [1]."""
 
 _CHANCE: Final = 1e-3
-"""Probability below which so few errors within the band are no chance [1]: of a thousand bands of a
-robot with the right noise one is called otherwise."""
+"""Probability below which so few errors within the band are no chance [1]: for a robot with the
+right noise, one band of a thousand is judged wrongly."""
 
 _SHOWN: Final = {"position": ("mm", 1e3), "heading": ("deg", 180.0 / np.pi)}
 """Unit and factor in which errors are shown; values hold m and rad."""

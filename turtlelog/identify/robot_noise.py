@@ -1,8 +1,8 @@
 """The noise of a robot's poses, and that of its rates.
 
-What a pose is off does not grow with time, what rates are off does: the mean square of what a way
-is off after a time t is `still` + noise^2 t. The noise of poses is read where the robot stands: in
-motion, times that are off look alike.
+Errors of poses do not grow with time, errors of rates do: the mean square error of the way driven
+in a time t is `still` + noise^2 t. The noise of poses is measured where the robot stands: in motion,
+errors of time stamps look the same.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,15 +39,15 @@ _FEWEST_WAYS: Final = 10.0
 """So often a time must fit into a log to be looked at: the mean square is then right to a half."""
 
 _SURE: Final = 3.0
-"""Standard deviations above chance at which a noise is told: 0 is then called noise in 1 of 700
-robots."""
+"""Standard deviations above chance from which noise is reported: of robots without noise 1 in 700
+is then said to have some."""
 
 _MATTERS: Final = 0.3
-"""Share of what does not grow that must be added in the longest time: less changes no prediction,
-and what dead times and lags are off, a little with every step of the commands, looks like it."""
+"""How much the error must grow in the longest time, as a share of the part that does not grow: less
+changes no prediction, and small errors of dead times and lags at every step look like it."""
 
 _LEAST: Final = 1e-6
-"""Least noise that is told [m] or [rad]: a tenth of what the closest odometry tells."""
+"""Least noise that is reported [m] or [rad]: a tenth of the step of the finest odometry."""
 
 _FEWEST_HORIZONS: Final = 3
 """Times that are looked at, each twice the one before: with two a curve passes for growth."""
@@ -58,7 +58,7 @@ Stretch = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensingNoise:
-    """Standard deviations of what a pose is off.
+    """Standard deviations of the errors of a pose.
 
     Attributes:
         position_m: Of x and of y [m].
@@ -93,7 +93,7 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
 
 
 def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> float | None:
-    """Return by how much a model's error grows [m or rad by the root of a second].
+    """Return how fast a model's error grows [m or rad per square root of a second].
 
     Returns:
         None where the axis has no model, or no run is long enough.

@@ -27,10 +27,10 @@ _REGULAR: Final = 0.2
 a message of 10 Hz by some milliseconds, a hand at a keyboard by tenths of a second."""
 
 _MOSTLY: Final = 0.8
-"""Share of the intervals that must be so; others are lost messages and pauses."""
+"""Share of the intervals that must be regular; the others are lost messages and pauses."""
 
 _FEWEST: Final = 10
-"""Fewest intervals from which a period is told."""
+"""Fewest intervals from which a period is computed."""
 
 _WHOLE: Final = 0.05
 """Share by which the timer's period may be off a multiple of the poses' to be made one: two clocks
@@ -41,14 +41,14 @@ _FEWEST_ARRIVALS: Final = 3
 one drive."""
 
 _EXACT: Final = 1e-6
-"""Share by which commands that are meant to be alike differ: single precision, and sums of steps.
+"""Share by which commands that are meant to be equal differ: single precision, and sums of steps.
 """
 
 _TOLERANCE: Final = 0.01
-"""Of the goal [m] and [rad]: wheeled robots keep about that."""
+"""Tolerance of the goal [m] and [rad]: wheeled robots keep about that."""
 
 _ABOVE_NOISE: Final = 5.0
-"""Standard deviations of the noise of poses that the tolerance is at least, or it is never kept."""
+"""Least tolerance, in standard deviations of the noise of poses: a smaller one is never kept."""
 
 _DRIVE_S: Final = 5.0
 """For how long a robot drives towards the goal, and its heading drifts [s]."""
@@ -59,7 +59,7 @@ _ABOVE_DRIFT: Final = 2.0
 _PLACE: Final = ("x_m", "y_m")
 
 _AHEAD_M: Final = 1.0
-"""Where a goal is set that the bag does not have: so far ahead, and to the left [m]."""
+"""How far ahead and to the left a goal is set where the bag has none [m]."""
 
 _LONGEST_PERIOD_S: Final = 1.0
 _SHORTEST_PERIOD_S: Final = 0.001

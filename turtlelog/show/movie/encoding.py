@@ -22,11 +22,11 @@ Picture = NDArray[np.uint8]
 MOVIE_FORMATS: Final = (".mp4", ".gif")
 
 PICTURES_PER_S: Final = {".mp4": 24.0, ".gif": 20.0}
-"""As in the cinema: VP9 takes 0.13 s of processor time a picture. Pictures of a GIF last whole
-hundredths of a second, and many readers show none below five."""
+"""As in the cinema; VP9 takes 0.13 s of processor time per picture. Pictures of a GIF last whole
+hundredths of a second, and many programs show none of less than five."""
 
 _COLORS: Final = 128
-"""Of a GIF: twelve runs with their fainter ways and soft edges need about 90."""
+"""Colours of a GIF: twelve runs with their fainter paths and soft edges need about 90."""
 
 
 def require_encoder(suffix: str) -> None:
@@ -58,7 +58,7 @@ def encode_movie(pictures: Iterable[Picture], path: Path) -> None:
 
 def _encode_mp4(pictures: Iterable[Picture], path: Path) -> None:
     cv2 = load_library("cv2")
-    # The encoder goes by the name's end, and the name to write to has another one.
+    # OpenCV chooses the encoder by the file's ending, and the name to write to has another one.
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
         whole = Path(folder) / "movie.mp4"
         writer: Any = None

@@ -14,7 +14,7 @@ from turtlelog.show.phase_timelines import TIMELINE, find_phase_zeros
 Values = NDArray[np.float64]
 
 SHORTEST_S, LONGEST_S = 1.0, 600.0
-"""Of a movie [s]: a shorter one is a picture; of a longer one the pictures fill gigabytes."""
+"""Bounds of a movie's length [s]: a shorter one is a picture, a longer one takes gigabytes."""
 
 _STILL_S: Final = 1.5
 """At its end nothing moves [s]: there is time to read how far off the runs are."""
@@ -23,7 +23,7 @@ _MOST_STILL: Final = 0.3
 """Of the movie at most."""
 
 _SLOWEST: Final = 0.25
-"""Slow motion at most: a run of half a second takes two, and each of its poses can be seen."""
+"""Slowest motion: a run of half a second takes two, and each of its poses can be seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,7 +79,7 @@ def plan_film(
 
 
 def _choose_length(span_s: float) -> float:
-    """Return how long a movie is that nobody told [s]: real time where that is 2 to 10 s."""
+    """Return the length of a movie for which none is given [s]: real time, within bounds."""
     return float(np.clip(span_s + _STILL_S, min(span_s / _SLOWEST + _STILL_S, 3.0), 10.0))
 
 

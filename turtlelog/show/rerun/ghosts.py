@@ -1,4 +1,4 @@
-"""Ghosts: what might have been, beside the run in the plane; how far apart they are, and names."""
+"""Ghosts: what might have been, beside the run in the plane; how far apart they are, a key."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -164,7 +164,7 @@ def draw_key(
     bounds: Bounds,
     runs: Sequence[Run],
 ) -> None:
-    """Name the turtles of a plane where they keep away from."""
+    """Name the turtles of a plane where fewest of their poses are."""
     half_m = bounds.half_size_m
     longest = max(len(name) for name, _ in rows) * _KEY_LETTER + _KEY_GAP
     width = _KEY_SAMPLE + _KEY_GAP + longest
