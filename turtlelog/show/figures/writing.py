@@ -182,7 +182,10 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
 def _drop_layout_tables() -> Iterator[None]:
     """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing."""
     options: Any = subset.Options
-    usual = options._drop_tables_default
+    usual = getattr(options, "_drop_tables_default", None)
+    if usual is None:  # a newer fontTools: the figures take longer, and look the same
+        yield
+        return
     options._drop_tables_default = [*usual, *_LAYOUT_TABLES]
     try:
         yield
