@@ -1,14 +1,17 @@
 """What `view --snapshot` refuses before it draws."""
 
+import math
 from pathlib import Path
 
 import pytest
 
 import turtlelog as tl
 from tests.fresh_process import run_command
-from turtlelog.cli.view import PictureOptions, _choose_time, _parse_size
-from turtlelog.errors import UsageError
+from turtlelog.cli.movie import MovieOptions
+from turtlelog.cli.view import PictureOptions, _choose_time, _parse_size, _require_picture
+from turtlelog.errors import ShowError, UsageError
 from turtlelog.scenario import get_preset
+from turtlelog.show.rerun.snapshot import _require_inside
 
 
 @pytest.mark.parametrize("size", ["479x320", "480x319"])
@@ -18,13 +21,39 @@ def test_a_size_at_which_no_curve_shows_is_refused(size: str) -> None:
     assert _parse_size("480x320") == (480, 320)
 
 
-def test_a_time_beyond_the_run_is_refused_and_without_one_the_picture_is_of_its_end() -> None:
-    assert _choose_time(PictureOptions(), 12.608) == 12.608
-    assert _choose_time(PictureOptions(at=12.608), 12.608) == 12.608
+def test_a_time_without_the_run_is_refused_and_without_one_the_picture_is_of_its_end() -> None:
+    span_s = (-0.08, 12.608)
+    assert _choose_time(PictureOptions(), span_s) == 12.608
+    assert _choose_time(PictureOptions(at=12.608), span_s) == 12.608
     with pytest.raises(UsageError, match=r"--at: expected at most 12.608 s, .*, found 12.61"):
-        _choose_time(PictureOptions(at=12.61), 12.608)
-    assert _choose_time(PictureOptions(at=99.0, timeline="translate_time"), 12.608) == 99.0
+        _choose_time(PictureOptions(at=12.61), span_s)
+    assert _choose_time(PictureOptions(at=-0.08), span_s) == -0.08
+    with pytest.raises(UsageError, match=r"--at: expected at least -0.080 s, .*, found -0.09"):
+        _choose_time(PictureOptions(at=-0.09), span_s)
+    assert _choose_time(PictureOptions(at=99.0, timeline="translate_time"), span_s) == 99.0
     assert _choose_time(PictureOptions(), None) is None
+
+
+@pytest.mark.parametrize(
+    ("picture", "line"),
+    [
+        (PictureOptions(at=3.0), "--at: expected together with --snapshot, found 3"),
+        (PictureOptions(size="800x600"), "--size: expected together with --snapshot, .* 800x600"),
+        (PictureOptions(at=math.nan, snapshot=Path("x.png")), "--at: expected seconds, .* nan"),
+        (PictureOptions(at=1e9, snapshot=Path("x.png")), "--at: expected seconds, .* 1e.09"),
+    ],
+)
+def test_an_option_that_a_picture_cannot_have_is_named(picture: PictureOptions, line: str) -> None:
+    with pytest.raises(UsageError, match=line):
+        _require_picture(picture, MovieOptions())
+
+
+def test_a_time_at_which_a_view_has_nothing_is_refused() -> None:
+    _require_inside(13.4, "sim_time", -0.064, 13.4)
+    _require_inside(-0.064, "sim_time", -0.064, 13.4)
+    for cursor_s in (13.41, -0.07):
+        with pytest.raises(ShowError, match=f"at: expected -0.064 to 13.400 s, .* {cursor_s}"):
+            _require_inside(cursor_s, "sim_time", -0.064, 13.4)
 
 
 def test_a_picture_that_shows_nothing_is_one_line_and_no_file(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ _HOUR_S = 3600.0
 _ROUNDING_S = 1e-3
 """The end is printed in milliseconds."""
 
+_USUAL_SIZE = "1600x900"
 _LEAST_SIZE = 480, 320
 """Width and height of a picture at least [pixels]: titles and axes take 40 of every row of plots,
 and what is left of it is 45 high."""
@@ -47,7 +48,7 @@ class PictureOptions:
     snapshot: Path | None = None
     at: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     timeline: str = "sim_time"
-    size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = "1600x900"
+    size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = _USUAL_SIZE
 
 
 @Parameter(name="*")
@@ -105,7 +106,7 @@ def view(
         if save is None and picture.snapshot is None and not window.web:
             return
     with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
-        rrds, end_s = _prepare_rrds(files, save, picture, Path(folder), topics)
+        rrds, span_s = _prepare_rrds(files, save, picture, Path(folder), topics)
         if save is not None:
             print_note(f"wrote {save}")
         if picture.snapshot is not None:
@@ -113,7 +114,7 @@ def view(
                 tl.show.write_snapshot(
                     rrds[0],
                     picture.snapshot,
-                    at_s=_choose_time(picture, end_s),
+                    at_s=_choose_time(picture, span_s),
                     timeline=picture.timeline,
                     size=width_and_height,
                 )
@@ -136,8 +137,12 @@ def _film(
 
 
 def _require_picture(picture: PictureOptions, movie: MovieOptions) -> None:
-    if picture.at is not None and (picture.snapshot is None or not abs(picture.at) < _LONGEST_S):
-        raise UsageError(f"--at: expected seconds together with --snapshot, found {picture.at}")
+    if picture.at is not None and not abs(picture.at) < _LONGEST_S:
+        raise UsageError(f"--at: expected seconds, less than {_LONGEST_S:g}, found {picture.at:g}")
+    if picture.at is not None and picture.snapshot is None:
+        raise UsageError(f"--at: expected together with --snapshot, found {picture.at:g}")
+    if picture.size != _USUAL_SIZE and picture.snapshot is None:
+        raise UsageError(f"--size: expected together with --snapshot, found {picture.size}")
     is_timed = picture.snapshot is not None or movie.movie is not None
     if picture.timeline != "sim_time" and not is_timed:
         expected = "expected together with --snapshot or --movie"
@@ -194,8 +199,8 @@ def _prepare_rrds(
     picture: PictureOptions,
     folder: Path,
     topics: ReadingOptions | None,
-) -> tuple[list[Path], float | None]:
-    """Return the views, and where the longest run ends [s], where that is known."""
+) -> tuple[list[Path], tuple[float, float] | None]:
+    """Return the views, and where the first pose and the longest run's end are [s], if known."""
     ready = [path for path in files if path.suffix == ".rrd"]
     if ready and (len(ready) < len(files) or save is not None):
         raise UsageError(f"FILE: expected recordings, found {ready[0]}, which is a view already")
@@ -211,13 +216,20 @@ def _prepare_rrds(
             tl.write_run_rrd(runs[0], rrd, size=size)
         else:
             tl.write_comparison_rrd(runs, rrd, size=size)
-    return [rrd], max(run.end_ns - run.start_ns for run in runs) / 1e9
+    start_ns = min(int(run.poses.time_ns[0]) - run.start_ns for run in runs)
+    return [rrd], (start_ns / 1e9, max(run.end_ns - run.start_ns for run in runs) / 1e9)
 
 
-def _choose_time(picture: PictureOptions, end_s: float | None) -> float | None:
+def _choose_time(picture: PictureOptions, span_s: tuple[float, float] | None) -> float | None:
     """Return the time of the picture: a view is a little longer than its runs."""
-    if picture.timeline != "sim_time" or end_s is None:
+    if picture.timeline != "sim_time" or span_s is None:
         return picture.at
-    if picture.at is not None and picture.at > end_s + _ROUNDING_S:
+    start_s, end_s = span_s
+    if picture.at is None:
+        return end_s
+    if picture.at > end_s + _ROUNDING_S:
         raise UsageError(f"--at: expected at most {end_s:.3f} s, where it ends, found {picture.at}")
-    return end_s if picture.at is None else picture.at
+    if picture.at < start_s - _ROUNDING_S:
+        expected = f"expected at least {start_s:.3f} s, where it begins"
+        raise UsageError(f"--at: {expected}, found {picture.at}")
+    return picture.at

@@ -27,6 +27,8 @@ _PAUSE_S: Final = 0.1
 _NOTICE_S: Final = 3.5
 _LAST_BREATH_S: Final = 2.0
 _ZOOM_STEP: Final = 0.1
+_ROUNDING_S: Final = 1e-3
+"""Times are printed in milliseconds."""
 _OTHER_TIMELINES: Final = frozenset({TICKS, WALL_TIMELINE, "log_time", "log_tick"})
 """Those that do not count in seconds from a moment of the run."""
 
@@ -200,17 +202,32 @@ def _open(client: ViewerClient, path: Path, last_log: int) -> None:
 
 def _set_time(client: ViewerClient, at_s: float | None, name: str) -> None:
     """Put the cursor at a time, or at the end; a recording without times has no cursor."""
+    starts_ns: dict[str, int] = {}
     ends_ns: dict[str, int] = {}
     for recording in client.get_state().recordings:
         for timeline in recording.timelines:
             if timeline.end is not None and timeline.name not in _OTHER_TIMELINES:
+                start_ns = timeline.end if timeline.start is None else timeline.start
+                starts_ns[timeline.name] = min(start_ns, starts_ns.get(timeline.name, start_ns))
                 ends_ns[timeline.name] = max(timeline.end, ends_ns.get(timeline.name, 0))
+    if name == TIMELINE and name not in ends_ns and len(ends_ns) == 1:
+        (name,) = ends_ns  # of an identified robot its own
     if name in ends_ns:
         cursor_s = ends_ns[name] / 1e9 if at_s is None else at_s
+        _require_inside(cursor_s, name, starts_ns[name] / 1e9, ends_ns[name] / 1e9)
         client.set_time(name, duration=cursor_s, play_state="paused")
     elif at_s is not None or name != TIMELINE:
         known = " or ".join(sorted(ends_ns)) or "one, of which there is none"
         raise ShowError(f"timeline: expected {known}, found {name}")
+
+
+def _require_inside(cursor_s: float, name: str, start_s: float, end_s: float) -> None:
+    """Raise where a view has nothing at a time: the picture would be empty."""
+    if not start_s - _ROUNDING_S <= cursor_s <= end_s + _ROUNDING_S:
+        raise ShowError(
+            f"at: expected {start_s:.3f} to {end_s:.3f} s, where {name} begins and ends,"
+            f" found {cursor_s:g}"
+        )
 
 
 def _take_picture(client: ViewerClient) -> bytes:
