@@ -9,6 +9,7 @@ from tests.cli.conftest import Call
 from tests.identify.robots import Log, Truth, make_run, write_bag
 from tests.log.ros2.bags import make_poses, write_mcap
 from tests.log.runs import find_shared
+from tests.show.rerun.rrds import read_blueprint_parts
 from turtlelog.identify import Estimate
 
 LOG = Log(
@@ -107,6 +108,8 @@ def test_a_view_holds_command_motion_model_and_residual(
     entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "robot.rrd").stream()}
     names = ("commanded", "measured", "modelled", "residual")
     assert {f"/{axis}/{name}" for axis in VALUES for name in names} <= entities
+    ranges = read_blueprint_parts(tmp_path / "robot.rrd", "TimeAxis:view_range")
+    assert {"start": None, "end": None} in ranges  # all there is, wherever the cursor stands
 
 
 @pytest.mark.parametrize(

@@ -48,8 +48,11 @@ def write_prediction_rrd(found: RobotComparison, path: str | Path) -> None:
     )
     layout = LinkedBlueprint(
         rrb.Horizontal(plane, rrb.Vertical(*errors, *rates), column_shares=[1.0, 1.2]),
-        rrb.TimePanel(state=rrb.PanelState.Collapsed, timeline=TIMELINE),
-        collapse_panels=True,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
     )
     name = f"{found.name} beside {found.scenario}"
     with open_recording(path, name=name, layout=layout) as stream:
