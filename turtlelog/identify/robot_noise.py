@@ -1,8 +1,8 @@
 """The noise of a robot's poses, and that of its rates.
 
 Errors of poses do not grow with time, errors of rates do: the mean square error of the way driven
-in a time t is `still` + noise^2 t. The noise of poses is measured where the robot stands: in motion,
-errors of time stamps look the same.
+in a time t is `still` + noise^2 t. The noise of poses is measured where the robot stands: in
+motion, errors of time stamps look the same.
 """
 
 from collections.abc import Iterator, Sequence
