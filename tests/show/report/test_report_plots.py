@@ -12,7 +12,7 @@ from turtlelog.cli.check import build_spec
 from turtlelog.run import Run
 from turtlelog.show.report.drawn import Drawn, Plots
 from turtlelog.show.report.marked_plots import MOST_MARKED
-from turtlelog.show.report.plots import Violation, draw_plots
+from turtlelog.show.report.page_plots import Violation, draw_plots
 from turtlelog.show.report.violation_plots import MOST_VIOLATIONS, RED
 
 pytest.importorskip("bokeh")

@@ -24,6 +24,7 @@ from turtlelog.show.report.violation_plots import RED, draw_violations
 from turtlelog.show.robot_curves import part_curve
 from turtlelog.show.shared_curves import (
     Curve,
+    find_unit,
     list_levels,
     read_applied,
     read_command,
@@ -142,7 +143,7 @@ def _draw_signal(
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
-    title, unit = _TITLES[signal]
+    title, unit = _TITLES[signal], find_unit(drawn[0].run, signal)
     figure = make_figure(
         plots, f"plot-{signal}", f"{title} [{unit}]", x_range=x_range, height=230,
         x_axis_label="time from the first sample [s]",

@@ -27,7 +27,7 @@ from turtlelog.show.output_files import replace_file
 from turtlelog.show.palette import GHOST, choose_mechanism_colors, choose_run_colors
 from turtlelog.show.report.conclusion import conclude, conclude_cause, conclude_checks
 from turtlelog.show.report.drawn import Drawn, Plots
-from turtlelog.show.report.plots import Violation, draw_plots
+from turtlelog.show.report.page_plots import Violation, draw_plots
 from turtlelog.show.report.sections import (
     CheckLine,
     show,
