@@ -25,7 +25,8 @@ from turtlelog.show.figures.attribution_figure import (
     explain_for_figure,
 )
 from turtlelog.show.figures.figure_kinds import list_usual_figures
-from turtlelog.show.figures.gain_figure import draw_gains, find_loop_gains
+from turtlelog.show.figures.gain_figure import draw_gains
+from turtlelog.show.figures.loop_gains import find_loop_gains
 from turtlelog.show.figures.metric_panels import complete_name, measure_for_figure
 from turtlelog.show.figures.rates_figure import draw_rates, find_step
 from turtlelog.show.figures.strip_figure import draw_strips, group_runs
