@@ -34,6 +34,7 @@ from turtlelog.identify.axis_motion import (
 from turtlelog.identify.correlation import find_correlation_delay
 from turtlelog.identify.held_response import Values
 from turtlelog.identify.order_choice import choose_order
+from turtlelog.identify.repeated_commands import find_repetition, tell_twin
 from turtlelog.identify.robot_model import AxisModel, Estimate, RobotEvent, RobotModel
 from turtlelog.identify.tick_delays import identify_ticks
 from turtlelog.run import Run
@@ -132,13 +133,9 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         return opposite or refuse_axis(axis, "no motion follows the commands"), []
     fit = choose_order(fit)
     found = _describe(axis, fit, sum(_count_changes(run, axis) for run in runs))
-    reason = _find_doubt(found, fit)
-    if reason or found.explained is None or found.explained < _OPPOSITE_EXPLAINS:
-        opposite = _find_opposite(axis, motions, fit)
-        if opposite is not None:
-            return opposite, []
-    if reason:
-        return refuse_axis(axis, reason), []
+    refused = _refuse_fit(axis, motions, fit, found)
+    if refused is not None:
+        return refused, []
     names = [run.name for run, motion in zip(runs, motions, strict=True) if len(motion.moved)]
     delay_s = find_correlation_delay(motions)
     waits_s = [stop.stop_s - stop.begin_s for motion in motions for stop in motion.stops]
@@ -146,6 +143,21 @@ def _identify_axis(runs: Sequence[Run], axis: Axis) -> tuple[AxisModel, list[Rob
         found, correlation_delay_s=delay_s, steps_in_all=steps, silent_stops_s=tuple(waits_s)
     )
     return found, _list_events(names, axis, fit)
+
+
+def _refuse_fit(
+    axis: Axis, motions: Sequence[AxisMotion], fit: AxisFit, found: AxisModel
+) -> AxisModel | None:
+    """Refuse an axis that a fit does not tell, saying why; None where it does."""
+    opposite = None
+    reason = _find_doubt(found, fit)
+    if reason or found.explained is None or found.explained < _OPPOSITE_EXPLAINS:
+        opposite = _find_opposite(axis, motions, fit)
+    repetition = None if reason or opposite else find_repetition(motions)
+    if repetition is not None:
+        reason, is_opposite = tell_twin(fit, *repetition)
+        opposite = _find_opposite(axis, motions, None) if is_opposite else None
+    return opposite or (refuse_axis(axis, reason) if reason else None)
 
 
 def _find_opposite(
