@@ -74,3 +74,11 @@ def test_commands_that_are_hardly_alike_do_not_repeat(odd: int, repeats: bool) -
     log = Log(duration_s=30.0, poses_hz=20.0)
     run = make_run(log, 5, (TIME_S, 0.0 * value), (TIME_S, value))
     assert (find_repetition([read_axis_motion(run, "turn_rate")]) is not None) == repeats
+
+
+def test_one_step_does_not_repeat() -> None:
+    value = np.where(TIME_S < 10.0, 0.0, 1.0)
+    run = make_run(Log(duration_s=30.0, poses_hz=20.0), 5, (TIME_S, value), (TIME_S, value))
+    for end_s in (12.0, 29.0):
+        motion = read_axis_motion(run.slice(end_s=end_s), "turn_rate")
+        assert find_repetition([motion]) is None

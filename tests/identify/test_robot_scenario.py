@@ -1,6 +1,7 @@
 """Robots of known noise, periods and limits, as scenarios."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,10 @@ from tests.identify.robots import (
     respond,
     turn_with_limit,
 )
+from tests.known import known
 from turtlelog.identify import RobotScenario, build_robot_scenario
+from turtlelog.identify.axis_motion import AXES
+from turtlelog.identify.robot_noise import measure_rate_noise, measure_sensing_noise
 from turtlelog.run import Run
 
 LOG = Log(
@@ -150,6 +154,39 @@ def test_a_robot_that_is_pushed_while_nothing_is_commanded_does_not_stand() -> N
         pushed = replace(run, poses=replace(run.poses, xy_m=slid))
         found = build_robot_scenario(tl.identify_robot(run), pushed)
         assert ("in which the robot stands" in " ".join(found.notes)) == stands
+
+
+def test_noise_that_may_hide_is_bounded() -> None:
+    sensing, rates = (2e-3, 4e-3), (5e-3, 1e-2)
+    still = drive_with_noise(1, sensing=sensing)
+    model = tl.identify_robot(still)
+    speed, turn_rate = (known(measure_rate_noise(model, axis, [still])) for axis in AXES)
+    pushed = drive_with_noise(1, rates=rates)
+    poses = known(measure_sensing_noise(tl.identify_robot(pushed), [pushed]))
+    hidden = speed.hidden, turn_rate.hidden, poses.position.hidden, poses.heading.hidden
+    assert (speed.size, turn_rate.size, poses.position.size, poses.heading.size) == (0.0,) * 4
+    assert max(hidden[:2]) < max(rates)
+    shown = {1.0: 0, 0.1: 0}
+    for seed in range(4):
+        for scale in shown:
+            size = [scale * one for one in hidden]
+            first = build(drive_with_noise(seed, rates=(size[0], size[1]), sensing=sensing))
+            other = build(drive_with_noise(seed, rates=rates, sensing=(size[2], size[3])))
+            found = *list_noise(first.scenario)[:2], *list_noise(other.scenario)[2:]
+            shown[scale] += np.count_nonzero(found)
+    # Chance hides one of 40 that are as large as is told.
+    assert shown[1.0] >= 15
+    assert shown[0.1] <= 1
+
+
+def test_what_may_hide_is_told() -> None:
+    told = " ".join(build(drive_with_noise(1, rates=(5e-3, 1e-2))).notes)
+    assert re.search(r"What shows none has 0: up to 0\.\d+ mm and [\d.]+ mrad may hide\.", told)
+    told = " ".join(build(drive_with_noise(1, sensing=(2e-3, 4e-3))).notes)
+    assert re.search(r"speed does not clearly grow .* 0\. Up to [\d.]+ mm by the root of", told)
+    assert "may hide" not in " ".join(
+        build(drive_with_noise(1, rates=(5e-3, 1e-2), sensing=(2e-3, 4e-3))).notes
+    )
 
 
 def test_a_goal_is_set_and_the_start_is_the_first_pose() -> None:

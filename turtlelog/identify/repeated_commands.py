@@ -38,7 +38,7 @@ def find_repetition(motions: Sequence[AxisMotion]) -> tuple[float, int] | None:
     Only times up to the largest dead time count: a later repetition explains nothing.
     """
     commands = [_sample(motion) for motion in motions if motion.commands.value.any()]
-    if not commands:
+    if not any(map(len, commands)):
         return None
     mean = float(np.concatenate(commands).mean())
     lags = np.arange(1, round(LARGEST_DEAD_TIME_S / _SAMPLE_S) + 1)
@@ -91,10 +91,11 @@ def tell_twin(fit: AxisFit, shift_s: float, sign: int) -> tuple[str, bool]:
 
 
 def _sample(motion: AxisMotion) -> Values:
-    """Return the held commands at equal times, from the first other than 0 to the last."""
+    """Return the held commands at equal times, from the first other than 0 to the last's end."""
     time_s, value = motion.commands.time_s, motion.commands.value
     moving = np.flatnonzero(value)
-    begin_s, end_s = float(time_s[moving[0]]), float(time_s[moving[-1]])
+    ends_s = np.append(time_s[1:], motion.time_s[-1])
+    begin_s, end_s = float(time_s[moving[0]]), float(ends_s[moving[-1]])
     at_s = np.arange(begin_s, min(end_s, begin_s + _MOST_S), _SAMPLE_S)
     return np.asarray(value[np.searchsorted(time_s, at_s, side="right") - 1])
 

@@ -46,6 +46,13 @@ _MATTERS: Final = 0.3
 """How much the error must grow in the longest time, as a share of the part that does not grow: less
 changes no prediction, and small errors of dead times and lags at every step look like it."""
 
+_HIDES: Final = 2.0
+"""A growth by so many times what is told would have been told: so few ways of the longest time are
+right to a half."""
+
+_STILL_HIDES: Final = 4.0
+"""A noise of poses whose square is so many times what chance makes shows in 39 of 40 robots."""
+
 _LEAST: Final = 1e-6
 """Least noise that is reported [m] or [rad]: a tenth of the step of the finest odometry."""
 
@@ -57,17 +64,30 @@ Stretch = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SensingNoise:
-    """Standard deviations of the errors of a pose.
+class Noise:
+    """A noise that was measured.
 
     Attributes:
-        position_m: Of x and of y [m].
-        heading_rad: Of the heading [rad].
+        size: Its standard deviation [m] or [rad], of rates by the root of a second; 0: none shows.
+        hidden: So much may be there where none shows.
+    """
+
+    size: float
+    hidden: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensingNoise:
+    """By how much a pose is off.
+
+    Attributes:
+        position: Of x and of y [m].
+        heading: Of the heading [rad].
         standing_s: For how long the robot stands in all [s].
     """
 
-    position_m: float
-    heading_rad: float
+    position: Noise
+    heading: Noise
     standing_s: float
 
 
@@ -86,14 +106,14 @@ def measure_sensing_noise(model: RobotModel, runs: Sequence[Run]) -> SensingNois
     if not standing_s:
         return None
     return SensingNoise(
-        position_m=_measure_still(places),
-        heading_rad=_measure_still(headings),
+        position=_measure_still(places),
+        heading=_measure_still(headings),
         standing_s=standing_s,
     )
 
 
-def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> float | None:
-    """Return how fast a model's error grows [m or rad per square root of a second].
+def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> Noise | None:
+    """Return by how much a model's error grows [m or rad by the root of a second].
 
     Returns:
         None where the axis has no model, or no run is long enough.
@@ -110,7 +130,9 @@ def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> fl
     # Noise of poses alone gives each mean square alike, but for the chance of its many poses.
     sure = max(_SURE * float(np.sqrt(2.0 / in_all[-1])), _MATTERS)
     noise = float(np.sqrt(power))
-    return noise if power * horizons_s[-1] > sure * still and noise > _LEAST else 0.0
+    shows = power * horizons_s[-1] > sure * still and noise > _LEAST
+    hidden = float(np.sqrt(_HIDES * sure * still / horizons_s[-1]))
+    return Noise(size=noise if shows else 0.0, hidden=max(hidden, _LEAST))
 
 
 def _list_standing(model: RobotModel, run: Run) -> Iterator[slice]:
@@ -154,7 +176,7 @@ def _stands(run: Run, rows: slice) -> bool:
     return still_m and (not most_rad or abs(float(turned[-1] - turned[0])) <= most_rad)
 
 
-def _measure_still(stretches: Sequence[Stretch]) -> float:
+def _measure_still(stretches: Sequence[Stretch]) -> Noise:
     """Return the standard deviation of what does not grow; 0 where none is sure.
 
     The changes of neighbours are then correlated, by -1/2 if nothing grows.
@@ -163,9 +185,9 @@ def _measure_still(stretches: Sequence[Stretch]) -> float:
     size = sum(change.size for change in changes)
     variance = sum(float((change**2).sum()) for change in changes) / size
     beside = -sum(float((change[1:] * change[:-1]).sum()) for change in changes) / size
-    if beside <= max(_SURE * variance / np.sqrt(size), _LEAST**2):
-        return 0.0
-    return float(np.sqrt(beside))
+    sure = max(_SURE * variance / float(np.sqrt(size)), _LEAST**2)
+    found = float(np.sqrt(beside)) if beside > sure else 0.0
+    return Noise(size=found, hidden=float(np.sqrt(max(beside, 0.0) + _STILL_HIDES * sure)))
 
 
 def _list_errors(model: RobotModel, axis: Axis, run: Run) -> Iterator[Stretch]:

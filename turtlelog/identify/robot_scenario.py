@@ -13,7 +13,7 @@ from turtlelog.errors import IdentifyError, ScenarioError
 from turtlelog.escapes import escape_controls
 from turtlelog.identify.axis_motion import AXES, NAMES, UNITS, Axis, get_commands
 from turtlelog.identify.robot_model import AxisModel, RobotModel
-from turtlelog.identify.robot_noise import measure_rate_noise, measure_sensing_noise
+from turtlelog.identify.robot_noise import Noise, measure_rate_noise, measure_sensing_noise
 from turtlelog.loops import LIMIT_KEYS, PLANT_KEYS
 from turtlelog.plants import LAGGED
 from turtlelog.run import Run
@@ -245,7 +245,8 @@ def _list_limits(model: RobotModel, runs: Sequence[Run]) -> Part:
         if is_limit:
             notes.append(
                 f"Commands of the {name} arrive {describe_count(arrivals, 'time')} at exactly"
-                f" {largest:.6g} {unit}, the largest: that is the limit."
+                f" {largest:.6g} {unit}, the largest: that is taken as the limit. Where the robot"
+                f" can do more, set {LIMIT_KEYS[axis.axis]}."
             )
         elif largest:
             notes.append(
@@ -287,8 +288,13 @@ def _list_noise(model: RobotModel, runs: Sequence[Run]) -> Part:
             " known: it is 0."
         )
     else:
-        position_m, heading_rad = _round(sensing.position_m), _round(sensing.heading_rad)
-        zero = "" if position_m and heading_rad else " What shows no noise has 0."
+        position_m, heading_rad = _round(sensing.position.size), _round(sensing.heading.size)
+        hidden = [
+            f"{1e3 * noise.hidden:.2g} {unit}"
+            for noise, unit in ((sensing.position, "mm"), (sensing.heading, "mrad"))
+            if not noise.size
+        ]
+        zero = f" What shows none has 0: up to {' and '.join(hidden)} may hide." if hidden else ""
         values |= {
             "sensing.noise_position_m": position_m,
             "sensing.noise_heading_rad": heading_rad,
@@ -299,22 +305,25 @@ def _list_noise(model: RobotModel, runs: Sequence[Run]) -> Part:
         )
     for axis, key in zip(AXES, ("noise_speed", "noise_turn_rate"), strict=True):
         noise = measure_rate_noise(model, axis, runs)
-        values[f"disturbance.{key}"] = _round(noise or 0.0)
+        values[f"disturbance.{key}"] = _round(noise.size if noise else 0.0)
         notes += _tell_rate_noise(axis, noise)
     return values, notes
 
 
-def _tell_rate_noise(axis: Axis, noise: float | None) -> Iterator[str]:
+def _tell_rate_noise(axis: Axis, noise: Noise | None) -> Iterator[str]:
+    name, unit = NAMES[axis], "mm" if axis == "speed" else "mrad"
     if noise is None:
-        yield f"How the noise of the {NAMES[axis]} grows is not known: it is 0."
-    elif noise:
-        scale, unit = (1e3, "mm") if axis == "speed" else (1e3, "mrad")
+        yield f"How the noise of the {name} grows is not known: it is 0."
+    elif noise.size:
         yield (
-            f"The noise of the {NAMES[axis]} is how the model's error grows with time:"
-            f" {scale * noise:.3g} {unit} by the root of a second."
+            f"The noise of the {name} is how the model's error grows with time:"
+            f" {1e3 * noise.size:.3g} {unit} by the root of a second."
         )
     else:
-        yield f"The model's error of the {NAMES[axis]} does not grow with time: its noise is 0."
+        yield (
+            f"The model's error of the {name} does not clearly grow with time: its noise is 0."
+            f" Up to {1e3 * noise.hidden:.2g} {unit} by the root of a second may hide."
+        )
 
 
 def _list_places(run: Run) -> Part:
