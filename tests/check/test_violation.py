@@ -49,6 +49,26 @@ def test_the_magnitude_of_a_signal_is_a_band_of_two_sides() -> None:
             {"low": "limit -0.1 m", "high": "limit 0.002 m"},
         ),
         (
+            "always(-0.1 <= cross_track and cross_track <= 0.002)",
+            "cross_track [m]",
+            {"low": "limit -0.1 m", "high": "limit 0.002 m"},
+        ),
+        (
+            "not eventually(cross_track < -0.1 or cross_track > 0.002)",
+            "cross_track [m]",
+            {"low": "limit -0.1 m", "high": "limit 0.002 m"},
+        ),
+        (
+            "always(cross_track >= -0.1 or cross_track <= 0.002 and speed < 0.0)",
+            "cross_track [m]",
+            {"low": "limit -0.1 m"},
+        ),
+        (
+            "always(not cross_track < -0.1 and cross_track <= 0.3*speed + 1)",
+            "cross_track [m]",
+            {"low": "limit -0.1 m"},
+        ),
+        (
             "always(abs(cross_track) <= 0.005 and speed <= 0.5)",
             "speed [m/s]",
             {"high": "limit 0.5 m/s"},

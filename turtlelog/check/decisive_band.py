@@ -1,7 +1,7 @@
 """Where a comparison stands in a formula, and the band that it asks a measured value to stay in."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -48,6 +48,7 @@ class Leaf:
         end_s: Last moment [s].
         body: The part below the innermost window, None where no `always` alone leads to it.
         is_body_denied: Whether the formula asks that the body does not hold.
+        beside: Comparisons that are asked for together with it.
     """
 
     node: Comparison
@@ -56,6 +57,7 @@ class Leaf:
     end_s: float = 0.0
     body: Node | None = None
     is_body_denied: bool = False
+    beside: tuple[Comparison, ...] = ()
 
     def list_links(self) -> list[str]:
         """Return its comparisons of two as a result names them."""
@@ -98,6 +100,7 @@ class _Place:
     body: Node | None = None
     is_body_denied: bool = False
     windows: int = 0
+    beside: tuple[Comparison, ...] = ()
 
     def enter(self, node: Temporal) -> "_Place":
         is_always = (node.operator == "always") is not self.is_denied
@@ -112,7 +115,7 @@ class _Place:
         )
 
     def deny(self) -> "_Place":
-        return replace(self, is_denied=not self.is_denied)
+        return replace(self, is_denied=not self.is_denied, beside=())
 
 
 def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
@@ -125,6 +128,7 @@ def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
                 end_s=place.end_s,
                 body=place.body,
                 is_body_denied=place.is_body_denied,
+                beside=tuple(one for one in place.beside if one is not node),
             )
         case Temporal(operand=operand):
             yield from _descend(operand, place.enter(node))
@@ -133,9 +137,13 @@ def _descend(node: Node, place: _Place) -> Iterator[Leaf]:
                 window = Temporal(operator="eventually", end_s=node.end_s, operand=side)
                 yield from _descend(side, place.enter(window))
         case Logic(operands=operands):
+            both = "or" if place.is_denied else "and"
+            together = [one for one in operands if isinstance(one, Comparison)]
+            beside = tuple(together) if node.operator == both else ()
             for number, operand in enumerate(operands):
                 is_condition = node.operator == "implies" and number == 0
-                yield from _descend(operand, place.deny() if is_condition else place)
+                inner = replace(place.deny() if is_condition else place, beside=beside)
+                yield from _descend(operand, inner)
         case Prefix(operator="not", operand=operand):
             yield from _descend(operand, place.deny())
 
@@ -151,6 +159,25 @@ class Band:
     high: Values | None
     excess: Values
     is_beyond: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Ends:
+    """Ends of a band, None where there is none, and whether one of them is outside itself."""
+
+    low: Values | None = None
+    high: Values | None = None
+    is_strict: bool = False
+
+    def narrow(self, other: "_Ends") -> "_Ends":
+        """Return what both ask for."""
+        lows = [end for end in (self.low, other.low) if end is not None]
+        highs = [end for end in (self.high, other.high) if end is not None]
+        return _Ends(
+            low=np.fmax.reduce(lows) if lows else None,
+            high=np.fmin.reduce(highs) if highs else None,
+            is_strict=self.is_strict or other.is_strict,
+        )
 
 
 class BandReader:
@@ -181,7 +208,7 @@ class BandReader:
         return values[np.searchsorted(time_ns, self._time_ns, side="right") - 1]
 
     def read(self, decided_by: str) -> Band | None:
-        """Return the band of the comparison that decides, with both ends where a chain has them."""
+        """Return the band of the comparison that decides, its other end too if there is one."""
         links = [*_split(self._leaf.node)]
         decisive = next(link for link in links if format_expression(link) == decided_by)
         measured = self._choose_measured(decisive)
@@ -189,23 +216,16 @@ class BandReader:
         shown = self._evaluate(bare)
         if shown is None:
             return None
-        low: Values | None = None
-        high: Values | None = None
-        is_strict, is_magnitude = False, bare is not measured
-        for link in links:
-            if measured not in link.operands:
-                continue
-            operator, limit = self._read_link(link, measured)
-            if limit is None or operator in {"==", "!="}:
-                return None
-            is_strict |= operator in {"<", ">"}
-            if operator in {"<", "<="}:
-                high = limit
-                low = -limit if is_magnitude else low
-            elif is_magnitude:
-                return None
-            else:
-                low = limit
+        is_magnitude = bare is not measured
+        ends = self._find_ends(links, measured, is_magnitude=is_magnitude)
+        if ends is None:
+            return None
+        beside = [part for node in self._leaf.beside for part in _split(node)]
+        beside = [link for link in beside if self._reads_all(link)]
+        for link in beside:
+            more = self._find_ends([link], measured, is_magnitude=is_magnitude)
+            ends = ends if more is None else ends.narrow(more)
+        low, high, is_strict = ends.low, ends.high, ends.is_strict
         values, excess = shown, np.full(len(shown), -np.inf)
         excess = excess if high is None else np.fmax(excess, values - high)
         excess = excess if low is None else np.fmax(excess, low - values)
@@ -224,6 +244,32 @@ class BandReader:
             high=None if high is None else high * factor,
             excess=excess * factor,
             is_beyond=excess >= 0.0 if is_strict else excess > 0.0,
+        )
+
+    def _find_ends(
+        self, links: Sequence[Comparison], measured: Node, *, is_magnitude: bool
+    ) -> "_Ends | None":
+        """Return the ends that comparisons ask for; None where one asks for something else."""
+        ends = _Ends()
+        for link in links:
+            if measured not in link.operands:
+                continue
+            operator, limit = self._read_link(link, measured)
+            if limit is None or operator in {"==", "!="}:
+                return None
+            if operator in {">", ">="} and is_magnitude:
+                return None
+            is_high = operator in {"<", "<="}
+            high = limit if is_high else None
+            low = (-limit if is_magnitude else None) if is_high else limit
+            ends = ends.narrow(_Ends(low=low, high=high, is_strict=operator in {"<", ">"}))
+        return ends
+
+    def _reads_all(self, link: Comparison) -> bool:
+        """Whether its signals are those of the comparison that decides."""
+        names = [part.name for part in iterate_nodes(link) if isinstance(part, Name)]
+        return all(
+            name in self._signals or not isinstance(self._values[name], tuple) for name in names
         )
 
     def _choose_measured(self, link: Comparison) -> Node:

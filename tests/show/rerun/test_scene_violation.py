@@ -124,6 +124,28 @@ def test_the_violated_signal_stands_on_top_with_limits_and_what_is_outside(band_
     assert limits == {"low": {-0.05}, "high": {0.05}}
 
 
+def test_in_the_plane_a_mark_is_no_wider_than_half_of_it(band_rrd: Path, tmp_path: Path) -> None:
+    assert read_static(band_rrd, "/plane/violation", "Points2D:labels") == ["first violated"]
+    for length, shown in ((28, "t" * 28), (29, "t" * 25 + "...")):
+        path = tmp_path / f"{length}.rrd"
+        write_violation_rrd(RUN, path, at_s=1.0, title="t" * length, message="m")
+        assert read_static(path, "/plane/violation", "Points2D:labels") == [shown]
+
+
+def test_of_what_was_waited_for_the_way_there_does_not_hide_how_near_it_came(
+    tmp_path: Path,
+) -> None:
+    waited = violate_track(0.05, "nearest")
+    nearest = ViolationMoment(time_s=5.664, value=-0.051)
+    waited = replace(waited, outside=np.full_like(waited.outside, True), worst=nearest)
+    path = tmp_path / "x.rrd"
+    far = replace(waited.curve, values=waited.curve.values - 1.0)
+    write_violation_rrd(
+        RUN, path, at_s=1.0, title="t", message="m", violated=replace(waited, curve=far)
+    )
+    assert any(name.startswith("cross_track [m], close up") for name in read_layout(path))
+
+
 def test_the_first_and_the_worst_moment_are_named_with_value_and_time(band_rrd: Path) -> None:
     names = [
         read_static(band_rrd, f"/violated/points/{part}", "SeriesPoints:names")

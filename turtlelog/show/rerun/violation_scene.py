@@ -54,6 +54,8 @@ _CLOSE_UP: Final = 4.0
 would take less than a quarter of it."""
 
 _LONGEST_TITLE: Final = 110
+_LONGEST_NAME: Final = 28
+"""In the plane: about half of its width."""
 
 
 def write_violation_rrd(
@@ -75,7 +77,7 @@ def write_violation_rrd(
         run: What to show.
         path: The .rrd file; replaced when the new one is complete.
         at_s: The moment, from the first sample [s].
-        title: A few words, beside the mark.
+        title: A few words; where there is no signal they stand beside the mark.
         message: All there is to say, as it would be printed.
         violated: The signal; None where the violation belongs to none.
 
@@ -98,7 +100,7 @@ def write_violation_rrd(
     with open_recording(path, name=f"{run.name}: {title}", layout=layout) as stream:
         draw_single(stream, single, content)
         draw_documents(stream, documents)
-        _mark_place(stream, run, at_ns, title)
+        _mark_place(stream, run, at_ns, _name_place(title, violated))
         if violated is not None:
             run_stream = RunStream(stream, "", build_run_timelines(run))
             _draw_signal(run_stream, violated)
@@ -129,7 +131,9 @@ def _find_range(violated: ViolatedSignal) -> tuple[float, float]:
     curve, outside = violated.curve.values, violated.outside
     ends = [end for end in (violated.low, violated.high) if end is not None]
     moments = np.array([violated.first.value, violated.worst.value])
-    near = _span(*ends, curve[outside], moments)
+    # What was waited for in vain is outside from the beginning: what counts is how near it came.
+    shown = curve[:0] if violated.worst_word == "nearest" else curve[outside]
+    near = _span(*ends, shown, moments)
     whole = _span(*ends, curve, moments)
     low, high = near if whole[1] - whole[0] > _CLOSE_UP * (near[1] - near[0]) else whole
     room = _ROOM * (high - low) or 1.0
@@ -251,6 +255,13 @@ def _stop_at(at_ns: int) -> rrb.TimePanel:
         loop_mode="selection",
         time_selection=AbsoluteTimeRange(min=at_ns, max=at_ns),
     )
+
+
+def _name_place(title: str, violated: ViolatedSignal | None) -> str:
+    """Return the words beside the mark: the check stands in the title of its signal, if any."""
+    if violated is not None:
+        return "first violated"
+    return title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 3]}..."
 
 
 def _mark_place(stream: rr.RecordingStream, run: Run, at_ns: int, title: str) -> None:
