@@ -103,8 +103,9 @@ def test_explain_draws_the_run_beside_its_what_ifs(call: Call, tmp_path: Path, k
     assert answer.code == 0
     assert "why.rrd" in answer.err
     entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "why.rrd").stream()}
-    names = ["recorded", "without_queue", "without_pause", "without_queue_and_pause"]
-    assert {f"/runs/{name}/plane/path" for name in names} < entities
+    ghosts = ["without_queue", "without_pause", "without_queue_and_pause"]
+    prefixes = ["/runs/recorded", *(f"/ghosts/{ghost}" for ghost in ghosts)]
+    assert {f"{prefix}/plane/path" for prefix in prefixes} < entities
     assert {"/attribution/bar_3", "/attribution/words", "/plane/gap"} < entities
 
 

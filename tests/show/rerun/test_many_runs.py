@@ -115,6 +115,7 @@ def test_equal_runs_are_drawn_once_and_said_to_be_equal(tmp_path: Path) -> None:
         path, "/runs/again_and_paper-kp1_are_equal/along_track", "SeriesLines:names"
     )
     assert name == "again and paper-kp1 are equal"
+    assert "Plane (again and paper-kp1 are equal)" in read_layout(path)
     (text,) = (
         read_static(path, "/documents/Side%20by%20side", "TextDocument:text")
         if ("/documents/Side%20by%20side" in list_entities(path))

@@ -30,7 +30,7 @@ from turtlelog.show.rerun.turtles import MOST_SEGMENTS, choose_size, count_segme
 
 RUN = simulate_preset("paper-kp10")
 RECORDED = "/runs/recorded"
-MAIN = "/runs/without_queue_and_pause"
+MAIN = "/ghosts/without_queue_and_pause"
 
 
 @cache
@@ -58,7 +58,7 @@ def test_the_recorded_run_stands_beside_its_what_ifs(explanation_rrd: Path) -> N
     assert names == ["recorded", "without pause", "without queue"]
     rows = read_rows(explanation_rrd, f"{RECORDED}/distance", "Scalars:scalars")
     assert len(rows) == len(RUN.poses)
-    entity = "/runs/without_pause/distance"
+    entity = "/ghosts/without_pause/distance"
     other = read_rows(explanation_rrd, entity, "Scalars:scalars")
     assert len(other) == len(simulate_preset("paper-kp4").poses)
 
@@ -81,6 +81,15 @@ def test_the_steps_stand_with_their_words_in_a_view_of_their_own(kp10_rrd: Path)
     assert places[:, 0].max() < 100.0
 
 
+def test_words_behind_a_short_bar_keep_off_its_name_in_a_small_window(kp10_rrd: Path) -> None:
+    words = read_words(kp10_rrd, "/attribution/words")
+    places = np.array(read_static(kp10_rrd, "/attribution/words", "Points2D:positions"))[:, 0]
+    pixels = 2.8  # of a unit in a window of 700 x 450, where a letter has 6.5
+    name, text = places[words.index("left")], places[-1]
+    ends = name + len("left") / 2.0 * 6.5 / pixels
+    assert text - len(words[-1]) / 2.0 * 6.5 / pixels > ends
+
+
 def test_a_bar_begins_where_the_one_above_it_ends(kp10_rrd: Path) -> None:
     spans = []
     for number in range(4):
@@ -101,10 +110,12 @@ def test_the_main_ghost_is_grey_and_the_others_have_their_mechanisms_colours(
     for entity, color in (
         (RECORDED, palette.MAIN),
         (MAIN, palette.GHOST),
-        ("/runs/without_queue", colors["queue"]),
+        ("/ghosts/without_queue", colors["queue"]),
     ):
         (shown,) = read_static(kp10_rrd, f"{entity}/plane/turtle/body", "LineStrips2D:colors")
         assert [shown >> 24, shown >> 16 & 255, shown >> 8 & 255] == list(color)
+    shown = read_static(kp10_rrd, "/plane/names/key/words", "Points2D:colors")
+    np.testing.assert_array_equal(shown[:2], palette.pack_colors([palette.MAIN, palette.GHOST]))
     rows = read_words(kp10_rrd, "/plane/names/key/words")
     assert rows == ["recorded", "without queue and pause", "without pause", "without queue"]
 

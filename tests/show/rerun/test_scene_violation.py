@@ -137,7 +137,7 @@ def test_of_what_was_waited_for_the_way_there_does_not_hide_how_near_it_came(
 ) -> None:
     waited = violate_track(0.05, "nearest")
     nearest = ViolationMoment(time_s=5.664, value=-0.051)
-    waited = replace(waited, outside=np.full_like(waited.outside, True), worst=nearest)
+    waited = replace(waited, outside=np.ones_like(waited.outside), worst=nearest)
     path = tmp_path / "x.rrd"
     far = replace(waited.curve, values=waited.curve.values - 1.0)
     write_violation_rrd(

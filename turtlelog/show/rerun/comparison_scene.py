@@ -30,7 +30,7 @@ from turtlelog.show.rerun.content import (
     find_heading_close_up,
     find_ranges,
 )
-from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path
+from turtlelog.show.rerun.entities import ALONG_TRACK, RUNS, join_path, name_part
 from turtlelog.show.rerun.layout import build_comparison_layout, is_small
 from turtlelog.show.rerun.marks import draw_events, draw_phases
 from turtlelog.show.rerun.plots import (
@@ -108,7 +108,8 @@ def write_comparison_rrd(
     documents = add_thinning(documents, runs)
     groups = group_equal(runs)
     overlay = _build_overlay([runs[first] for first, *_ in groups], _name_groups(runs, groups))
-    content = replace(overlay.describe(documents), is_small=is_small(size))
+    equal = [name for name, group in zip(overlay.names, groups, strict=True) if len(group) > 1]
+    content = replace(overlay.describe(documents), is_small=is_small(size), equal="; ".join(equal))
     layout = build_comparison_layout(content)
     with open_recording(path, name=_name_recording(overlay.names), layout=layout) as stream:
         drawn = {number: place for place, group in enumerate(groups) for number in group}
@@ -375,6 +376,7 @@ def _name_recording(names: Sequence[str]) -> str:
 
 def _list_path_parts(names: Sequence[str]) -> list[str]:
     """Return a part of an entity path per name, without spaces, which a path shows as escapes."""
-    plain = [name.replace(" ", "_") for name in names]
-    parts = plain if len(set(plain)) == len(plain) else names
-    return [rr.escape_entity_path_part(part) for part in parts]
+    plain = [name_part(name) for name in names]
+    if len(set(plain)) == len(plain):
+        return plain
+    return [rr.escape_entity_path_part(name) for name in names]

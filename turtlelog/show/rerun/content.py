@@ -82,6 +82,7 @@ class Content:
         timelines: Names of all timelines: on each a trail grows to the cursor.
         ghosts: Entity prefixes of what stands beside the runs in the plane.
         arrows: What the arrows in the plane are, in words; empty without them.
+        equal: Which runs are one curve, as all their rows are equal, in words; empty without them.
         is_small: Whether the window is too small for legends, phases and documents.
         scale_title: Title of the bar that tells the colours of many runs; None without it.
         end_s: Where the plots end [s]; None where they show all there is.
@@ -115,6 +116,7 @@ class Content:
     outliers: Mapping[str, str] = field(default_factory=dict)
     corners: Mapping[str, str] = field(default_factory=dict)
     arrows: str = ""
+    equal: str = ""
     is_small: bool = False
     phase_rows: tuple[str, ...] = ()
     timelines: tuple[str, ...] = ()

@@ -77,6 +77,9 @@ LINES: Final = "lines"
 DOCUMENTS: Final = "documents"
 REFERENCE: Final = "reference"
 RUNS: Final = "runs"
+GHOSTS: Final = "ghosts"
+"""Plots draw curves in the order of their paths: a run above its ghosts."""
+
 LEGEND: Final = "legend"
 STEPS: Final = "attribution"
 GAP: Final = "plane/gap"
@@ -125,6 +128,15 @@ TITLES: Final[Mapping[str, str]] = MappingProxyType(
 def join_path(*parts: str) -> str:
     """Return an entity path from parts that are escaped already; empty ones are left out."""
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))
+
+
+def name_part(name: str) -> str:
+    """Return a part of an entity path that is as readable as a name: `_` for what needs escapes.
+
+    Views of phases show paths, and nothing else, as names of their rows.
+    """
+    kept = [letter if escape_entity_path_part(letter) == letter else " " for letter in name]
+    return "_".join("".join(kept).split()) or escape_entity_path_part(name)
 
 
 def name_document(title: str) -> str:

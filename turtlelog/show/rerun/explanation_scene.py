@@ -19,7 +19,7 @@ from turtlelog.show.attribution_steps import choose_step_scale, list_attribution
 from turtlelog.show.palette import Color, choose_mechanism_colors
 from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
-from turtlelog.show.rerun.entities import RUNS, join_path
+from turtlelog.show.rerun.entities import GHOSTS, RUNS, join_path, name_part
 from turtlelog.show.rerun.ghosts import (
     Ghost,
     build_ideal_ghost,
@@ -54,6 +54,8 @@ _RECORDED: Final = "recorded"
 _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
+_CLOSE_UP_REACH: Final = 1.2
+"""From the goal to the sides of the close-up, in half of its height: it is 480 x 390 pixels."""
 
 
 def write_explanation_rrd(
@@ -169,7 +171,7 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
     ghosts = [
         Ghost(
             name=f"without {lacks}",
-            prefix=join_path(RUNS, _name_path(f"without {lacks}")),
+            prefix=join_path(GHOSTS, name_part(f"without {lacks}")),
             run=run,
             look=_choose_look(colors.get(lacks), is_main=number == len(what_ifs)),
             is_run=True,
@@ -198,11 +200,6 @@ def _choose_look(color: Color | None, *, is_main: bool) -> Look:
     if is_main or color is None:
         return Look(color=palette.GHOST, is_ghost=True, width=_WIDTH)
     return Look(color=color, is_ghost=True, width=_THIN_WIDTH, size=_THIN_SIZE)
-
-
-def _name_path(name: str) -> str:
-    """Return a part of an entity path, without spaces, which a path shows as escapes."""
-    return rr.escape_entity_path_part(name.replace(" ", "_"))
 
 
 def _draw_scene(
@@ -238,7 +235,9 @@ def _draw_scene(
         draw_series(run_stream, curves)
     _draw_apart(stream, scene, content)
     if content.goal is not None:
-        draw_close_up(stream, content.goal, recorded, scene.prefixes, scene.colors)
+        draw_close_up(
+            stream, content.goal, recorded, scene.prefixes, scene.colors, reach=_CLOSE_UP_REACH
+        )
     if content.worst is not None:
         draw_worst_place(stream, content.worst, scene.colors[content.worst.run])
     return run_stream

@@ -14,7 +14,7 @@ from turtlelog.show.ideal_pose import NAME as IDEAL_LOOP, find_ideal_poses
 from turtlelog.show.palette import Color
 from turtlelog.show.phase_timelines import TIMELINE, locate_run
 from turtlelog.show.rerun import entities
-from turtlelog.show.rerun.entities import join_path
+from turtlelog.show.rerun.entities import join_path, name_part
 from turtlelog.show.rerun.plots import Series
 from turtlelog.show.rerun.timelines import RunStream, Timelines, Values, build_index
 from turtlelog.show.rerun.turtles import MOST_SEGMENTS, Look, draw_trail, draw_turtle
@@ -45,7 +45,8 @@ _KEY_LETTER: Final = 0.036
 _EDGE: Final = 0.87
 """Of the plane's half-width: inside of the world's border."""
 
-_KEY_LINE: Final = 0.14
+_KEY_LINE: Final = 0.19
+"""Of the plane's half-width: 18 pixels in a window of 700 x 450, less than words and frame take."""
 _KEY_SAMPLE: Final = 0.1
 _KEY_GAP: Final = 0.06
 _KEY_UP: Final = 0.055
@@ -104,7 +105,7 @@ def list_gaps(run: Run, ghosts: Sequence[Ghost]) -> tuple[Series, ...]:
     plot, factor = (entities.GAP_MM, 1e3) if in_mm else (entities.GAP_M, 1.0)
     return tuple(
         Series(
-            entity=f"{plot}/{rr.escape_entity_path_part(ghost.name.replace(' ', '_'))}",
+            entity=f"{plot}/{name_part(ghost.name)}",
             labels=(ghost.name,),
             colors=(ghost.look.color,),
             time_ns=run.poses.time_ns,
@@ -200,7 +201,8 @@ def draw_key(
         rr.Points2D(
             center + half_m * np.array(words),
             radii=rr.Radius.ui_points(0.0),
-            colors=[palette.GOAL],
+            # Where the window is small they hide the samples.
+            colors=[color for _, color in rows],
             labels=[name for name, _ in rows],
             show_labels=True,
         ),

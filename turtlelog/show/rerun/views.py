@@ -46,10 +46,11 @@ _MOST_NAMES: Final = 28
 
 def view_plane(content: Content) -> rrb.View:
     """Show where the turtles drive."""
+    told = content.equal or ("" if content.is_small else content.arrows)
     return rrb.Spatial2DView(
         origin="/",
         contents=[*_list_planes(content), *_hide([entities.SPEED_PATH], content)],
-        name=f"Plane ({content.arrows})" if content.arrows and not content.is_small else "Plane",
+        name=f"Plane ({told})" if told else "Plane",
         background=palette.GROUND,
         overrides=_show_trails(content),
         visual_bounds=_turn_bounds(content.plane),

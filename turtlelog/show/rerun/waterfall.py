@@ -19,6 +19,8 @@ _WIDTH: Final = 100.0
 
 _HEIGHT: Final = 35.0
 _LETTER: Final = 0.95
+_SMALL_LETTER: Final = 2.4
+"""Width of a letter in a window of 700 x 450, where a unit is 2.8 pixels."""
 _PADDING: Final = 2.4  # around words
 _ABOVE: Final = 1.9  # The viewer writes words below their point.
 _GAP: Final = 0.6
@@ -52,7 +54,7 @@ def draw_waterfall(stream: rr.RecordingStream, steps: Sequence[AttributionStep])
         left, right = sorted((place(step.start), place(step.end)))
         _draw_bar(stream, number, (left, y - half), (right, y + half), step.color)
         words.append((names_end - _measure(step.name) / 2.0, y, step.name, palette.GOAL))
-        words.append((right + _GAP + _measure(step.text) / 2.0, y, step.text, palette.GOAL))
+        words.append((_place_words(step, names_end, right), y, step.text, palette.GOAL))
         if number + 1 < len(steps):
             x = place(step.end)
             joints.append([(x, y + half), (x, float(middles[number + 1]) - half)])
@@ -88,6 +90,16 @@ def view_waterfall(title: str) -> rrb.View:
         background=palette.GROUND,
         visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT)),
     )
+
+
+def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> float:
+    """Return the middle of the words behind a bar: those of a short bar keep off its name.
+
+    Words keep their size where the window is small, and stand around their middle.
+    """
+    half = _measure(step.text) / 2.0
+    clear = names_end + _SMALL_LETTER * len(step.text) / 2.0
+    return max(bar_end + _GAP + half, min(clear, _WIDTH - half))
 
 
 def _list_ends(steps: Sequence[AttributionStep]) -> list[float]:

@@ -1,7 +1,7 @@
 """What the runs of a picture share in the plane: border, starts, goals, how close each run ends."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -119,6 +119,8 @@ def draw_close_up(
     run: Run,
     prefixes: Sequence[str],
     colors: Sequence[Color],
+    *,
+    reach: float = _LETTERING.reach,
 ) -> None:
     """Draw where each run ends, in its colour, and how far from the goal that is.
 
@@ -128,7 +130,9 @@ def draw_close_up(
         run: One of them; from where it starts, they come.
         prefixes: Entity prefix of each run.
         colors: Colour of each run.
+        reach: From the goal to the sides of the view, in half of its height.
     """
+    lettering = replace(_LETTERING, reach=reach)
     for end in close_up.ends:
         dot = rr.Points2D(
             [end.xy_m],
@@ -138,8 +142,8 @@ def draw_close_up(
             show_labels=False,
         )
         stream.log(join_path(prefixes[end.run], entities.END), dot, static=True)
-    misses = list_miss_labels(close_up, _LETTERING)
-    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, _LETTERING)
+    misses = list_miss_labels(close_up, lettering)
+    rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
     up_m = _ABOVE * _LETTERING.line * close_up.half_m
     _write_words(
         stream,
