@@ -173,7 +173,7 @@ def test_noise_that_may_hide_is_bounded() -> None:
             first = build(drive_with_noise(seed, rates=(size[0], size[1]), sensing=sensing))
             other = build(drive_with_noise(seed, rates=rates, sensing=(size[2], size[3])))
             found = *list_noise(first.scenario)[:2], *list_noise(other.scenario)[2:]
-            shown[scale] += np.count_nonzero(found)
+            shown[scale] += int(np.count_nonzero(found))
     # Chance hides one of 40 that are as large as is told.
     assert shown[1.0] >= 15
     assert shown[0.1] <= 1

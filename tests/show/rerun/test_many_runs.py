@@ -116,6 +116,8 @@ def test_equal_runs_are_drawn_once_and_said_to_be_equal(tmp_path: Path) -> None:
     )
     assert name == "again and paper-kp1 are equal"
     assert "Plane (again and paper-kp1 are equal)" in read_layout(path)
+    write_comparison_rrd([run, again, other], path, size=(700, 450))
+    assert "Plane (equal runs)" in read_layout(path)
     (text,) = (
         read_static(path, "/documents/Side%20by%20side", "TextDocument:text")
         if ("/documents/Side%20by%20side" in list_entities(path))

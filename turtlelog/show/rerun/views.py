@@ -46,7 +46,9 @@ _MOST_NAMES: Final = 28
 
 def view_plane(content: Content) -> rrb.View:
     """Show where the turtles drive."""
-    told = content.equal or ("" if content.is_small else content.arrows)
+    told = content.equal or content.arrows
+    if content.is_small:  # a title has room for 20 letters
+        told = "equal runs" if content.equal else ""
     return rrb.Spatial2DView(
         origin="/",
         contents=[*_list_planes(content), *_hide([entities.SPEED_PATH], content)],
