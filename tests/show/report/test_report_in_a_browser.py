@@ -46,7 +46,7 @@ def open_report(browser: Any) -> Iterator[Open]:
         page.on("dialog", lambda dialog: told.append(f"error: {dialog.message}"))
         page.on("request", lambda request: asked.append(request.url))
         page.goto(path.as_uri())
-        page.wait_for_selector("html[data-ready]", timeout=20_000)
+        page.wait_for_selector("html[data-whole]", timeout=20_000)
         return page
 
     yield open_
@@ -80,7 +80,6 @@ def test_the_slider_drives_turtles_and_values_by_keyboard(
     two_runs: Path, open_report: Open
 ) -> None:
     page = open_report(two_runs)
-    page.wait_for_timeout(300)
     before = read_pixels(page, "#plane")
     assert "12.608 s" in page.inner_text("#values caption")
     press(page, "#time", "Home", "PageUp")
@@ -92,7 +91,6 @@ def test_runs_and_play_answer_the_space_bar_in_the_order_of_tab(
     two_runs: Path, open_report: Open
 ) -> None:
     page = open_report(two_runs)
-    page.wait_for_timeout(300)
     before = read_pixels(page, "#plot-speed")
     press(page, "[data-run='1']", "Space")
     assert page.locator("#values tbody tr").count() == 1
@@ -126,7 +124,6 @@ def test_paper_shows_light_copies_of_the_plots_without_controls(
     two_runs: Path, open_report: Open
 ) -> None:
     page = open_report(two_runs, color_scheme="dark")
-    page.wait_for_timeout(300)
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 23, 26)"
     pdf = page.pdf(format="A4")
     copies = page.evaluate(

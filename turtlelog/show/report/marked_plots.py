@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
+
 from turtlelog.libraries import load_library
 from turtlelog.show.characteristics import Characteristic, read_marked_curve
 from turtlelog.show.report.drawn import RING, Drawn, Plots, to_hex
@@ -156,10 +158,8 @@ def _write_words(plots: Plots, figure: Any, marks: Sequence[Characteristic]) -> 
 
 def _find_middle(figure: Any, mark: Characteristic) -> float:
     """Return the middle of what the curves of a plot span."""
-    values = [one.data_source.data.get("v") for one in figure.renderers]
-    known = [
-        float(end) for found in values if found is not None for end in (min(found), max(found))
-    ]
+    values = [ys for one in figure.renderers for ys in one.data_source.data.get("ys", [])]
+    known = [float(end) for found in values for end in (np.nanmin(found), np.nanmax(found))]
     return (min(known) + max(known)) / 2.0 if known else float(mark.level or 0.0)
 
 

@@ -6,8 +6,9 @@
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const shape = [[1, 0], [0.25, 0.55], [-0.75, 0.6], [-0.45, 0], [-0.75, -0.6], [0.25, -0.55]];
   const shown = config.runs.map(() => true);
-  let doc, now = config.end_s, started = null;
-  const model = (id) => doc.get_model_by_id(id);
+  const models = new Map(), whole = new Map();
+  let now = config.end_s, started = null;
+  const model = (id) => models.get(id);
 
   // The last row at or before a time; times rise.
   function locate(times, at) {
@@ -25,11 +26,46 @@
     return values[row] + part * (values[next] - values[row]);
   }
 
+  // A value that holds until the next is drawn as a step.
+  function makeSteps(t, v) {
+    const count = Math.max(2 * t.length - 1, 0);
+    const xs = new Float64Array(count), ys = new Float64Array(count);
+    for (let row = 0; row < t.length; row++) {
+      xs[2 * row] = t[row];
+      ys[2 * row] = v[row];
+      if (row + 1 < t.length) { xs[2 * row + 1] = t[row + 1]; ys[2 * row + 1] = v[row]; }
+    }
+    return [xs, ys];
+  }
+
+  // What a source holds of all runs is kept here; it draws those that are shown.
+  function keepWhole() {
+    whole.set(config.ways, {...model(config.ways).data});
+    for (const plot of config.plots) {
+      const data = {...model(plot.source).data};
+      plot.raw = {xs: data.xs, ys: data.ys};
+      const drawn = plot.curves.map((curve, row) =>
+        curve.holds ? makeSteps(data.xs[row], data.ys[row]) : [data.xs[row], data.ys[row]]);
+      data.xs = drawn.map(([xs]) => xs);
+      data.ys = drawn.map(([, ys]) => ys);
+      whole.set(plot.source, data);
+      model(plot.source).data = data;
+    }
+  }
+
+  function select(id, isKept) {
+    const data = whole.get(id), kept = {};
+    for (const key of Object.keys(data)) kept[key] = [...data[key]].filter((_, row) => isKept(row));
+    model(id).data = kept;
+  }
+
   function drawTurtles() {
+    const ways = whole.get(config.ways);
     const trail = {xs: [], ys: [], color: [], alpha: []}, poses = [];
     config.runs.forEach((run, number) => {
       if (!shown[number]) return;
-      const {t, x, y, h} = model(run.pose).data, row = locate(t, now);
+      const [t, x, y, h] = ["t", "x", "y", "h"].map((key) => ways[key][number]);
+      const row = locate(t, now);
       const pose = [mix(t, x, now, row), mix(t, y, now, row), mix(t, h, now, row)];
       trail.xs.push([...x.slice(0, row + 1), pose[0]]);
       trail.ys.push([...y.slice(0, row + 1), pose[1]]);
@@ -62,20 +98,24 @@
     const table = find("values"), body = document.createElement("tbody");
     const head = document.createElement("thead"), line = head.appendChild(document.createElement("tr"));
     cell(line, "run", "th").scope = "col";
-    for (const plot of config.plots) cell(line, `${plot.title} [${plot.unit}]`, "th").scope = "col";
+    for (const plot of config.plots) cell(line, plot.title, "th").scope = "col";
     config.runs.forEach((run, number) => {
-      const curves = config.plots.map((plot) => plot.curves.find((one) => one.run === number));
-      if (!shown[number] || !curves.some(Boolean)) return;
+      if (!shown[number]) return;
+      const curves = config.plots.map((plot) => {
+        const at = plot.curves.findIndex((one) => one.run === number && !one.aim);
+        return at < 0 ? null : {t: plot.raw.xs[at], v: plot.raw.ys[at], holds: plot.curves[at].holds};
+      });
+      if (!curves.some(Boolean)) return;
       const row = body.appendChild(document.createElement("tr"));
-      const ends = Math.max(...curves.filter(Boolean).map((one) => model(one.source).data.t.at(-1)));
+      const ends = Math.max(...curves.filter(Boolean).map((one) => one.t.at(-1)));
       const ended = now > ends + 1e-3 ? ` (ended at ${ends.toFixed(2)} s)` : "";
       cell(row, run.name + ended, "th").scope = "row";
       for (const curve of curves) {
         if (!curve) { cell(row, "-"); continue; }
-        const {t, v} = model(curve.source).data, at = locate(t, now);
+        const {t, v} = curve, at = locate(t, now);
         const inside = now >= t[0];
         const value = curve.holds ? v[at] : mix(t, v, now, at);
-        cell(row, inside && Number.isFinite(value) ? value.toFixed(3) : "-");
+        cell(row, inside && Number.isFinite(value) ? value.toFixed(3).replace(/^-(0\.0*)$/, "$1") : "-");
       }
     });
     const caption = document.createElement("caption");
@@ -96,8 +136,9 @@
     document.querySelectorAll("[data-run]").forEach((box) => {
       const number = Number(box.dataset.run);
       shown[number] = box.checked;
-      for (const id of config.runs[number].renderers) model(id).visible = box.checked;
     });
+    select(config.ways, (row) => shown[row]);
+    for (const plot of config.plots) select(plot.source, (row) => shown[plot.curves[row].run]);
     const marks = find("marks");
     for (const mark of config.marks)
       model(mark.renderer).visible = (!marks || marks.checked) && shown[mark.run];
@@ -164,11 +205,7 @@
     paint(dark.matches);
   }
 
-  function begin() {
-    doc = Bokeh.documents[0];
-    [...document.querySelectorAll(".plot")].forEach((place) => {
-      place.dataset.root = place.firstElementChild.dataset.rootId;
-    });
+  function listen() {
     slider.addEventListener("input", () => {
       stop();
       now = config.end_s * Number(slider.value) / 1000;
@@ -195,17 +232,41 @@
       });
     dark.addEventListener("change", () => paint(dark.matches));
     addEventListener("beforeprint", copyPlots);
-    paint(dark.matches);
-    update();
-    document.documentElement.dataset.ready = performance.now().toFixed(0);
   }
 
-  function wait() {
-    const isReady = window.Bokeh && Bokeh.documents.length && config.figures.every(
-      (id) => Bokeh.documents[0].get_model_by_id(id));
-    const places = document.querySelectorAll(".plot > div");
-    if (isReady && [...places].every((place) => place.childElementCount || place.shadowRoot)) begin();
-    else requestAnimationFrame(wait);
+  // Models by their ids, wherever the config names one.
+  function findModels(doc, part) {
+    if (typeof part === "string") {
+      const found = doc.get_model_by_id(part);
+      if (found) models.set(part, found);
+    } else if (part && typeof part === "object")
+      Object.values(part).forEach((inner) => findModels(doc, inner));
   }
-  wait();
+
+  const draw = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
+
+  // The planes are built first, so that the page can be used; plots follow one by one.
+  async function begin() {
+    const json = JSON.parse(find("drawing").textContent);
+    await Bokeh.embed.embed_items({drawing: json}, []);
+    const doc = Bokeh.documents[0], places = Object.entries(config.places);
+    findModels(doc, config);
+    const later = places.filter(([place]) => place !== "plane" && place !== "goal");
+    for (const [, id] of later) doc.remove_root(model(id));
+    for (const [place, id] of places) find(place).dataset.root = id;
+    keepWhole();
+    paint(dark.matches);
+    const roots = [...places.filter((one) => !later.includes(one)), ...later];
+    await Bokeh.embed.add_document_standalone(doc, document.body, roots.map(([place]) => find(place)));
+    listen();
+    update();
+    document.documentElement.dataset.ready = performance.now().toFixed(0);
+    for (const [, id] of later) {
+      await draw();
+      doc.add_root(model(id));
+    }
+    await draw();
+    document.documentElement.dataset.whole = performance.now().toFixed(0);
+  }
+  begin();
 })();

@@ -4,10 +4,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+import numpy as np
+
 from turtlelog.libraries import load_library
-from turtlelog.measure import Metric
+from turtlelog.measure import Metric, list_signals
 from turtlelog.run import Run
-from turtlelog.show.characteristics import Characteristic, list_characteristics
+from turtlelog.show.characteristics import (
+    ALONG_ERROR,
+    TO_REFERENCE,
+    Characteristic,
+    list_characteristics,
+    read_marked_curve,
+)
 from turtlelog.show.close_up import find_close_up
 from turtlelog.show.report.drawn import (
     MOST_POINTS,
@@ -24,12 +32,15 @@ from turtlelog.show.report.violation_plots import RED, draw_violations
 from turtlelog.show.robot_curves import part_curve
 from turtlelog.show.shared_curves import (
     Curve,
+    Values,
     find_unit,
+    list_aims,
     list_levels,
     read_applied,
     read_command,
     read_curve,
 )
+from turtlelog.show.state_groups import group_states
 from turtlelog.show.violated_signal import ViolatedSignal
 
 _MOST_OF_ALL: Final = 24_000
@@ -49,7 +60,24 @@ _TITLES: Final = {
     "turn_rate": "commanded turn rate",
     "measured_speed": "measured speed",
     "measured_turn_rate": "measured turn rate",
+    "x": "x",
+    "y": "y",
+    "along_track": "along the track",
+    ALONG_ERROR: "behind the reference along the track",
+    TO_REFERENCE: "distance to the reference",
 }
+_IF_MOVING: Final = ("x", "y", "along_track")
+"""Plotted where what they should be moves."""
+
+_DERIVED: Final = (ALONG_ERROR, TO_REFERENCE)
+_MOST_STATES: Final = 6
+"""States of a law that have a plot: a page of more would be skimmed."""
+
+_RARE: Final = 1e-3
+"""Share of rows that may be left out of view at either end: faults of a sensor are single ones."""
+
+_FAR_OFF: Final = 20.0
+"""Times the height of all other rows: with more, those would take less than a twentieth of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +112,7 @@ def draw_plots(
     plots = Plots(points=max(_LEAST_POINTS, min(MOST_POINTS, _MOST_OF_ALL // len(drawn))))
     plots.config = {
         "runs": [
-            {"name": one.name, "color": to_hex(one.color), "ghost": one.is_ghost, "renderers": []}
-            for one in drawn
+            {"name": one.name, "color": to_hex(one.color), "ghost": one.is_ghost} for one in drawn
         ],
         "plots": [],
         "planes": [],
@@ -117,12 +144,23 @@ def draw_plots(
 
 
 def _choose_signals(runs: Sequence[Run]) -> list[str]:
+    """Return what is plotted over time: signals, what follows a reference that moves, states."""
     names = [name for name in _ALWAYS if any(_read(run, name) is not None for run in runs)]
+    names += [name for name in _IF_MOVING if any(list_aims(run, name) for run in runs)]
+    names += [name for name in _DERIVED if any(_read(run, name) is not None for run in runs)]
     lawless = [run for run in runs if not len(run.samples)]
     for name in ("measured_speed", "measured_turn_rate"):
         if any(read_curve(run, name) is not None for run in lawless):
             names.append(name)
-    return names
+    groups = group_states(*(run.declaration for run in runs))
+    states = [name for group in groups for name in group.names]
+    return names + [name for name in states if _moves(runs, name)][:_MOST_STATES]
+
+
+def _moves(runs: Sequence[Run], state: str) -> bool:
+    """Whether a state of a law is ever anything but 0."""
+    curves = [_read(run, state) for run in runs if state in run.declaration.states]
+    return any(curve is not None and bool(np.any(curve.values)) for curve in curves)
 
 
 def _read(run: Run, signal: str) -> Curve | None:
@@ -131,6 +169,8 @@ def _read(run: Run, signal: str) -> Curve | None:
         return read_command(run, "speed") or read_applied(run, "speed")
     if signal == "turn_rate":
         return read_command(run, "turn_rate") or read_applied(run, "turn_rate")
+    if signal in _DERIVED:
+        return read_marked_curve(run, signal)
     curve = read_curve(run, signal)
     return None if curve is None else part_curve(run, curve)
 
@@ -143,13 +183,14 @@ def _draw_signal(
     marked: tuple[Sequence[Sequence[Characteristic]], Sequence[Violation]],
 ) -> None:
     models = load_library("bokeh.models")
-    title, unit = _TITLES[signal], find_unit(drawn[0].run, signal)
+    title = _TITLES.get(signal, f"state {signal}").replace("_", " ")
+    unit = _find_unit([one.run for one in drawn], signal)
+    measured = f"{title} [{unit}]" if unit else title
     figure = make_figure(
-        plots, f"plot-{signal}", f"{title} [{unit}]", x_range=x_range, height=230,
+        plots, f"plot-{signal}", measured, x_range=x_range, height=230,
         x_axis_label="time from the first sample [s]",
     )  # fmt: skip
-    figure.y_range.only_visible = True
-    config: dict[str, Any] = {"title": title, "unit": unit, "curves": []}
+    config: dict[str, Any] = {"title": measured, "curves": []}
     plots.config["plots"].append(config)
     levels = {level for one in drawn for level in list_levels(one.run, signal)}
     for level in sorted(levels, key=lambda found: found.value):
@@ -158,21 +199,13 @@ def _draw_signal(
                 location=level.value, dimension="width", line_color=RING, line_dash="dashed"
             )
         )
-    for number, one in enumerate(drawn):
-        curve = _read(one.run, signal) if one.is_plotted else None
-        if curve is None:
-            continue
-        time_s, values = thin(plots, [curve.time_s, curve.values], curve.values)
-        source = models.ColumnDataSource(data={"t": time_s, "v": values})
-        looks = {
-            "color": to_hex(one.color), "line_width": 1.2 if one.is_ghost else 1.8,
-            "line_dash": "dashed" if one.is_ghost else "solid", "name": one.name, "source": source,
-        }  # fmt: skip
-        line = figure.step("t", "v", mode="after", **looks) if curve.holds else figure.line(
-            "t", "v", **looks
-        )  # fmt: skip
-        plots.config["runs"][number]["renderers"].append(line.id)
-        config["curves"].append({"run": number, "source": source.id, "holds": curve.holds})
+    source = models.ColumnDataSource(data=_list_curves(plots, drawn, signal, config))
+    config["source"] = source.id
+    lines = figure.multi_line(
+        "xs", "ys", source=source, color="color", line_width="width", line_dash="dash",
+        line_alpha="alpha",
+    )  # fmt: skip
+    _keep_in_view(figure, source.data["ys"])
     draw_marks(plots, figure, drawn, signal, marked[0])
     for found in marked[1]:
         if signal not in found.names and not set(found.names).isdisjoint(_TITLES):
@@ -185,10 +218,73 @@ def _draw_signal(
     cursor = models.Span(location=0.0, dimension="height", line_color=RING, line_width=1)
     figure.add_layout(cursor)
     plots.config["cursors"].append(cursor.id)
+    tips = [("", "@name"), ("time", "$snap_x{0.000} s"), (title, f"$snap_y{{0.0000}} {unit}")]
     figure.add_tools(
-        models.HoverTool(
-            tooltips=[("run", "$name"), ("time", "$x{0.000} s"), (title, f"$y{{0.0000}} {unit}")],
-            line_policy="nearest",
-        ),
+        models.HoverTool(renderers=[lines], tooltips=tips, line_policy="nearest"),
         models.CrosshairTool(dimensions="height", line_alpha=0.5),
     )
+
+
+def _list_curves(
+    plots: Plots, drawn: Sequence[Drawn], signal: str, config: dict[str, Any]
+) -> dict[str, list[Any]]:
+    """Return the curves of a signal, each a row: aims that move first, so that they lie below.
+
+    Curves that hold are stored as they are: the page's script turns them into steps.
+    """
+    data: dict[str, list[Any]] = {
+        key: [] for key in ("xs", "ys", "color", "name", "dash", "width", "alpha")
+    }
+
+    def add(curve: Curve, number: int, *, is_aim: bool) -> None:
+        one = drawn[number]
+        time_s, values = thin(plots, [curve.time_s, curve.values], curve.values)
+        row = {
+            "xs": time_s,
+            "ys": values,
+            "color": to_hex(one.color),
+            "name": f"{one.name}: {curve.label}" if is_aim else one.name,
+            "dash": "dashed" if one.is_ghost or is_aim else "solid",
+            "width": 1.2 if one.is_ghost or is_aim else 1.8,
+            "alpha": 0.6 if is_aim else 1.0,
+        }
+        for key, value in row.items():
+            data[key].append(value)
+        config["curves"].append({"run": number, "holds": curve.holds, "aim": is_aim})
+
+    for number, one in enumerate(drawn):
+        aims = list_aims(one.run, signal) if one.is_plotted and not one.is_ghost else []
+        for aim in aims:
+            add(aim, number, is_aim=True)
+    for number, one in enumerate(drawn):
+        curve = _read(one.run, signal) if one.is_plotted else None
+        if curve is not None:
+            add(curve, number, is_aim=False)
+    return data
+
+
+def _find_unit(runs: Sequence[Run], signal: str) -> str:
+    """Return the unit of a plot; empty of states, whose unit nobody declares."""
+    if signal in _DERIVED:
+        return "m"
+    known = [run for run in runs if signal in list_signals(run.declaration)]
+    unit = find_unit(known[0], signal) if known else ""
+    return "" if unit == "1" else unit
+
+
+def _keep_in_view(figure: Any, curves: Sequence[Values]) -> None:
+    """Leave a few rows far outside of all others out of view, and say so in the title."""
+    values = np.concatenate([*curves, np.empty(0)])
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return
+    rest = np.quantile(values, [_RARE, 1.0 - _RARE])
+    room = float(np.ptp(rest))
+    whole = float(np.ptp(values))
+    if room == 0.0 or whole < _FAR_OFF * room:
+        return
+    figure.y_range = load_library("bokeh.models").Range1d(
+        float(rest[0]) - 0.1 * room, float(rest[1]) + 0.1 * room
+    )
+    far = float(values[np.abs(values - rest.mean()).argmax()])
+    figure.title.text += f", close up: single values go to {far:.4g}"

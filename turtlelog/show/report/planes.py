@@ -21,8 +21,8 @@ _RING_POINTS: Final = 97
 def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) -> None:
     """Draw the plane, and the close-up of the goal where there is one."""
     models = load_library("bokeh.models")
-    sources = []
-    for number, one in enumerate(drawn):
+    poses_of: dict[str, list[Any]] = {key: [] for key in ("t", "x", "y", "h")}
+    for one in drawn:
         poses = one.run.poses
         columns = [
             (poses.time_ns - one.run.start_ns) / 1e9,
@@ -30,9 +30,12 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
             np.unwrap(poses.heading_rad),
         ]
         kept = np.column_stack([poses.xy_m, columns[3]])
-        stored = dict(zip("txyh", thin(plots, columns, kept), strict=True))
-        sources.append(models.ColumnDataSource(data=stored))
-        plots.config["runs"][number]["pose"] = sources[-1].id
+        for key, values in zip(poses_of, thin(plots, columns, kept), strict=True):
+            poses_of[key].append(values)
+    poses_of["color"] = [to_hex(one.color) for one in drawn]
+    poses_of["dash"] = ["dashed" if one.is_ghost else "solid" for one in drawn]
+    ways = models.ColumnDataSource(data=poses_of)
+    plots.config["ways"] = ways.id
     trails = models.ColumnDataSource(data={"xs": [], "ys": [], "color": [], "alpha": []})
     views: list[tuple[str, str, CloseUp | None]] = [("plane", "The way", None)]
     views += [] if close_up is None else [("goal", f"At the goal, {close_up.describe()}", close_up)]
@@ -43,13 +46,10 @@ def draw_planes(plots: Plots, drawn: Sequence[Drawn], close_up: CloseUp | None) 
         )  # fmt: skip
         figure.toolbar.active_scroll = None
         still = _draw_still(figure, drawn, shown)
-        for number, (one, source) in enumerate(zip(drawn, sources, strict=True)):
-            line = figure.line(
-                "x", "y", source=source, color=to_hex(one.color), alpha=0.35, line_width=1.2,
-                line_dash="dashed" if one.is_ghost else "solid", name=one.name,
-            )  # fmt: skip
-            plots.config["runs"][number]["renderers"].append(line.id)
-            still += [] if shown else [line]
+        lines = figure.multi_line(
+            "x", "y", source=ways, color="color", line_dash="dash", alpha=0.35, line_width=1.2
+        )
+        still += [] if shown else [lines]
         figure.multi_line("xs", "ys", source=trails, color="color", alpha="alpha", line_width=2.5)
         turtles = models.ColumnDataSource(data={"xs": [], "ys": [], "color": [], "alpha": []})
         figure.patches(

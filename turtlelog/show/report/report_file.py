@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from turtlelog.compare import (
     name_runs,
@@ -235,14 +235,17 @@ def _hash(file: str) -> str:
 
 def _assemble(title: str, body: str, plots: Plots) -> str:
     """Return the whole page: all scripts and styles stand in it."""
-    embed, resources = load_library("bokeh.embed"), load_library("bokeh.resources")
-    inline = resources.Resources(mode="inline", components=["bokeh"])
-    script, places = embed.components(plots.roots, wrap_script=False)
-    for place, div in places.items():
-        body = body.replace(f'<div class="plot" id="{place}"></div>', _wrap(place, div))
+    document = load_library("bokeh.document").Document(title="")
+    for figure in plots.roots.values():
+        document.add_root(figure)
+    drawing = load_library("bokeh.core.json_encoder").serialize_json(
+        document.to_json(deferred=False)
+    )
+    resources = load_library("bokeh.resources").Resources(mode="inline", components=["bokeh"])
+    config = plots.config | {"places": {place: one.id for place, one in plots.roots.items()}}
     room = files("turtlelog.show.report")
     style, code = (room.joinpath(name).read_text("utf-8") for name in ("page.css", "page.js"))
-    library, drawing = (_end_no_script(text) for text in ("\n".join(inline.js_raw), script))
+    library = _end_no_script("\n".join(resources.js_raw))
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -251,8 +254,8 @@ def _assemble(title: str, body: str, plots: Plots) -> str:
 <body><header><h1>{show(title)}</h1></header><main>
 {body}</main>
 <script>{library}</script>
-<script>{drawing}</script>
-<script type="application/json" id="config">{_write_json(plots.config)}</script>
+<script type="application/json" id="drawing">{_escape(drawing)}</script>
+<script type="application/json" id="config">{_escape(json.dumps(config, allow_nan=False))}</script>
 <script>{code}</script></body></html>
 """
 
@@ -262,10 +265,6 @@ def _end_no_script(code: str) -> str:
     return code.replace("</script", "<\\/script")
 
 
-def _wrap(place: str, div: str) -> str:
-    return f'<div class="plot" id="{place}">{div}</div>'
-
-
-def _write_json(value: Any) -> str:
+def _escape(code: str) -> str:
     """Return JSON that ends no script: `<` stands as an escape."""
-    return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
+    return code.replace("<", "\\u003c")
