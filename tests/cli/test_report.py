@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import turtlelog as tl
 from turtlelog.cli.app import main
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
@@ -81,3 +82,14 @@ def test_without_bokeh_one_line_says_what_to_install(
     code, _, err = run(capsys, "report", RECORDINGS / "kp4.mcap", "-o", path)
     assert (code, err.count("\n"), path.exists()) == (2, 1, False)
     assert "needed for reports, and not installed; `pip install bokeh`" in err
+
+
+def test_of_a_bag_the_files_in_its_folder_are_hashed(tmp_path: Path) -> None:
+    bag, path = tmp_path / "bag", tmp_path / "report.html"
+    bag.mkdir()
+    for name in ("metadata.yaml", "bag_0.mcap"):
+        (bag / name).write_text(name)
+    tl.show.write_report([tl.read_run(RECORDINGS / "kp4.mcap")], path, sources=[bag])
+    keys = [hashlib.sha256(name.encode()).hexdigest() for name in ("bag_0.mcap", "metadata.yaml")]
+    expected = f"<code>bag_0.mcap {keys[0]}, metadata.yaml {keys[1]}</code>"
+    assert expected in path.read_text("utf-8")

@@ -1,5 +1,6 @@
 """What stands in the plots of a report, read from its models."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.show.laws import simulate_pid, simulate_tracker
+from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
 from turtlelog.run import Run
@@ -86,3 +89,41 @@ def test_the_marks_of_one_run_are_named_and_those_of_many_are_left_out() -> None
     ]
     assert len(draw(*[run] * MOST_MARKED).config["marks"]) > 0
     assert draw(*[run] * (MOST_MARKED + 1)).config["marks"] == []
+
+
+def test_a_hundred_runs_share_one_model_for_each_plot() -> None:
+    plots = draw(*[read(4)] * 100)
+    figure = plots.roots["plot-speed"]
+    (lines,) = figure.renderers
+    assert len(lines.data_source.data["ys"]) == 100
+    # Thinned, a command no longer holds until the next row.
+    assert {curve["holds"] for curve in plots.config["plots"][3]["curves"]} == {False}
+    assert {curve["holds"] for curve in draw(read(4)).config["plots"][3]["curves"]} == {True}
+
+
+def test_references_that_move_and_states_are_plotted_where_a_run_has_them() -> None:
+    places = draw(simulate_tracker("kanayama")).roots
+    assert {"plot-x", "plot-y", "plot-along_track", "plot-along_track_error"} < set(places)
+    names = places["plot-heading"].renderers[0].data_source.data["name"]
+    assert names == ["run 0: reference", "run 0"]
+    pid = draw(simulate_pid()).roots
+    assert [place for place in pid if "integral" in place] == [
+        "plot-integral_angular",
+        "plot-integral_linear",
+    ]
+    assert "plot-x" not in pid
+
+
+@pytest.mark.parametrize(
+    ("spikes", "title"),
+    [
+        (1, "commanded turn rate [rad/s], close up: single values go to 143"),
+        (3, "commanded turn rate [rad/s]"),
+    ],
+)
+def test_single_faults_of_a_sensor_do_not_flatten_the_plot(spikes: int, title: str) -> None:
+    bag = make_foreign_run(1200)
+    rates = np.sin(np.arange(1200.0))
+    rates[5 : 5 + spikes] = 143.0
+    bag = replace(bag, commands=replace(bag.commands, turn_rate_rad_s=rates))
+    assert draw(bag).roots["plot-turn_rate"].title.text == title

@@ -91,6 +91,8 @@ def make_figure(plots: Plots, place: str, title: str, **options: Any) -> Any:
     )
     figure.toolbar.logo = None
     figure.toolbar.autohide = True
+    # A tenth of a millimetre is written in full, not as a power of ten.
+    figure.yaxis.formatter.power_limit_low = -4
     figure.title.text_font_size = "14px"
     plots.roots[place] = figure
     plots.config["figures"].append(figure.id)

@@ -250,7 +250,9 @@ def _list_curves(
         }
         for key, value in row.items():
             data[key].append(value)
-        config["curves"].append({"run": number, "holds": curve.holds, "aim": is_aim})
+        # Between rows that are left out a value does not hold: steps would show what never was.
+        holds = curve.holds and len(time_s) == len(curve.values)
+        config["curves"].append({"run": number, "holds": holds, "aim": is_aim})
 
     for number, one in enumerate(drawn):
         aims = list_aims(one.run, signal) if one.is_plotted and not one.is_ghost else []

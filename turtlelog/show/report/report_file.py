@@ -222,8 +222,11 @@ def _write_tables(
 
 
 def _hash(file: str) -> str:
-    """Return the sha256 of a file, empty where it is none, as a bag's folder."""
+    """Return the sha256 of a file, of a bag's folder those of its files; empty where unknown."""
     path = Path(file)
+    if file and path.is_dir():
+        inner = sorted(one for one in path.iterdir() if one.is_file())
+        return ", ".join(f"{one.name} {_hash(str(one))}" for one in inner)
     if not file or not path.is_file():
         return ""
     found = sha256()
