@@ -13,8 +13,12 @@ from turtlelog.show.phase_timelines import TIMELINE, find_phase_zeros
 
 Values = NDArray[np.float64]
 
-SHORTEST_S, LONGEST_S = 1.0, 600.0
-"""Bounds of a movie's length [s]: a shorter one is a picture, a longer one takes gigabytes."""
+SHORTEST_S: Final = 1.0
+"""Of a movie [s]: a shorter one is a picture."""
+
+LONGEST_S: Final = {".mp4": 600.0, ".gif": 60.0}
+"""Of a movie [s]: an .mp4 takes 3 s of work for each of its seconds; a .gif is made from all of its
+pictures at once, 22 MB for each second."""
 
 _STILL_S: Final = 1.5
 """At its end nothing moves [s]: there is time to read how far off the runs are."""

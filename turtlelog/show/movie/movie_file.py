@@ -31,7 +31,7 @@ def write_movie(
         path: A .mp4 (VP9) or .gif file; replaced when the new one is complete.
         timeline: `sim_time`: from each run's first sample; or from the start of a later phase of
             each, as `translate_time`.
-        length_s: Of the movie [s], 1 to 600. None: real time, and at most 10 s.
+        length_s: Of the movie [s], 1 to 600, of a .gif to 60. None: real time, and at most 10 s.
         on_picture: Called with the number of pictures done and of all.
 
     Raises:
@@ -44,9 +44,11 @@ def write_movie(
     require_encoder(suffix)
     if not runs:
         raise ShowError(f"{path}: expected at least one run, found none")
-    if length_s is not None and not SHORTEST_S <= length_s <= LONGEST_S:
+    longest_s = LONGEST_S[suffix]
+    if length_s is not None and not SHORTEST_S <= length_s <= longest_s:
         raise ShowError(
-            f"movie: expected a length of {SHORTEST_S:g} to {LONGEST_S:g} s, found {length_s:g}"
+            f"movie: expected a length of {SHORTEST_S:g} to {longest_s:g} s for {suffix}, found"
+            f" {length_s:g}"
         )
     runs = order_by_gain(runs)
     film = plan_film(
