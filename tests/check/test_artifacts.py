@@ -42,7 +42,7 @@ def test_the_view_opens_at_the_violation_and_marks_it(
     at_s = result.first_violation_s
     assert at_s is not None
     mark = read_mark(rrd)
-    assert (mark.cursor_s, mark.label) == ((at_s, at_s), "track")
+    assert (mark.cursor_s, mark.label) == ((at_s, at_s), "first violated")
     row = run.poses.time_ns.searchsorted(run.start_ns + round(at_s * 1e9), side="right") - 1
     assert mark.xy_m == pytest.approx(run.poses.xy_m[row], abs=1e-6)
     assert mark.message.splitlines()[1:-1] == describe_failure(run, result)
