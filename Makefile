@@ -48,7 +48,7 @@ pictures: .venv/installed
 	$(BIN)/python -m turtlelog explain recordings/paper/kp10.mcap \
 		--rrd .venv/explanation.rrd > /dev/null
 	$(BIN)/python -m turtlelog view .venv/explanation.rrd \
-		--snapshot docs/images/explanation.png --at 13 --size 1200x860
+		--snapshot docs/images/explanation.png --at 12.6 --size 1200x860
 	$(BIN)/python -m turtlelog plot recordings/paper/kp1.mcap recordings/paper/kp2.mcap \
 		recordings/paper/kp4.mcap recordings/paper/kp10.mcap \
 		-o docs/images --format svg \
