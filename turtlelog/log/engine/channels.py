@@ -1,7 +1,8 @@
 """The channels of a file -> its topics, and how the messages of each become columns."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -163,22 +164,23 @@ class Catalogue:
     def _plan(self, channel: Channel) -> TopicPlan:
         schema = self.schemas.get(channel.schema_id)
         kind = "" if schema is None else schema.name
-        encoding, plan = channel.message_encoding, TopicPlan(topic=channel.topic, type=kind)
+        encoding = channel.message_encoding
+        plan = partial(TopicPlan, topic=channel.topic, type=kind)
         if encoding not in _SCHEMAS:
-            return replace(plan, reason=f"messages in cdr or json expected, found {encoding!r}")
+            return plan(reason=f"messages in cdr or json expected, found {encoding!r}")
         if schema is None:
-            return replace(plan, reason="a schema expected, found none")
+            return plan(reason="a schema expected, found none")
         if schema.encoding not in _SCHEMAS[encoding]:
             expected = " or ".join(filter(None, _SCHEMAS[encoding][:2]))
             found = f"a schema in {expected} expected, found {schema.encoding!r}"
-            return replace(plan, reason=found)
+            return plan(reason=found)
         match self._read_type(schema):
             case str(reason):
-                return replace(plan, reason=reason)
+                return plan(reason=reason)
             case MessageType() as described:
-                return replace(plan, fields=described.fields, layout=described.layout)
+                return plan(fields=described.fields, layout=described.layout)
             case fields:
-                return replace(plan, json=fields)
+                return plan(json=fields)
 
     def _read_type(self, schema: Schema) -> MessageType | tuple[JsonField, ...] | str:
         """Return the type, or why there is none."""
