@@ -1,6 +1,9 @@
 import hashlib
+import html
 import json
+import math
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -8,6 +11,8 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.cli.app import main
+from turtlelog.show.close_up import format_length
+from turtlelog.show.report.conclusion import conclude_checks
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
 
@@ -64,6 +69,46 @@ def test_a_check_that_fails_is_told_on_top_and_by_the_exit_code(
     words = [spec, RECORDINGS / "kp10.mcap", "--report", path]
     assert run(capsys, "check", *words)[0] == 1
     assert 'id="violation-0"' in path.read_text("utf-8")
+
+
+def test_the_command_that_writes_a_report_again_reads_as_it_was_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table, spec, path = tmp_path / "way.csv", tmp_path / "spec.toml", tmp_path / "report.html"
+    rows = "\n".join(f"{0.1 * n:.1f},{0.1 * n:.1f},0,0" for n in range(30))
+    table.write_text(f"t,px,y,heading\n{rows}\n")
+    spec.write_text('format = 1\n[checks.end]\nholds = "final.position_error <= 9"\n')
+    words = ["--column=x=px", "--goal=-1,2"]
+    assert run(capsys, "report", table, "-o", path, "--explain", "none", *words)[0] == 0
+    told = re.search("<pre><code>turtlelog (.*?)</code>", path.read_text("utf-8"))
+    assert told is not None
+    again = shlex.split(html.unescape(told[1]))
+    assert [word in again for word in words] == [True, True]
+    assert "--time=auto" not in again
+    first = path.read_bytes()
+    assert run(capsys, *again)[0] == 0
+    assert f"ends {format_length(math.hypot(3.9, 2.0))} from its goal" in path.read_text("utf-8")
+    assert len(first) == path.stat().st_size
+    assert run(capsys, "check", spec, table, "--report", path, *words)[0] == 0
+    told = re.search("<pre><code>turtlelog (.*?)</code>", path.read_text("utf-8"))
+    assert told is not None
+    assert run(capsys, *shlex.split(html.unescape(told[1])))[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "expected"),
+    [
+        ([], ""),
+        (["PASS"], "The check passes."),
+        (["PASS", "PASS"], "All 2 checks pass."),
+        (["SKIPPED"], "1 check is skipped."),
+        (["PASS", "SKIPPED", "SKIPPED"], "1 of 3 checks passes. 2 checks are skipped."),
+        (["FAIL", "SKIPPED"], "1 of 2 checks fails: c0 in a. 1 check is skipped."),
+    ],
+)
+def test_checks_that_judge_nothing_are_told_on_top(verdicts: list[str], expected: str) -> None:
+    found = [("a", f"c{number}", verdict) for number, verdict in enumerate(verdicts)]
+    assert conclude_checks(found) == expected
 
 
 def test_without_bokeh_one_line_says_what_to_install(

@@ -13,7 +13,13 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
-from turtlelog.cli.options import Output, ReadingOptions, iterate_files, require_files
+from turtlelog.cli.options import (
+    Output,
+    ReadingOptions,
+    iterate_files,
+    list_reading_words,
+    require_files,
+)
 from turtlelog.cli.output import (
     EXIT_FAILED,
     EXIT_FINE,
@@ -191,21 +197,25 @@ def _check(
         print_note(f"wrote {reports.junit}")
     judged = [result for file in checked for result in file.results]
     if reports.report is not None:
-        _write_report(reports.report, runs, judged, spec)
+        _write_report(reports.report, runs, judged, (spec, list_reading_words(topics)))
     return judged
 
 
 def _write_report(
-    path: Path, runs: "Mapping[str, Run]", results: "Sequence[CheckResult]", spec: "Spec"
+    path: Path,
+    runs: "Mapping[str, Run]",
+    results: "Sequence[CheckResult]",
+    asked: "tuple[Spec, list[str]]",
 ) -> None:
-    """Write a report on the recordings that could be read."""
+    """Write a report on the recordings that could be read; how they were is told again."""
     from turtlelog.cli.report import build_check_lines
 
     if not runs:
         print_note(f"{path}: no report: none of the recordings could be read")
         return
     names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
-    words = ["turtlelog", "check", str(spec.source), *runs, "--report", str(path)]
+    spec, reading = asked
+    words = ["turtlelog", "check", str(spec.source), *runs, *reading, "--report", str(path)]
     is_file = not str(spec.source).startswith("--")
     tl.show.write_report(
         [*runs.values()],

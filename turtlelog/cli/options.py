@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -159,6 +159,19 @@ class ReadingOptions(TopicOptions):
         """
         choice = super(ReadingOptions, self).build_choice()
         return choice if self.goal is None else replace(choice, goal=_parse_aim(self.goal))
+
+
+def list_reading_words(options: ReadingOptions) -> list[str]:
+    """Return the words that ask a command for the same reading; none for what is usual."""
+    words: list[str] = []
+    for one in fields(options):
+        value, name = getattr(options, one.name), f"--{one.name.replace('_', '-')}"
+        if value is True:
+            words.append(name)
+        elif value and value != one.default:
+            # With "=", because a goal may begin with a minus.
+            words += [f"{name}={text}" for text in (value if isinstance(value, list) else [value])]
+    return words
 
 
 def _split_column(text: str) -> tuple[str, str]:

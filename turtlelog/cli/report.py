@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, ReadingOptions, read_runs, require_files
+from turtlelog.cli.options import (
+    Files,
+    Json,
+    ReadingOptions,
+    list_reading_words,
+    read_runs,
+    require_files,
+)
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_lines
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -60,6 +67,7 @@ def report(
     names = dict(zip(map(str, files), tl.compare.name_runs(runs), strict=False))
     words = [*map(str, files), *([] if spec is None else ["--spec", str(spec)])]
     words += [] if explain == "auto" else ["--explain", explain]
+    words += list_reading_words(topics or ReadingOptions())
     with show_progress("drawing"):
         tl.show.write_report(
             runs,

@@ -45,22 +45,27 @@ def list_misses(runs: Sequence[Run], metrics: Sequence[Mapping[str, Metric]]) ->
 
 
 def conclude_checks(verdicts: Sequence[tuple[str, str, str]]) -> str:
-    """Return how many checks fail and which; empty where nothing was judged.
+    """Return how many checks fail and which, and how many are skipped; empty without checks.
 
     Args:
         verdicts: Name of the run, of the check, and its verdict.
     """
     judged = [found for found in verdicts if found[2] != "SKIPPED"]
     failed = [f"{check} in {run}" for run, check, verdict in judged if verdict == "FAIL"]
+    skipped = len(verdicts) - len(judged)
+    rest = f" {describe_count(skipped, 'check')} {'is' if skipped == 1 else 'are'} skipped."
+    rest = rest if skipped else ""
     if not judged:
-        return ""
+        return rest.strip()
     if not failed:
-        return f"{'The check passes' if len(judged) == 1 else f'All {len(judged)} checks pass'}."
+        whole = "The check passes." if len(verdicts) == 1 else f"All {len(judged)} checks pass."
+        verb = "passes" if len(judged) == 1 else "pass"
+        return f"{len(judged)} of {len(verdicts)} checks {verb}.{rest}" if skipped else whole
     where = {run for run, _, verdict in judged if verdict == "FAIL"}
     which = f", all in {min(where)}" if len(where) == 1 else ""
     which = f": {join_words(failed)}" if len(failed) <= _MOST_NAMED else which
     verb = "fails" if len(failed) == 1 else "fail"
-    return f"{len(failed)} of {describe_count(len(judged), 'check')} {verb}{which}."
+    return f"{len(failed)} of {describe_count(len(verdicts), 'check')} {verb}{which}.{rest}"
 
 
 def conclude_cause(name: str, found: Attribution) -> str:
