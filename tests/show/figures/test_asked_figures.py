@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from turtlelog.show.figures.attribution_figure import (
 from turtlelog.show.figures.figure_kinds import list_usual_figures
 from turtlelog.show.figures.gain_figure import draw_gains
 from turtlelog.show.figures.loop_gains import find_loop_gains
-from turtlelog.show.figures.metric_panels import complete_name, measure_for_figure
+from turtlelog.show.figures.metric_panels import complete_name, measure_for_figure, set_ticks_at
 from turtlelog.show.figures.rates_figure import draw_rates, find_step
 from turtlelog.show.figures.strip_figure import draw_strips, group_runs
 from turtlelog.show.figures.violation_figure import draw_violation
@@ -169,6 +170,23 @@ def test_points_stand_at_gain_and_metric() -> None:
     last = list_points(figure.axes[4])[:, 1]
     errors = [tl.measure_run(run)["final.position_error"].value for run in RUNS]
     assert last == pytest.approx([1e3 * (value or 0.0) for value in errors])
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_of_many_gains_only_those_are_named_whose_names_do_not_touch(scale: str) -> None:
+    figure = Figure(figsize=(1.2, 1.2))
+    axes = figure.subplots()
+    axes.set_xscale(scale)
+    gains = [round(float(gain), 3) for gain in np.geomspace(0.5, 40.0, 100)]
+    axes.set_xlim(0.4, 50.0)
+    set_ticks_at(axes, gains)
+    figure.canvas.draw()
+    names = [name for name in axes.get_xticklabels() if name.get_text()]
+    extents = [name.get_window_extent() for name in names]
+    assert (names[0].get_text(), names[-1].get_text()) == ("0.5", "40")
+    assert all(one.x1 < other.x0 for one, other in pairwise(extents))
+    set_ticks_at(axes, gains[::99])
+    assert axes.get_xticks().tolist() == [0.5, 40.0]
 
 
 def test_limits_are_theory_s_for_the_dead_times_that_the_runs_show() -> None:

@@ -178,7 +178,7 @@ def _set_gain_axis(axes: Axes, loop: LoopGains, known: Values) -> None:
     else:
         room = 0.12 * (right - left) or 0.3 * right
         axes.set_xlim(max(left - room, 0.0), right + room)
-    set_ticks_at(axes, known.tolist(), most=7)
+    set_ticks_at(axes, known.tolist())
 
 
 def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:

@@ -27,6 +27,10 @@ _LEAST_PERCENT: Final = 0.5
 """Height of an axis of shares [%]: on a finer one the last digits of a run that does not overshoot
 would look like an overshoot. A quarter of the band in which a response counts as settled."""
 
+_POINTS_PER_INCH: Final = 72.0
+_LETTER_WIDTH: Final = 0.65
+"""Of a digit over the size of its letters: DejaVu Sans, the widest font in use, has 0.636."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MetricValues:
@@ -152,13 +156,24 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
     axes.set_ylim(min(low - room, 0.0), max(high + 1.4 * room, 0.0))
 
 
-def set_ticks_at(axes: Axes, values: Sequence[float], *, most: int = 9) -> None:
-    """Put the ticks of the lower axis at values, of many at as many as there is room for."""
-    places = sorted({*values})
-    if len(places) > most:
-        chosen = np.unique(np.linspace(0, len(places) - 1, most).round().astype(int))
-        places = [places[row] for row in chosen]
-    axes.xaxis.set_major_locator(FixedLocator(places))
+def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:
+    """Put the ticks of the lower axis at values; at as many of them as there is room for."""
+    axes.xaxis.set_major_locator(FixedLocator(_choose_places(axes, sorted({*values}))))
     axes.xaxis.set_minor_locator(NullLocator())
     formatter: Any = "{x:g}"
     axes.xaxis.set_major_formatter(formatter)
+
+
+def _choose_places(axes: Axes, values: Sequence[float]) -> list[float]:
+    """Return the least, the greatest, and those between whose names do not touch others."""
+    points = axes.get_xaxis_transform().transform([(value, 0.0) for value in values])[:, 0]
+    points = points * _POINTS_PER_INCH / axes.figure.dpi
+    size: Any = axes.xaxis.get_major_ticks()[0].label1.get_fontsize()
+    letter = _LETTER_WIDTH * size
+    halves = [letter * (len(f"{value:g}") + 1) / 2.0 for value in values]
+    last = len(values) - 1
+    chosen: list[int] = []
+    for row in [0, last, *range(1, last)]:
+        if all(abs(points[row] - points[one]) >= halves[row] + halves[one] for one in chosen):
+            chosen.append(row)
+    return [values[row] for row in sorted(chosen)]
