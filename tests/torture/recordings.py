@@ -44,14 +44,17 @@ def record_scenario(scenario: tl.Scenario, folder: Path, compression: str) -> by
     return pack_again((folder / "whole.mcap").read_bytes(), compression)
 
 
-def pack_again(data: bytes, compression: str, *, use_chunking: bool = True) -> bytes:
+def pack_again(
+    data: bytes, compression: str, *, use_chunking: bool = True, has_index: bool = True
+) -> bytes:
     output = BytesIO()
     writer = Writer(
         output,
         chunk_size=1024,
         compression=COMPRESSIONS[compression],
-        index_types=INDEXES,
+        index_types=INDEXES if has_index else IndexType.NONE,
         use_chunking=use_chunking,
+        use_statistics=has_index,
         enable_data_crcs=True,
     )
     schemas = set[int]()

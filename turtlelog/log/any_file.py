@@ -3,16 +3,14 @@
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Unpack, cast
-
-from mcap.writer import MCAP0_MAGIC
+from typing import TYPE_CHECKING, Final, Unpack, cast
 
 from turtlelog.errors import LogError
+from turtlelog.log import importers, recording, ros2
 from turtlelog.log.engine.chunks import ZSTD_MAGIC
+from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.error_boundary import name_file, open_file
-from turtlelog.log.importers import LOG_SUFFIXES, import_other
-from turtlelog.log.importers.exported_tables import holds_tables, import_tables
 from turtlelog.log.info import RecordingInfo, read_info
 from turtlelog.log.read_choice import (
     CHOSEN,
@@ -21,14 +19,16 @@ from turtlelog.log.read_choice import (
     parse_goal,
     split_topic,
 )
-from turtlelog.log.recording.contents import PartialRecordingWarning
-from turtlelog.log.recording.reader import read_if_own
 from turtlelog.log.recording.topics import COMMAND, POSE
-from turtlelog.log.ros2 import list_bag_files, read_bag, read_bag_info
-from turtlelog.run import Run
+
+if TYPE_CHECKING:
+    from turtlelog.run import Run
+
+LOG_SUFFIXES: Final = frozenset({".json", ".csv", ".parquet", ".tsv", ".tum", ".txt"})
+"""How the names of logs and tables end."""
 
 
-def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
+def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> "Run":
     """Return the run in a recording, somebody's bag or .mcap, a paper's log, or a table.
 
     Args:
@@ -50,10 +50,10 @@ def read_run(path: str | Path, **options: Unpack[ReadOptions]) -> Run:
     return replace(run, name=f"{run.name}:{topic}") if CHOSEN in run.notes else run
 
 
-def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> Run:
+def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> "Run":
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
-        has_tables = holds_tables(path)
+        has_tables = _may_hold_tables(path) and importers.holds_tables(path)
     is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
     if names_topic and (has_tables or is_log):
         found = "tables" if has_tables else "a log"
@@ -61,9 +61,9 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> Run:
             f"{path}: expected a bag, of which {choice.pose_topic} is read, found {found}"
         )
     if has_tables and not (is_log and choice.columns):
-        return _aim(path, import_tables(path), choice)
+        return _aim(path, importers.import_tables(path), choice)
     if is_log:
-        return _aim(path, import_other(path, choice.columns), choice)
+        return _aim(path, importers.import_other(path, choice.columns), choice)
     # A recording of ours holds more than its poses and commands: asking for these loses nothing.
     asked = choice.pose_topic, choice.command_topic
     is_usual = asked[0] in {None, POSE.name} and asked[1] in {None, COMMAND.name}
@@ -73,10 +73,10 @@ def _read(path: Path, choice: ReadChoice, *, names_topic: bool = False) -> Run:
         own = _read_own(path, allow_partial=choice.allow_partial)
         if own is not None:
             return _note_unused(_aim(path, own, choice), choice)
-    return _note_unused(read_bag(path, **_list_options(choice)), choice)
+    return _note_unused(ros2.read_bag(path, **_list_options(choice)), choice)
 
 
-def _aim(path: Path, run: Run, choice: ReadChoice) -> Run:
+def _aim(path: Path, run: "Run", choice: ReadChoice) -> "Run":
     """Return a run with the goal that is asked for; one that holds samples had its own.
 
     Raises:
@@ -92,10 +92,10 @@ def _aim(path: Path, run: Run, choice: ReadChoice) -> Run:
     return replace(run, goal_xy_m=goal_xy_m, goal_heading_rad=heading_rad, absent=absent)
 
 
-def read_as_chosen(path: str | Path, choice: ReadChoice) -> Run:
+def read_as_chosen(path: str | Path, choice: ReadChoice) -> "Run":
     """Return the run in a file as `read_run` does; its notes alone tell what is lost."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PartialRecordingWarning)
+        warnings.simplefilter("ignore", recording.PartialRecordingWarning)
         return read_run(path, **_list_options(choice))
 
 
@@ -126,15 +126,15 @@ def read_file_info(
         return _require_topic(read_file_info(path, choice), topic)
     with name_file(path, expected="a recording, a bag or a log"):
         is_folder = path.is_dir()
-        has_tables = holds_tables(path)
+        has_tables = _may_hold_tables(path) and importers.holds_tables(path)
     is_log = path.suffix.lower() in LOG_SUFFIXES and not is_folder and not _is_bag_file(path)
     if not has_tables and not is_log:
         is_partial = choice.allow_partial
-        found = read_bag_info(path) if is_folder else read_info(path, allow_partial=is_partial)
+        found = ros2.read_bag_info(path) if is_folder else read_info(path, allow_partial=is_partial)
         unused = {"columns": _describe_unused(choice)} if choice.columns else {}
         return replace(found, notes={**found.notes, **unused})
     is_own = has_tables and not (is_log and choice.columns)
-    run = import_tables(path) if is_own else import_other(path, choice.columns)
+    run = importers.import_tables(path) if is_own else importers.import_other(path, choice.columns)
     rows = f"{len(run.poses)} poses, {len(run.commands)} commands, {len(run.samples)} samples"
     return RecordingInfo(
         file=str(path),
@@ -151,7 +151,7 @@ def read_file_info(
     )
 
 
-def _note_unused(run: Run, choice: ReadChoice) -> Run:
+def _note_unused(run: "Run", choice: ReadChoice) -> "Run":
     """Return a run with a note on columns that were asked for of what is no table."""
     if not choice.columns:
         return run
@@ -170,23 +170,28 @@ def _require_topic(info: RecordingInfo, topic: str) -> RecordingInfo:
     return info
 
 
+def _may_hold_tables(path: Path) -> bool:
+    """Return whether a look for tables pays, which loads all that reads them."""
+    return path.suffix.lower() in LOG_SUFFIXES or path.is_dir()
+
+
 def _is_bag_file(path: Path) -> bool:
     """Return whether a file begins as one of MCAP or SQLite, or as one that is compressed."""
     with name_file(path, expected="a recording, a bag or a log"), open_file(path) as stream:
         return stream.read(len(SQLITE_MAGIC)).startswith(_MAGICS)
 
 
-def _read_own(path: Path, *, allow_partial: bool) -> Run | None:
+def _read_own(path: Path, *, allow_partial: bool) -> "Run | None":
     """Return the run in a file or bag that turtlelog wrote, None in one that somebody else did.
 
     Raises:
         LogError: Also where the file is too damaged to say who did.
     """
-    files = list_bag_files(path) if path.is_dir() else (path,)
+    files = ros2.list_bag_files(path) if path.is_dir() else (path,)
     if len(files) != 1:
         return None
     try:
-        return read_if_own(files[0], allow_partial=allow_partial)
+        return recording.read_if_own(files[0], allow_partial=allow_partial)
     except LogError:
         if _is_bag_file(files[0]) and _is_foreign(files[0]):
             return None

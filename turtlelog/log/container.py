@@ -5,9 +5,13 @@ alone. The mcap library's writer names them once, and takes messages one by one,
 summary are put together here, of its records.
 """
 
+import os
 import zlib
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from pathlib import Path, PurePath
 from struct import Struct
 from types import MappingProxyType
@@ -33,11 +37,11 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.complete_files import replace_when_complete
+from turtlelog.log.engine.framing import MCAP0_MAGIC
 from turtlelog.log.engine.topic_columns import TopicColumns
 from turtlelog.log.recording.topics import SCHEMAS, describe_topics
 from turtlelog.log.records import ChannelRecords, ChunkRows, cut_chunks, encode_records
@@ -52,6 +56,9 @@ _NO_FILES: Final[Mapping[str, bytes]] = MappingProxyType({})
 _COMPRESSION: Final = "zstd"
 _INDEX: Final = Struct("<BQHI")  # opcode, length, channel, bytes of its entries
 _MEDIA_TYPES: Final = {".toml": "application/toml"}
+_THREADS: Final = min(os.cpu_count() or 1, 4)
+_AHEAD: Final = 2 * _THREADS
+"""Chunks that wait for their turn to be written: of 1 MiB each, unless one record is larger."""
 _FOOTER_FRONT: Final = 25  # bytes of the footer that its checksum covers
 
 
@@ -86,8 +93,7 @@ def write_columns(
                 file.add_metadata(name, entries)
             for name, data in attachments.items():
                 file.add_attachment(name, data)
-            for rows in cut_chunks(channels):
-                file.add_chunk(rows)
+            file.add_chunks(cut_chunks(channels))
             file.finish()
     except (LogError, UnicodeEncodeError) as err:
         raise name_write_error(path, err) from err
@@ -126,6 +132,15 @@ class _Summary:
     spans_ns: list[tuple[int, int]] = field(default_factory=list)
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _PackedChunk:
+    rows: ChunkRows
+    record: bytes  # the chunk's
+    indexes: Sequence[bytes]  # records of its message indexes
+    compressed_size: int
+    uncompressed_size: int
 
 
 class McapFile:
@@ -184,33 +199,27 @@ class McapFile:
 
     def add_chunk(self, rows: ChunkRows) -> None:
         """Compress messages, and write them as a chunk with its message indexes."""
-        described = [record for pair in rows.channels for record in pair if record is not None]
-        front = _join_records(described)
-        data, start = b"".join((front, rows.records)), self.end
-        chunk = Chunk(
-            compression=_COMPRESSION,
-            data=zstandard.ZstdCompressor().compress(data),
-            message_start_time=rows.start_ns,
-            message_end_time=rows.end_ns,
-            uncompressed_crc=zlib.crc32(data),
-            uncompressed_size=len(data),
-        )
-        record = _join_records([chunk])
-        indexes = [
-            _format_index(channel, entries, len(front)) for channel, entries in rows.index.items()
-        ]
-        ends = np.cumsum([start + len(record), *map(len, indexes)]).tolist()
-        self._write(b"".join((record, *indexes)))
+        self._append(_pack_chunk(rows))
+
+    def add_chunks(self, chunks: Iterable[ChunkRows]) -> None:
+        """Write chunks in their order as `add_chunk` does, byte for byte, compressed on threads."""
+        for packed in _pack_ahead(iter(chunks)):
+            self._append(packed)
+
+    def _append(self, packed: _PackedChunk) -> None:
+        rows, start = packed.rows, self.end
+        ends = np.cumsum([start + len(packed.record), *map(len, packed.indexes)]).tolist()
+        self._write(b"".join((packed.record, *packed.indexes)))
         index = ChunkIndex(
-            chunk_length=len(record),
+            chunk_length=len(packed.record),
             chunk_start_offset=start,
-            compression=chunk.compression,
-            compressed_size=len(chunk.data),
+            compression=_COMPRESSION,
+            compressed_size=packed.compressed_size,
             message_end_time=rows.end_ns,
             message_index_length=ends[-1] - ends[0],
             message_index_offsets=dict(zip(rows.index, ends, strict=False)),
             message_start_time=rows.start_ns,
-            uncompressed_size=chunk.uncompressed_size,
+            uncompressed_size=packed.uncompressed_size,
         )
         self._summary.chunks.append(_join_records([index]))
         self._summary.spans_ns.append((rows.start_ns, rows.end_ns))
@@ -259,6 +268,53 @@ class McapFile:
             rest = rest[self._stream.write(rest) :]
         self.end += len(data)
         self._checksum = zlib.crc32(data, self._checksum)
+
+
+def _pack_ahead(chunks: Iterator[ChunkRows]) -> Iterator[_PackedChunk]:
+    """Yield chunks packed, in their order: of several, a few at a time on threads.
+
+    zstd and the checksum leave the interpreter to other threads meanwhile.
+    """
+    few = list(islice(chunks, 2))
+    if len(few) < 2:
+        yield from map(_pack_chunk, few)
+        return
+    waiting: deque[Future[_PackedChunk]] = deque()
+    with ThreadPoolExecutor(_THREADS) as pool:
+        try:
+            for rows in chain(few, chunks):
+                if len(waiting) >= _AHEAD:
+                    yield waiting.popleft().result()
+                waiting.append(pool.submit(_pack_chunk, rows))
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _pack_chunk(rows: ChunkRows) -> _PackedChunk:
+    described = [record for pair in rows.channels for record in pair if record is not None]
+    # Each is built once: ten thousand channels may share a schema.
+    built = {id(record): record for record in described}
+    records = {number: _join_records([record]) for number, record in built.items()}
+    front = b"".join([records[id(record)] for record in described])
+    data = b"".join((front, rows.records))
+    chunk = Chunk(
+        compression=_COMPRESSION,
+        data=zstandard.ZstdCompressor().compress(data),
+        message_start_time=rows.start_ns,
+        message_end_time=rows.end_ns,
+        uncompressed_crc=zlib.crc32(data),
+        uncompressed_size=len(data),
+    )
+    return _PackedChunk(
+        rows=rows,
+        record=_join_records([chunk]),
+        indexes=[_format_index(*entries, len(front)) for entries in rows.index.items()],
+        compressed_size=len(chunk.data),
+        uncompressed_size=len(data),
+    )
 
 
 def _count_records(summary: _Summary) -> Statistics:

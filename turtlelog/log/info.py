@@ -23,8 +23,8 @@ from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.walk import Loss, Section
 from turtlelog.log.error_boundary import DamageError, UnfinishedError
-from turtlelog.log.recording.contents import describe_damages, describe_recovery
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
+from turtlelog.log.recording.recovery_note import describe_damages, describe_recovery
 from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
@@ -133,7 +133,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
             else survey_file(opened, allow_partial=allow_partial)
         )
         span_ns = survey.span_ns
-        plans = survey.catalogue.iterate_plans()
+        reasons = survey.catalogue.list_reasons()
         info = RecordingInfo(
             file=str(path),
             format_version=None,
@@ -143,7 +143,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
             duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
             span_ns=span_ns,
             topics=_list_topics(survey),
-            not_understood=tuple(f"{plan.topic}: {plan.reason}" for plan in plans if plan.reason),
+            not_understood=tuple(f"{topic}: {reason}" for topic, reason in reasons.items()),
             notes=_describe_losses(survey),
         )
         return _add_head(info, survey)
@@ -198,12 +198,14 @@ def _describe_losses(survey: Survey) -> dict[str, str]:
 
 def _list_topics(survey: Survey) -> tuple[TopicInfo, ...]:
     """Return the topics by name; channels of one topic and type are one."""
-    schemas, found = survey.catalogue.schemas, list[TopicInfo]()
+    schemas, counts = survey.catalogue.schemas, Counter[tuple[str, str]]()
     for number, channel in survey.catalogue.channels.items():
-        schema, count = schemas.get(channel.schema_id), survey.counts.get(number, 0)
-        kind = schema.name if schema else ""
-        found.append(TopicInfo(topic=channel.topic, type=kind, count=count))
-    return sort_topics(merge_topics(found))
+        schema = schemas.get(channel.schema_id)
+        counts[channel.topic, schema.name if schema else ""] += survey.counts.get(number, 0)
+    return tuple(
+        TopicInfo(topic=topic, type=kind, count=count)
+        for (topic, kind), count in sorted(counts.items())
+    )
 
 
 def merge_topics(topics: Iterable[TopicInfo]) -> list[TopicInfo]:

@@ -1,4 +1,5 @@
 import struct
+from concurrent import futures
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ from tests.log.engine.files import CODES, POINT, Row, pack, write_points, write_
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
 from turtlelog.log import TopicColumns, iter_columns, read_columns
-from turtlelog.log.engine import source
+
+pytestmark = pytest.mark.usefixtures("way")
 
 NUMBERS: dict[str, st.SearchStrategy[Any]] = {
     "bool": st.booleans(),
@@ -231,6 +233,25 @@ def test_threads_are_started_for_more_than_one_chunk(
         started.append(threads)
         return ThreadPoolExecutor(threads)
 
-    monkeypatch.setattr(source, "ThreadPoolExecutor", start)
+    monkeypatch.setattr(futures, "ThreadPoolExecutor", start)
     assert len(read_columns(tmp_path / "a.mcap")["/a"]) == rows
     assert len(started) == pools
+
+
+@pytest.mark.parametrize("odd", [0, 70, 199])
+def test_one_message_out_of_line_changes_nothing(odd: int, tmp_path: Path) -> None:
+    rows = [
+        Row(
+            topic="/t",
+            time_ns=number,
+            data=pack([("float64", number), ("uint8", number % 7)], ">" if number == odd else "<"),
+            sequence=number,
+        )
+        for number in range(200)
+    ]
+    path = tmp_path / "t.mcap"
+    write_rows(path, {"/t": ("t/msg/T", "float64 x\nuint8 n\n")}, rows, chunk_size=1000)
+    found = read_columns(path)["/t"]
+    np.testing.assert_array_equal(found.fields["x"], np.arange(200.0))
+    np.testing.assert_array_equal(found.fields["n"], np.arange(200) % 7)
+    np.testing.assert_array_equal(found.sequence, np.arange(200))

@@ -19,6 +19,8 @@ from tests.log.engine.files import Row, pack, write_points, write_rows
 from turtlelog.errors import LogError
 from turtlelog.log import iter_columns, read_columns, read_info
 
+pytestmark = pytest.mark.usefixtures("way")
+
 BUGS = ("TypeError", "AttributeError", "NameError", "AssertionError", "UnboundLocalError")
 OPTIONS: dict[str, dict[str, Any]] = {
     "none": {"compression": CompressionType.NONE},

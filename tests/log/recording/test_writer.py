@@ -1,5 +1,7 @@
+import threading
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,11 @@ from rosbags.highlevel import AnyReader
 from tests.log.runs import find_shared, make_run, simulate_preset
 from tests.log.strict import check_strictly
 from turtlelog.errors import LogError
-from turtlelog.log import write_recording
+from turtlelog.log import container, write_recording
 from turtlelog.log.container import write_columns
 from turtlelog.log.engine.topic_columns import TopicColumns, read_columns
 from turtlelog.log.recording.topics import SCHEMAS
+from turtlelog.log.records import ChunkRows
 
 MIXED = "mine_msgs/msg/Mixed"
 DEFINITIONS = {
@@ -271,6 +274,75 @@ def test_the_same_columns_give_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a.mcap", "b.mcap"):
         write_columns(topics, tmp_path / name)
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_chunks_packed_on_threads_are_those_packed_one_by_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    topics = [make_twists(60_000), make_texts([5, 5, 30_000, 59_999])]
+    monkeypatch.setattr(container, "_THREADS", 3)
+    monkeypatch.setattr(container, "_AHEAD", 4)
+    write_columns(topics, tmp_path / "threads.mcap")
+    monkeypatch.setattr(container, "_pack_ahead", partial(map, container._pack_chunk))
+    write_columns(topics, tmp_path / "alone.mcap")
+    assert (tmp_path / "threads.mcap").read_bytes() == (tmp_path / "alone.mcap").read_bytes()
+
+
+def test_two_chunks_are_packed_at_one_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pack, both = container._pack_chunk, threading.Barrier(2)
+
+    def meet(rows: ChunkRows) -> Any:
+        both.wait(timeout=30.0)  # alone it would wait for the other in vain
+        return pack(rows)
+
+    monkeypatch.setattr(container, "_THREADS", 2)
+    monkeypatch.setattr(container, "_pack_chunk", meet)
+    write_columns([make_twists(20_000)], tmp_path / "a.mcap")
+    assert len(check_strictly(tmp_path / "a.mcap").chunk_indexes) == 2
+
+
+def test_a_chunk_that_cannot_be_packed_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: ChunkRows) -> Any:
+        raise LogError("no")
+
+    monkeypatch.setattr(container, "_pack_chunk", fail)
+    with pytest.raises(LogError, match="no"):
+        write_columns([make_twists(60_000)], tmp_path / "a.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("left_out", [{"/twist"}, {"/twist", "/a"}])
+def test_others_need_the_index_of_every_message(
+    left_out: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They read nothing of a topic that is not indexed, without an error: so all of it is."""
+    pack, count = container._pack_chunk, container._count_records
+
+    def leave_out(rows: ChunkRows) -> Any:
+        topics = {channel.id: channel.topic for _, channel in rows.channels}
+        packed = pack(rows)
+        both = zip(rows.index, packed.indexes, strict=True)
+        indexes = [record for number, record in both if topics[number] not in left_out]
+        index = {n: entries for n, entries in rows.index.items() if topics[n] not in left_out}
+        return replace(packed, rows=replace(rows, index=index), indexes=indexes)
+
+    def count_all(summary: Any) -> Any:
+        summary.counts = {1: 100, 2: 2}
+        return count(summary)
+
+    monkeypatch.setattr(container, "_pack_chunk", leave_out)
+    monkeypatch.setattr(container, "_count_records", count_all)
+    path = tmp_path / "a.mcap"
+    write_columns([make_twists(100), make_texts([5, 6])], path)
+    with AnyReader([path]) as bag:
+        twist = [connection for connection in bag.connections if connection.topic == "/twist"]
+        assert [connection.msgcount for connection in twist] == [100]
+        assert not list(bag.messages(twist))
+    with path.open("rb") as stream:
+        twists = list(make_reader(stream).iter_messages(topics=["/twist"]))
+    assert len(twists) == (100 if "/a" in left_out else 0)
 
 
 def test_a_topic_twice_or_numbers_too_few_are_one_line(tmp_path: Path) -> None:

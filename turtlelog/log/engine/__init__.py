@@ -1,11 +1,8 @@
-"""Files as columns: chunks walked, gathered and written by the thousand, not message by message."""
+"""Files as columns: chunks walked, gathered and written by the thousand, not message by message.
 
-from turtlelog.log.engine.topic_columns import (
-    RawContents,
-    TopicColumns,
-    iter_columns,
-    read_columns,
-    read_raw,
-)
+The names stand in `__init__.pyi` and load on first use.
+"""
 
-__all__ = ["RawContents", "TopicColumns", "iter_columns", "read_columns", "read_raw"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

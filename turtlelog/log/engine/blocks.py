@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
+from turtlelog.log.engine.compiled import WALKED_S, expect, find_kernels
 from turtlelog.log.engine.framing import RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
 from turtlelog.log.engine.parsing import (
@@ -52,6 +53,8 @@ class Block:
         offsets: By channel: where its messages start, shape (n,), increasing.
         rest: The other records among them, in order: schemas and channels, and outside chunks
             headers, metadata and attachments.
+        before: By topic: how many messages stand in the chunks before it that are read; None where
+            nobody counted.
         unit: What `byte` counts, where it is not bytes.
     """
 
@@ -59,6 +62,7 @@ class Block:
     byte: int
     offsets: Mapping[int, Offsets]
     rest: tuple[Any, ...]
+    before: Mapping[str, int] | None = None
     unit: str = "byte"
 
 
@@ -82,8 +86,10 @@ def build_indexed_block(entry: ChunkEntry, stored: bytes, largest: int = LARGEST
         )
     body = memoryview(stored)[RECORD.size : entry.length]
     data = open_chunk(entry, body, largest)
-    offsets = _parse_indexes(stored[entry.length :], byte + entry.length)
-    rest = _check_tiling(data, offsets, byte)
+    offsets = _parse_indexes(memoryview(stored)[entry.length :], byte + entry.length)
+    rest = _follow_indexes(data, offsets, byte)
+    if rest is None:
+        rest = _check_tiling(data, offsets, byte)
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)
 
 
@@ -94,15 +100,23 @@ def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk
         DamageError: Where the records do not make sense, or are too many.
     """
     stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
-    channels = [heads["channel"] for _, heads in stretch.iterate_rows()]
-    offsets: dict[int, Offsets] = {}
-    if channels:
-        numbers = np.concatenate(channels)
+    expect(len(stretch.starts), WALKED_S)
+    starts, offsets = stretch.starts.astype(np.int64), dict[int, Offsets]()
+    if len(starts):
+        numbers = _read_channels(stretch, starts)
         order = np.argsort(numbers, kind="stable")
         present, firsts = np.unique(numbers[order], return_index=True)
-        starts = stretch.starts[order].astype(np.int64)
-        offsets = dict(zip(present.tolist(), np.split(starts, firsts[1:]), strict=True))
+        offsets = dict(zip(present.tolist(), np.split(starts[order], firsts[1:]), strict=True))
     return Block(data=data, byte=byte, offsets=offsets, rest=parse_others(stretch, byte))
+
+
+def _read_channels(stretch: RecordStretch, starts: Offsets) -> NDArray[np.uint16]:
+    kernels = find_kernels()
+    if kernels is None:
+        return np.concatenate([heads["channel"] for _, heads in stretch.iterate_rows()])
+    channels = np.empty(len(starts), np.uint16)
+    kernels.take_channels(np.frombuffer(stretch.data, np.uint8), starts, channels)
+    return channels
 
 
 def walk_blocks(
@@ -190,7 +204,17 @@ def parse_others(stretch: RecordStretch, byte: int) -> tuple[Any, ...]:
     )
 
 
-def _parse_indexes(data: bytes, byte: int) -> dict[int, Offsets]:
+def count_indexed(data: memoryview) -> Iterator[tuple[int, int]]:
+    """Yield channels and numbers of messages from the message indexes of a chunk, unchecked."""
+    place = 0
+    while place + RECORD.size + _INDEX.size <= len(data):
+        _, length = RECORD.unpack_from(data, place)
+        channel, size = _INDEX.unpack_from(data, place + RECORD.size)
+        yield channel, size // 16
+        place += RECORD.size + length
+
+
+def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
     """Return where the messages of each channel start, from the message indexes of a chunk."""
     offsets = {}
     for place in iterate_places(data, 0, len(data), byte):
@@ -202,11 +226,45 @@ def _parse_indexes(data: bytes, byte: int) -> dict[int, Offsets]:
         found_offsets = pairs[1::2].astype(np.int64)
         if channel in offsets:
             raise DamageError(f"byte {byte}: expected one index of channel {channel}, found two")
-        if len(found_offsets) > 1 and (np.diff(found_offsets) <= 0).any():
+        if len(found_offsets) > 1 and (found_offsets[1:] <= found_offsets[:-1]).any():
             # In the order of time, as some writers sort them.
             found_offsets = np.sort(found_offsets)
         offsets[channel] = found_offsets
     return offsets
+
+
+def _follow_indexes(
+    data: bytes, offsets: Mapping[int, Offsets], byte: int
+) -> tuple[Any, ...] | None:
+    """Return the other records of a chunk, by the compiled loops; None without them.
+
+    Also where the messages are not just those that the indexes name, one after the other.
+    """
+    kernels = find_kernels()
+    if kernels is None:
+        return None
+    counts = np.zeros(max(offsets, default=0) + 1, np.int64)
+    for channel, found in offsets.items():
+        counts[channel] = len(found)
+    ends = np.zeros_like(counts)
+    ends[[*offsets]] = np.cumsum([len(found) for found in offsets.values()])
+    cursors = ends - counts
+    starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
+    buffer, place, rest = np.frombuffer(data, np.uint8), 0, []
+    while place < len(data):
+        after = kernels.follow(buffer, place, starts, cursors, ends)
+        if after == place and data[place] == Opcode.MESSAGE:
+            return None
+        place = after
+        if place == len(data):
+            break
+        other = next(iterate_places(data, place, len(data), byte), None)
+        if other is None or other.opcode == Opcode.MESSAGE:
+            return None
+        rest.append(parse_record(other, data[other.start : other.end], byte))
+        place = other.end
+    is_all = bool((cursors == ends).all())
+    return tuple(record for record in rest if record is not None) if is_all else None
 
 
 def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> tuple[Any, ...]:

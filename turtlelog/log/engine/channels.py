@@ -1,8 +1,7 @@
 """The channels of a file -> its topics, and how the messages of each become columns."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -73,6 +72,7 @@ class Catalogue:
         self._plans: dict[str, TopicPlan] = {}
         self._of_topics: dict[str, list[Channel]] = {}
         self._types: dict[int, MessageType | tuple[JsonField, ...] | str] = {}
+        self._readings: dict[tuple[int, str], dict[str, Any]] = {}
 
     @property
     def topics(self) -> Collection[str]:
@@ -81,8 +81,10 @@ class Catalogue:
 
     @property
     def types(self) -> dict[str, str]:
-        """Type of the messages, by topic."""
-        return {plan.topic: plan.type for plan in self.iterate_plans()}
+        """Type of the messages, by topic: that of its first channel."""
+        first = {topic: channels[0].schema_id for topic, channels in self._of_topics.items()}
+        names = {number: schema.name for number, schema in self.schemas.items()}
+        return {topic: names.get(number, "") for topic, number in first.items()}
 
     def __contains__(self, channel: int) -> bool:
         return channel in self.channels
@@ -115,10 +117,17 @@ class Catalogue:
         known: dict[type, Mapping[int, Any]] = {Schema: self.schemas, Channel: self.channels}
         self.add([found for found in records if found.id in known.get(type(found), {})], byte)
 
-    def iterate_plans(self) -> Iterator[TopicPlan]:
-        """Yield the plan of every topic, in order of the topics' names."""
-        for topic in sorted(self._of_topics):
-            yield self.find_plan(topic)
+    def list_reasons(self) -> dict[str, str]:
+        """Return why topics cannot be understood, in order of their names; of others nothing."""
+        reasons = {}
+        for topic, channels in sorted(self._of_topics.items()):
+            if len(channels) == 1:
+                reason = self._find_reading(channels[0]).get("reason")
+            else:
+                reason = self.find_plan(topic).reason
+            if reason:
+                reasons[topic] = reason
+        return reasons
 
     def find_plan(self, topic: str) -> TopicPlan:
         """Return the plan of a topic that a channel names."""
@@ -152,35 +161,45 @@ class Catalogue:
             self._plans.pop(record.topic, None)
 
     def _merge_plans(self, topic: str) -> TopicPlan:
-        plans = [self._plan(channel) for channel in self._of_topics[topic]]
-        first = plans[0]
-        for plan in plans[1:]:
+        first, *others = [self._plan(channel) for channel in self._of_topics[topic]]
+        for plan in others:
             if plan.meaning != first.meaning:
-                kinds = " and ".join(sorted({plan.type or "none" for plan in plans}))
+                kinds = " and ".join(sorted({plan.type or "none" for plan in (first, *others)}))
                 reason = f"channels of one type expected, found different ones: {kinds}"
                 return TopicPlan(topic=topic, type=first.type, reason=reason)
         return first
 
     def _plan(self, channel: Channel) -> TopicPlan:
-        schema = self.schemas.get(channel.schema_id)
-        kind = "" if schema is None else schema.name
-        encoding = channel.message_encoding
-        plan = partial(TopicPlan, topic=channel.topic, type=kind)
+        return TopicPlan(topic=channel.topic, **self._find_reading(channel))
+
+    def _find_reading(self, channel: Channel) -> Mapping[str, Any]:
+        """Return the fields of a plan beside its topic: one for a schema and an encoding."""
+        key = channel.schema_id, channel.message_encoding
+        reading = self._readings.get(key)
+        if reading is None:
+            reading = self._choose_reading(*key)
+            if channel.schema_id in self.schemas:  # one that is not there may still come
+                self._readings[key] = reading
+        return reading
+
+    def _choose_reading(self, number: int, encoding: str) -> dict[str, Any]:
+        schema = self.schemas.get(number)
+        found = {"type": "" if schema is None else schema.name}
         if encoding not in _SCHEMAS:
-            return plan(reason=f"messages in cdr or json expected, found {encoding!r}")
+            return {**found, "reason": f"messages in cdr or json expected, found {encoding!r}"}
         if schema is None:
-            return plan(reason="a schema expected, found none")
+            return {**found, "reason": "a schema expected, found none"}
         if schema.encoding not in _SCHEMAS[encoding]:
             expected = " or ".join(filter(None, _SCHEMAS[encoding][:2]))
-            found = f"a schema in {expected} expected, found {schema.encoding!r}"
-            return plan(reason=found)
+            reason = f"a schema in {expected} expected, found {schema.encoding!r}"
+            return {**found, "reason": reason}
         match self._read_type(schema):
             case str(reason):
-                return plan(reason=reason)
+                return {**found, "reason": reason}
             case MessageType() as described:
-                return plan(fields=described.fields, layout=described.layout)
+                return {**found, "fields": described.fields, "layout": described.layout}
             case fields:
-                return plan(json=fields)
+                return {**found, "json": fields}
 
     def _read_type(self, schema: Schema) -> MessageType | tuple[JsonField, ...] | str:
         """Return the type, or why there is none."""

@@ -6,11 +6,13 @@ from typing import BinaryIO, Final
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.limits import LARGEST_CHUNK, Allowance
+
+MCAP0_MAGIC: Final = b"\x89MCAP0\r\n"
+"""How a file begins and ends; here, because mcap.writer costs 20 ms to load."""
 
 RECORD: Final = struct.Struct("<BQ")
 """Opcode, length of the body."""
@@ -41,11 +43,16 @@ _BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
 START_SIZE: Final = len(_SQLITE)
 """Bytes at the start of a file that tell what it is."""
 
-_LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
+LARGEST_RECORD: Final = LARGEST_CHUNK + 2**10
+"""Bytes of a record's body that are believed."""
+
+LEAST_MESSAGE: Final = 22
+"""Bytes that the length of a message record counts before its data."""
+
 _PRIVATE: Final = 0x80  # first opcode that anybody may use
 _KNOWN: Final = frozenset(int(opcode) for opcode in Opcode)
 _BEFORE_INDEX: Final = frozenset({0, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
-_WINDOW: Final = 2**20  # bytes read at once
+_WINDOW: Final = 2**22  # bytes read at once
 _HELD: Final = 2**24  # bytes of a file that is read only once, wherever its records point
 
 # Bytes of fixed size at the front of a body, and how many fields with a length of their own follow.
@@ -60,7 +67,7 @@ _SHAPES: Final[Mapping[int, tuple[int, int]]] = {
 }
 # Then, in two of them, data with a length of 8 bytes, and how many bytes follow these.
 _DATA: Final[Mapping[int, int]] = {Opcode.ATTACHMENT: 4, Opcode.CHUNK: 0}
-_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: 22, Opcode.CHUNK: 40}
+_LEAST: Final[Mapping[int, int]] = {Opcode.MESSAGE: LEAST_MESSAGE, Opcode.CHUNK: 40}
 _EXACT: Final[Mapping[int, int]] = {Opcode.DATA_END: 4, Opcode.FOOTER: 20}
 
 _FIRST_STEP: Final = 2**12  # bytes looked through at a time, while the next record may be near
@@ -253,7 +260,7 @@ def _read_head(window: FileWindow, place: int) -> tuple[int, int]:
     if opcode < _PRIVATE and opcode not in _KNOWN:
         raise LogError(f"expected a record, found the opcode {opcode:#04x}")
     exact = _EXACT.get(opcode)
-    least, most = (_LEAST.get(opcode, 0), _LARGEST_RECORD) if exact is None else (exact, exact)
+    least, most = (_LEAST.get(opcode, 0), LARGEST_RECORD) if exact is None else (exact, exact)
     if not least <= length <= most:
         raise LogError(f"expected a record (opcode {opcode}), found one of {length} bytes")
     return opcode, length

@@ -107,5 +107,7 @@ class Allowance:
         if isinstance(described, Schema):
             self.spend(SCHEMA_BYTES, len(described.data))
         else:
-            letters = len(described.topic) + sum(map(len, described.metadata.values()))
-            self.spend(CHANNEL_BYTES, _CHANNEL + letters + _ENTRY * len(described.metadata))
+            entries, size = described.metadata, _CHANNEL + len(described.topic)
+            if entries:
+                size += _ENTRY * len(entries) + sum(map(len, entries.values()))
+            self.spend(CHANNEL_BYTES, size)

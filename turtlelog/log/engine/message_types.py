@@ -276,26 +276,16 @@ def name_parts(field: Field) -> Iterator[str]:
         yield from (f"{field.name}.{number}" for number in range(field.length))
 
 
-def split_rows(layout: Layout, rows: NDArray[np.void]) -> dict[str, Column]:
-    """Return contiguous columns in the machine's byte order, of records as `MESSAGE` and fields."""
+def fill_columns(columns: Mapping[str, Column], layout: Layout, rows: NDArray[np.void]) -> None:
+    """Write records as `MESSAGE` and fields into columns in the machine's byte order."""
     little = rows.view(layout.little)
-    columns: dict[str, Column] = {
-        "#log_time": little["#log_time"].astype(np.int64),
-        "#publish_time": little["#publish_time"].astype(np.int64),
-        "#sequence": little["#sequence"].astype(np.uint32),
-        **{name: _copy(little[name], kind) for name, kind in layout.kinds.items()},
-    }
+    for name, column in columns.items():
+        column[...] = little[name]
     is_big = little["#encapsulation"] == BIG_ENDIAN
     if is_big.any():
-        big = rows.view(layout.big)
-        for name, kind in layout.kinds.items():
-            columns[name][is_big] = _copy(big[name][is_big], kind)
-    return columns
-
-
-def _copy(values: Column, kind: str) -> Column:
-    # A byte that is neither 0 nor 1 is no bool of numpy's.
-    return values != 0 if kind == "?" else values.astype(kind)
+        big = rows[is_big].view(layout.big)
+        for name in layout.kinds:
+            columns[name][is_big] = big[name]
 
 
 def _is_fixed(fields: tuple[Field, ...]) -> bool:

@@ -1,11 +1,12 @@
 """The bytes of MCAP records -> where the messages among them stand, and the others as values."""
 
+import struct
 import zlib
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, BinaryIO, Final, TypeVar
+from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -25,9 +26,14 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.limits import LONGEST_DESCRIBED, MOST_DESCRIBED
+from turtlelog.log.engine.runs import start_walk
 from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")
+
+_ID: Final = struct.Struct("<H")
+_IDS: Final = struct.Struct("<HH")  # of a channel, and of its schema
+_LENGTH: Final = struct.Struct("<I")
 
 _MOST_ENTRIES: Final = 4096  # of a channel's table; writers use up to five
 
@@ -66,9 +72,11 @@ _BYTES: Final = 2**24  # from the first to the last of them
 Places = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A record in a buffer or file: its opcode, where its body starts, and its length [bytes]."""
+class Place(NamedTuple):
+    """A record in a buffer or file: its opcode, where its body starts, and its length [bytes].
+
+    A tuple, because there may be some hundred thousand: a frozen dataclass takes thrice as long.
+    """
 
     opcode: int
     start: int
@@ -90,7 +98,7 @@ class _ExactBytes(BytesIO):
         return data
 
 
-def iterate_places(data: bytes, start: int, end: int, byte: int) -> Iterator[Place]:
+def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) -> Iterator[Place]:
     """Yield the records between two places of a buffer.
 
     Args:
@@ -142,11 +150,11 @@ def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
     Raises:
         LogError: One clause, where there are fewer than it claims.
     """
-    stream = ReadDataStream(_ExactBytes(body))
     try:
         if kind in _FREQUENT:
             parsed: tuple[Rare, int] = _FREQUENT[kind](body)
             return parsed
+        stream = ReadDataStream(_ExactBytes(body))
         record: Rare = kind.read(stream)  # type: ignore[attr-defined]
     except Exception as err:  # the library raises nearly everything
         found = describe_error(err)
@@ -158,7 +166,7 @@ def _read_schema(body: bytes) -> tuple[Schema, int]:
     name, place = _take_field(body, 2)
     encoding, place = _take_field(body, place)
     data, place = _take_field(body, place)
-    number = int.from_bytes(body[:2], "little")
+    (number,) = _ID.unpack_from(body)
     return Schema(id=number, name=name.decode(), encoding=encoding.decode(), data=data), place
 
 
@@ -174,21 +182,23 @@ def _read_channel(body: bytes) -> tuple[Channel, int]:
         key, place = _take_field(table, place)
         value, place = _take_field(table, place)
         entries[key.decode()] = value.decode()
+    number, schema = _IDS.unpack_from(body)
     channel = Channel(
-        id=int.from_bytes(body[:2], "little"),
+        id=number,
         topic=topic.decode(),
         message_encoding=encoding.decode(),
         metadata=entries,
-        schema_id=int.from_bytes(body[2:4], "little"),
+        schema_id=schema,
     )
     return channel, end
 
 
 def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
     """Return the bytes that stand behind their length, and the place behind them."""
-    start = place + 4
-    end = start + int.from_bytes(body[place:start], "little")
-    if len(body) < end or len(body) < start:
+    start = end = place + 4
+    if end <= len(body):
+        end += _LENGTH.unpack_from(body, place)[0]
+    if end > len(body):
         raise EOFError(f"{end} bytes expected, found {len(body)}")
     return body[start:end], end
 
@@ -249,15 +259,19 @@ def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStret
     """
     starts, others = array("I"), list[tuple[int, int, int]]()
     known, size, place, left = _OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
-    fault = None
+    fault, walk = None, start_walk(data, most_records)
     unpack, last = RECORD.unpack_from, size - RECORD.size
-    for left in range(most_records, -1, -1):
-        if place >= size or not left:
-            break
+    while place < size and left:
+        if walk.is_due:
+            found, place = walk.go_on(place, left)
+            starts.frombytes(found.tobytes())
+            left -= len(found)
+            continue
         opcode, length = unpack(data, place) if place <= last else (0, 0)
         end = place + 9 + length
         if opcode == _MESSAGE and end <= size and length >= COUNTED_HEAD:
             starts.append(place)
+            walk.add(9 + length)
         elif not opcode or opcode == _MESSAGE or end > size:
             fault = _describe_fault(opcode, size - place, length)
             break
@@ -266,7 +280,7 @@ def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStret
             if fault is not None:
                 break
             others.append((place, opcode, end))
-        place = end
+        place, left = end, left - 1
     if place < size and fault is None:
         fault = f"expected up to {most_records} records more, found {size - place} bytes of others"
     return RecordStretch(

@@ -13,11 +13,10 @@ from typing import BinaryIO, Final
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
-from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.chunks import ChunkEntry
-from turtlelog.log.engine.framing import RECORD, check_start
+from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
 from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
 from turtlelog.log.error_boundary import DamageError, UnfinishedError

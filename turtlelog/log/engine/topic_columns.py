@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block
+from turtlelog.log.engine.compiled import INDEXED_S, expect
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     PUBLISH_TIME,
     SEQUENCE,
+    FixedColumns,
     Rows,
     make_empty_rows,
     select_rows,
@@ -38,6 +40,11 @@ from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.error_boundary import name_file, open_file
 
 _MOST_BYTES: Final = 2**25  # of blocks in a batch: rows of images are large
+
+# Columns of a topic may take so many times the bytes of the file before they are filled: no one is
+# believed who promises more. An index has 16 bytes for each message, whose row takes some 50.
+_SHARE: Final = 16
+_SPARE: Final = 2**22  # bytes; of small files
 
 _LONE: Final = (Opcode.HEADER, Opcode.METADATA, Opcode.ATTACHMENT)
 
@@ -156,16 +163,41 @@ def collect_columns(
 ) -> Mapping[str, TopicColumns]:
     """Return the columns of an open file, those of topics without messages included."""
     expected = count_rows(source, selection)
+    if source.is_indexed:  # others are counted as they are walked
+        expect(sum(expected.values()), INDEXED_S)
+    wholes = _set_aside(source, selection, expected)
     stores: dict[str, _RowStore] = {}
-    for piece in iterate_pieces(source, selection):
+    for piece in iterate_pieces(source, selection, wholes=wholes):
         for topic, found in piece.rows.items():
             if topic not in stores:
-                stores[topic] = _RowStore(expected.get(topic, 0))
+                promised = expected.get(topic, 0) if source.is_indexed else 0
+                stores[topic] = _RowStore(0 if topic in wholes else promised)
             stores[topic].take(found)
     parts = {}
     for topic, plan in selection.choose_plans(source.catalogue).items():
-        parts[topic] = stores[topic].parts if topic in stores else [make_empty_rows(plan)]
+        whole = [wholes[topic].finish()] if topic in wholes else []
+        others = stores[topic].parts if topic in stores else []
+        parts[topic] = [*whole, *others] or [make_empty_rows(plan)]
     return build_columns(parts, source.catalogue.types)
+
+
+def _set_aside(
+    source: Source | SqliteSource, selection: Selection, expected: Mapping[str, int]
+) -> Mapping[str, FixedColumns]:
+    """Return columns for topics whose messages have one size and whose number is promised."""
+    try:
+        plans = selection.choose_plans(source.catalogue)
+    except LogError:  # said where they are read
+        return {}
+    most = _SHARE * source.size + _SPARE
+    return {
+        topic: FixedColumns(plan.layout, expected[topic])
+        for topic, plan in plans.items()
+        if plan.layout is not None
+        and plan.json is None
+        and topic in expected
+        and expected[topic] * plan.layout.little.itemsize <= most
+    }
 
 
 def _join_rows(parts: list[Rows]) -> Rows:

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from typing import BinaryIO, Final
 
 from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 
 from turtlelog.errors import LogError
 from turtlelog.log.engine.chunks import CHUNK_HEAD, unpack_chunk
 from turtlelog.log.engine.framing import (
+    MCAP0_MAGIC,
     RECORD,
     START_SIZE,
     SUMMARY_ONLY,
@@ -27,6 +27,7 @@ from turtlelog.log.engine.framing import (
     measure_record,
 )
 from turtlelog.log.engine.limits import DAMAGES, LARGEST_CHUNK, UNPACKED, Allowance
+from turtlelog.log.engine.runs import skip_followed
 
 _BATCH: Final = 2**20  # bytes of lone records handed on together
 _LONGEST_NAME: Final = 64  # bytes; of a compression
@@ -178,18 +179,18 @@ def _read_record(
 
 def _read_run(window: FileWindow, place: int, opcode: int) -> bytes:
     """Return the records of one kind that follow each other from `place`, up to a batch."""
-    _, end = find_record_end(window, place)
-    parts = [window.read(place, end - place)]
+    end = find_record_end(window, place)[1]
+    if opcode == Opcode.MESSAGE:
+        end = max(end, place + skip_followed(window.read(place, _BATCH)))
     while opcode in _RUNS and end - place < _BATCH:
-        start = end
         try:
-            found, end = find_record_end(window, start)
+            found, after = find_record_end(window, end)
         except LogError:
             break
         if found != opcode:
             break
-        parts.append(window.read(start, end - start))
-    return b"".join(parts)
+        end = after
+    return window.read(place, end - place)
 
 
 def _read_attachment(window: FileWindow, place: int) -> tuple[list[Section | Loss], int]:

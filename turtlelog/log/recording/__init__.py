@@ -1,1 +1,8 @@
-"""turtlelog's own recordings: what stands in them, how they are written and read."""
+"""turtlelog's own recordings: what stands in them, how they are written and read.
+
+The names stand in `__init__.pyi` and load on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,12 +1,11 @@
 """File -> what a recording of ours consists of, whole or not, and notes on what of it is lost."""
 
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, BinaryIO, Final
 
-import msgspec
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
@@ -18,12 +17,19 @@ from turtlelog.log.engine.channels import Catalogue, TopicPlan
 from turtlelog.log.engine.decode import Rows, make_empty_rows
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.engine.source import Selection, Source, iterate_pieces, read_piece
+from turtlelog.log.engine.source import (
+    Selection,
+    Source,
+    count_rows,
+    iterate_pieces,
+    read_piece,
+)
 from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import TopicColumns, build_columns
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.error_boundary import DamageError
-from turtlelog.log.recording.head import CHECKSUM, HEAD, Head, parse_head, sum_up
+from turtlelog.log.recording.head import HEAD, Head, parse_head
+from turtlelog.log.recording.recovery_note import describe_recovery
 from turtlelog.log.recording.topics import (
     CONTROL,
     LAW_STATE,
@@ -42,23 +48,8 @@ from turtlelog.log.recording.topics import (
     define_states,
     list_topics,
 )
+from turtlelog.log.recording.used_rows import UsedRows
 from turtlelog.loops import Declaration
-
-RECOVERY: Final = "turtlelog_recovery"
-"""Name of the metadata record that tells a recovered file from one that was always whole."""
-
-_NOTE: Final = "recovered"
-
-LOSS_NOTES: Final = ("partial", "recovered")
-"""Notes of a run that say what its recording has lost."""
-
-_FROM_DAMAGED: Final = "from a damaged or unfinished file: "
-_NO_MESSAGE: Final = "no message is lost"
-
-SUMMARY_ALONE: Final = "no data is lost, only the summary is damaged"
-NO_LOSS: Final = (SUMMARY_ALONE, f"{_FROM_DAMAGED}{_NO_MESSAGE}")
-"""How the notes begin of files of which nothing is lost but the summary; what follows a semicolon
-is another loss."""
 
 _OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
 
@@ -71,14 +62,15 @@ class Contents:
         head: What it says of itself.
         attachments: Bytes by name.
         topics: The columns by name of every topic that there should be, by its declaration and its
-            effects; empty ones without messages.
+            effects; empty ones without messages. Of a whole file without fields that no run needs,
+            and with its log times for times of publication.
         damages: What could not be read; empty where the file is whole.
         recovered: A note of what was lost before, where the file is one that was recovered.
     """
 
     head: Head
     attachments: Mapping[str, bytes]
-    topics: Mapping[str, TopicColumns]
+    topics: dict[str, TopicColumns]
     damages: tuple[Loss, ...] = ()
     recovered: Mapping[str, str] = field(default_factory=dict)
 
@@ -119,15 +111,19 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
 
 
 def _read_source(source: Source) -> Contents:
-    parts: dict[str, list[Rows]] = {}
+    stores: dict[str, UsedRows] = {}
     found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
     if source.is_indexed:
         # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
         _find_head(found)
+    expected = count_rows(source, _OWN) if source.is_indexed else {}
     for piece in iterate_pieces(source, _OWN):
         found += _keep_notes(piece.rest)
         for topic, rows in piece.rows.items():
-            parts.setdefault(topic, []).append(rows)
+            if topic not in stores:
+                stores[topic] = UsedRows(topic, expected.get(topic, 0))
+            stores[topic].take(rows)
+    parts = {topic: stores.pop(topic).finish() for topic in list(stores)}
     return build_contents(found, source.catalogue, parts, ())
 
 
@@ -333,63 +329,3 @@ def _intersect(topics: Mapping[str, TopicColumns]) -> NDArray[np.uint32]:
             raise LogError(f"topic {name}: expected poses numbered in order, found others")
         numbers = np.intersect1d(numbers, columns.sequence)
     return numbers
-
-
-def describe_damages(damages: Sequence[Loss]) -> str:
-    """Say in one line how much is lost; the first place stands for all."""
-    if not damages:
-        return SUMMARY_ALONE
-    lost, places = sum(damage.end - damage.start for damage in damages), len(damages)
-    times = "1 place" if places == 1 else f"{places} places"
-    extent = f"{lost} bytes are lost in" if lost else "not whole in"
-    return f"{extent} {times}: byte {damages[0].start}: {damages[0].reason}"
-
-
-def format_recovery(
-    lost: Sequence[Loss], missing: Mapping[str, int] | None, unchecked: Mapping[str, int]
-) -> dict[str, str]:
-    """Return the metadata record: each entry as JSON, and the checksum of all."""
-    entries = {"lost": lost, "missing": missing, "unchecked": unchecked}
-    record = {name: msgspec.json.encode(value).decode() for name, value in entries.items()}
-    return {**record, CHECKSUM: sum_up(record)}
-
-
-def describe_recovery(records: Iterable[Any]) -> dict[str, str]:
-    """Return the note `recovered` for a file with these records; none where it was always whole.
-
-    Raises:
-        LogError: Where the record is not as it was written.
-    """
-    found = [
-        record.metadata
-        for record in records
-        if isinstance(record, Metadata) and record.name == RECOVERY
-    ]
-    if not found:
-        return {}
-    losses = "; ".join(dict.fromkeys(map(_describe, found)))
-    return {_NOTE: f"{_FROM_DAMAGED}{losses}"}
-
-
-def _describe(record: Mapping[str, str]) -> str:
-    if record.get(CHECKSUM) != sum_up(record):
-        raise LogError(f"metadata {RECOVERY}: expected its checksum, found another: it is damaged")
-    lost = _decode(record, "lost", tuple[Loss, ...])
-    missing = _decode(record, "missing", dict[str, int] | None)
-    if missing is None:
-        count = "nobody knows how many messages are lost"
-    elif missing:
-        count = "lost " + ", ".join(f"{count} of {topic}" for topic, count in missing.items())
-    else:
-        count = _NO_MESSAGE
-    places = [f"byte {loss.start}: {loss.reason}" for loss in lost[:1]]
-    if len(lost) > 1:
-        places.append("1 more place" if len(lost) == 2 else f"{len(lost) - 1} more places")
-    return f"{count} ({', and '.join(places)})" if places else count
-
-
-def _decode(record: Mapping[str, str], key: str, kind: Any) -> Any:
-    try:
-        return msgspec.json.decode(record[key], type=kind)
-    except (KeyError, msgspec.MsgspecError) as err:
-        raise LogError(f"metadata {RECOVERY}: {key}: expected its JSON, found {err}") from err

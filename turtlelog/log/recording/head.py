@@ -3,20 +3,24 @@
 import zlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
 from turtlelog.declaration_json import format_declaration, parse_declaration
 from turtlelog.errors import LogError, ScenarioError
-from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.loops import Declaration
-from turtlelog.run import Clock, Run
-from turtlelog.scenario import DEFAULT_LAW, Scenario, nest_parameters
-from turtlelog.text_files import format_toml, parse_toml
+from turtlelog.run import Clock
+from turtlelog.scenario import DEFAULT_LAW, nest_parameters
+from turtlelog.text_files import copy_tables, format_toml, parse_toml
 from turtlelog.version import __version__
+
+if TYPE_CHECKING:
+    from turtlelog.run import Run
+    from turtlelog.scenario import Scenario
 
 HEAD: Final = "turtlelog"
 """Name of the metadata record."""
@@ -31,6 +35,10 @@ SCENARIO_FILE: Final = "scenario.toml"
 PARAMETER_FILE: Final = "parameters.toml"
 """Attachment that holds what is known of a scenario."""
 
+
+_USUAL: Final = 2**13
+"""Bytes of an attachment whose tables are kept for the next file: 32 of them take some 25 MB at
+most."""
 
 _LONGEST: Final = 2**18
 """Bytes of the record, and of an attachment that is read; ours take a few thousand. TOML needs some
@@ -85,7 +93,7 @@ class Head:
     clock: Clock | None = None
 
 
-def describe_run(run: Run) -> Head:
+def describe_run(run: "Run") -> Head:
     """Return the head of a run's recording."""
     return Head(
         format_version=FORMAT_VERSION,
@@ -103,7 +111,7 @@ def describe_run(run: Run) -> Head:
 
 
 def describe_scenario(
-    scenario: Scenario,
+    scenario: "Scenario",
     declaration: Declaration,
     *,
     stop_reason: str | None = None,
@@ -192,7 +200,7 @@ def parse_head(record: Mapping[str, str]) -> Head:
     )
 
 
-def format_scenario_file(run: Run) -> dict[str, bytes]:
+def format_scenario_file(run: "Run") -> dict[str, bytes]:
     """Return the attached TOML text by its name; nothing where no parameter is known."""
     if not run.parameters and not run.scenario_is_complete:
         return {}
@@ -214,14 +222,27 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
     text = attachments.get(name, b"")
     if len(text) > _LONGEST:
         raise LogError(f"attachment {name}: expected up to {_LONGEST} bytes, found {len(text)}")
+    parse = _recall_tables if len(text) <= _USUAL else _parse_tables
+    return parse(name, text), name in attachments and name == SCENARIO_FILE
+
+
+def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
     try:
-        tables = parse_toml(text.decode())
+        return parse_toml(text.decode())
     except ValueError as err:
         raise LogError(f"attachment {name}: expected TOML, found: {err}") from err
-    return tables, name in attachments and name == SCENARIO_FILE
 
 
-def _list_nan_columns(run: Run) -> list[str]:
+def _recall_tables(name: str, text: bytes) -> dict[str, Any]:
+    """Return the tables of a text, parsed once: many files of one experiment hold the same."""
+    tables: dict[str, Any] = copy_tables(_keep_tables(name, text))
+    return tables
+
+
+_keep_tables = lru_cache(maxsize=32)(_parse_tables)
+
+
+def _list_nan_columns(run: "Run") -> list[str]:
     columns = {
         "poses.speed_m_s": run.poses.speed_m_s,
         "poses.turn_rate_rad_s": run.poses.turn_rate_rad_s,
@@ -239,7 +260,7 @@ def _list_nan_columns(run: Run) -> list[str]:
     return [name for name, values in columns.items() if values is None]
 
 
-def _list_more_topics(run: Run) -> list[str]:
+def _list_more_topics(run: "Run") -> list[str]:
     poses, shaped = run.poses, run.samples.shaped_speed_m_s
     columns = {
         SENSED: (poses.sensed_xy_m,),
@@ -262,9 +283,12 @@ def sum_up(record: Mapping[str, str]) -> str:
 def _parse_declaration(record: Mapping[str, str]) -> Declaration:
     text = _get(record, "declaration")
     try:
-        return parse_declaration(text)
+        return _keep_declaration(text) if len(text) <= _USUAL else parse_declaration(text)
     except LogError as err:
         raise LogError(f"metadata {HEAD}: declaration: {err}") from err
+
+
+_keep_declaration = lru_cache(maxsize=32)(parse_declaration)
 
 
 def _encode(value: object) -> str:
@@ -293,6 +317,8 @@ def declare_format1(tables: Mapping[str, Any], *, has_samples: bool) -> Declarat
             is one of the sequential law.
         has_samples: Whether it holds samples; without a law's name and samples nothing is known.
     """
+    from turtlelog.laws.sequential_p import DECLARATION as SEQUENTIAL_P
+
     law = tables.get("law")
     kind = law.get("kind") if isinstance(law, Mapping) else None
     if kind is None and not has_samples:

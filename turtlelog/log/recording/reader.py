@@ -10,7 +10,6 @@ from typing import Any, BinaryIO, Final, Self
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from turtlelog.errors import LogError
@@ -18,7 +17,7 @@ from turtlelog.log.complete_files import is_live
 from turtlelog.log.engine.blocks import build_walked_block
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.decode import Rows
-from turtlelog.log.engine.framing import check_start
+from turtlelog.log.engine.framing import MCAP0_MAGIC, check_start
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import NoMcapError, open_mcap
@@ -32,12 +31,12 @@ from turtlelog.log.recording.contents import (
     ForeignFileError,
     PartialRecordingWarning,
     build_contents,
-    describe_damages,
     read_contents,
     reconcile_contents,
     salvage_contents,
 )
 from turtlelog.log.recording.head import MAY_BE_ABSENT, Head, declare_format1, parse_scenario_file
+from turtlelog.log.recording.recovery_note import describe_damages
 from turtlelog.log.recording.topics import (
     COMMAND,
     CONTROL,
@@ -48,6 +47,7 @@ from turtlelog.log.recording.topics import (
     MEASURED,
     POSE,
     POSE64,
+    REFERENCE,
     REFERENCE64,
     SENSED,
     SENSED64,
@@ -216,7 +216,7 @@ class RecordingTail:
 
 
 def build_run(contents: Contents) -> Run:
-    """Return the run that a recording holds.
+    """Return the run that a recording holds. Takes its topics out of it: run and they stand once.
 
     Raises:
         LogError: Where it holds no pose, or what it holds is no run.
@@ -230,12 +230,18 @@ def build_run(contents: Contents) -> Run:
     goal, goal_xy_m = columns[GOAL.name].fields, None
     if len(columns[GOAL.name]):
         goal_xy_m = float(goal["pose.position.x"][0]), float(goal["pose.position.y"][0])
+    # Each table frees what it was built from before the next is built.
+    columns.pop(REFERENCE.name, None)
+    poses = _build_poses(columns, head)
+    commands = _build_commands(columns.pop(COMMAND.name))
+    events = _build_events(columns.pop(EVENT.name))
+    samples = _build_samples(columns, head, declaration)
     return Run(
         name=head.name,
         source=head.source,
-        poses=_build_poses(columns, head),
-        commands=_build_commands(columns[COMMAND.name]),
-        samples=_build_samples(columns, head, declaration),
+        poses=poses,
+        commands=commands,
+        samples=samples,
         goal_xy_m=goal_xy_m,
         goal_heading_rad=head.goal_heading_rad,
         declaration=declaration,
@@ -243,18 +249,18 @@ def build_run(contents: Contents) -> Run:
         scenario_is_complete=is_complete,
         clock=head.clock,
         stop_reason=head.stop_reason,
-        events=_build_events(columns[EVENT.name]),
+        events=events,
         absent=head.absent,
         notes={**head.notes, **contents.recovered},
     )
 
 
-def _build_poses(columns: Mapping[str, TopicColumns], head: Head) -> PoseColumns:
-    pose = columns[POSE.name]
+def _build_poses(columns: dict[str, TopicColumns], head: Head) -> PoseColumns:
+    pose = columns.pop(POSE.name)
     if not len(pose):
         raise LogError(f"topic {POSE.name}: expected messages, found none")
-    position = _prefer(columns[POSE64.name], pose).fields
-    velocity = _prefer(columns[VELOCITY64.name], pose).fields
+    position = _prefer(columns.pop(POSE64.name), pose).fields
+    velocity = _prefer(columns.pop(VELOCITY64.name), pose).fields
     speed = velocity["linear.x" if "linear.x" in velocity else "linear_velocity"]
     turn_rate = velocity["angular.z" if "angular.z" in velocity else "angular_velocity"]
     sensed = _build_sensed(columns, pose, columns[CONTROL.name].fields["pose_sequence"])
@@ -265,18 +271,18 @@ def _build_poses(columns: Mapping[str, TopicColumns], head: Head) -> PoseColumns
         speed_m_s=_unless_nan(head, "poses.speed_m_s", speed),
         turn_rate_rad_s=_unless_nan(head, "poses.turn_rate_rad_s", turn_rate),
         **_build_measured(columns, pose, head),
-        sensed_xy_m=None if sensed is None else sensed[:, :2].copy(),
-        sensed_heading_rad=None if sensed is None else sensed[:, 2].copy(),
+        sensed_xy_m=sensed[0],
+        sensed_heading_rad=sensed[1],
     )
 
 
 def _build_measured(
-    columns: Mapping[str, TopicColumns], pose: TopicColumns, head: Head
+    columns: dict[str, TopicColumns], pose: TopicColumns, head: Head
 ) -> dict[str, Values | None]:
     """Return what the robot reported, nothing where it reported nothing."""
     if MEASURED.name not in columns:
         return {}
-    found = columns[MEASURED.name]
+    found = columns.pop(MEASURED.name)
     if not np.array_equal(found.log_time_ns, pose.log_time_ns):
         expected = f"the times of the {len(pose)} poses"
         raise LogError(f"topic {found.topic}: expected {expected}, found {len(found)} others")
@@ -288,12 +294,12 @@ def _build_measured(
 
 
 def _build_sensed(
-    columns: Mapping[str, TopicColumns], pose: TopicColumns, read: Column
-) -> Values | None:
-    """Return x, y and heading as they were sensed, NaN where a pose dropped out."""
+    columns: dict[str, TopicColumns], pose: TopicColumns, read: Column
+) -> tuple[Values | None, Values | None]:
+    """Return position and heading as they were sensed, NaN where a pose dropped out."""
     if SENSED.name not in columns:
-        return None
-    sensed = columns[SENSED.name]
+        return None, None
+    sensed = columns.pop(SENSED.name)
     rows, place = sensed.sequence, f"topic {SENSED.name}"
     is_rising = bool((rows[1:] > rows[:-1]).all())
     if not is_rising or not (rows < len(pose)).all():
@@ -308,9 +314,17 @@ def _build_sensed(
     if missing.any():
         number = read[missing.argmax()]
         raise LogError(f"{place}: expected pose {number}, which a sample read, found none")
-    found = np.full((len(pose), 3), np.nan)
-    found[rows] = _gather(_prefer(columns[SENSED64.name], sensed).fields, ("x", "y", "theta"))
-    return found
+    exact = _prefer(columns.pop(SENSED64.name), sensed)
+    return _spread(exact, rows, len(pose))
+
+
+def _spread(found: TopicColumns, rows: Column, count: int) -> tuple[Values, Values]:
+    """Return position and heading at some rows of so many, NaN at all others."""
+    xy_m, heading_rad = np.full((count, 2), np.nan), np.full(count, np.nan)
+    for place, name in enumerate(("x", "y")):
+        xy_m[rows, place] = found.fields[name]
+    heading_rad[rows] = found.fields["theta"]
+    return xy_m, heading_rad
 
 
 def _prefer(exact: TopicColumns, rounded: TopicColumns) -> TopicColumns:
@@ -335,20 +349,25 @@ def _build_commands(columns: TopicColumns) -> CommandColumns:
 
 
 def _build_samples(
-    columns: Mapping[str, TopicColumns], head: Head, declaration: Declaration
+    columns: dict[str, TopicColumns], head: Head, declaration: Declaration
 ) -> SampleColumns:
-    samples = columns[CONTROL.name]
-    sequence = samples.fields["sequence"]
+    sequence = columns[CONTROL.name].fields["sequence"]
     reference_xy_m, reference_heading_rad = _build_reference(columns, head, sequence)
-    found: dict[str, Any] = {
-        name: _gather(samples.fields, fields) for name, fields in CONTROL_COLUMNS.items()
-    }
-    found |= {name: _if_recorded(head, name, found[name]) for name in MAY_BE_ABSENT}
+    states = _build_states(columns, declaration.states, sequence)
     shaped = _build_shaped(columns, sequence)
+    samples = columns.pop(CONTROL.name)
+    time_ns, fields = samples.log_time_ns, dict(samples.fields)
+    del samples, sequence
+    found: dict[str, Any] = {}
+    for name, parts in CONTROL_COLUMNS.items():
+        found[name] = _gather(fields, parts)
+        for part in parts:
+            del fields[part]
+    found |= {name: _if_recorded(head, name, found[name]) for name in MAY_BE_ABSENT}
     return SampleColumns(
-        time_ns=samples.log_time_ns,
+        time_ns=time_ns,
         **found,
-        states=_build_states(columns, declaration.states, sequence),
+        states=states,
         shaped_speed_m_s=shaped.get("linear.x"),
         shaped_turn_rate_rad_s=shaped.get("angular.z"),
         reference_xy_m=reference_xy_m,
@@ -375,20 +394,21 @@ def _if_recorded(head: Head, name: str, values: Column) -> Values | None:
 
 
 def _build_states(
-    columns: Mapping[str, TopicColumns], names: tuple[str, ...], sequence: Column
+    columns: dict[str, TopicColumns], names: tuple[str, ...], sequence: Column
 ) -> Values | None:
     if not names:
         return None
-    found = columns[LAW_STATE]
+    found = columns.pop(LAW_STATE)
     _require_numbers(found, sequence)
     return np.column_stack([found.fields[name] for name in names])
 
 
-def _build_shaped(columns: Mapping[str, TopicColumns], sequence: Column) -> Mapping[str, Column]:
+def _build_shaped(columns: dict[str, TopicColumns], sequence: Column) -> Mapping[str, Column]:
     if SHAPED.name not in columns:
         return {}
-    _require_numbers(columns[SHAPED.name], sequence)
-    return columns[SHAPED.name].fields
+    found = columns.pop(SHAPED.name)
+    _require_numbers(found, sequence)
+    return found.fields
 
 
 def _require_numbers(found: TopicColumns, sequence: Column) -> None:
@@ -399,20 +419,17 @@ def _require_numbers(found: TopicColumns, sequence: Column) -> None:
 
 
 def _build_reference(
-    columns: Mapping[str, TopicColumns], head: Head, sequence: Column
+    columns: dict[str, TopicColumns], head: Head, sequence: Column
 ) -> tuple[Values | None, Values | None]:
     """Return position and heading by sample, NaN of one that has none."""
-    found = columns.get(REFERENCE64.name)
+    found = columns.pop(REFERENCE64.name, None)
     if found is None or "samples.reference_xy_m" in head.nan_columns:
         return None, None
     is_rising = bool((found.sequence[1:] > found.sequence[:-1]).all())
     if not is_rising or not np.isin(found.sequence, sequence).all():
         expected = f"numbers of the {len(sequence)} samples, each once"
         raise LogError(f"topic {REFERENCE64.name}: expected {expected}, found others")
-    rows = np.full((len(sequence), 3), np.nan)
-    at = np.searchsorted(sequence, found.sequence)
-    rows[at] = np.column_stack([found.fields[name] for name in ("x", "y", "theta")])
-    return rows[:, :2].copy(), rows[:, 2].copy()
+    return _spread(found, np.searchsorted(sequence, found.sequence), len(sequence))
 
 
 def _build_events(columns: TopicColumns) -> tuple[Event, ...]:

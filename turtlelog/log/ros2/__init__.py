@@ -5,31 +5,10 @@ them, `bag_topics` chooses topics, `bag_poses` and `bag_transforms` find the pos
 makes columns of messages, `reported_rates` judges what odometry reports, `stamps` and `bag_clock`
 time them, `bag_references` adds goal and path, `bag_samples` a controller's samples,
 and `bag_reader` builds the run.
+
+The names stand in `__init__.pyi` and load on first use.
 """
 
-from turtlelog.log.ros2.bag_folder import list_bag_files, read_bag_info
-from turtlelog.log.ros2.bag_metadata import (
-    METADATA_FILE,
-    BagMetadata,
-    BagPart,
-    BagTopic,
-    format_bag_metadata,
-    parse_bag_metadata,
-)
-from turtlelog.log.ros2.bag_reader import read_bag
-from turtlelog.log.ros2.bag_topics import COMMAND_TYPES, POSE_TYPES, choose_pose_topic
+import lazy_loader
 
-__all__ = [
-    "COMMAND_TYPES",
-    "METADATA_FILE",
-    "POSE_TYPES",
-    "BagMetadata",
-    "BagPart",
-    "BagTopic",
-    "choose_pose_topic",
-    "format_bag_metadata",
-    "list_bag_files",
-    "parse_bag_metadata",
-    "read_bag",
-    "read_bag_info",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

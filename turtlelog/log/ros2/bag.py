@@ -1,7 +1,8 @@
 """A bag that is open for reading: what its files hold, and the messages of its topics."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 from turtlelog.errors import LogError
@@ -23,9 +24,10 @@ class Bag:
     infos: Mapping[Path, RecordingInfo]
 
     @property
-    def topics(self) -> list[TopicInfo]:
+    def topics(self) -> Sequence[TopicInfo]:
         """The topics of all files, each name and type once."""
-        return merge_topics(topic for info in self.infos.values() for topic in info.topics)
+        first, *others = (info.topics for info in self.infos.values())
+        return merge_topics(chain(first, *others)) if others else first
 
     def read(
         self, names: Collection[str], *, is_flat: bool = True

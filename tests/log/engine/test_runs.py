@@ -1,0 +1,77 @@
+import random
+
+import pytest
+
+from tests.log.ways import load_kernels, use_kernels
+from turtlelog.log.engine.parsing import take_apart
+from turtlelog.log.engine.runs import _Foretelling, skip_followed
+
+
+def join(lengths: list[int]) -> bytes:
+    """Return message records of these lengths, each of channel 1."""
+    return b"".join(
+        b"\5" + length.to_bytes(8, "little") + b"\1\0" + bytes(length - 2) for length in lengths
+    )
+
+
+def list_starts(lengths: list[int]) -> list[int]:
+    starts = [0]
+    for length in lengths:
+        starts.append(starts[-1] + 9 + length)
+    return starts
+
+
+def draw_lengths(seed: int) -> list[int]:
+    """Return lengths in turns; some interrupted, replaced, or of other turns, or none at all."""
+    rng = random.Random(seed)
+    lengths: list[int] = []
+    for _ in range(rng.randint(1, 4)):
+        turn = [rng.choice([22, 30, 54, 82]) for _ in range(rng.choice([1, 3, 7, 60, 70]))]
+        for place in range(rng.choice([10, 300, 2500])):
+            if rng.random() < 0.004:
+                lengths.append(rng.randint(22, 90))
+            if rng.random() > 0.002:
+                lengths.append(turn[place % len(turn)])
+    return lengths
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_every_message_is_found_where_it_starts(seed: int) -> None:
+    lengths = draw_lengths(seed)
+    data, starts = join(lengths), list_starts(lengths)
+    with use_kernels(None):
+        found = take_apart(data, is_chunk=True, most_records=len(lengths))
+        assert (found.starts.tolist(), found.fault) == (starts[:-1], None)
+        few = take_apart(data, is_chunk=True, most_records=len(lengths) - 1)
+        assert few.starts.tolist() == starts[:-2]
+        assert few.fault is not None
+    cut = data[: starts[-2] + 40]
+    for way in (None, load_kernels() if seed == 0 else None):
+        with use_kernels(way):
+            assert skip_followed(data) == starts[-2]
+            assert skip_followed(cut) == starts[-2]
+            assert skip_followed(data + bytes(9)) == starts[-2]
+            assert skip_followed(b"\4" + data) == 0
+
+
+def test_turns_are_foretold_up_to_what_breaks_them() -> None:
+    lengths = [30, 50, 22] * 400
+    lengths[900] = 70
+    data, starts = join(lengths), list_starts(lengths)
+    walk = _Foretelling(data)
+    for length in lengths[:16]:
+        assert not walk.is_due
+        walk.add(9 + length)
+    assert walk.is_due
+    found, place = walk.go_on(starts[16], 10**6)
+    assert [*found.tolist(), place] == starts[16:901]
+    assert not walk.is_due
+
+
+def test_no_more_messages_are_foretold_than_asked_for() -> None:
+    lengths = [30] * 1000
+    walk = _Foretelling(join(lengths))
+    for length in lengths[:16]:
+        walk.add(9 + length)
+    found, place = walk.go_on(16 * 39, 500)
+    assert [*found.tolist(), place] == list_starts(lengths)[16:517]

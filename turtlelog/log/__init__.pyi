@@ -1,0 +1,61 @@
+from .any_file import (
+    read_as_chosen as read_as_chosen,
+    read_file_info as read_file_info,
+    read_run as read_run,
+)
+from .complete_files import (
+    replace_when_complete as replace_when_complete,
+)
+from .container import (
+    write_columns as write_columns,
+)
+from .engine import (
+    TopicColumns as TopicColumns,
+    iter_columns as iter_columns,
+    read_columns as read_columns,
+)
+from .engine.walk import (
+    Loss as Loss,
+)
+from .exporters import (
+    export_csv as export_csv,
+    export_parquet as export_parquet,
+    export_rosbag2 as export_rosbag2,
+    export_tum as export_tum,
+)
+from .importers import (
+    import_log as import_log,
+    import_plain_table as import_plain_table,
+)
+from .info import (
+    RecordingInfo as RecordingInfo,
+    TopicInfo as TopicInfo,
+    read_info as read_info,
+)
+from .read_choice import (
+    CHOSEN as CHOSEN,
+    ReadChoice as ReadChoice,
+    ReadOptions as ReadOptions,
+    split_topic as split_topic,
+)
+from .recording.contents import (
+    PartialRecordingWarning as PartialRecordingWarning,
+)
+from .recording.reader import (
+    RecordingTail as RecordingTail,
+    read_recording as read_recording,
+)
+from .recording.recorder import (
+    Recorder as Recorder,
+)
+from .recording.run_writer import (
+    write_recording as write_recording,
+)
+from .recovery import (
+    RecoveryReport as RecoveryReport,
+    recover_recording as recover_recording,
+)
+from .ros2 import (
+    read_bag as read_bag,
+    read_bag_info as read_bag_info,
+)

@@ -1,0 +1,75 @@
+"""A log or table of others -> Run: the layout is told by its name and its content."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.framing import MCAP0_MAGIC
+from turtlelog.log.error_boundary import name_file, open_file
+from turtlelog.log.importers.paper_layouts import PAPER_MARKS, parse_paper_csv, parse_paper_json
+from turtlelog.log.importers.paper_log import PaperLog, build_paper_run
+from turtlelog.log.importers.plain_tables import import_plain_table
+from turtlelog.log.importers.table_text import read_header
+from turtlelog.run import Run
+
+_IMPORTERS: Final[Mapping[str, Callable[[str, Path], PaperLog]]] = MappingProxyType(
+    {".json": parse_paper_json, ".csv": parse_paper_csv}
+)
+
+
+def import_other(path: Path, columns: Mapping[str, str]) -> Run:
+    """Return the run in a log of the paper's, or else in a plain table.
+
+    Args:
+        path: The file.
+        columns: Of the table, as the user maps them; then it is none of the paper's logs.
+
+    Raises:
+        LogError: One line with the file and the place, where it is neither or is wrong.
+    """
+    if path.suffix.lower() == ".json" or (not columns and _is_papers(path)):
+        return import_log(path)
+    return import_plain_table(path, columns)
+
+
+def _is_papers(path: Path) -> bool:
+    """Return whether a CSV has the columns that only the paper's logs have."""
+    return path.suffix.lower() == ".csv" and not PAPER_MARKS.isdisjoint(read_header(path))
+
+
+def import_log(path: str | Path, *, sort: bool = False) -> Run:
+    """Return the run in a log of the paper's controller, JSON or CSV.
+
+    Args:
+        path: The log; a name that ends otherwise is told by its content.
+        sort: Sort rows by time and drop exact duplicates; both are counted in the run's notes.
+
+    Raises:
+        LogError: One line with the file, the list and the index, where the log is wrong.
+    """
+    path = Path(path)
+    with name_file(path, expected="a log of the paper's layout, .json or .csv"):
+        text = _read_text(path)
+        suffix = path.suffix.lower()
+        if suffix not in _IMPORTERS:
+            suffix = ".json" if text.lstrip().startswith(("{", "[")) else ".csv"
+        return build_paper_run(_IMPORTERS[suffix](text, path), sort=sort)
+
+
+def _read_text(path: Path) -> str:
+    with open_file(path) as stream:
+        data = stream.read()
+    if data.startswith(MCAP0_MAGIC):
+        raise LogError("expected a log in JSON or CSV, found MCAP, which is read as it is")
+    try:
+        # Spreadsheets put a byte order mark in front.
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as err:
+        raise LogError(
+            f"byte {err.start}: expected UTF-8 text, found 0x{err.object[err.start]:02x}"
+        ) from err
+    if not text.strip():
+        raise LogError("expected a log, found an empty file")
+    return text

@@ -1,0 +1,20 @@
+from .bag_folder import (
+    list_bag_files as list_bag_files,
+    read_bag_info as read_bag_info,
+)
+from .bag_metadata import (
+    METADATA_FILE as METADATA_FILE,
+    BagMetadata as BagMetadata,
+    BagPart as BagPart,
+    BagTopic as BagTopic,
+    format_bag_metadata as format_bag_metadata,
+    parse_bag_metadata as parse_bag_metadata,
+)
+from .bag_reader import (
+    read_bag as read_bag,
+)
+from .bag_topics import (
+    COMMAND_TYPES as COMMAND_TYPES,
+    POSE_TYPES as POSE_TYPES,
+    choose_pose_topic as choose_pose_topic,
+)
