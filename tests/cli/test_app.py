@@ -7,6 +7,7 @@ import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
+from turtlelog.cli.app import _COMMANDS, app
 
 
 def test_the_version_is_the_packages(call: Call) -> None:
@@ -27,6 +28,42 @@ def test_starting_up_loads_nothing_heavy(code: str) -> None:
     heavy = "{'numpy', 'rerun', 'mcap', 'msgspec', 'pyarrow', 'matplotlib', 'scipy'}"
     check = f"{code}\nimport sys\nassert not {heavy} & set(sys.modules), set(sys.modules)"
     subprocess.run([sys.executable, "-c", check], check=True, timeout=60)
+
+
+COUNT = """
+import sys
+from turtlelog.cli.app import main
+try: main(sys.argv[1:])
+except SystemExit: pass
+loaded = [name for name in sys.modules if name.partition(".")[0] == "turtlelog"]
+print(len(loaded), *sorted(loaded), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "most"),
+    [(["--help"], 12), (["info"], 70), (["metrics"], 125)],
+    ids=["help", "info", "metrics"],
+)
+def test_a_command_loads_few_of_our_modules(words: list[str], most: int, kp4: Path) -> None:
+    """Each takes 0.5 ms; all that there are, which one eager import may bring, are over 300.
+
+    Help needs the modules of no command, `info` neither laws nor metrics, `metrics` no importer.
+    """
+    files = [str(kp4)] if words[0] in {"info", "metrics"} else []
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT, *words, *files],
+        check=True, timeout=60, capture_output=True, text=True,
+    )  # fmt: skip
+    count, *loaded = done.stderr.split()
+    assert int(count) <= most, loaded
+
+
+def test_what_help_says_of_a_command_is_how_its_docstring_begins() -> None:
+    described = {name: text for of in _COMMANDS.values() for name, (_, text) in of.items()}
+    for name, text in described.items():
+        begin, _, _ = (app[name].default_command.__doc__ or "").partition("\n\n")
+        assert " ".join(begin.split()) == text
 
 
 def test_every_public_name_can_be_used() -> None:

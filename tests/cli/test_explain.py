@@ -308,3 +308,17 @@ def test_a_metric_of_a_loop_that_the_run_does_not_declare_is_refused_at_once(
     assert (refused.code, refused.out) == (2, "")
     assert "metric 'a.overshoot': expected one like" in refused.err
     assert "rotate.overshoot" in refused.err
+
+
+@pytest.mark.parametrize(
+    ("late_us", "told"),
+    [(1, "usually one every 16 ms."), (100, "usually one every 16.1 ms; nine of ten within 15.9")],
+)
+def test_the_spread_of_periods_is_told_where_it_shows(
+    call: Call, tmp_path: Path, late_us: int, told: str
+) -> None:
+    said = [
+        replace(pose, time_ns=pose.time_ns + 1000 * late_us * (row % 2))
+        for row, pose in enumerate(make_poses(200, topic="/pose"))
+    ]
+    assert told in " ".join(call("explain", write_mcap(tmp_path / "bag.mcap", said)).out.split())

@@ -162,3 +162,23 @@ def test_what_times_poses_is_told_beside_delays_alone(call: Call, bag: Path) -> 
     # Its stamps are a simulation's, and it has no commands.
     assert said not in call("identify", find_shared("robots", "amcl_pose")).out
     assert said not in call("identify", bag).out
+
+
+def test_outliers_are_named_one_by_one_unless_they_are_many(call: Call, tmp_path: Path) -> None:
+    run = make_run(LOG, 6)
+    poses = run.poses
+    along = np.column_stack([np.cos(poses.heading_rad), np.sin(poses.heading_rad)])
+
+    def tell(jumps: int) -> tuple[int, int, str]:
+        size_m = np.zeros(len(along))
+        size_m[50 : 50 + 30 * jumps : 30] = 0.3
+        xy_m = poses.xy_m + np.cumsum(size_m[:, None] * along, axis=0)
+        faulty = write_bag(replace(run, poses=replace(poses, xy_m=xy_m)), tmp_path / "jumps.mcap")
+        speed = call("identify", faulty, "--json").json["axes"][0]
+        return speed["outliers"], speed["steps"], " ".join(call("identify", faulty).out.split())
+
+    outliers, steps, text = tell(3)
+    assert (outliers, outliers <= 0.01 * steps, text.count("Outlier:")) == (3, True, 3)
+    outliers, steps, text = tell(5)
+    assert (outliers, outliers > 0.01 * steps, text.count("Outlier:")) == (5, True, 0)
+    assert f"Speed: 5 of {steps} steps are off by far more than is usual" in text

@@ -127,7 +127,7 @@ def test_commands_that_come_unsteadily_have_no_rate(
 def test_a_recording_of_ours_is_told_from_its_summary(
     call: Call, kp4: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("turtlelog.log.any_file.read_bag", pytest.fail)
+    monkeypatch.setattr("turtlelog.log.ros2.read_bag", pytest.fail)
     first, second = call("info", kp4).out.splitlines()[:2]
     assert first == str(kp4)
     assert second == (

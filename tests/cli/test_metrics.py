@@ -1,14 +1,19 @@
 import csv
+import importlib
 import io
+import pickle
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import turtlelog as tl
 from tests.cli.conftest import Call
 from tests.sequential import ESSENTIAL_METRICS, METRICS
+from turtlelog import processes
 
 
 def test_a_newcomer_sees_the_essential_metrics_and_where_the_others_are(
@@ -106,10 +111,41 @@ def test_runs_of_one_name_are_called_by_their_files(
 def test_files_are_measured_in_several_processes_in_their_order(
     call: Call, kp4: Path, kp10: Path
 ) -> None:
-    alone, together = (
-        call("metrics", kp10, kp4, "--json", "--jobs", jobs).json for jobs in ("1", "2")
-    )
+    files = [kp10, "none.mcap", kp4, "other.mcap", kp10]
+    alone, together = (call("metrics", *files, "--json", "--jobs", jobs) for jobs in ("1", "2"))
     assert together == alone
+    assert [one["file"] for one in alone.json] == [str(kp10), str(kp4), str(kp10)]
+
+
+def test_long_work_is_shared_by_as_many_processes_as_cores(
+    call: Call, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = tmp_path / "spec.toml"
+    spec.write_text('format = 1\n[checks.a]\nexpect = "run.duration < 12"\n')
+    words = [("compare",), ("check", spec), ("info", "--json")]
+    alone = [call(*one, kp10, "none.mcap", kp4) for one in words]
+    started: list[str] = []
+    monkeypatch.setattr(processes, "LONG_S", 0.0)
+    monkeypatch.setattr(processes, "count_cores", lambda: 2)
+    for name in ("compare.run_summary", "cli.check", "cli.info"):
+        module = importlib.import_module(f"turtlelog.{name}")
+        monkeypatch.setattr(module, "map_in_processes", pickle_both_ways(module.__name__, started))
+    together = [call(*one, kp10, "none.mcap", kp4) for one in words]
+    assert together == alone
+    assert [name.rpartition(".")[2] for name in started] == ["run_summary", "check", "info"]
+
+
+def pickle_both_ways(name: str, started: list[str]) -> Callable[..., Any]:
+    """Stand for processes, which take a second to start: what goes to and fro is pickled."""
+
+    def work(do: Any, items: Any, jobs: int) -> Any:
+        assert jobs == 2
+        started.append(name)
+        do = pickle.loads(pickle.dumps(do))
+        for item in items:
+            yield pickle.loads(pickle.dumps(do(item)))
+
+    return work
 
 
 def test_a_file_that_cannot_be_read_does_not_stop_the_others(call: Call, kp4: Path) -> None:

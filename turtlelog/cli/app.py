@@ -1,28 +1,20 @@
 """The command line: its commands, and the one boundary that turns known errors into one line."""
 
+import gc
 import io
 import os
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from turtlelog.cli.check import check
-from turtlelog.cli.compare import compare
-from turtlelog.cli.convert import convert
-from turtlelog.cli.demo import demo
-from turtlelog.cli.explain import explain
 from turtlelog.cli.help import HelpFormatter, show_default
-from turtlelog.cli.identify import identify
-from turtlelog.cli.info import info
-from turtlelog.cli.list_names import list_
-from turtlelog.cli.metrics import metrics
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_DEFECT,
@@ -32,17 +24,101 @@ from turtlelog.cli.output import (
     outlive_reader,
     print_error,
 )
-from turtlelog.cli.plot import plot
 from turtlelog.cli.progress import end_progress
-from turtlelog.cli.recover import recover
-from turtlelog.cli.replay import replay
-from turtlelog.cli.report import report
-from turtlelog.cli.run import run, scenario
-from turtlelog.cli.theory import theory
 from turtlelog.cli.usage_errors import describe_usage_error
-from turtlelog.cli.view import view
 from turtlelog.errors import TurtlelogError, UsageError, suggest_names
 from turtlelog.version import __version__
+
+_COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
+    "Simulate": {
+        "run": ("[SCENARIO]", "Simulate a scenario in closed loop, print its metrics, record it."),
+        "scenario": (
+            "[SCENARIO]",
+            "Print the scenario of a preset, file or recording as a whole file, to edit and run.",
+        ),
+        "theory": (
+            "",
+            "Say what theory expects of an integrator under P, PI, PD or PID control.",
+        ),
+    },
+    "Ask": {
+        "info": (
+            "FILE...",
+            "Say what recordings are and hold: a robot or turtlesim, source, length, topics,"
+            " scenario.",
+        ),
+        "metrics": (
+            "FILE...",
+            "Measure recordings: the essential metrics as a table, a status where there is no"
+            " value.",
+        ),
+        "compare": (
+            "FILE...",
+            "Compare runs: which is best at what; with --reference, how far each is from it.",
+        ),
+        "explain": (
+            "FILE",
+            "Say what made a run what it is, and which effect caused which part of a metric.",
+        ),
+        "identify": (
+            "FILE...",
+            "Say how a robot follows its commands: gain, dead time and lag of each axis.",
+        ),
+        "replay": (
+            "FILE",
+            "Drive a recording again and say how far the result is from what was recorded.",
+        ),
+        "list": (
+            "KIND",
+            "List the names of metrics, signals, presets, laws, mechanisms or figures.",
+        ),
+    },
+    "Check": {
+        "check": (
+            "SPEC FILE...",
+            "Hold recordings to a specification: bounds, formulas over time, tolerances.",
+        ),
+    },
+    "Show": {
+        "view": (
+            "FILE...",
+            "Open recordings in the Rerun viewer: one alone, several overlaid as a comparison.",
+        ),
+        "plot": (
+            "[FILE...] -o OUT",
+            "Make the paper's figures from any recordings, and its tables as LaTeX.",
+        ),
+        "report": (
+            "FILE... -o OUT",
+            "Write a report on runs as one file of HTML, which opens without a network.",
+        ),
+    },
+    "Files": {
+        "convert": (
+            "FILE -o OUT",
+            "Convert a recording, bag, log or table: to .mcap, .csv, .parquet, .tum, or a ROS 2"
+            " folder.",
+        ),
+        "recover": (
+            "FILE -o OUT",
+            "Write what an unfinished or damaged recording still holds as a complete one.",
+        ),
+        "demo": (
+            "",
+            "Run the paper's experiment (Kp = 1, 2, 4, 10, as built) and write everything about"
+            " it.",
+        ),
+    },
+}
+"""The commands as help groups them, the words that each takes, and how its docstring begins."""
+
+_PLACES: Final = {"scenario": "run:scenario", "list": "list_names:list_"}
+"""Commands that stand elsewhere than in a module, and a function, of their name."""
+
+
+_SUMMARIES: Final = {
+    name: summary for group in _COMMANDS.values() for name, (_, summary) in group.items()
+}
 
 app = App(
     name="turtlelog",
@@ -54,41 +130,26 @@ app = App(
     ),
     version=f"turtlelog {__version__}",
     help_format="plaintext",
-    help_formatter=HelpFormatter(),
+    help_formatter=HelpFormatter(_SUMMARIES),
     default_parameter=Parameter(negative="", show_default=show_default),
     group_parameters=Group("Options", sort_key=1),
     suppress_keyboard_interrupt=False,
 )
 
-_COMMANDS: Final[Mapping[str, Mapping[Callable[..., Any], str]]] = {
-    "Simulate": {run: "[SCENARIO]", scenario: "[SCENARIO]", theory: ""},
-    "Ask": {
-        info: "FILE...",
-        metrics: "FILE...",
-        compare: "FILE...",
-        explain: "FILE",
-        identify: "FILE...",
-        replay: "FILE",
-        list_: "KIND",
-    },
-    "Check": {check: "SPEC FILE..."},
-    "Show": {view: "FILE...", plot: "[FILE...] -o OUT", report: "FILE... -o OUT"},
-    "Files": {convert: "FILE -o OUT", recover: "FILE -o OUT", demo: ""},
-}
-"""The commands as help groups them, and the words that each takes."""
-
 
 def _register() -> None:
-    for place, (title, commands) in enumerate(_COMMANDS.items()):
-        group = Group(title, sort_key=place)
-        for order, (command, words) in enumerate(commands.items()):
-            name = command.__name__.strip("_")
+    for rank, (title, commands) in enumerate(_COMMANDS.items()):
+        group = Group(title, sort_key=rank)
+        for order, (name, (words, _)) in enumerate(commands.items()):
             usage = f"Usage: turtlelog {name} [OPTIONS] {words}".rstrip()
-            app.command(command, name=name, group=group, sort_key=order, usage=usage)
+            # As text: a command loads its own module, not those of all others, and help none.
+            place = f"turtlelog.cli.{_PLACES.get(name, f'{name}:{name}')}"
+            app.command(place, name=name, group=group, sort_key=order, usage=usage)
     others = Group("Help and completion", sort_key=len(_COMMANDS))
     app.command(_help, name="help", group=others, usage="Usage: turtlelog help [COMMAND]")
-    app.register_install_completion_command(
-        add_to_startup=False,
+    app.command(
+        "turtlelog.cli.completion:install_completion",
+        name="--install-completion",
         group=others,
         help="Write the completion script of your shell and say where.",
     )
@@ -104,7 +165,7 @@ def _help(command: str | None = None, /) -> None:
     Args:
         command: Its name; without one, all commands are listed.
     """
-    names = [name for name in app.resolved_commands() if not name.startswith("-")]
+    names = [name for name in app if not name.startswith("-")]
     if command is not None and command not in names:
         near = suggest_names(command, names)
         raise UsageError(f"turtlelog help: expected {near}, found {command!r}")
@@ -113,6 +174,10 @@ def _help(command: str | None = None, /) -> None:
 
 _register()
 
+_MOST_NEW_OBJECTS: Final = 10_000
+"""Objects after which Python looks for cycles among them, of which a command makes few: after 700,
+its default, a quarter of the time of a file of 65,000 channels goes into that."""
+
 _FORMER: Final = {"import": "convert LOG -o OUT.mcap", "export": "convert FILE -o OUT"}
 """Commands that have another name now."""
 
@@ -120,6 +185,7 @@ _FORMER: Final = {"import": "convert LOG -o OUT.mcap", "export": "convert FILE -
 def main(tokens: Sequence[str] | None = None) -> None:
     """Run a command and exit: 0 fine, 1 a check failed, 2 bad usage or unreadable input."""
     _prepare_streams()
+    gc.set_threshold(_MOST_NEW_OBJECTS)
     try:
         code = _call(tokens)
     except (TurtlelogError, CycloptsError) as err:

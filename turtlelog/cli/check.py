@@ -7,18 +7,20 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
 from turtlelog.cli.options import (
+    Jobs,
     Output,
     ReadingOptions,
-    iterate_files,
+    count_jobs,
     list_reading_words,
     require_files,
+    watch_files,
 )
 from turtlelog.cli.output import (
     EXIT_FAILED,
@@ -31,12 +33,17 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.targets import require_apart, require_new_target
 from turtlelog.errors import LogError, UsageError
+from turtlelog.processes import map_in_processes
 
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Run, Spec
     from turtlelog.check import ArtifactWriter
+    from turtlelog.check.junit import CheckedFile
     from turtlelog.log import ReadChoice
 
+
+_FILE_S: Final = 5e-3
+"""To read a usual file and to judge it by some ten checks [s], besides its bytes."""
 
 Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
 
@@ -44,17 +51,20 @@ Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportOptions:
-    """What to write beside the answer.
+    """What to write beside the answer, and in how many processes to find it.
 
     Attributes:
         junit: Write JUnit XML, every metric a property, to this .xml file.
         artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
         report: Write a report on the recordings and their checks to this .html file.
+        jobs: Processes to read and judge in; as many as cores where that is quicker. With
+            --artifacts or --report, which need what was read, it is one.
     """
 
     junit: Path | None = None
     artifacts: Path | None = None
     report: Path | None = None
+    jobs: Jobs = None
 
 
 @Parameter(name="*")
@@ -129,7 +139,8 @@ def check(
     targets = (reports.junit, reports.artifacts, reports.report)
     require_apart([path for path in targets if path is not None])
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
-    results = _check(spec, files, reports, topics or ReadingOptions())
+    jobs = count_jobs(reports.jobs, files, file_s=_FILE_S)
+    results = _check(spec, files, replace(reports, jobs=jobs), topics or ReadingOptions())
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
         print_json(describe_results(verdict, results))
@@ -155,50 +166,95 @@ def build_spec(formulas: "Sequence[str]") -> "Spec":
 def _check(
     spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
 ) -> "list[CheckResult]":
-    from turtlelog.check.judge_run import fail_recording, judge_run, read_reference_run
+    from turtlelog.check.judge_run import read_reference_run
     from turtlelog.check.junit import CheckedFile, format_junit
 
     choice = spec.read.override(topics.build_choice())
-    reference = read_reference_run(spec, choice)
+    keeps_runs = reports.report is not None or reports.artifacts is not None
+    judge = _Judge(
+        spec=spec,
+        reference=read_reference_run(spec, choice),
+        choice=choice,
+        allow_partial=topics.partial,
+        is_described=reports.junit is not None,
+        keeps_runs=keeps_runs,
+    )
+    judged = map_in_processes(judge, files, 1 if keeps_runs else reports.jobs or 1)
     checked: list[CheckedFile] = []
     runs: dict[str, Run] = {}
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(
             tl.check.ArtifactWriter(reports.artifacts)
         )
-        for path in iterate_files(files):
-            started, clock = datetime.now(UTC), _Clock()
-            try:
-                run = _read(path, choice)
-            except LogError as err:
-                reason = str(err).removeprefix(f"{path}: ")
-                failed = (fail_recording(str(path), reason),)
-                took_s = clock.read()
-                checked.append(
-                    CheckedFile(file=str(path), results=failed, started=started, took_s=took_s)
-                )
+        for file in watch_files(judged, len(files)):
+            checked.append(file.checked)
+            print_run_notes(file.checked.file, file.notes)
+            if file.run is None:
                 continue
             if reports.report is not None:
-                runs[str(path)] = run
-            found = judge_run(spec, reference, run, file=str(path), allow_partial=topics.partial)
-            timed = [(result, clock.lap()) for result in found]
-            results = tuple(result for result, _ in timed)
-            report = {} if reports.junit is None else _describe(run, results)
-            times: dict[str, Any] = {"started": started, "took_s": clock.read()}
-            each_s = tuple(took_s for _, took_s in timed)
-            checked.append(
-                CheckedFile(file=str(path), results=results, each_s=each_s, **times, **report)
-            )
+                runs[file.checked.file] = file.run
             if writer:
-                _write_artifacts(run, results, writer)
+                _write_artifacts(file.run, file.checked.results, writer)
     if reports.junit is not None:
         with tl.log.replace_when_complete(reports.junit) as part:
             part.write_text(format_junit(checked), encoding="utf-8")
         print_note(f"wrote {reports.junit}")
-    judged = [result for file in checked for result in file.results]
+    results = [result for file in checked for result in file.results]
     if reports.report is not None:
-        _write_report(reports.report, runs, judged, (spec, list_reading_words(topics)))
-    return judged
+        _write_report(reports.report, runs, results, (spec, list_reading_words(topics)))
+    return results
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judged:
+    """What is found of one file: the results, what to tell of reading it, the run where kept."""
+
+    checked: "CheckedFile"
+    notes: "Mapping[str, str]"
+    run: "Run | None" = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judge:
+    """Holds one file after the other to a specification, in this process or another."""
+
+    spec: "Spec"
+    reference: "Run | None"
+    choice: "ReadChoice"
+    allow_partial: bool
+    is_described: bool
+    keeps_runs: bool
+
+    def __call__(self, path: Path) -> _Judged:
+        from turtlelog.check.judge_run import fail_recording, judge_run
+        from turtlelog.check.junit import CheckedFile
+
+        file, started, clock = str(path), datetime.now(UTC), _Clock()
+        try:
+            run, notes = _read(path, self.choice)
+        except LogError as err:
+            failed = (fail_recording(file, str(err).removeprefix(f"{path}: ")),)
+            checked = CheckedFile(file=file, results=failed, started=started, took_s=clock.read())
+            return _Judged(checked=checked, notes={})
+        found = judge_run(
+            self.spec, self.reference, run, file=file, allow_partial=self.allow_partial
+        )
+        timed = [(result, clock.lap()) for result in found]
+        results = tuple(result for result, _ in timed)
+        more = _describe(run, results) if self.is_described else {}
+        took_s = clock.read()
+        if not self.keeps_runs:
+            # What was judged may hold the reference: it is for a closer look beside the run.
+            results = tuple(replace(result, judged=None) for result in results)
+        checked = CheckedFile(
+            file=file,
+            results=results,
+            started=started,
+            took_s=took_s,
+            each_s=tuple(each_s for _, each_s in timed),
+            **more,
+        )
+        return _Judged(checked=checked, notes=notes, run=run if self.keeps_runs else None)
 
 
 def _write_report(
@@ -252,12 +308,12 @@ def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
     return {"metrics": tl.measure_run(run), "details": details}
 
 
-def _read(path: Path, choice: "ReadChoice") -> "Run":
+def _read(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
+    """Return a run, and what to tell of reading it."""
     # A recording that is not whole fails its check, which says so.
     run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True))
     told = {name: text for name, text in run.notes.items() if name not in {"partial", "recovered"}}
-    print_run_notes(path, told)
-    return run
+    return run, told
 
 
 def _write_artifacts(
@@ -281,7 +337,8 @@ def _write_first(
     require_new_target(output, [path], suffix=".toml")
     file, topic = tl.log.split_topic(path)
     choice = topics.build_choice()
-    run = _read(path, choice)
+    run, notes = _read(path, choice)
+    print_run_notes(path, notes)
     if topic is not None:  # the specification names both apart
         choice = replace(choice, pose_topic=topic)
     text = format_first_spec(run, reference=name_reference(file, output), read=choice)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -10,7 +11,15 @@ from cyclopts import Parameter
 import turtlelog as tl
 from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import Files, ReadingOptions, iterate_runs, read_runs, watch_summaries
+from turtlelog.cli.options import (
+    Files,
+    Jobs,
+    ReadingOptions,
+    count_jobs,
+    iterate_runs,
+    read_runs,
+    watch_summaries,
+)
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -49,11 +58,14 @@ class ReferenceOptions:
         reference: The run that differences are taken from.
         align: What to bring together: first_sample (the usual), phase:NAME (the start of a phase),
             recorded (times as they are), sample (samples by their number).
+        jobs: Processes to read and measure in; as many as cores where that is quicker. With
+            --reference, --rrd or the scenario of a robot it is one.
     """
 
     reference: Path | None = None
     tolerances: Annotated[Path | None, Parameter(show=False)] = None
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
+    jobs: Jobs = None
 
 
 @Parameter(name="*")
@@ -82,7 +94,7 @@ class ChoiceOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PictureOptions:
+class DrawingOptions:
     """Pictures of what is compared.
 
     Attributes:
@@ -102,7 +114,7 @@ def compare(
     against: ReferenceOptions | None = None,
     choice: ChoiceOptions | None = None,
     formats: FormatOptions | None = None,
-    pictures: PictureOptions | None = None,
+    pictures: DrawingOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
     """Compare runs: which is best at what; with --reference, how far each is from it.
@@ -127,8 +139,9 @@ def compare(
     """
     against, choice = against or ReferenceOptions(), choice or ChoiceOptions()
     kind = (formats or FormatOptions()).choose()
-    pictures = pictures or PictureOptions()
+    pictures = pictures or DrawingOptions()
     rrd = pictures.rrd
+    jobs = count_jobs(against.jobs, files)
     if list_scenario_files(files):
         _require_robot_sense(against, choice)
         return compare_with_robot(files, plot=pictures.plot, rrd=rrd, topics=topics, kind=kind)
@@ -145,7 +158,8 @@ def compare(
         runs = iterate_runs(paths, topics) if held is None else iter(held)
         _compare_against(runs, paths, against, kind)
         return EXIT_FINE
-    summaries, errors = _summarise(paths, held, topics, only=_choose_needed(choice, kind))
+    only = _choose_needed(choice, kind)
+    summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
     for err in errors:
         print_error(str(err))
     # One run alone is beside no other.
@@ -197,6 +211,7 @@ def _summarise(
     topics: ReadingOptions | None,
     *,
     only: "Callable[[Run], Sequence[str]] | None",
+    jobs: int,
 ) -> "tuple[tuple[RunSummary, ...], list[TurtlelogError]]":
     """Return the runs in short, read one by one unless they are held, and what cannot be read."""
     if held is not None:
@@ -209,7 +224,7 @@ def _summarise(
         ), []
     errors: list[TurtlelogError] = []
     chosen = (topics or ReadingOptions()).build_choice()
-    found = tl.compare.summarise_files(paths, only=only, topics=chosen)
+    found = tl.compare.summarise_files(paths, only=only, topics=chosen, jobs=jobs)
     summaries = tuple(watch_summaries(found, len(paths), errors))
     return tl.compare.complete_summaries(summaries, topics=chosen), errors
 
@@ -223,11 +238,12 @@ def _choose_needed(choice: ChoiceOptions, kind: str) -> "Callable[[Run], Sequenc
         columns, where=choice.where, sort=choice.sort, source="--where"
     )
 
-    def choose(run: "Run") -> tuple[str, ...]:
-        # Which ones are usual of a bag of somebody else's shows when it is read.
-        return needed if columns else (*needed, *tl.compare.list_usual_of_run(run))
+    return partial(_list_needed, needed=needed, is_usual=not columns)
 
-    return choose
+
+def _list_needed(run: "Run", *, needed: tuple[str, ...], is_usual: bool) -> tuple[str, ...]:
+    # Which ones are usual of a bag of somebody else's shows when it is read.
+    return (*needed, *tl.compare.list_usual_of_run(run)) if is_usual else needed
 
 
 def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, kind: str) -> None:

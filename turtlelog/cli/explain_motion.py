@@ -122,10 +122,13 @@ def _tell_kind(run: "Run", found: "MotionFacts") -> str:
 def _tell_rate(run: "Run", noun: str, rows: int, periods: "Periods | None") -> str:
     if periods is None:
         return f"{describe_count(rows, noun)}." if rows else f"No {noun}s."
-    spread = f"nine of ten within {periods.low_ns / 1e6:.4g} to {periods.high_ns / 1e6:.4g} ms"
-    text = (
-        f"{describe_count(rows, noun)}, usually one every {periods.usual_ns / 1e6:.4g} ms; {spread}"
+    usual, low, high = (
+        f"{period_ns / 1e6:.4g}"
+        for period_ns in (periods.usual_ns, periods.low_ns, periods.high_ns)
     )
+    text = f"{describe_count(rows, noun)}, usually one every {usual} ms"
+    if low != high:
+        text += f"; nine of ten within {low} to {high} ms"
     if periods.longest_ns > _SILENCE * periods.usual_ns:
         at_s = (periods.longest_at_ns - run.start_ns) / 1e9
         text += f"; the longest silence {periods.longest_ns / 1e9:.4g} s, from {at_s:.3f} s"
@@ -135,7 +138,7 @@ def _tell_rate(run: "Run", noun: str, rows: int, periods: "Periods | None") -> s
 def _tell_largest(run: "Run", found: "tuple[Largest, ...]") -> str:
     parts = [
         f"{largest.signal.replace('_', ' ')} {largest.value:.4g} {largest.unit}"
-        f" at {(largest.time_ns - run.start_ns) / 1e9:.3f} s"
+        f" at {round((largest.time_ns - run.start_ns) / 1e9, 3) + 0.0:.3f} s"
         for largest in found
     ]
     return f"Largest commands: {', '.join(parts)}." if parts else ""

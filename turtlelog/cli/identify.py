@@ -23,6 +23,8 @@ _NAV2: Final = {"speed": "model_delay_vx", "turn_rate": "model_delay_wz"}
 
 _VALUES: Final = ("gain", "dead_time_s", "lag_s", "total_delay_s")
 _MOST_EVENTS: Final = 5
+_RARE: Final = 0.01
+"""Share of the steps; where more are off, it is not by single faults, such as a jump."""
 
 _FIGURES: Final = frozenset({".pdf", ".png", ".svg"})
 
@@ -254,9 +256,22 @@ def _tell_clock(model: "RobotModel") -> list[str]:
 
 
 def _tell_events(model: "RobotModel") -> list[str]:
-    told = [f"Outlier: {event.text}." for event in model.events[:_MOST_EVENTS]]
-    more = describe_count(len(model.events) - len(told), "outlier")
-    return [*told, f"And {more} more, in --json."] if len(model.events) > len(told) else told
+    """Return the outliers one by one, those of an axis that has many in one sentence."""
+    told, often = [], []
+    for axis in model.axes:
+        found = [event for event in model.events if event.axis == axis.axis]
+        if len(found) > _RARE * axis.steps:
+            often.append(axis.axis)
+            worst = max(found, key=lambda event: abs(event.size))
+            told.append(
+                f"{_NAMES[axis.axis].capitalize()}: {len(found)} of {axis.steps} steps are off by"
+                f" far more than is usual and do not count; the largest: {worst.text}."
+            )
+    rare = [event for event in model.events if event.axis not in often]
+    told += [f"Outlier: {event.text}." for event in rare[:_MOST_EVENTS]]
+    if len(rare) > _MOST_EVENTS:
+        told.append(f"And {describe_count(len(rare) - _MOST_EVENTS, 'outlier')} more, in --json.")
+    return told
 
 
 def _format_nav2(model: "RobotModel") -> list[str]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
+from turtlelog.processes import count_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,6 +23,10 @@ LARGEST_BYTES: Final = 64 * 2**20
 
 _MOST_TRANSFORMS: Final = 20_000
 """Messages of transforms that are read unasked: each takes some 20 us, more than others do."""
+
+_OWN: Final = b"turtlelog"
+_HEAD_BYTES: Final = 64
+"""A recording names the library that wrote it in its first record."""
 
 _FEWEST_RATED: Final = 20
 """Fewer messages are counted, and no rate is told of them."""
@@ -86,6 +91,18 @@ def summarise(
         reason = str(err).removeprefix(f"{path}: ")
         return Summary(text=_summarise_topics(info, reason), missing=_list_needs(info))
     return _summarise_run(run, info)
+
+
+def count_read(path: Path, *, is_asked: bool) -> int:
+    """Return about how many bytes are read to describe a file: of a recording of ours few."""
+    try:
+        with path.open("rb") as stream:
+            if _OWN in stream.read(_HEAD_BYTES):
+                return 0
+    except OSError:
+        pass  # a folder, or what cannot be read
+    size = count_bytes(tl.log.split_topic(path)[0])
+    return size if is_asked or size <= LARGEST_BYTES else 0
 
 
 def _summarise_own(info: "RecordingInfo") -> str:

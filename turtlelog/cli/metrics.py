@@ -9,7 +9,15 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.list_names import complete_metrics
-from turtlelog.cli.options import Files, ReadingOptions, Whole, require_files, watch_summaries
+from turtlelog.cli.options import (
+    Files,
+    Jobs,
+    ReadingOptions,
+    Whole,
+    count_jobs,
+    require_files,
+    watch_summaries,
+)
 from turtlelog.cli.output import (
     EXIT_BAD_INPUT,
     EXIT_FINE,
@@ -85,7 +93,7 @@ def metrics(
     *,
     measuring: MeasureOptions | None = None,
     all_: Annotated[bool, Parameter(name="--all")] = False,
-    jobs: Annotated[Whole, Parameter(metavar="COUNT")] = 1,
+    jobs: Jobs = None,
     formats: FormatOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
@@ -105,7 +113,7 @@ def metrics(
         files: Recordings (.mcap), ROS 2 bags, tables (.csv, .parquet, .tum), or the paper's logs
             (.json, .csv).
         all_: Show every metric, not only the essential ones.
-        jobs: Processes to read and measure in.
+        jobs: Processes to read and measure in; as many as cores where that is quicker.
     """
     require_files(files)
     measuring, topics = measuring or MeasureOptions(), topics or ReadingOptions()
@@ -119,7 +127,7 @@ def metrics(
         settings,
         only=essential if is_short else patterns,
         topics=topics.build_choice(),
-        jobs=jobs,
+        jobs=count_jobs(jobs, files),
     )
     errors: list[TurtlelogError] = []
     summaries = watch_summaries(found, len(files), errors)

@@ -1,10 +1,10 @@
 """Options that several commands share, and what they stand for."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 from cyclopts import Group, Parameter, Token
 
@@ -13,11 +13,14 @@ from turtlelog.cli.list_names import complete_keys, complete_law
 from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
+from turtlelog.processes import FILE_S, choose_jobs
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, Run, Scenario
     from turtlelog.compare import RunSummary
     from turtlelog.log import ReadChoice
+
+_Found = TypeVar("_Found")
 
 
 def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -37,6 +40,7 @@ Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
 Json = Annotated[bool, Parameter(name="--json")]
 Whole = Annotated[int, Parameter(converter=_read_whole)]
 """A whole number; a plain int would cut 1.5 to 1."""
+Jobs = Annotated[Whole | None, Parameter(name="--jobs", metavar="COUNT")]
 
 
 @Parameter(name="*")
@@ -336,12 +340,7 @@ def iterate_runs(paths: Sequence[Path], topics: TopicOptions | None = None) -> "
 
 def iterate_files(paths: Sequence[Path]) -> Iterator[Path]:
     """Yield files and show how many of them are done."""
-    # Of one file alone there is no share to tell.
-    total = len(paths) if len(paths) > 1 else None
-    with show_progress("reading", total, "files") as progress:
-        for number, path in enumerate(paths, start=1):
-            yield path
-            progress.done = number
+    yield from watch_files(paths, len(paths))
 
 
 def _read_run(path: Path, topics: TopicOptions) -> "Run":
@@ -354,13 +353,35 @@ def watch_summaries(
     found: "Iterator[RunSummary | TurtlelogError]", count: int, errors: list[TurtlelogError]
 ) -> "Iterator[RunSummary]":
     """Yield what was measured, keep the errors, and show how many of the files are done."""
+    for summary in watch_files(found, count):
+        if isinstance(summary, TurtlelogError):
+            errors.append(summary)
+        else:
+            print_run_notes(summary.file, summary.notes)
+            yield summary
+
+
+def count_jobs(
+    asked: int | None,
+    files: Sequence[Path],
+    *,
+    file_s: float = FILE_S,
+    count_read: "Callable[[Path], int] | None" = None,
+) -> int:
+    """Return in how many processes to work on files: as asked, else as `choose_jobs` says."""
+    if asked is None:
+        return choose_jobs(files, file_s=file_s, count_read=count_read)
+    if asked < 1:
+        raise UsageError(f"--jobs: expected at least 1 process, found {asked}")
+    return asked
+
+
+def watch_files(found: "Iterable[_Found]", count: int) -> "Iterator[_Found]":
+    """Yield what is found of each file, and show how many of them are done."""
+    # Of one file alone there is no share to tell.
     with show_progress("reading", count if count > 1 else None, "files") as progress:
-        for number, summary in enumerate(found, start=1):
-            if isinstance(summary, TurtlelogError):
-                errors.append(summary)
-            else:
-                print_run_notes(summary.file, summary.notes)
-                yield summary
+        for number, one in enumerate(found, start=1):
+            yield one
             progress.done = number
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
@@ -13,6 +13,15 @@ if TYPE_CHECKING:
     from turtlelog.show import Page
 
 
+TIMELESS: Final = frozenset(
+    {
+        *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
+        *("gains", "strips", "plane"),
+    }
+)
+"""Figures of which no axis shows runs over time."""
+
+
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageOptions:
@@ -21,7 +30,7 @@ class PageOptions:
     Attributes:
         kind: column is one of two columns of a paper, page its whole width, slide 16:9 with large
             lettering; figures with panels side by side always take the page.
-        text_width: Width of the paper's text [mm], 120 to 1000.
+        text_width: Width of the paper's text [mm], 120 to 1000; 181 unless given. Not of a slide.
         dpi: Resolution of PNGs [dots per inch], 50 to 600; 300 unless given; 144 for a slide, which
             then has 1920 by 1080 pixels.
         from_s: Begin time axes here, from the first sample [s].
@@ -31,24 +40,35 @@ class PageOptions:
     """
 
     kind: Annotated[Literal["column", "page", "slide"], Parameter(name="--for")] = "column"
-    text_width: Annotated[float, Parameter(metavar="WIDTH")] = 181.0
+    text_width: Annotated[float | None, Parameter(metavar="WIDTH")] = None
     dpi: int | None = None
     from_s: Annotated[float | None, Parameter(name="--from", metavar="SECONDS")] = None
     to_s: Annotated[float | None, Parameter(name="--to", metavar="SECONDS")] = None
     marks: Annotated[bool, Parameter(negative=())] = False
 
-    def build_page(self, formats: Sequence[str]) -> "Page":
+    def build_page(self, formats: Sequence[str], names: Sequence[str] | None) -> "Page":
         """Return the page for figures in some formats.
 
+        Args:
+            formats: In which they are written.
+            names: Of the figures; None for the usual ones.
+
         Raises:
-            UsageError: Where no format has a resolution.
+            UsageError: Where an option has nothing to act on: no format has a resolution, a slide
+                no text, or no figure a time axis.
             ShowError: Where a value is out of range.
         """
+        if self.text_width is not None and self.kind == "slide":
+            raise UsageError("--text-width: expected --for column or page, found slide")
+        for option, bound_s in (("--from", self.from_s), ("--to", self.to_s)):
+            if bound_s is not None and names and TIMELESS.issuperset(names):
+                found = ", ".join(names)
+                raise UsageError(f"{option}: expected a figure over time, found {found}")
         if self.dpi is not None and "png" not in formats:
             raise UsageError(f"--dpi: expected png files, found {', '.join(formats)}")
         return show.Page(
             kind=self.kind,
-            text_width_mm=self.text_width,
+            **({} if self.text_width is None else {"text_width_mm": self.text_width}),
             dpi=self.dpi,
             from_s=self.from_s,
             to_s=self.to_s,

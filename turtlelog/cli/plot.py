@@ -1,6 +1,8 @@
 """`turtlelog plot`: figures and tables for print."""
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -11,7 +13,7 @@ from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
-from turtlelog.cli.options import Json, ReadingOptions, read_runs
+from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.page_options import PageOptions
 from turtlelog.cli.progress import show_progress
@@ -36,6 +38,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
     topics: ReadingOptions | None = None,
+    jobs: Annotated[Whole | None, Parameter(metavar="COUNT")] = None,
     json: Json = False,
 ) -> None:
     """Make the paper's figures from any recordings, and its tables as LaTeX.
@@ -71,6 +74,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
         timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
+        jobs: Processes to draw in, on Linux; as many as cores unless given. The files are the same.
         json: Print one JSON object instead of lines.
     """
     movie = movie or MovieOptions()
@@ -93,7 +97,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         if is_file
         else _split("pdf" if formats is None else formats, "--format")
     )
-    page = (where or PageOptions()).build_page(kinds)
+    page = _build_page(where or PageOptions(), kinds, names)
     asked = asked or AskedOptions()
     asked.require_figures(names or [])
     runs = _collect_runs(files or [], topics)
@@ -104,7 +108,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         tables: list[Path] = []
         left_out: Sequence[str] = ()
     else:
-        drawn, tables = _draw_all(output, runs, kinds_of, kinds, page)
+        drawn, tables = _draw_all(output, runs, kinds_of, (kinds, page, jobs))
         figures = {path: path.stem for path in drawn}
         left_out = show.list_left_out(runs, names) if runs else ()
     for line in left_out:
@@ -112,6 +116,27 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     film_runs(runs, movie, timeline=timeline)
     told = {**_describe(files or [], figures, tables), "left_out": list(left_out)}
     _tell(told, movie, json=json)
+
+
+@contextmanager
+def _collect_rarely() -> Iterator[None]:
+    """Look for objects in circles rarely: of figures that takes a sixth of the time otherwise.
+
+    Of what is there already, libraries for the most part, nothing is looked at.
+    """
+    usual = gc.get_threshold()
+    gc.freeze()
+    gc.set_threshold(10_000, 20, 20)
+    try:
+        yield
+    finally:
+        gc.set_threshold(*usual)
+        gc.unfreeze()
+
+
+@_collect_rarely()
+def _build_page(where: PageOptions, kinds: list[str], names: list[str] | None) -> "Page":
+    return where.build_page(kinds, names)  # loads matplotlib
 
 
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:
@@ -190,6 +215,7 @@ def _choose_overview(runs: "Sequence[Run]") -> str:
     return name
 
 
+@_collect_rarely()
 def _draw_one(
     output: Path, runs: "Sequence[Run]", only: "Only", kinds: list[str], page: "Page"
 ) -> Path:
@@ -206,24 +232,30 @@ def _draw_one(
     return output
 
 
+@_collect_rarely()
 def _draw_all(
-    output: Path, runs: "Sequence[Run]", only: "Only | None", kinds: list[str], page: "Page"
+    output: Path,
+    runs: "Sequence[Run]",
+    only: "Only | None",
+    how: "tuple[list[str], Page, int | None]",
 ) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
+    kinds, page, jobs = how
     from turtlelog.show.figures.writing import add_figures, add_tables
     from turtlelog.show.output_files import replace_together
 
     most = len(kinds) * len(tl.show.FIGURES if only is None else only)
-    with show_progress("drawing", most, "files at most") as progress:
+    with (
+        show_progress("drawing", most, "files at most") as progress,
+        replace_together(output) as write,
+    ):
 
-        def count(_: Path) -> None:
+        def count(name: str, data: bytes) -> Path:
             progress.done += 1
+            return write(name, data)
 
-        with replace_together(output) as write:
-            figures = add_figures(
-                write, runs, only=only, formats=kinds, page=page, on_written=count
-            )
-            tables = add_tables(write, runs) if runs and only is None else []
+        figures = add_figures(count, runs, only=only, formats=kinds, page=page, jobs=jobs)
+        tables = add_tables(write, runs) if runs and only is None else []
     return figures, tables
 
 

@@ -1,0 +1,220 @@
+"""Work on many things in several processes: the results in order, never many at once in memory.
+
+Processes are spawned and not forked: the same everywhere, and safe beside threads. They import the
+module that runs: a script that asks for more than one keeps its own work under
+`if __name__ == "__main__":`.
+"""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from turtlelog.errors import ProcessError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_QUEUED: Final = 3
+"""Items that a process holds: one that it works on and two that wait, so that it does not idle
+while the caller prints."""
+
+_AHEAD: Final = 64
+"""Results for each process that may wait for an earlier one: one slow file does not stop the other
+processes, and of ten thousand results no more are in memory."""
+
+LONG_S: Final = 2.0
+"""Work on one core that more processes make shorter [s]: to start one takes 0.5 to 1 s, and two
+save half of the work."""
+
+FILE_S: Final = 3e-3
+"""To read and measure a usual file [s], besides its bytes."""
+
+_BYTES_PER_S: Final = 100e6
+"""That are read, decompressed and measured on one core [bytes/s]."""
+
+
+def count_cores() -> int:
+    """Return how many cores this process may use; of a worker 1, as it starts no others."""
+    if multiprocessing.current_process().daemon:
+        return 1
+    if hasattr(os, "process_cpu_count"):
+        return int(os.process_cpu_count() or 1)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0)) or 1
+    return os.cpu_count() or 1
+
+
+def choose_jobs(
+    paths: Sequence[str | Path],
+    *,
+    file_s: float = FILE_S,
+    count_read: Callable[[Path], int] | None = None,
+) -> int:
+    """Return how many processes read files soonest: 1 where starting more takes longer than that.
+
+    Args:
+        paths: Files and folders; what is missing takes no time.
+        file_s: What each takes besides its bytes [s].
+        count_read: How many bytes of a path are read; None: all.
+    """
+    cores = count_cores()
+    if cores == 1 or len(paths) < 2:
+        return 1
+    work_s = 0.0
+    for path in paths:
+        work_s += file_s + (count_read or count_bytes)(Path(path)) / _BYTES_PER_S
+        if work_s > LONG_S:
+            return min(cores, len(paths))
+    return 1
+
+
+def count_bytes(path: Path) -> int:
+    """Return the size of a file, or of all files in a folder; 0 of what is not there."""
+    with suppress(OSError):
+        files = path.rglob("*") if path.is_dir() else [path]
+        return sum(found.stat().st_size for found in files)
+    return 0
+
+
+def map_in_processes(
+    work: Callable[[T], R],
+    items: Sequence[T],
+    jobs: int,
+    *,
+    name: Callable[[T], str] = str,
+) -> Iterator[R]:
+    """Yield what work makes of every item, in their order, as `map` does.
+
+    Args:
+        work: It can be pickled, as can items and results. What it raises is raised here, where its
+            result would stand.
+        items: What to work on.
+        jobs: Processes; with 1, or of one item, the work is done in this one.
+        name: What an item is called in an error.
+
+    Raises:
+        ProcessError: Where a process ends before its work does, as one that runs out of memory.
+    """
+    if jobs == 1 or len(items) < 2:
+        yield from map(work, items)
+        return
+    workers: list[_Worker] = []
+    try:
+        for _ in range(min(jobs, len(items))):
+            workers.append(_Worker(work, name))  # one by one: those that run are ended below
+        yield from _collect(workers, items)
+    finally:
+        for worker in workers:
+            worker.end()
+
+
+class _Worker:
+    """A process, and the items that it holds, the first of which it works on."""
+
+    def __init__(self, work: Callable[[Any], Any], name: Callable[[Any], str]) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.pipe, theirs = context.Pipe()
+        self.held: deque[tuple[int, Any]] = deque()
+        self._name = name
+        self._process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+        with _block_interrupts():
+            self._process.start()
+        theirs.close()
+
+    def hand_out(self, place: int, item: Any) -> None:
+        self.held.append((place, item))
+        try:
+            self.pipe.send(item)
+        except OSError as err:
+            raise self._describe_end() from err
+
+    def take(self) -> tuple[int, Any, bool]:
+        """Return the place of a result, the result, and whether it is an error."""
+        try:
+            result, is_error = self.pipe.recv()
+        except (EOFError, OSError) as err:
+            raise self._describe_end() from err
+        place, _ = self.held.popleft()
+        return place, result, is_error
+
+    def end(self) -> None:
+        self.pipe.close()
+        self._process.terminate()
+        self._process.join()
+
+    def _describe_end(self) -> ProcessError:
+        self._process.join()
+        code, (_, item) = self._process.exitcode or 0, self.held[0]
+        how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with {code}"
+        return ProcessError(
+            f"{self._name(item)}: expected a result, found that the process at work on it {how};"
+            " fewer --jobs take less memory"
+        )
+
+
+def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
+    """Yield results in order while the workers are kept busy."""
+    found: dict[int, tuple[Any, bool]] = {}
+    done = started = 0
+    while done < len(items):
+        last = min(len(items), done + _AHEAD * len(workers))
+        while started < last:
+            worker = min(workers, key=lambda one: len(one.held))
+            if len(worker.held) == _QUEUED:
+                break
+            worker.hand_out(started, items[started])
+            started += 1
+        busy = {worker.pipe: worker for worker in workers if worker.held}
+        for pipe in wait(list(busy)):
+            place, *outcome = busy[pipe].take()  # type: ignore[index]
+            found[place] = (outcome[0], outcome[1])
+        while done in found:
+            result, is_error = found.pop(done)
+            if is_error:
+                raise result
+            done += 1
+            yield result
+
+
+def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
+    """Work until the other side ends, however it does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with suppress(EOFError, OSError):
+        while True:
+            item = pipe.recv()
+            outcome = _try(work, item)
+            try:
+                pipe.send(outcome)
+            except (pickle.PicklingError, TypeError, AttributeError) as err:
+                pipe.send(
+                    (RuntimeError(f"{item}: expected what can be pickled, found: {err}"), True)
+                )
+
+
+def _try(work: Callable[[Any], Any], item: Any) -> tuple[Any, bool]:
+    try:
+        return work(item), False
+    except Exception as err:
+        err.add_note("".join(traceback.format_exception(err)))
+        return err, True
+
+
+@contextmanager
+def _block_interrupts() -> Iterator[None]:
+    """Let no Ctrl-C reach a process, not even before its first line: its parent ends it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, former)
