@@ -60,8 +60,9 @@ pictures: .venv/installed
 contact-sheet: .venv/installed-dev
 	$(BIN)/python tests/show/contact_sheet.py .venv/contact-sheet.png $(BAG)
 
+# One table of what jobs cost; ONLY="engine loop" chooses, PAGE=docs/performance.md writes it there.
 bench: .venv/installed-dev
-	for file in benchmarks/bench_*.py; do $(BIN)/python $$file || exit 1; done
+	$(BIN)/python benchmarks/run_all.py $(ONLY) $(if $(PAGE),--write $(PAGE))
 
 clean:
 	rm -rf .venv demo-out dist

@@ -1,38 +1,30 @@
 """Reading a million messages as columns, and recovering them, against bounds and other readers.
 
 The file has four topics, three of fixed size (24 to 52 bytes) and one of rare text, in chunks of
-1 MiB, zstd. All times are the best of several on one machine in one run.
+1 MiB, zstd. The bound is to read and decompress these, on one core, without a look at them. Other
+readers give messages one by one; they read a part of the file, and their times are scaled.
 """
 
-import shutil
-import struct
-import subprocess
-import sys
 import tempfile
-import time
-import zlib
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import zstandard
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import ChunkIndex, DataEnd
-from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from benchmarks.long_runs import write_long_recording
+from benchmarks.table import Cost, Row, run_alone, run_apart, time_calls
 from turtlelog.log import read_columns, recover_recording
 from turtlelog.log.recording.topics import SCHEMAS
 
 MESSAGES = 1_000_000
-PART = 40_000  # messages that the row-by-row readers are measured on
-LARGE = 2 * 10**9  # bytes
-REPEATS = 5
+PART = 40_000  # of them, that the row-by-row readers read
 PERIOD_NS = 16_000_000
 TOPICS = {
     "/turtle1/pose": "turtlesim/msg/Pose",
@@ -42,27 +34,18 @@ TOPICS = {
 }
 SIZES = {"turtlesim/msg/Pose": 24, "geometry_msgs/msg/Twist": 52, "geometry_msgs/msg/Pose2D": 28}
 
-PEAK = """
-import pathlib, sys, time, turtlelog.log as log
-start, rows = time.perf_counter(), 0
-for batch in log.iter_columns(sys.argv[1]):
-    rows += sum(len(columns) for columns in batch.values())
-took = time.perf_counter() - start
-start = time.perf_counter()
-log.read_info(sys.argv[1])
-info = time.perf_counter() - start
-status = pathlib.Path("/proc/self/status")
-if status.exists():
-    # The peak that getrusage gives includes the process that started this one.
-    peak = next(int(line.split()[1]) for line in status.open() if line.startswith("VmHWM"))
-elif sys.platform != "win32":
-    import resource
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    peak //= 1024 if sys.platform == "darwin" else 1
+READ = """
+from turtlelog.log.engine import compiled
+if arguments[0] == "compiled":  # load the loops, however little is read
+    compiled.expect(1, compiled.COST_S)
 else:
-    peak = 0
-print(rows, took, info, peak * 1024)
+    compiled.COST_S = float("inf")
+from benchmarks.bench_engine import Path, time_reading
+said["unpack"], *said["read"] = time_reading([Path(name) for name in arguments[1:]])
+said["loaded"] = compiled.find_kernels() is not None
 """
+AIMS = {"compiled": 1.6, "plain": 3.0}
+"""Of reading in bounds: with the compiled loops of numba, and without."""
 
 
 def make_payloads(count: int) -> Iterator[tuple[str, bytes]]:
@@ -88,11 +71,17 @@ def make_payloads(count: int) -> Iterator[tuple[str, bytes]]:
         yield topic, text if topic == names[3] else walk[TOPICS[topic]][number]
 
 
-def write_file(path: Path, count: int) -> None:
-    """Write the file with mcap's own writer."""
+def write_file(path: Path, count: int, lacks: str = "") -> None:
+    """Write the file with mcap's own writer, also without message indexes or without chunks."""
     with path.open("wb") as stream:
-        indexes = IndexType.CHUNK | IndexType.MESSAGE
-        writer = Writer(stream, 2**20, CompressionType.ZSTD, index_types=indexes)
+        indexes = IndexType.CHUNK | (IndexType.NONE if lacks == "indexes" else IndexType.MESSAGE)
+        writer = Writer(
+            stream,
+            2**20,
+            CompressionType.ZSTD,
+            index_types=indexes,
+            use_chunking=lacks != "chunks",
+        )
         writer.start(profile="ros2")
         channels = {}
         for topic, kind in TOPICS.items():
@@ -102,16 +91,6 @@ def write_file(path: Path, count: int) -> None:
             time_ns = number * PERIOD_NS
             writer.add_message(channels[topic], time_ns, payload, time_ns, number)
         writer.finish()  # type: ignore[no-untyped-call]
-
-
-def measure(call: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Return the best time of a call [s]: other programs only ever add."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
 
 
 def find_chunks(path: Path) -> list[tuple[int, int]]:
@@ -129,12 +108,12 @@ def find_chunks(path: Path) -> list[tuple[int, int]]:
 
 
 def unpack_alone(path: Path, chunks: list[tuple[int, int]]) -> int:
-    """Read and decompress, and nothing else: no reader can be faster on one core."""
-    total = 0
+    """Read and decompress, and nothing else: no reader can do without."""
+    total, decompressor = 0, zstandard.ZstdDecompressor()
     with path.open("rb") as stream:
         for place, length in chunks:
             stream.seek(place)
-            total += len(zstandard.ZstdDecompressor().decompress(stream.read(length)))
+            total += len(decompressor.decompress(stream.read(length)))
     return total
 
 
@@ -153,105 +132,87 @@ def deserialize_rows(path: Path, count: int) -> None:
             reader.deserialize(data, connection.msgtype)
 
 
-def write_large_file(path: Path, small: Path, size: int) -> int:
-    """Write a file of `size` bytes by repeating the chunks of a small one; return its messages."""
-    with small.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
-        first, last = summary.chunk_indexes[0], summary.chunk_indexes[-1]
-        start = first.chunk_start_offset
-        end = last.chunk_start_offset + last.chunk_length + last.message_index_length
-        stream.seek(0)
-        head, chunks = stream.read(start), stream.read(end - start)
-    repeats = -(-size // len(chunks))
-    builder = RecordBuilder()
-    with path.open("wb") as output:
-        output.write(head)
-        for _ in range(repeats):
-            output.write(chunks)
-        DataEnd(data_section_crc=0).write(builder)
-        output.write(builder.end())  # type: ignore[no-untyped-call]
-        summary_start = output.tell()
-        for record in (*summary.schemas.values(), *summary.channels.values()):
-            record.write(builder)
-        counts = summary.statistics.channel_message_counts
-        replace(
-            summary.statistics,
-            message_count=summary.statistics.message_count * repeats,
-            chunk_count=len(summary.chunk_indexes) * repeats,
-            channel_message_counts={number: count * repeats for number, count in counts.items()},
-        ).write(builder)
-        for number in range(repeats):
-            for index in summary.chunk_indexes:
-                shift_index(index, number * len(chunks)).write(builder)
-        summary_bytes = builder.end()  # type: ignore[no-untyped-call]
-        output.write(finish_summary(summary_bytes, summary_start))
-    return summary.statistics.message_count * repeats
+def time_reading(paths: Sequence[Path]) -> list[float]:
+    """Return the times to decompress the chunks of the first file, and to read each [s]."""
+    chunks = find_chunks(paths[0])
+    reading = [partial(read_columns, path) for path in paths]
+    return time_calls(lambda: unpack_alone(paths[0], chunks), *reading)
 
 
-def shift_index(index: ChunkIndex, by: int) -> ChunkIndex:
-    """Return the index of the same chunk so many bytes later."""
-    offsets = {channel: place + by for channel, place in index.message_index_offsets.items()}
-    start = index.chunk_start_offset + by
-    return replace(index, chunk_start_offset=start, message_index_offsets=offsets)
+def measure_reading(folder: Path, messages: int) -> Iterator[Row]:
+    """Yield what it takes to read files with the compiled loops and without, each apart."""
+    names = "million.mcap", "indexes.mcap", "chunks.mcap", "own.mcap"
+    *paths, own = (folder / name for name in names)
+    for path, lacks in zip(paths, ("", "indexes", "chunks"), strict=True):
+        write_file(path, messages, lacks)
+    write_long_recording(own, messages)
+    for way, aim in AIMS.items():
+        said = run_apart(READ, way, *map(str, paths))
+        if way == "compiled" and not said["loaded"]:
+            continue  # numba is not installed
+        indexed, *lacking = said["read"]
+        bound = Cost("unpack", said["unpack"])
+        yield Row(job=f"read {messages:,}, {way}", value=indexed, bound=bound, aim=aim)
+        peer = Cost("indexed", indexed, is_yardstick=True)
+        for lacks, time_s in zip(("indexes", "chunks"), lacking, strict=True):
+            yield Row(job=f"read without {lacks}, {way}", value=time_s, peer=peer, aim=1.5)
+        said = run_apart(READ, way, str(own))
+        bound = Cost("unpack", said["unpack"])
+        yield Row(job=f"read our {messages:,}, {way}", value=said["read"][0], bound=bound, aim=aim)
 
 
-def finish_summary(summary: bytes, start: int) -> bytes:
-    """Return a summary with its footer, its checksum and the magic bytes."""
-    front = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, 0)
-    checksum = zlib.crc32(summary + front)
-    return summary + front + struct.pack("<I", checksum) + MCAP0_MAGIC
-
-
-def measure_large(path: Path, messages: int) -> None:
-    """Stream a large file in a process of its own, and print time and peak memory."""
-    answer = subprocess.run(
-        [sys.executable, "-c", PEAK, str(path)], check=True, capture_output=True, text=True
+def measure_peers(folder: Path, path: Path, messages: int, part: int) -> Iterator[Row]:
+    """Yield the same reading beside two other readers."""
+    small = folder / "part.mcap"
+    write_file(small, part)
+    scale = messages / part
+    ours, decoder, rosbags = time_calls(
+        lambda: read_columns(path),
+        lambda: decode_rows(small, part),
+        lambda: deserialize_rows(small, part),
+        repeats=3,
     )
-    rows, took, info, peak = answer.stdout.split()
-    assert int(rows) == messages
-    size = path.stat().st_size
-    print(f"large file            {size / 1e9:.2f} GB, {messages / 1e6:.1f} M messages")
-    print(f"  iter_columns        {float(took):.2f} s, peak {int(peak) / 1e6:.0f} MB (up to 300)")
-    print(f"  read_info           {float(info):.3f} s (up to 0.2)")
+    # A reader by rows is left behind by at least so much: they were 60 and 15 when this began.
+    yield Row(
+        job=f"read {messages:,}", value=ours, peer=Cost("mcap_ros2", decoder * scale), aim=1 / 60
+    )
+    yield Row(
+        job=f"read {messages:,}", value=ours, peer=Cost("rosbags", rosbags * scale), aim=1 / 15
+    )
 
 
-def measure_recovery(path: Path, columns_s: float) -> None:
-    """Recover a file without its end, and one with a damaged chunk, and print the times."""
+def measure_recovery(path: Path, messages: int) -> Iterator[Row]:
+    """Yield what it takes to recover a file without its end, and one with a damaged chunk."""
     copy, output = path.with_name("copy.mcap"), path.with_name("recovered.mcap")
-    copied = measure(lambda: shutil.copyfile(path, copy))
     data = bytearray(path.read_bytes())
-    place, length = find_chunks(path)[5]
+    chunks = find_chunks(path)
+    place, length = chunks[len(chunks) // 2]
     data[place + length // 2] ^= 1
     for title, harmed in (("cut", data[: -len(data) // 100]), ("damaged", data)):
         copy.write_bytes(harmed)
-        took = measure(lambda: recover_recording(copy, output), 3)
-        ratios = f"{took / copied:.0f} times a copy, {took / columns_s:.1f} times read_columns"
-        print(f"recover, {title:<12} {took:7.3f} s (up to 1.5), {ratios}")
+        ours, bound = time_calls(
+            lambda: recover_recording(copy, output),
+            lambda: unpack_alone(path, chunks),
+            repeats=3,
+        )
+        yield Row(
+            job=f"recover {messages:,}, {title}",
+            value=ours,
+            bound=Cost("unpack", bound),
+            aim=1.5,
+            aim_of="value",
+        )
 
 
-def main() -> None:
+def measure(share: float = 1.0) -> Iterator[Row]:
+    messages, part = round(MESSAGES * share), round(PART * share)
     with tempfile.TemporaryDirectory() as name:
-        path, part = Path(name) / "million.mcap", Path(name) / "part.mcap"
-        write_file(path, MESSAGES)
-        write_file(part, PART)
-        chunks = find_chunks(path)
-        bound = measure(lambda: unpack_alone(path, chunks))
-        ours = measure(lambda: read_columns(path))
-        scale = MESSAGES / PART
-        decoder = measure(lambda: decode_rows(part, PART), 3) * scale
-        rosbags = measure(lambda: deserialize_rows(part, PART), 3) * scale
-        print(f"{MESSAGES:,} messages, {path.stat().st_size / 1e6:.1f} MB")
-        print(f"read and decompress   {bound:7.3f} s on one core: the bound")
-        print(f"read_columns          {ours:7.3f} s, {ours / bound:.2f} times the bound (up to 3)")
-        for title, time_s, least in (("mcap_ros2 decoder", decoder, 60), ("rosbags", rosbags, 15)):
-            ratio = f"{time_s / ours:.0f} times as long (at least {least})"
-            print(f"{title:<20}  {time_s:7.2f} s, {ratio}; measured on {PART:,}, scaled")
-        measure_recovery(path, ours)
-        large = Path(name) / "large.mcap"
-        measure_large(large, write_large_file(large, path, LARGE))
+        folder = Path(name)
+        path = folder / "million.mcap"
+        yield from measure_reading(folder, messages)
+        yield from measure_peers(folder, path, messages, part)
+        yield from measure_recovery(path, messages)
 
 
 if __name__ == "__main__":
-    main()
+    run_alone(measure)

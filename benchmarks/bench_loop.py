@@ -1,57 +1,74 @@
-"""The closed loop in samples per second, against the barest loop that Python can run."""
+"""The closed loop and its replays, against a plain loop that stores the same numbers.
+
+The plain loop has local floats alone: no queue, object, event or choice. It is a peer and no bound:
+a compiled loop does better.
+"""
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Iterator
+from struct import Struct
+
+import numpy as np
+from numpy.typing import NDArray
 
 import turtlelog as tl
+from benchmarks.table import Cost, Row, run_alone, time_calls
 from turtlelog.plants.turtlesim import TICK_S
 from turtlelog.simulate import iterate_ticks
 
-REPEATS = 5
 SECONDS = 1600.0  # of simulated time: 100,000 samples
+TICK_NS = 16_000_000
+BEARING_RAD = 2.24
+POSE, POSE_ROW, COMMAND_ROW = Struct("<5f"), Struct("<q5d"), Struct("<q2d")
+SAMPLE_ROW = Struct("<4q11d")
 
 
-def run_bare_loop(samples: int) -> None:
-    """Move the turtle and compute the law with local floats alone: no queue, object or record."""
+def run_plain_loop(samples: int) -> list[NDArray[np.float64]]:
+    """Move the turtle, compute the law and store poses, commands and samples as a run does."""
     x, y, heading, turn_rate, speed = 5.5, 5.5, 0.0, 0.0, 0.0
-    for _ in range(samples):
+    poses, commands, rows = bytearray(), bytearray(), bytearray()
+    for tick in range(samples):
+        time_ns = tick * TICK_NS
         heading += turn_rate * TICK_S
         heading -= 6.2831853 * math.floor((heading + 3.14159265) / 6.2831853)
         x += math.cos(heading) * speed * TICK_S
         y += math.sin(heading) * speed * TICK_S
-        turn_rate = min(max(0.0001 * (2.24 - heading), -1.0), 1.0)
+        read = POSE.unpack(POSE.pack(x, y, heading, speed, turn_rate))
+        poses += POSE_ROW.pack(time_ns, *read)
+        error_x, error_y = 2.0 - read[0], 10.0 - read[1]
+        error = BEARING_RAD - read[2]
+        wanted = 0.0001 * error
+        turn_rate = min(max(wanted, -1.0), 1.0)
+        commands += COMMAND_ROW.pack(time_ns, speed, turn_rate)
+        distance = math.hypot(error_x, error_y)
+        whole = time_ns, tick, tick, 0
+        values = BEARING_RAD, error, error_x, error_y, distance, 0.0, wanted, speed, turn_rate
+        rows += SAMPLE_ROW.pack(*whole, *values, error_x, error_y)
+    sizes = (poses, 6), (commands, 3), (rows, 15)
+    return [np.frombuffer(packed).reshape(-1, width).T.copy() for packed, width in sizes]
 
 
-def measure_rate(samples: int, call: Callable[[], object]) -> float:
-    """Return the best rate of several calls [samples/s of one core]."""
-    best = math.inf
-    for _ in range(REPEATS):
-        start = time.process_time()
-        call()
-        best = min(best, time.process_time() - start)
-    return samples / best
-
-
-def main() -> None:
+def measure(share: float = 1.0) -> Iterator[Row]:
     # A gain this small keeps the turtle rotating to the end.
-    changes = {"law.kp_angular": 0.0001, "max_duration_s": SECONDS}
+    changes = {"law.kp_angular": 0.0001, "max_duration_s": SECONDS * share}
     scenario = tl.override_scenario(tl.load_scenario("paper"), changes)
-    samples = len(tl.simulate_run(scenario).samples)
-    bare = measure_rate(samples, lambda: run_bare_loop(samples))
-    loop = measure_rate(samples, lambda: sum(1 for _ in iterate_ticks(scenario)))
-    run = measure_rate(samples, lambda: tl.simulate_run(scenario))
     recorded = tl.simulate_run(scenario)
-    law = measure_rate(samples, lambda: tl.replay_law(recorded))
-    again = measure_rate(samples, lambda: tl.replay_loop(recorded))
-    print(f"bare loop, no objects   {bare:11,.0f} samples/s")
-    print(f"iterate_ticks           {loop:11,.0f} samples/s, {bare / loop:.1f} times the bare time")
-    print(f"simulate_run (columns)  {run:11,.0f} samples/s, {bare / run:.1f} times the bare time")
-    print(f"replay_law              {law:11,.0f} samples/s, {bare / law:.1f} times the bare time")
-    print(
-        f"replay_loop             {again:11,.0f} samples/s, {bare / again:.1f} times the bare time"
+    samples = len(recorded.samples)
+    plain, *times = time_calls(
+        lambda: run_plain_loop(samples),
+        lambda: tl.simulate_run(scenario),
+        lambda: sum(1 for _ in iterate_ticks(scenario)),
+        lambda: tl.replay_law(recorded),
+        lambda: tl.replay_loop(recorded),
     )
+    simulate, ticks, law, loop = (time_s / samples for time_s in times)
+    peer = Cost("plain loop", plain / samples, is_yardstick=True)
+    yield Row(job="simulate, a sample", value=simulate, peer=peer)
+    yield Row(job="replay the loop, a sample", value=loop, peer=peer)
+    # These do less than the plain loop: the first stores nothing, the second moves no turtle.
+    yield Row(job="simulate live, a tick", value=ticks)
+    yield Row(job="replay the law, a sample", value=law)
 
 
 if __name__ == "__main__":
-    main()
+    run_alone(measure)

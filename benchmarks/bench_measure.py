@@ -1,34 +1,38 @@
-"""Measuring a million samples completely, as a multiple of reading its columns once.
+"""Measuring a million samples, against python-control's step_info on one response of them.
 
-The run is made from columns: a rotation and a translation, a pose and a sample per tick. All times
-are the best of several on one machine in one run.
+The run is made from columns: a rotation and a translation, a pose and a sample per tick. The bound
+is to read every value of its columns once: the greatest of each.
 """
 
-import time
-from collections.abc import Callable
+from collections.abc import Iterator
 
+import control
 import numpy as np
 
-from turtlelog.measure import METRICS, MeasureSettings, measure_run
+from benchmarks.table import Cost, Row, run_alone, time_calls
+from turtlelog.measure import MeasureSettings, Metric, measure_run
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
+from turtlelog.scenario import load_scenario
+from turtlelog.simulate import declare_scenario
 
 ROWS = 1_000_000
-ROTATING = 300_000
+ROTATING = 0.3  # of them
 PERIOD_NS = 16_000_000
 BEARING_RAD = 2.2
 DISTANCE_M = 5.0
 GAINS = (1 / 600.0, 1 / 1500.0)
-REPEATS = 7
+STEP = ("rise_time", "settling_time", "overshoot", "peak", "peak_time", "final_error")
 
 
-def make_run() -> Run:
-    """Return a run of 4.4 hours whose responses last as long."""
-    time_ns = np.arange(ROWS) * PERIOD_NS
-    time_s = time_ns / 1e9
-    turning = np.arange(ROWS) < ROTATING
+def make_run(rows: int) -> Run:
+    """Return a run whose responses last as long as a million samples, 4.4 hours, would."""
+    rotating, faster = round(rows * ROTATING), ROWS / rows
+    time_ns = np.arange(rows) * PERIOD_NS
+    time_s = time_ns / 1e9 * faster
+    turning = np.arange(rows) < rotating
     swing = np.exp(-GAINS[0] * time_s) * np.cos(time_s / 300.0)
     heading = np.where(turning, BEARING_RAD * (1.0 - swing), BEARING_RAD)
-    driving_s = np.clip(time_s - time_s[ROTATING], 0.0, None)
+    driving_s = np.clip(time_s - time_s[rotating], 0.0, None)
     along = -DISTANCE_M * np.expm1(-GAINS[1] * driving_s)
     direction = np.array([np.cos(BEARING_RAD), np.sin(BEARING_RAD)])
     wanted_rad_s = 5.0 * (BEARING_RAD - heading)
@@ -44,55 +48,67 @@ def make_run() -> Run:
         commands=CommandColumns(
             time_ns=time_ns,
             speed_m_s=speed,
-            lateral_speed_m_s=np.zeros(ROWS),
+            lateral_speed_m_s=np.zeros(rows),
             turn_rate_rad_s=turn_rate,
         ),
         samples=SampleColumns(
             time_ns=time_ns,
-            sequence=np.arange(ROWS),
-            pose_sequence=np.arange(ROWS),
+            sequence=np.arange(rows),
+            pose_sequence=np.arange(rows),
             phase=np.where(turning, 0, 2),
-            bearing_rad=np.full(ROWS, BEARING_RAD),
+            bearing_rad=np.full(rows, BEARING_RAD),
             heading_error_rad=BEARING_RAD - heading,
             error_xy_m=error,
             distance_m=DISTANCE_M - along,
             speed_m_s=speed,
             turn_rate_rad_s=turn_rate,
-            world_velocity_m_s=np.zeros((ROWS, 2)),
+            world_velocity_m_s=np.zeros((rows, 2)),
             wanted_speed_m_s=wanted_m_s,
             wanted_turn_rate_rad_s=wanted_rad_s,
         ),
         goal_xy_m=(float(DISTANCE_M * direction[0]), float(DISTANCE_M * direction[1])),
         parameters={
-            "law.kp_angular": GAINS[0],
-            "law.kp_linear": GAINS[1],
+            "law.kp_angular": GAINS[0] * faster,
+            "law.kp_linear": GAINS[1] * faster,
             "limits.speed_m_s": 1.0,
             "limits.turn_rate_rad_s": 1.0,
         },
+        declaration=declare_scenario(load_scenario("paper")),
         stop_reason="standstill",
     )
 
 
-def time_best(work: Callable[[], object]) -> float:
-    times = []
-    for _ in range(REPEATS):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return min(times)
+def read_columns_once(run: Run) -> None:
+    """Find the greatest value of every column that some metric needs."""
+    poses, samples = run.poses, run.samples
+    for values in (poses.time_ns, poses.xy_m, poses.heading_rad):
+        values.max()
+    for name in ("time_ns", "speed_m_s", "turn_rate_rad_s", "wanted_speed_m_s"):
+        getattr(samples, name).max()
 
 
-def main() -> None:
-    run = make_run()
-    unwrapping = time_best(lambda: np.unwrap(run.poses.heading_rad))
+def measure_step(run: Run) -> dict[str, Metric]:
+    """Measure of the rotation what step_info measures."""
+    return dict(measure_run(run, only=[f"rotate.{name}" for name in STEP]))
+
+
+def measure(share: float = 1.0) -> Iterator[Row]:
+    run = make_run(round(ROWS * share))
     settings = MeasureSettings(dead_time_ticks=6)
-    complete = time_best(lambda: measure_run(run, settings))
-    one = time_best(lambda: measure_run(run, only=["rotate.overshoot"]))
-    print(f"{len(METRICS)} metrics of a run of {ROWS:,} samples and poses")
-    print(f"  all of them         {complete:6.3f} s  {complete / unwrapping:5.1f} x np.unwrap")
-    print(f"  rotate.overshoot    {one:6.3f} s  {one / unwrapping:5.1f} x np.unwrap")
-    print(f"  np.unwrap, a column {unwrapping:6.3f} s")
+    turning = round(len(run.poses) * ROTATING)
+    heading, time_s = run.poses.heading_rad[:turning], run.poses.time_ns[:turning] / 1e9
+    assert all(found.value is not None for found in measure_step(run).values())
+    complete, bound, one, step_info = time_calls(
+        lambda: measure_run(run, settings),
+        lambda: read_columns_once(run),
+        lambda: measure_step(run),
+        lambda: control.step_info(heading, time_s, yfinal=BEARING_RAD),
+    )
+    yield Row(job="measure all metrics", value=complete, bound=Cost("read once", bound))
+    yield Row(
+        job=f"measure a step, {len(STEP)} metrics", value=one, peer=Cost("control", step_info)
+    )
 
 
 if __name__ == "__main__":
-    main()
+    run_alone(measure)

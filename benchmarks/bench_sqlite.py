@@ -1,14 +1,13 @@
 """A bag in SQLite of a million messages as columns, against a bare select of its rows and rosbags.
 
-The bound is the time in which Python gets time and data of every row out of SQLite, row by row, and
-keeps none of them: `for row in connection.execute("select timestamp, data from messages")`.
+The select gets time and data of every row out of SQLite, row by row, and keeps none of them:
+`for row in connection.execute("select timestamp, data from messages")`. It is a peer and no bound:
+the pages of the file can be read without SQLite. The bound is to read the bytes of the file.
 """
 
 import sqlite3
-import statistics
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from benchmarks.table import Cost, Row, run_alone, time_calls
 from turtlelog.log import read_columns, read_info
 
 MESSAGES = 1_000_000
@@ -25,16 +25,6 @@ REPEATS = 5
 
 _POSE = "float32 x\nfloat32 y\nfloat32 theta\nfloat32 linear_velocity\nfloat32 angular_velocity\n"
 _CDR = b"\x00\x01\x00\x00"
-
-
-def measure(call: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Return the median time of a call [s]."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
 
 
 def write_bag(path: Path, count: int) -> None:
@@ -81,23 +71,32 @@ def deserialize_rows(path: Path, count: int) -> None:
             reader.deserialize(data, connection.msgtype)
 
 
-def main() -> None:
+def measure(share: float = 1.0) -> Iterator[Row]:
+    messages, part = round(MESSAGES * share), round(PART * share)
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "million.db3"
-        write_bag(path, MESSAGES)
-        assert select_rows(path) == MESSAGES
-        assert sum(map(len, read_columns(path).values())) == MESSAGES
-        bound = measure(lambda: select_rows(path))
-        ours = measure(lambda: read_columns(path))
-        info = measure(lambda: read_info(path))
-        rosbags = measure(lambda: deserialize_rows(path, PART), 1) * MESSAGES / PART
-        print(f"{MESSAGES:,} messages in SQLite, {path.stat().st_size / 1e6:.1f} MB")
-        print(f"select of all rows    {bound:7.3f} s: the bound")
-        print(f"read_columns          {ours:7.3f} s, {ours / bound:.2f} times the bound (up to 3)")
-        print(f"read_info             {info:7.3f} s, {info / bound:.2f} times the bound (up to 3)")
-        ratio = f"{rosbags / ours:.0f} times as long (at least 5)"
-        print(f"rosbags               {rosbags:7.2f} s, {ratio}; measured on {PART:,}, scaled")
+        write_bag(path, messages)
+        assert select_rows(path) == messages
+        assert sum(map(len, read_columns(path).values())) == messages
+        ours, info, select, bound = time_calls(
+            lambda: read_columns(path),
+            lambda: read_info(path),
+            lambda: select_rows(path),
+            path.read_bytes,
+            repeats=REPEATS,
+        )
+        (rosbags,) = time_calls(lambda: deserialize_rows(path, part), repeats=1)
+    peer = Cost("select", select, is_yardstick=True)
+    job = f"read {messages:,} rows of .db3"
+    yield Row(job=job, value=ours, peer=peer, aim=3)
+    yield Row(
+        job=job,
+        value=ours,
+        peer=Cost("rosbags", rosbags * messages / part),
+        bound=Cost("bytes", bound),
+    )
+    yield Row(job="info of the .db3", value=info, peer=peer, aim=3)
 
 
 if __name__ == "__main__":
-    main()
+    run_alone(measure)
