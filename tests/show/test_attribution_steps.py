@@ -139,3 +139,23 @@ def test_a_value_within_the_tolerances_says_so(value: float, *, says: bool) -> N
     )
     for step in list_attribution_steps(found):
         assert ("no more than the tolerances leave" in step.text) == says
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.9e-5, 2), (1.1e-5, 3)])
+def test_a_share_of_a_millionth_is_no_step(share: float, count: int) -> None:
+    found = make_attribution(shares=(make_share("a", share),), without_all=10.0)
+    assert len(list_attribution_steps(found)) == count
+
+
+@pytest.mark.parametrize(("share", "text"), [(99.9, "-99.90 deg (999 %)"), (100.1, "-100.10 deg")])
+def test_a_part_of_ten_times_the_value_has_no_percentage(share: float, text: str) -> None:
+    found = make_attribution(shares=(make_share("a", share),))
+    assert list_attribution_steps(found)[1].text == text
+
+
+@pytest.mark.parametrize(("names", "told"), [("ab", "a and b"), ("abc", "all of these")])
+def test_the_last_bar_names_two_mechanisms(names: str, told: str) -> None:
+    found = make_attribution(
+        mechanisms=tuple(names), shares=tuple(make_share(name, 1.0) for name in names)
+    )
+    assert list_attribution_steps(found)[-1].text == f"5.00 deg, without {told}"

@@ -46,6 +46,31 @@ def test_gaps_hide_no_extremes(values: np.ndarray) -> None:
     assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(values), np.nanmax(values))
 
 
+def test_a_gap_of_one_row_stays_a_gap() -> None:
+    values = np.arange(400.0)
+    values[7] = np.nan
+    rows = choose_rows(values, most=30)
+    assert rows is not None
+    assert 7 in rows
+
+
+@given(COLUMNS)
+def test_with_gaps_rows_are_as_few(values: np.ndarray) -> None:
+    values = values.copy()
+    values[1::2] = np.nan
+    rows = choose_rows(np.column_stack([values, -values]), most=42)
+    assert rows is not None
+    assert len(rows) <= 43
+
+
+@given(COLUMNS, st.lists(st.integers(0, 49), max_size=5))
+def test_rows_that_are_asked_for_stay(values: np.ndarray, asked: list[int]) -> None:
+    rows, usual = choose_rows(values, most=30, always=np.array(asked, int)), choose_rows(values, 30)
+    assert rows is not None
+    assert usual is not None
+    np.testing.assert_array_equal(rows, np.union1d(usual, np.array(asked, int)))
+
+
 def test_ten_million_rows_are_thinned_at_once() -> None:
     values = np.sin(np.linspace(0.0, 100.0, 10_000_000))
     values[1_234_567] = 7.0

@@ -31,7 +31,10 @@ _MOST_LISTED: Final = 3
 """So many distances stand in one label; of more the least and the greatest."""
 
 _MOST_TOLD: Final = 12
-"""Of more ends only the furthest has words; all those words would hide the dots."""
+"""Ends that have words; of more only the furthest, as all those words would hide the dots."""
+
+_LONGEST: Final = 16
+"""Letters of a name in it: with its distance it takes half of a close-up 430 pixels wide."""
 
 _SHIFTS: Final = (0.0, 0.5, -0.5, 1.0, -1.0)
 """How far up words may stand from their dot, in lines, best first."""
@@ -50,11 +53,13 @@ class End:
         run: Its number among the runs.
         xy_m: Its last pose.
         miss_m: From there to the goal.
+        name: What the run is called beside its distance; empty where a legend tells.
     """
 
     run: int
     xy_m: Point
     miss_m: float
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,12 +99,15 @@ class Lettering:
         line: Height of a line.
         gap: Between a dot and its words.
         reach: From the goal to the left and right border of the picture, which may be wide.
+        most_told: Ends that have room for words; of more the furthest has them, and where runs have
+            names the last run, which is that of the highest gain.
     """
 
     letter: float
     line: float
     gap: float
     reach: float = 1.0
+    most_told: int = _MOST_TOLD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +115,7 @@ class Label:
     """Words in the close-up.
 
     Attributes:
-        text: One or more distances.
+        text: One or more distances; of runs with names a line for each, in the order of `runs`.
         xy_m: Their middle.
         runs: Numbers of the runs whose ends they tell of; none of a ring.
     """
@@ -143,6 +151,13 @@ def find_close_up(runs: Sequence[Run]) -> CloseUp | None:
     )
 
 
+def name_ends(close_up: CloseUp, names: Sequence[str]) -> CloseUp:
+    """Return a close-up that calls the runs by these names, in their order, cut where long."""
+    short = [name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}..." for name in names]
+    ends = tuple(replace(end, name=short[end.run]) for end in close_up.ends)
+    return replace(close_up, ends=ends)
+
+
 def find_tolerance(run: Run) -> float | None:
     """Return the law's tolerance of each coordinate [m], None where it is not known."""
     tolerance_m = run.parameters.get("law.position_tolerance_m")
@@ -158,10 +173,13 @@ def format_length(length_m: float) -> str:
 def list_miss_labels(close_up: CloseUp, lettering: Lettering) -> tuple[Label, ...]:
     """Return how far each end is from the goal, beside it; ends without room share their words.
 
-    Of many ends it is the furthest alone: rings tell of the others.
+    Of many ends it is the furthest alone, and that of the last run where runs have names: rings
+    tell of the others.
     """
-    if len(close_up.ends) > _MOST_TOLD:
-        return (_label_ends(close_up, close_up.ends[-1:], lettering),)
+    if len(close_up.ends) > lettering.most_told:
+        furthest, last = close_up.ends[-1], max(close_up.ends, key=lambda end: end.run)
+        told = (furthest,) if last is furthest or not last.name else (last, furthest)
+        close_up = replace(close_up, ends=told)
     groups = _gather(close_up, lettering)
     while True:
         labels: list[Label] = []
@@ -187,7 +205,9 @@ def list_ring_labels(
         way = np.subtract(labels[0].xy_m, close_up.goal_xy_m)
         return hidden + 0.5 * bool(way @ away < 0.0)
 
-    return min((_name_rings(close_up, angle_rad) for angle_rad in _ANGLES_RAD), key=count_hidden)
+    labels = min((_name_rings(close_up, angle) for angle in _ANGLES_RAD), key=count_hidden)
+    crowded = any(_overlap(one, other, close_up, lettering) for one, other in pairwise(labels))
+    return labels[-1:] if crowded else labels
 
 
 def _find_end(number: int, run: Run, goal_xy_m: Point) -> End:
@@ -238,18 +258,21 @@ def _place(
 def _label_ends(close_up: CloseUp, ends: Sequence[End], lettering: Lettering) -> Label:
     """Return the words for some ends, on the side that looks away from the goal."""
     misses_m = sorted(end.miss_m for end in ends)
+    ends = sorted(ends, key=lambda end: end.run)
     if len(ends) > _MOST_LISTED:
         text = f"{len(ends)} runs: {_join([misses_m[0], misses_m[-1]], ' to ')}"
+    elif all(end.name for end in ends):
+        text = "\n".join(f"{end.name}: {format_length(end.miss_m)}" for end in ends)
     else:
         text = _join(misses_m, ", ")
     xs_m, ys_m = zip(*(end.xy_m for end in ends), strict=True)
-    half_width_m = lettering.letter * len(text) / 2.0 * close_up.half_m
+    half_width_m = lettering.letter * _measure(text)[0] / 2.0 * close_up.half_m
     aside_m = lettering.gap * close_up.half_m + half_width_m
     goal_x_m, reach_m = close_up.goal_xy_m[0], lettering.reach * close_up.half_m - half_width_m
     is_right = sum(xs_m) / len(xs_m) >= goal_x_m
     x_m = max(xs_m) + aside_m if is_right else min(xs_m) - aside_m
     x_m = min(max(x_m, goal_x_m - reach_m), goal_x_m + reach_m)
-    runs = tuple(sorted(end.run for end in ends))
+    runs = tuple(end.run for end in ends)
     return Label(text=text, xy_m=(x_m, (min(ys_m) + max(ys_m)) / 2.0), runs=runs)
 
 
@@ -272,6 +295,15 @@ def _name_rings(close_up: CloseUp, angle_rad: float) -> tuple[Label, ...]:
 
 def _overlap(one: Label, other: Label, close_up: CloseUp, lettering: Lettering) -> bool:
     across_m, up_m = abs(one.xy_m[0] - other.xy_m[0]), abs(one.xy_m[1] - other.xy_m[1])
-    letters = (len(one.text) + len(other.text)) / 2.0
-    width_m, height_m = letters * lettering.letter, lettering.line
+    (letters, lines), (others, more) = _measure(one.text), _measure(other.text)
+    width_m, height_m = (
+        (letters + others) / 2 * lettering.letter,
+        (lines + more) / 2 * lettering.line,
+    )
     return across_m < width_m * close_up.half_m and up_m < height_m * close_up.half_m
+
+
+def _measure(text: str) -> tuple[int, int]:
+    """Return how many letters the longest line has, and how many lines there are."""
+    lines = text.split("\n")
+    return max(map(len, lines)), len(lines)

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.compare.run_names import has_one_gain
+from turtlelog.compare.run_names import has_one_gain, list_differing
 from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.run import Parameter, Run
 from turtlelog.show.palette import FEW
@@ -28,7 +28,11 @@ LONGEST_NAME: Final = 24
 _BETWEEN_WORDS: Final = re.compile(r"(?<=\w)([-_ ])(?=[A-Za-z])")
 
 _MOST_KEYS: Final = 3
+"""Keys that a name tells; with more it would be as long as the name that it stands for."""
+
 _NO_LIMIT: Final = 1e9
+"""In the unit of the key: no robot drives at this speed [m/s] or turns so fast [rad/s]; scenarios
+without a limit have such a value."""
 
 _WORDS: Final[Mapping[str, str]] = {
     "loop.transport_delay_ticks": "delay",
@@ -94,9 +98,10 @@ def _count_swings(values: "np.typing.NDArray[np.float64]") -> int:
 def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     """Return the gain, where no two runs have the same, or the one number by which runs differ.
 
-    None where they differ by more, or by words.
+    None where they differ by more, or by words. Seeds count only where nothing else differs.
     """
     differing = list_differing(runs)
+    differing = [key for key in differing if not key.endswith("seed")] or differing
     gains = {key for run in runs for key in run.declaration.list_gains()}
     word = ""
     is_of_gain = bool(gains & {*differing}) and all(map(has_one_gain, runs))
@@ -115,13 +120,6 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
 
 def _are_apart(runs: Sequence[Run], key: str) -> bool:
     return len({run.parameters.get(key) for run in runs}) == len(runs)
-
-
-def list_differing(runs: Sequence[Run]) -> list[str]:
-    """Return the scenario's keys that differ between runs, but for their names."""
-    parameters = [complete_parameters(run) for run in runs]
-    keys = dict.fromkeys(key for known in parameters for key in known if key != "name")
-    return [key for key in keys if len({repr(known.get(key)) for known in parameters}) > 1]
 
 
 def shorten_names(runs: Sequence[Run], names: Sequence[str]) -> tuple[str, ...]:

@@ -3,9 +3,9 @@
 Headings are in degrees. Of long curves those rows are chosen that draw the same.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -116,7 +116,7 @@ class LoopStep:
 
 
 def read_curve(run: Run, signal_name: str) -> Curve | None:
-    """Return a signal, None where the run does not hold it.
+    """Return a signal, None where the run does not hold it, as the state of another run's law.
 
     Beside the named signals there are `world_velocity_x` and `world_velocity_y`: gain times error.
     """
@@ -126,7 +126,8 @@ def read_curve(run: Run, signal_name: str) -> Curve | None:
             return None
         values = velocity[1][:, "xy".index(signal_name[-1])]
         return Curve(start_ns=run.start_ns, time_ns=velocity[0], values=values, holds=True)
-    signal = read_signal(run, signal_name)
+    is_known = signal_name in list_signals(run.declaration)
+    signal = read_signal(run, signal_name) if is_known else None
     if signal is None or not len(signal.values):
         return None
     return Curve(
@@ -324,25 +325,42 @@ def read_world_velocity(run: Run) -> tuple[NDArray[np.int64], Values] | None:
     return (time_ns, velocity) if known.all() else (time_ns[known], velocity[known])
 
 
-def choose_rows(values: NDArray[np.float64], most: int = MOST_POINTS) -> NDArray[np.int64] | None:
+def choose_rows(
+    values: NDArray[np.float64],
+    most: int = MOST_POINTS,
+    *,
+    always: NDArray[np.int64] | None = None,
+) -> NDArray[np.int64] | None:
     """Return the rows of a curve to draw, None where all of them are few enough.
 
     The rows are split into equal stretches; of each the first row and the rows of the least and
-    the greatest value of every column stay, and the very last row. NaN is neither.
+    the greatest value of every column stay, and the very last row. NaN is neither; the first one
+    of a stretch stays too, so that no line is drawn across a gap.
 
     Args:
         values: Shape (n,) or (n, columns).
         most: About how many rows may stay.
+        always: Rows that stay beside these.
     """
     columns = values.reshape(len(values), -1)
     if len(columns) <= most:
         return None
-    stretches = max(1, most // (2 * columns.shape[1] + 1))
+    is_nan = np.isnan(columns)
+    gaps = np.flatnonzero(is_nan.any(axis=0))
+    stretches = max(1, most // (2 * columns.shape[1] + len(gaps) + 1))
     length = -(-len(columns) // stretches)
-    kept = [np.arange(0, len(columns), length), np.array([len(columns) - 1])]
-    for column in columns.T:
-        kept += _find_extremes(column, length)
-    return np.unique(np.concatenate(kept))
+    stays = np.zeros(len(columns), dtype=bool)
+    stays[::length] = True
+    stays[-1] = True
+    stays[[] if always is None else always] = True
+    for number, column in enumerate(columns.T):
+        has_gaps = number in gaps
+        for fill, find in ((np.inf, np.argmin), (-np.inf, np.argmax)):
+            known = np.where(is_nan[:, number], fill, column) if has_gaps else column
+            stays[_find_in_stretches(known, length, find)] = True
+    for gap in is_nan.T[gaps]:
+        stays[_find_in_stretches(gap, length, np.argmax)] = True
+    return np.flatnonzero(stays)
 
 
 def _read_recorded(run: Run, signal: str) -> Curve | None:
@@ -401,17 +419,14 @@ def _bring_near(run: Run, heading_rad: Values, rows: NDArray[np.int64]) -> Value
     return np.degrees(measured[rows] + subtract_headings(heading_rad, measured[rows]))
 
 
-def _find_extremes(column: NDArray[np.float64], length: int) -> list[NDArray[np.int64]]:
-    """Return the first row of the least and of the greatest value in each stretch of a length."""
-    is_nan = np.isnan(column)
-    has_nan = bool(is_nan.any())
-    low = np.where(is_nan, np.inf, column) if has_nan else column
-    high = np.where(is_nan, -np.inf, column) if has_nan else column
-    whole = len(column) // length * length
-    starts = np.arange(0, len(column), length)
-    found = []
-    for values, find in ((low, np.argmin), (high, np.argmax)):
-        rows = find(values[:whole].reshape(-1, length), axis=1)
-        last = [find(values[whole:])] if whole < len(column) else []
-        found.append(starts + np.append(rows, last).astype(np.int64))
-    return found
+def _find_in_stretches(
+    values: NDArray[Any], length: int, find: Callable[..., Any]
+) -> NDArray[np.int64]:
+    """Return the row in each stretch of a length that argmin or argmax finds, the first of equals.
+
+    Of truths of which none holds that is the first row.
+    """
+    whole = len(values) // length * length
+    rows = find(values[:whole].reshape(-1, length), axis=1)
+    last = [find(values[whole:])] if whole < len(values) else []
+    return np.arange(0, len(values), length) + np.append(rows, last).astype(np.int64)

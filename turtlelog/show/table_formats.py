@@ -14,8 +14,7 @@ from itertools import zip_longest
 from types import MappingProxyType
 from typing import Final
 
-from turtlelog.compare import Column, Mark, Table, format_cell
-from turtlelog.compare.run_table import Cell
+from turtlelog.compare import Cell, Column, Mark, Table, format_cell
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_controls, escape_markdown, guard_cell
 
@@ -331,6 +330,8 @@ def _join(columns: Sequence[_Column], cells: Sequence[Sequence[str]]) -> Iterato
 
 def _break(text: str, width: int) -> list[str]:
     """Return the lines of a name: broken behind a sign where there is one, else anywhere."""
+    if len(text) <= width:  # as it is: room for a mark is part of a figure
+        return [text]
     lines = [""]
     for part in re.findall(r"[^\s_./-]*[\s_./-]*", text):
         if len(lines[-1]) + len(part.rstrip()) > width and lines[-1]:
@@ -338,8 +339,7 @@ def _break(text: str, width: int) -> list[str]:
         lines[-1] += part
         while len(lines[-1].rstrip()) > width:
             lines[-1:] = [lines[-1][:width], lines[-1][width:]]
-    # Room for a mark is part of a figure.
-    return [text] if len(text) <= width else [line.rstrip() for line in lines]
+    return [line.rstrip() for line in lines]
 
 
 def _wrap_notes(notes: Sequence[str], width: int) -> Iterator[str]:

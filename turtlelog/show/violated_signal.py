@@ -71,6 +71,14 @@ class ViolatedSignal:
         """Return a moment in words: `worst -0.083 m at 4.512 s`."""
         return f"{word} {format_number(moment.value, self.unit)} at {moment.time_s:.3f} s"
 
+    def describe_outside(self, moment: ViolationMoment) -> str:
+        """Return how far outside the band the signal is then: `0.0577 m`; empty where it is not."""
+        row = int(np.argmin(np.abs(self.curve.time_s - moment.time_s)))
+        below = 0.0 if self.low is None else float(self.low[row]) - moment.value
+        above = 0.0 if self.high is None else moment.value - float(self.high[row])
+        beyond = float(np.nanmax([below, above, 0.0]))
+        return format_number(float(f"{beyond:.3g}"), self.unit) if beyond > 0.0 else ""
+
     def describe_limits(self) -> dict[str, str]:
         """Return the name of each end of the band: `low` and `high`, each where there is one."""
         return {

@@ -28,7 +28,13 @@ from turtlelog.show.figures.attribution_figure import (
 from turtlelog.show.figures.figure_kinds import list_usual_figures
 from turtlelog.show.figures.gain_figure import draw_gains
 from turtlelog.show.figures.loop_gains import find_loop_gains
-from turtlelog.show.figures.metric_panels import complete_name, measure_for_figure, set_ticks_at
+from turtlelog.show.figures.metric_panels import (
+    MetricValues,
+    complete_name,
+    measure_for_figure,
+    set_ticks_at,
+    set_value_scale,
+)
 from turtlelog.show.figures.rates_figure import draw_rates, find_step
 from turtlelog.show.figures.strip_figure import draw_strips, group_runs
 from turtlelog.show.figures.violation_figure import draw_violation
@@ -98,7 +104,8 @@ def test_the_waterfall_has_the_values_of_the_attribution(
     assert texts[0] == "106.7 mm"
     assert texts[1:3] == ["\N{MINUS SIGN}51.1 mm (48 %)", "\N{MINUS SIGN}50.6 mm (47 %)"]
     assert texts[3] == "5.1 mm, no more than the tolerances leave"
-    assert bars.get_xlabel() == "final position error [mm]"
+    averages = "bars: averages over the orders of removal"
+    assert bars.get_xlabel() == f"final position error [mm]\n{averages}"
 
 
 def test_each_bar_begins_where_the_one_above_ends(attribution: Figure) -> None:
@@ -268,6 +275,16 @@ def test_of_many_runs_a_box_stands_beside_the_points(count: int, has_box: bool) 
     assert axes.get_xticklabels()[0].get_text() == f"n = {count}"
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_values_that_are_nearly_equal_stand_clear_of_the_edge(sign: float) -> None:
+    axes = make_figure().subplots()
+    values = sign * np.array([5.77, 5.7701, 5.7702])
+    found = MetricValues("settling_time", "settling time [s]", values, ("", "", ""), 1.0)
+    set_value_scale(axes, found)
+    low, high = axes.get_ylim()
+    assert min(high - values.max(), values.min() - low) > 0.1 * (high - low)
+
+
 def test_too_many_groups_are_refused() -> None:
     runs = [run for kp in range(13) for run in repeat(1, ("law.kp_linear", float(kp)))]
     assert len(group_runs(runs[:12]).names) == 12
@@ -298,7 +315,7 @@ def test_what_is_outside_is_red_and_first_and_worst_are_named() -> None:
     assert list_texts(axes) == [
         "limit -0.05 m",
         "limit 0.05 m",
-        "worst -0.10774 m\nat 8.784 s",
+        "worst -0.10774 m\nat 8.784 s\n0.0577 m outside",
         "first -0.05008 m\nat 5.664 s",
     ]
     assert axes.get_title() == "always(abs(cross_track) <= 0.05): violated"
@@ -342,6 +359,25 @@ def test_rates_name_what_identification_found(robot: tl.Run) -> None:
         assert axis.lag_s is not None
         assert dead_ms == pytest.approx(1e3 * axis.dead_time_s.value, abs=1.0)
         assert lag_ms == pytest.approx(1e3 * axis.lag_s.value, abs=1.0)
+
+
+def test_a_step_that_does_not_count_is_marked_where_it_is_off(robot: tl.Run) -> None:
+    xy_m = robot.poses.xy_m.copy()
+    xy_m[100:] += 0.5
+    jumping = replace(robot, poses=replace(robot.poses, xy_m=xy_m))
+    model, figure = identify_robot([jumping]), make_figure()
+    draw_rates(figure, [jumping], model=model)
+    marks = [
+        (axes, line)
+        for axes in figure.axes
+        for line in axes.get_lines()
+        if line.get_label() == "left out of the fit"
+    ]
+    assert len(marks) == sum(axis.outliers > 0 for axis in model.axes) > 0
+    axes, line = marks[0]
+    assert axes.get_ylabel() == "motion - model\n[m/s]"
+    residual = np.concatenate([np.asarray(one.get_ydata()) for one in axes.get_lines()[1:2]])
+    assert np.abs(np.asarray(line.get_ydata())).max() == np.abs(residual).max() > 0.5
 
 
 def test_an_axis_that_is_not_identified_is_drawn_with_the_reason(robot: tl.Run) -> None:

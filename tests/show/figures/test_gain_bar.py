@@ -57,3 +57,19 @@ def test_runs_of_one_gain_are_named_by_the_first_and_the_last() -> None:
 def test_a_figure_that_names_no_runs_has_no_bar() -> None:
     figure = draw_figure("step-responses", vary(8))
     assert len(figure.axes) == 1
+
+
+def test_a_bar_names_repeated_gains_and_any_one_number_as_views_do() -> None:
+    twice = [
+        replace(run, name=f"{run.name}, {seed}", parameters={**run.parameters, "seed": seed})
+        for run in vary(4)
+        for seed in (1, 2)
+    ]
+    _, bar = draw_figure("heading", twice).axes
+    assert bar.get_xlabel() == "Kp of 8 runs [1/s]"
+    pauses = [
+        replace(RUN, name=f"{ticks}", parameters={**RUN.parameters, "law.pause_ticks": ticks})
+        for ticks in range(8)
+    ]
+    _, bar = draw_figure("heading", pauses).axes
+    assert bar.get_xlabel() == "pause of 8 runs"

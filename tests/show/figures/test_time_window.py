@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from turtlelog.cli.page_options import TIMELESS
 from turtlelog.errors import ShowError
 from turtlelog.scenario import get_preset
 from turtlelog.show import Page, draw_figure
+from turtlelog.show.figures.time_window import list_time_axes
 
 RUN = tl.simulate_run(get_preset("paper-kp10"))
 
@@ -32,6 +34,11 @@ def test_panels_of_a_stack_are_cut_together_and_limits_stay_in_sight() -> None:
     assert all(axes.get_xlim()[1] == 3.0 for axes in figure.axes)
     (rate,) = [axes for axes in figure.axes if axes.get_ylabel() == "turn rate [rad/s]"]
     assert rate.get_ylim()[1] > 1.0
+
+
+@pytest.mark.parametrize("name", [*sorted(TIMELESS), "panel", "position"])
+def test_figures_that_no_time_can_cut_have_no_such_axis(name: str) -> None:
+    assert bool(list_time_axes(draw_figure(name, [RUN]))) == (name not in TIMELESS)
 
 
 def test_the_plane_has_no_time_axis() -> None:

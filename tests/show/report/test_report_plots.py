@@ -13,6 +13,7 @@ from tests.show.rerun.rrds import make_foreign_run
 from turtlelog.check.violation import find_violated_signal
 from turtlelog.cli.check import build_spec
 from turtlelog.run import Run
+from turtlelog.show.report.conclusion import conclude
 from turtlelog.show.report.drawn import Drawn, Plots
 from turtlelog.show.report.marked_plots import MOST_MARKED
 from turtlelog.show.report.page_plots import Violation, draw_plots
@@ -127,3 +128,16 @@ def test_single_faults_of_a_sensor_do_not_flatten_the_plot(spikes: int, title: s
     rates[5 : 5 + spikes] = 143.0
     bag = replace(bag, commands=replace(bag.commands, turn_rate_rad_s=rates))
     assert draw(bag).roots["plot-turn_rate"].title.text == title
+
+
+def test_the_state_of_one_law_is_plotted_of_its_runs_alone() -> None:
+    plots = draw(read(4), tl.simulate_run(tl.load_scenario("posture")))
+    figure = plots.roots["plot-lyapunov"]
+    assert figure.renderers[0].data_source.data["name"] == ["run 1"]
+
+
+def test_equal_runs_are_said_to_be_equal() -> None:
+    runs, names = [read(4), read(10), read(4)], ["a", "b", "c"]
+    metrics = [tl.measure_run(run) for run in runs]
+    assert "a and c are equal in every row." in conclude(runs, names, metrics)
+    assert not any("equal" in text for text in conclude(runs[:2], names[:2], metrics[:2]))

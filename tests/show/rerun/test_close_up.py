@@ -11,14 +11,16 @@ import turtlelog as tl
 from tests.show.rerun.rrds import list_entities, read_layout, read_static, simulate_preset
 from turtlelog.measure import measure_run
 from turtlelog.scenario import PAPER_RUNS
+from turtlelog.show import palette
 from turtlelog.show.close_up import (
     Lettering,
     find_close_up,
     format_length,
     list_miss_labels,
     list_ring_labels,
+    name_ends,
 )
-from turtlelog.show.rerun.views import choose_names
+from turtlelog.show.rerun.run_legend import choose_names
 
 LETTERING = Lettering(letter=0.06, line=0.2, gap=0.1)
 RUN = simulate_preset("paper-kp4")
@@ -120,6 +122,52 @@ def test_many_ends_together_are_told_by_least_and_greatest(
     assert tell_misses([*map(miss_by, misses_m), miss_by(-0.5)]) == [*texts, "500 mm"]
 
 
+@pytest.mark.parametrize(
+    ("names", "texts"),
+    [
+        ("abc", ["a: 1 mm\nb: 2 mm\nc: 3 mm", "d: 500 mm"]),
+        ("    ", ["1, 2, 3 mm", "500 mm"]),
+    ],
+)
+def test_ends_of_runs_with_names_have_a_line_each(names: str, texts: list[str]) -> None:
+    close_up = find_close_up([*map(miss_by, (0.001, 0.002, 0.003)), miss_by(-0.5)])
+    assert close_up is not None
+    named = name_ends(close_up, [name.strip() for name in names.ljust(4, "d")])
+    assert [label.text for label in list_miss_labels(named, LETTERING)] == texts
+
+
+@pytest.mark.parametrize(
+    ("letters", "told"), [(16, "x" * 16 + ": 100 mm"), (17, "x" * 13 + "...: 100 mm")]
+)
+def test_long_names_are_cut_in_the_close_up(letters: int, told: str) -> None:
+    close_up = find_close_up([miss_by(0.1)])
+    assert close_up is not None
+    (label,) = list_miss_labels(name_ends(close_up, ["x" * letters]), LETTERING)
+    assert label.text == told
+
+
+@pytest.mark.parametrize(("furthest", "runs"), [(0, [12, 0]), (12, [12])])
+def test_of_many_named_ends_the_furthest_and_the_last_run_are_told(
+    furthest: int, runs: list[int]
+) -> None:
+    ways = [miss_by(0.5 if number == furthest else -0.1) for number in range(13)]
+    close_up = find_close_up(ways)
+    assert close_up is not None
+    named = name_ends(close_up, [f"run {number}" for number in range(13)])
+    found = [run for label in list_miss_labels(named, LETTERING) for run in label.runs]
+    assert found == runs
+
+
+@pytest.mark.parametrize(("line", "count"), [(0.33, 2), (0.34, 1)])
+def test_where_names_of_rings_would_cover_each_other_the_widest_is_named(
+    line: float, count: int
+) -> None:
+    close_up = find_close_up([miss_by(0.1)])  # rings of a third of the half-width
+    assert close_up is not None
+    rings = list_ring_labels(close_up, (0.0, -5.0), (), replace(LETTERING, line=line))
+    assert [label.text for label in rings] == ["50 mm", "100 mm"][-count:]
+
+
 @pytest.mark.parametrize("reach", [1.0, 1.6])
 def test_words_stay_in_the_picture(reach: float) -> None:
     close_up = find_close_up([miss_by(0.199), miss_by(0.1)])
@@ -188,7 +236,13 @@ def test_the_viewer_shows_where_each_of_several_runs_ends(comparison_rrd: Path) 
         ((x_m, y_m),) = read_static(comparison_rrd, f"/runs/{name}/plane/end", "Points2D:positions")
         np.testing.assert_allclose((x_m, y_m), simulate_preset(name).poses.xy_m[-1], atol=1e-6)
     misses = read_static(comparison_rrd, "/plane/close_up/misses", "Points2D:labels")
-    assert misses == ["1.01, 2.52, 8.52 mm", "107 mm"]
+    assert misses == ["kp1: 2.52 mm", "kp2: 1.01 mm", "kp4: 8.52 mm", "kp10: 107 mm"]
+    hues = read_static(comparison_rrd, "/plane/close_up/misses", "Points2D:colors")
+    assert hues == palette.pack_colors(palette.choose_run_colors(4)).tolist()
+    heights = [
+        xy[1] for xy in read_static(comparison_rrd, "/plane/close_up/misses", "Points2D:positions")
+    ]
+    assert heights[0] > heights[1] > heights[2]
 
 
 @pytest.mark.parametrize("radius_m", [0.05, 0.1])

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from turtlelog.scenario import get_preset
-from turtlelog.show.rerun.content import Content, find_ends
+from turtlelog.show.rerun.content import Content, find_emptiest_corner, find_ends
 from turtlelog.show.rerun.layout import build_run_layout
 from turtlelog.show.rerun.plots import Series
 from turtlelog.show.rerun.run_scene import build_single
@@ -61,6 +61,12 @@ def test_a_legend_on_the_right_avoids_where_the_curve_ends(end: float, corner: s
     corners = read_corners(content)
     assert corners["Heading [deg]"] == corners["Turn rate [rad/s]"] == corner
     assert corners["Speed [m/s]"] == "LeftBottom"
+
+
+@pytest.mark.parametrize(("level", "corner"), [(0.39, "LeftTop"), (0.41, "LeftBottom")])
+def test_a_legend_takes_two_fifths_of_the_height(level: float, corner: str) -> None:
+    values = np.array([0.7, level, level, level, level, 0.05, 0.95, 0.05, 0.95, 0.05])
+    assert find_emptiest_corner(np.arange(10), values, (0.0, 1.0)) == corner
 
 
 def test_legends_stand_in_their_usual_places_while_a_run_grows() -> None:

@@ -1,7 +1,10 @@
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rerun as rr
 from numpy.typing import NDArray
 
 import turtlelog as tl
@@ -22,6 +25,8 @@ from turtlelog.show.rerun import timelines
 
 RUN = simulate_preset("paper-kp10")
 
+SCALARS = "Scalars:scalars"
+
 
 def test_long_tables_are_sent_in_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timelines, "CHUNK_ROWS", 100)
@@ -37,16 +42,67 @@ def test_what_is_too_long_is_thinned_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.rrd"
-    monkeypatch.setattr(timelines, "MOST_ROWS", 500)
-    monkeypatch.setattr(timelines, "THINNED_ROWS", 90)
+    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
     write_run_rrd(RUN, path)
     verify(path)
-    rows = np.array(read_rows(path, "/turn_rate/commanded", "Scalars:scalars"))[:, 0]
+    rows = np.array(read_rows(path, "/turn_rate/commanded", SCALARS))[:, 0]
     commanded = RUN.samples.turn_rate_rad_s
-    assert len(rows) <= 91
+    borders = 2 * (2 * len(RUN.find_phase_spans()) + len(RUN.events))
+    assert len(rows) <= 91 + borders
     assert (rows.min(), rows.max()) == (commanded.min(), commanded.max())
     (text,) = read_static(path, "/documents/Drawn", "TextDocument:text")
     assert f"about 90 of up to {len(RUN.poses)} rows" in text
+    assert "the rows beside each border of a phase and each event" in text
+
+
+def test_borders_of_phases_and_events_of_a_thinned_curve_are_exact(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.rrd"
+    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
+    write_run_rrd(RUN, path)
+    spans = [ns for span in RUN.find_phase_spans() for ns in (span.start_ns, span.end_ns)]
+    borders_ns = [*spans, *(event.time_ns for event in RUN.events)]
+    times_ns = RUN.poses.time_ns
+    after = np.searchsorted(times_ns, borders_ns).clip(1, len(times_ns) - 1)
+    kept_ns = read_times(path, "/distance") + RUN.start_ns
+    assert set(times_ns[after]) | set(times_ns[after - 1]) <= set(kept_ns)
+    shown = np.interp(borders_ns, kept_ns, np.ravel(read_rows(path, "/distance", SCALARS)))
+    np.testing.assert_array_equal(shown, np.interp(borders_ns, times_ns, read_values("distance")))
+
+
+class Received:
+    """Stands for a recording, and counts the rows that it receives."""
+
+    rows = 0
+
+    def send_columns(self, _: str, index: list[Any], __: object) -> None:
+        self.rows += len(index[0].times)
+
+
+@pytest.mark.parametrize(("rows", "is_thinned"), [(2**18, False), (2**18 + 1, True)])
+def test_every_row_of_a_curve_is_sent_up_to_a_quarter_of_a_million(
+    rows: int, *, is_thinned: bool
+) -> None:
+    received: Any = Received()
+    stream = timelines.RunStream(received, "", timelines.Timelines(zero_ns=0))
+    values = np.sin(np.arange(rows) / 7.0)
+    stream.send("curve", np.arange(rows), values, lambda part: rr.Scalars.columns(scalars=part))
+    assert (received.rows < rows) == is_thinned
+    assert received.rows > rows / 2
+
+
+@pytest.mark.parametrize("beyond", [0, 1])
+def test_borders_are_kept_up_to_sixteen_thousand(
+    monkeypatch: pytest.MonkeyPatch, beyond: int
+) -> None:
+    """More of them would undo the thinning."""
+    monkeypatch.setattr(timelines, "MOST_ROWS", 90)
+    spans = {ns for span in RUN.find_phase_spans() for ns in (span.start_ns, span.end_ns)}
+    times_ns = range(1, 2**14 - len(spans) + beyond + 1)
+    events = tuple(tl.run.Event(time_ns=ns, kind="wall_hit", text="") for ns in times_ns)
+    found = timelines.build_run_timelines(replace(RUN, events=events)).borders_ns
+    assert len(found) == (0 if beyond else 2**14)
 
 
 def test_a_long_trace_is_thinned_and_says_so(

@@ -25,6 +25,7 @@ from turtlelog.show.many_runs import (
     group_equal,
     shorten_names,
 )
+from turtlelog.show.rerun.run_legend import arrange_names
 from turtlelog.simulate import simulate_run
 
 KEYS = ("law.kp_angular", "law.kp_linear")
@@ -63,6 +64,18 @@ def test_a_bar_tells_the_colours_of_more_than_seven_runs(many_rrd: Path) -> None
     colors = read_static(many_rrd, "/legend/values", "Points2D:colors")
     bar = read_static(many_rrd, "/legend/bar", "LineStrips2D:colors")
     assert list(dict.fromkeys(bar)) == colors
+
+
+def test_of_many_runs_in_a_small_window_the_extremes_have_names(
+    many_rrd: Path, tmp_path: Path
+) -> None:
+    entity = "/plane/close_up/misses"
+    assert len(read_static(many_rrd, entity, "Points2D:labels")) > 2
+    path = tmp_path / "small.rrd"
+    write_comparison_rrd(simulate_gains(), path, size=(700, 450))
+    told = read_static(path, entity, "Points2D:labels")
+    assert [text.partition(":")[0] for text in told] == ["Kp 7", "Kp 6"]
+    assert "Plane (Kp 1 to 25)" in read_layout(path)
 
 
 def test_seven_runs_have_a_legend_and_no_bar(tmp_path: Path) -> None:
@@ -141,6 +154,18 @@ def test_long_names_become_what_differs() -> None:
         "Kp 8, delay 3 ticks",
     )
     assert shorten_names([run, limits], ["a", long]) == ("a", long)
+    fast = set_gain(run, 4.0, **{"limits.speed_m_s": 0.99e9})
+    assert shorten_names([run, fast], [f"{long}-a", f"{long}-b"])[1] == "speed limit 9.9e+08"
+    keys = (
+        "loop.transport_delay_ticks",
+        "law.pause_ticks",
+        "loop.pose_queue",
+        "loop.start_backlog",
+    )
+    for count in (3, 4):
+        other = set_gain(run, 4.0, **dict.fromkeys(keys[:count], 3))
+        names = shorten_names([run, other], [f"{long}-a", f"{long}-b"])
+        assert names[1].count(",") == (2 if count == 3 else 0)
     assert shorten_names([run, run], [f"{long}-a-z", f"{long}-b-z"]) == ("a", "b")
 
 
@@ -150,6 +175,62 @@ def test_names_lose_the_words_that_all_of_them_share_and_keep_their_numbers() ->
     assert cut_alike(["left", "right"]) == ("left", "right")
     assert cut_alike(["a law.kp=1.5", "a law.kp=1.6"]) == ("law.kp=1.5", "law.kp=1.6")
     assert cut_alike(["a x=-1", "a x=-2"]) == ("x=-1", "x=-2")
+
+
+def end_at(run: Run, number: int, x_m: float, y_m: float) -> Run:
+    xy_m = np.array(run.poses.xy_m)
+    xy_m[-1] = x_m, y_m
+    return set_gain(replace(run, poses=replace(run.poses, xy_m=xy_m)), 1.0 + number)
+
+
+@pytest.mark.parametrize(
+    ("ends", "named"),
+    [
+        ([(2.0, 8.84)], None),  # 1.175 m are a fifth of half the plane
+        ([(2.0, 8.81)], ["Kp 8"]),
+        ([(9.0, 10.0), (9.0, 8.84)], ["Kp 8"]),
+        ([(9.0, 10.0), (9.0, 8.81)], ["Kp 8", "Kp 7"]),
+        ([(6.0, 10.0), (7.0, 2.0), (10.0, 2.0), (10.0, 10.0)], ["Kp 7", "Kp 6", "Kp 8"]),
+    ],
+)
+def test_three_runs_that_end_far_from_goal_and_each_other_are_named_in_the_plane(
+    ends: list[tuple[float, float]], named: list[str] | None, tmp_path: Path
+) -> None:
+    run, path = simulate_preset("paper-kp4"), tmp_path / "far.rrd"
+    near = [(2.0, 10.0 + 1e-3 * number) for number in range(8 - len(ends))]
+    runs = [end_at(run, number, *place) for number, place in enumerate([*near, *ends])]
+    write_comparison_rrd(runs, path)
+    entity = "/plane/names/extremes"
+    if named is None:
+        assert entity not in list_entities(path)
+    else:
+        assert read_static(path, entity, "Points2D:labels") == named
+
+
+@pytest.mark.parametrize(("count", "told"), [(2, "a, b"), (3, "a, b and 1 more")])
+def test_titles_name_two_runs_that_never_rest(count: int, told: str, tmp_path: Path) -> None:
+    calm, swinging = simulate_gains()[0], simulate_gains()[-1]
+    shifted = [
+        replace(calm, poses=replace(calm.poses, xy_m=calm.poses.xy_m + 1e-3 * step))
+        for step in range(8)
+    ]
+    restless = [
+        replace(swinging, poses=replace(swinging.poses, xy_m=swinging.poses.xy_m + 1e-3 * step))
+        for step in range(count)
+    ]
+    runs = [replace(run, name="abc"[step], parameters={}) for step, run in enumerate(restless)]
+    runs += [replace(run, name=f"z{step}", parameters={}) for step, run in enumerate(shifted)]
+    path = tmp_path / "named.rrd"
+    write_comparison_rrd(runs, path)
+    assert f"Turn rate [rad/s], without {told}" in read_layout(path)
+
+
+@pytest.mark.parametrize(("letters", "columns"), [(5, 4), (12, 4), (13, 3), (49, 1)])
+def test_names_in_a_legend_stand_in_as_many_columns_as_have_room(
+    letters: int, columns: int
+) -> None:
+    places = arrange_names(["x" * letters] * 8)
+    assert len({*places[:, 0].tolist()}) == columns
 
 
 def test_a_scale_needs_one_number_that_differs() -> None:

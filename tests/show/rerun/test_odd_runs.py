@@ -103,7 +103,7 @@ def test_in_a_small_window_curves_have_the_room_of_legends_phases_and_tables(
     run, path = simulate_preset("paper-kp10"), tmp_path / "small.rrd"
     write_run_rrd(run, path, size=size)
     small = read_layout(path)
-    assert "Plane" in small
+    assert {"- /plane/error/**", "- /plane/turtle/command/**"} < set(small["Plane"])
     assert "Heading [deg]" in small
     assert "Metrics" not in small
     assert not [name for name in small if name.startswith("Phases")]

@@ -9,6 +9,7 @@ import pytest
 from tests.log.runs import find_shared
 from tests.show.rerun.rrds import (
     list_entities,
+    read_blueprint_parts,
     read_layout,
     read_rows,
     read_static,
@@ -51,6 +52,8 @@ def test_of_a_robot_without_commands_what_it_measured_is_shown(tmp_path: Path) -
     write_run_rrd(keep_no_commands(make_robot()), path)
     assert "/speed/commanded" not in list_entities(path)
     assert "Speed [m/s]" in read_layout(path)
+    visible = read_blueprint_parts(path, "PlotLegend:visible")
+    assert sum(visible) == 3  # position, and both rates, of which the name says that it is measured
 
 
 def test_compared_robots_show_commands_beside_what_was_measured(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_curves_are_named_after_their_run(comparison_rrd: Path) -> None:
 
 
 def test_every_run_has_a_row_of_phases(comparison_rrd: Path) -> None:
-    entities = [f"/runs/{name}/phase" for name in PAPER_RUNS]
+    entities = [f"/phase/{name}" for name in PAPER_RUNS]
     assert read_layout(comparison_rrd)["Phases (brown: pause)"] == entities
     for entity in entities:
         states = [row[0] for row in read_rows(comparison_rrd, entity, "StateChange:state")]
@@ -121,7 +121,7 @@ def test_a_parameter_may_be_text_in_one_file_and_a_number_in_the_next(tmp_path: 
 
 @pytest.mark.parametrize("name", PAPER_RUNS)
 def test_a_second_timeline_starts_where_translation_does(comparison_rrd: Path, name: str) -> None:
-    run, entity = simulate_preset(name), f"/runs/{name}/phase"
+    run, entity = simulate_preset(name), f"/phase/{name}"
     states = [row[0] for row in read_rows(comparison_rrd, entity, "StateChange:state")]
     times_ns = read_times(comparison_rrd, entity, "translate_time")
     assert times_ns[states.index("translate")] == 0

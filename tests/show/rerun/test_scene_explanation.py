@@ -24,9 +24,10 @@ from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution, attribute_run, identify_run, simulate_what_ifs
 from turtlelog.run import Run
 from turtlelog.show import palette, write_explanation_rrd, write_run_rrd
-from turtlelog.show.ideal_pose import find_ideal_poses
-from turtlelog.show.rerun.ghosts import build_ideal_ghost, measure_gap
+from turtlelog.show.attribution_steps import StepScale
+from turtlelog.show.rerun.ghosts import build_ideal_ghost, find_ideal_poses, list_gaps, measure_gap
 from turtlelog.show.rerun.turtles import MOST_SEGMENTS, choose_size, count_segments
+from turtlelog.show.rerun.waterfall import choose_ticks, write_tick
 
 RUN = simulate_preset("paper-kp10")
 RECORDED = "/runs/recorded"
@@ -75,6 +76,11 @@ def test_the_steps_stand_with_their_words_in_a_view_of_their_own(kp10_rrd: Path)
         "-50.6 mm (47 %)",
         "left",
         "5.1 mm, no more than the tolerances leave",
+        "0 mm",
+        "50 mm",
+        "100 mm",
+        "Bars: averages over the orders of removal",
+        "Ghosts: only queue removed 26.8 mm, only pause removed 27.4 mm",
     ]
     places = np.array(read_static(kp10_rrd, "/attribution/words", "Points2D:positions"))
     assert places[:, 0].min() > 0.0
@@ -84,10 +90,71 @@ def test_the_steps_stand_with_their_words_in_a_view_of_their_own(kp10_rrd: Path)
 def test_words_behind_a_short_bar_keep_off_its_name_in_a_small_window(kp10_rrd: Path) -> None:
     words = read_words(kp10_rrd, "/attribution/words")
     places = np.array(read_static(kp10_rrd, "/attribution/words", "Points2D:positions"))[:, 0]
-    pixels = 2.8  # of a unit in a window of 700 x 450, where a letter has 6.5
-    name, text = places[words.index("left")], places[-1]
+    pixels = 3.0  # of a unit in a window of 700 x 450, where a letter has 6.5
+    row = words.index("left")
+    name, text = places[row], places[row + 1]
     ends = name + len("left") / 2.0 * 6.5 / pixels
-    assert text - len(words[-1]) / 2.0 * 6.5 / pixels > ends
+    assert text - len(words[row + 1]) / 2.0 * 6.5 / pixels > ends
+
+
+def test_the_axis_of_the_steps_begins_at_zero_where_the_bars_do(kp10_rrd: Path) -> None:
+    words = read_words(kp10_rrd, "/attribution/words")
+    places = np.array(read_static(kp10_rrd, "/attribution/words", "Points2D:positions"))
+    (total,) = read_static(kp10_rrd, "/attribution/bar_0", "Transform3D:translation")
+    (frame,) = read_static(kp10_rrd, "/attribution/bar_0", "Transform3D:mat3x3")
+    at = {word: places[words.index(word), 0] - total[0] for word in ("0 mm", "50 mm", "100 mm")}
+    per_mm = 2.0 * frame[0] / 106.73
+    assert at == pytest.approx(
+        {"0 mm": 0.0, "50 mm": 50.0 * per_mm, "100 mm": 100.0 * per_mm}, abs=0.01
+    )
+
+
+@pytest.mark.parametrize(
+    ("ends", "ticks"),
+    [
+        ((0.0, 0.1499), ["0 mm", "50 mm", "100 mm"]),
+        ((0.0, 0.1501), ["0 mm", "100 mm"]),
+        ((-0.02, 0.09), ["0 mm", "50 mm"]),
+        ((-0.06, 0.06), ["-50 mm", "0 mm", "50 mm"]),
+        ((0.0, 0.0), ["0 mm"]),
+    ],
+)
+def test_an_axis_has_three_steps_at_most(ends: tuple[float, float], ticks: list[str]) -> None:
+    scale = StepScale(factor=1e3, unit="mm", decimals=1)
+    assert [write_tick(value, scale) for value in choose_ticks(ends, scale)] == ticks
+
+
+def test_one_effect_alone_needs_no_average_and_many_ghosts_are_not_all_told(
+    tmp_path: Path,
+) -> None:
+    alone = dict(explain("paper-kp10")[1])
+    for shares, ghosts, told in (
+        ({"queue": 0.01}, ("queue",), None),
+        ({"queue": 0.02, "pause": 0.01}, (), "orders of removal"),
+        ({"queue": 0.02, "pause": 0.01}, ("queue", "pause"), "only queue removed"),
+        (
+            {"queue": 0.03, "pause": 0.02, "jitter": 0.01},
+            ("queue", "pause", "jitter"),
+            "each thin one",
+        ),
+    ):
+        what_ifs = dict.fromkeys(ghosts, alone["queue"])
+        path = tmp_path / "why.rrd"
+        write_explanation_rrd(RUN, make_attribution(RUN, shares), what_ifs, path)
+        last = read_words(path, "/attribution/words")[-1]
+        assert told in last if told else last.endswith(" mm")
+
+
+def test_ends_at_the_goal_have_the_names_of_what_they_lack(kp10_rrd: Path) -> None:
+    misses = read_words(kp10_rrd, "/plane/close_up/misses")
+    assert {*misses} == {
+        "recorded: 107 mm",
+        "no queue: 26.8 mm",
+        "no pause: 27.4 mm",
+        "neither: 5.08 mm",
+    }
+    assert "- /plane/gap/**" in read_layout(kp10_rrd)["At the goal, ±150 mm"]
+    assert "- /plane/gap/**" not in read_layout(kp10_rrd)["Plane"]
 
 
 def test_a_bar_begins_where_the_one_above_it_ends(kp10_rrd: Path) -> None:
@@ -120,14 +187,50 @@ def test_the_main_ghost_is_grey_and_the_others_have_their_mechanisms_colours(
     assert rows == ["recorded", "without queue and pause", "without pause", "without queue"]
 
 
+@pytest.mark.parametrize(
+    ("lacks", "told"),
+    [
+        ("a" * 14 + " and " + "b" * 9, "without " + "a" * 14 + " and " + "b" * 9),
+        ("a" * 14 + " and " + "b" * 10, "without all of these"),
+    ],
+)
+def test_a_name_of_36_letters_has_room_in_the_key(lacks: str, told: str, tmp_path: Path) -> None:
+    path = tmp_path / "why.rrd"
+    write_explanation_rrd(RUN, make_attribution(RUN, {}), {lacks: RUN}, path)
+    assert read_words(path, "/plane/names/key/words") == ["recorded", told]
+
+
 def test_the_gap_to_the_ghost_is_written_beside_its_line(kp10_rrd: Path) -> None:
     lines = read_rows(kp10_rrd, "/plane/gap", "LineStrips2D:strips")
     names = read_rows(kp10_rrd, "/plane/names/gap", "Points2D:labels")
     assert len(lines) <= 1000
     (start, end), (label,) = lines[-1][0], names[-1]
     gap_mm = 1e3 * float(np.hypot(*np.subtract(end, start)))
-    assert label == f"{gap_mm:.3g} mm apart" == "102 mm apart"
+    assert label == f"blue to grey: {gap_mm:.3g} mm" == "blue to grey: 102 mm"
     assert names[0] == []
+
+
+@pytest.mark.parametrize(("gap_m", "label"), [(4.9e-4, []), (5.1e-4, ["blue to grey: 0.51 mm"])])
+def test_a_gap_of_half_a_millimetre_is_written(
+    gap_m: float, label: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "near.rrd"
+    write_explanation_rrd(RUN, make_attribution(RUN, {}), {"queue": shift(gap_m)}, path)
+    assert read_rows(path, "/plane/names/gap", "Points2D:labels")[-1] == label
+
+
+@pytest.mark.parametrize(("gap_m", "plot"), [(0.999, "gap_mm/queue"), (1.0, "gap_m/queue")])
+def test_gaps_are_plotted_in_metres_from_one_metre_on(gap_m: float, plot: str) -> None:
+    ghost = build_ideal_ghost(RUN)
+    assert ghost is not None
+    (curve,) = list_gaps(RUN, [replace(ghost, name="queue", run=shift(gap_m))])
+    assert curve.entity == plot
+
+
+def shift(gap_m: float) -> Run:
+    moved_m = np.array(RUN.poses.xy_m) * [0.0, 1.0] + [0.0, gap_m]
+    still_m = np.array(RUN.poses.xy_m) * [1.0, 0.0]
+    return replace(RUN, poses=replace(RUN.poses, xy_m=moved_m + still_m))
 
 
 def test_the_distance_to_the_ghost_is_a_plot(kp10_rrd: Path) -> None:
@@ -179,7 +282,7 @@ def test_pause_and_dead_time_are_marked_on_the_time_axis(explanation_rrd: Path) 
     spans = {span.phase: span for span in RUN.find_phase_spans()}
     pause_ns = read_times(explanation_rrd, f"{RECORDED}/lines/pause") + RUN.start_ns
     assert sorted(set(pause_ns.tolist())) == [spans["pause"].start_ns, spans["pause"].end_ns]
-    dead_ns = read_times(explanation_rrd, f"{RECORDED}/dead_time") + RUN.start_ns
+    dead_ns = read_times(explanation_rrd, "/phase/recorded_dead_time") + RUN.start_ns
     ticks = (np.diff(dead_ns)[::2] // 16_000_000).tolist()
     assert ticks == [4, 6]
     assert dead_ns[::2].tolist() == [spans["rotate"].start_ns, spans["translate"].start_ns]
@@ -191,7 +294,11 @@ def test_the_lines_of_pause_and_dead_time_stand_in_every_plot(explanation_rrd: P
     plots = [view for view in layout if re.search(r"\[(deg|m|mm|m/s|rad/s)\]$", view)]
     assert len(plots) == 9
     assert all(lines < set(layout[view]) for view in plots)
-    assert f"{RECORDED}/dead_time" in layout["Phases (brown: pause, pink: dead time)"]
+    assert layout["Phases (brown: pause, pink: dead time)"] == [
+        "/phase/recorded",
+        "/phase/recorded_dead_time",
+        "/phase/without_queue",
+    ]
 
 
 def test_the_shares_are_a_table_too(explanation_rrd: Path) -> None:
@@ -207,7 +314,7 @@ def test_a_run_that_nothing_changes_stands_beside_the_ideal_loop(tmp_path: Path)
     verify(tmp_path / "alone.rrd")
     assert "/ideal_loop/plane/turtle" in list_entities(tmp_path / "alone.rrd")
     words = read_words(tmp_path / "alone.rrd", "/attribution/words")
-    assert words[-1] == "106.7 mm, no effect changes it"
+    assert "106.7 mm, no effect changes it" in words
 
 
 def test_withheld_shares_give_their_reason_in_place_of_the_steps(tmp_path: Path) -> None:
@@ -275,4 +382,4 @@ def test_six_mechanisms_with_long_words_stay_in_the_picture(tmp_path: Path) -> N
     places = np.array(read_static(tmp_path / "why.rrd", "/attribution/words", "Points2D:positions"))
     words = read_words(tmp_path / "why.rrd", "/attribution/words")
     reach = places[:, 0] + [0.95 * len(word) / 2.0 for word in words]
-    assert (len(words), reach.max() < 100.0, places[:, 1].max() < 35.0) == (16, True, True)
+    assert (len(words), reach.max() < 100.0, places[:, 1].max() < 36.0) == (20, True, True)

@@ -8,6 +8,7 @@ from tests.show.rerun.headless import start_headless
 from tests.show.rerun.rrds import (
     list_entities,
     read_blueprint,
+    read_blueprint_parts,
     read_layout,
     read_rows,
     read_static,
@@ -109,7 +110,7 @@ def violate_track(limit: float, word: str = "worst") -> ViolatedSignal:
 
 def test_the_violated_signal_stands_on_top_with_limits_and_what_is_outside(band_rrd: Path) -> None:
     verify(band_rrd)
-    title = "cross_track [m]: worst -0.10774 m at 8.784 s; violates track"
+    title = "cross_track [m]: worst -0.10774 m at 8.784 s, 0.0577 m outside; violates track"
     assert read_layout(band_rrd)[title] == ["/violated/**"]
     track = read_signal(RUN, "cross_track")
     assert track is not None
@@ -152,11 +153,71 @@ def test_the_first_and_the_worst_moment_are_named_with_value_and_time(band_rrd: 
         for part in ("first", "worst")
     ]
     assert names == [
-        ["● first violated -0.05008 m at 5.664 s"],
-        ["◆ worst -0.10774 m at 8.784 s"],
+        ["first violated -0.05008 m at 5.664 s"],
+        ["worst -0.10774 m at 8.784 s"],
     ]
     times_ns = [read_times(band_rrd, f"/violated/points/{p}")[0] for p in ("first", "worst")]
     assert times_ns == [5_664_000_000, 8_784_000_000]
+
+
+def test_the_legend_stands_beside_the_plot_with_the_signs_of_its_marks(band_rrd: Path) -> None:
+    (text,) = read_static(band_rrd, "/documents/Legend", "TextDocument:text")
+    assert text.replace("\\", "").split("  \n") == [
+        "◆ worst -0.10774 m at 8.784 s, 0.0577 m outside",
+        "● first violated -0.05008 m at 5.664 s",
+        "▲ limit 0.05 m",
+        "▼ limit -0.05 m",
+        "green: allowed",
+        "blue: cross_track",
+        "red: outside",
+    ]
+    shapes = {}
+    for part in ("worst", "first", "limit_high", "limit_low"):
+        entity = f"/violated/points/{part}"
+        (shapes[part],) = read_static(band_rrd, entity, "SeriesPoints:markers")
+    assert len({*shapes.values()}) == 4
+    for side, limit in (("high", 0.05), ("low", -0.05)):
+        entity = f"/violated/points/limit_{side}"
+        assert read_rows(band_rrd, entity, "Scalars:scalars") == [[limit]]
+    visible = read_blueprint_parts(band_rrd, "PlotLegend:visible")
+    assert visible
+    assert not any(visible)
+
+
+@pytest.mark.parametrize(("letters", "is_cut"), [(110, False), (111, True)])
+def test_a_title_has_110_letters_at_most(letters: int, *, is_cut: bool, tmp_path: Path) -> None:
+    head = "cross_track [m]: worst -0.10774 m at 8.784 s, 0.0577 m outside; violates "
+    violated = replace(violate_track(0.05), expected="e" * (letters - len(head)))
+    path = tmp_path / "x.rrd"
+    write_violation_rrd(RUN, path, at_s=1.0, title="t", message="m", violated=violated)
+    (title,) = [name for name in read_layout(path) if name.startswith("cross_track")]
+    assert (title.endswith("..."), len(title) == letters) == (is_cut, not is_cut)
+
+
+def test_an_open_or_undecided_band_has_no_mark_where_it_has_no_limit(tmp_path: Path) -> None:
+    track = violate_track(0.05)
+    nowhere = np.full(len(track.curve.values), np.nan)
+    path = tmp_path / "x.rrd"
+    violated = replace(track, low=None, high=nowhere)
+    write_violation_rrd(RUN, path, at_s=1.0, title="t", message="m", violated=violated)
+    assert not {f"/violated/points/limit_{s}" for s in ("low", "high")} & list_entities(path)
+    title = "cross_track [m]: worst -0.10774 m at 8.784 s; violates track"
+    assert title in read_layout(path)
+
+
+@pytest.mark.parametrize(
+    ("value", "told"), [(-0.10774, "0.0577 m"), (0.0512, "0.0012 m"), (0.05, ""), (-0.0499, "")]
+)
+def test_how_far_outside_is_counted_from_the_nearer_end(value: float, told: str) -> None:
+    moment = ViolationMoment(time_s=8.784, value=value)
+    assert violate_track(0.05).describe_outside(moment) == told
+
+
+def test_arrows_that_no_title_names_are_not_drawn(band_rrd: Path, run_rrd: Path) -> None:
+    hidden = {"- /plane/error/**", "- /plane/turtle/command/**"}
+    assert hidden <= set(read_layout(band_rrd)["Plane"])
+    named = read_layout(run_rrd)["Plane (pink: to the goal, yellow: command)"]
+    assert not hidden & set(named)
 
 
 def test_the_plane_shows_where_the_turtle_was_outside(band_rrd: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
 from typing import cast
@@ -10,32 +11,52 @@ from rerun.experimental import ViewerClient
 from tests.show.rerun.rrds import list_entities, make_foreign_run
 from turtlelog.errors import ShowError
 from turtlelog.show import ViewReport, open_viewer, write_run_rrd, write_snapshot
+from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import snapshot, viewer
+from turtlelog.show.rerun.snapshot import open_camera
 
 NO_GRAPHICS = "expected a graphics adapter"
 
-TakeOnce = Callable[[Path], tuple[ViewReport, Path]]
+SIZE = (1000, 700)
+
+Take = Callable[..., tuple[ViewReport, Path]]
 
 
 def take_snapshot(rrd: Path, png: Path) -> ViewReport:
     try:
-        return write_snapshot(rrd, png, at_s=6.0, size=(1000, 700))
+        return write_snapshot(rrd, png, at_s=6.0, size=SIZE)
     except ShowError as err:
-        if NO_GRAPHICS in str(err):
-            pytest.skip(str(err))
+        skip_without_graphics(err)
         raise
 
 
 @pytest.fixture(scope="module")
-def take_once(tmp_path_factory: pytest.TempPathFactory) -> TakeOnce:
-    """Return what `take_snapshot` tells of a recording, and the picture; a viewer costs seconds."""
+def take(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Take]:
+    """Return what one viewer for all tells of a recording, and its picture; both are kept."""
+    with ExitStack() as closing:
+        try:
+            camera = closing.enter_context(open_camera(size=SIZE))
+        except ShowError as err:
+            skip_without_graphics(err)
+            raise
 
-    @cache
-    def take(rrd: Path) -> tuple[ViewReport, Path]:
-        png = tmp_path_factory.mktemp("picture") / "x.png"
-        return take_snapshot(rrd, png), png
+        @cache
+        def take(
+            rrd: Path, at_s: float | None = 6.0, timeline: str = TIMELINE
+        ) -> tuple[ViewReport, Path]:
+            png = tmp_path_factory.mktemp("picture") / "x.png"
+            try:
+                return camera.take(rrd, png, at_s=at_s, timeline=timeline), png
+            except ShowError as err:
+                skip_without_graphics(err)
+                raise
 
-    return take
+        yield take
+
+
+def skip_without_graphics(err: ShowError) -> None:
+    if NO_GRAPHICS in str(err):
+        pytest.skip(str(err))
 
 
 def read_size(png: Path) -> tuple[int, int]:
@@ -48,11 +69,11 @@ def read_size(png: Path) -> tuple[int, int]:
 @pytest.mark.viewer
 @pytest.mark.parametrize("scene", ["run_rrd", "comparison_rrd", "explanation_rrd", "violation_rrd"])
 def test_viewer_shows_every_view_without_problems(
-    scene: str, take_once: TakeOnce, request: pytest.FixtureRequest
+    scene: str, take: Take, request: pytest.FixtureRequest
 ) -> None:
     rrd: Path = request.getfixturevalue(scene)
-    report, png = take_once(rrd)
-    assert read_size(png) == (1000, 700)
+    report, png = take(rrd)
+    assert read_size(png) == SIZE
     assert png.stat().st_size > 40_000
     kinds = {view.kind for view in report.views}
     assert kinds == {"2D", "TimeSeries", "StateTimeline", "TextDocument", "TextLog"}
@@ -62,31 +83,37 @@ def test_viewer_shows_every_view_without_problems(
 
 
 @pytest.mark.viewer
-def test_a_snapshot_without_a_time_is_of_the_end(
-    run_rrd: Path, take_once: TakeOnce, tmp_path: Path
-) -> None:
-    _, early = take_once(run_rrd)
-    write_snapshot(run_rrd, tmp_path / "end.png", size=(1000, 700))
-    assert early.read_bytes() != (tmp_path / "end.png").read_bytes()
+def test_a_snapshot_without_a_time_is_of_the_end(run_rrd: Path, take: Take) -> None:
+    _, early = take(run_rrd)
+    _, late = take(run_rrd, at_s=None)
+    assert early.read_bytes() != late.read_bytes()
 
 
 @pytest.mark.viewer
 def test_a_picture_may_be_told_from_the_start_of_translation(
-    comparison_rrd: Path, take_once: TakeOnce, tmp_path: Path
+    comparison_rrd: Path, take: Take
 ) -> None:
-    _, aligned = take_once(comparison_rrd)
-    png = tmp_path / "translating.png"
-    write_snapshot(comparison_rrd, png, at_s=6.0, timeline="translate_time", size=(1000, 700))
-    assert png.read_bytes() != aligned.read_bytes()
+    _, aligned = take(comparison_rrd)
+    _, translating = take(comparison_rrd, timeline="translate_time")
+    assert translating.read_bytes() != aligned.read_bytes()
+
+
+@pytest.mark.viewer
+def test_one_picture_after_the_other_is_as_that_of_a_viewer_of_its_own(
+    run_rrd: Path, comparison_rrd: Path, take: Take, tmp_path: Path
+) -> None:
+    take(comparison_rrd)
+    alone = take_snapshot(run_rrd, tmp_path / "x.png")
+    assert alone.views == take(run_rrd)[0].views
 
 
 @pytest.mark.viewer
 def test_a_timeline_that_a_recording_lacks_is_named(
-    run_rrd: Path, take_once: TakeOnce, tmp_path: Path
+    run_rrd: Path, take: Take, tmp_path: Path
 ) -> None:
-    take_once(run_rrd)  # skips where nothing can be drawn
+    take(run_rrd)  # skips where nothing can be drawn
     with pytest.raises(ShowError, match="expected sim_time, found translate_time"):
-        write_snapshot(run_rrd, tmp_path / "y.png", timeline="translate_time")
+        write_snapshot(run_rrd, tmp_path / "y.png", timeline="translate_time", size=(400, 300))
     assert not (tmp_path / "y.png").exists()
 
 

@@ -272,7 +272,7 @@ def test_loops_that_begin_together_share_a_bar_of_dead_time(tmp_path: Path) -> N
     late = simulate_law("example", **delays)
     found = make_attribution(late, {"delay": 0.1})
     write_explanation_rrd(late, found, {"delay": EXAMPLE}, tmp_path / "why.rrd")
-    times_ns = read_times(tmp_path / "why.rrd", "/runs/recorded/dead_time")
+    times_ns = read_times(tmp_path / "why.rrd", "/phase/recorded_dead_time")
     assert times_ns.tolist() == [0, 48_000_000]
 
 

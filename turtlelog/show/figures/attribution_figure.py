@@ -27,11 +27,12 @@ from turtlelog.loops import SIGNAL_WORDS
 from turtlelog.run import Run
 from turtlelog.show.attribution_steps import (
     AttributionStep,
+    choose_acting_shares,
     choose_step_scale,
     list_attribution_steps,
 )
 from turtlelog.show.close_up import CloseUp, find_close_up, format_length
-from turtlelog.show.figures.direct_labels import Place, measure_text_mm, name_ring, place_words
+from turtlelog.show.figures.direct_labels import WordSpace, measure_text_mm, name_ring, place_words
 from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.show.figures.page import REFERENCE, choose_lines, label_runs
 from turtlelog.show.palette import Color
@@ -190,8 +191,13 @@ def _draw_waterfall(
     axes.set(ylim=(len(steps) - 0.5, -0.6), xlim=(low - 0.02 * span, low + span))
     words = found.metric.replace("_", " ").replace("final.", "final ").replace("run.", "")
     unit = f" [{scale.unit}]" if scale.unit else ""
-    seeds = "" if found.seeds is None else f"\nshares: means over {found.seeds.used} seeds"
-    axes.set(xlabel=f"{words.replace('.', ' ')}{unit}{seeds}", title=f"what caused {steps[0].text}")
+    # Of one mechanism the share is just what its removal changes.
+    is_average = len(choose_acting_shares(found)) > 1
+    notes = ["bars: averages over the orders of removal"] if is_average else []
+    if found.seeds is not None:
+        notes.append(f"shares: means over {found.seeds.used} seeds")
+    label = "\n".join([f"{words.replace('.', ' ')}{unit}", *notes])
+    axes.set(xlabel=label, title=f"what caused {steps[0].text}")
 
 
 def _find_span(texts: Sequence[str], rights: Values, least: float, room_inch: float) -> float:
@@ -299,7 +305,7 @@ def _draw_ends(axes: Axes, told: Explained) -> None:
     axes.set_title(f"{_name(told)}, {where}")
 
 
-def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Place:
+def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> WordSpace:
     """Give the panel its limits: those of the close-up, or of all that was driven."""
     if close_up is not None:
         center, half_m = np.array(close_up.goal_xy_m), close_up.half_m
@@ -317,7 +323,7 @@ def _choose_place(axes: Axes, told: Explained, close_up: CloseUp | None) -> Plac
     width_inch = float(axes.get_figure(root=True).get_figwidth())  # type: ignore[union-attr]
     share = 0.16 if width_inch >= _SIDE_BY_SIDE_INCH else 0.29
     half_mm = np.full(2, 25.4 * share * width_inch)
-    return Place(center=center, half=np.full(2, half_m), half_mm=half_mm)
+    return WordSpace(center=center, half=np.full(2, half_m), half_mm=half_mm)
 
 
 def _tell_miss(told: Explained, miss_m: float) -> str:

@@ -32,7 +32,7 @@ def measure_text_mm(text: str, points: float = 7.0) -> float:
 
 
 @dataclass(slots=True, kw_only=True)
-class Place:
+class WordSpace:
     """A panel with linear axes, and what words should not cover.
 
     Attributes:
@@ -107,7 +107,7 @@ class Place:
 
 
 def place_words(
-    axes: Axes, place: Place, text: str, dot: Values, color: Any, points: float
+    axes: Axes, place: WordSpace, text: str, dot: Values, color: Any, points: float
 ) -> None:
     """Write words near a dot where they cover least."""
     lines = text.split("\n")
@@ -119,7 +119,7 @@ def place_words(
     words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.4, "alpha": 0.75})
 
 
-def name_ring(axes: Axes, place: Place, text: str, radius: float, points: float = 6.0) -> None:
+def name_ring(axes: Axes, place: WordSpace, text: str, radius: float, points: float = 6.0) -> None:
     """Write the radius of a ring on it, where it covers least."""
     half = np.array([measure_text_mm(text, points), 1.3 * points * _MM_PER_POINT]) / 2.0
     half *= place.half / place.half_mm

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from turtlelog.run import Run
 from turtlelog.show.figures.page import choose_lines, label_runs
+from turtlelog.show.many_runs import find_gain_scale
 from turtlelog.show.palette import FEW
 
 _BAR_INCH: Final = 0.42
@@ -43,11 +44,11 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     )
     bar.outline.set_visible(False)
     bar.ax.minorticks_off()
-    gains = _list_gains(runs)
-    if gains:
+    scale = find_gain_scale(runs)
+    if scale is not None:
         shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_TICKS)).round().astype(int))
-        bar.set_ticks(shown.tolist(), labels=[f"{gains[row]:g}" for row in shown])
-        bar.set_label(f"Kp of {count} runs [1/s]")
+        bar.set_ticks(shown.tolist(), labels=[f"{scale.values[row]:g}" for row in shown])
+        bar.set_label(f"{scale.word} of {count} runs{' [1/s]' if scale.word == 'Kp' else ''}")
     else:
         bar.set_ticks([])
         bar.set_label(f"{count} runs, from {names[0]} to {names[-1]}")
@@ -56,15 +57,3 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
 
 def _names_all(labels: Sequence[str], names: Sequence[str]) -> bool:
     return len({*names} & {*labels}) > len(FEW)
-
-
-def _list_gains(runs: Sequence[Run]) -> list[float]:
-    """Return the gain of each run; none where one has several or none, or all are the same."""
-    found = []
-    for run in runs:
-        gains = {loop.read_gain(run.parameters) for loop in run.declaration.loops}
-        known = [gain for gain in gains if gain is not None]
-        if len(known) != 1 or len(gains) != 1:
-            return []
-        found.append(known[0])
-    return found if len({*found}) > 1 else []

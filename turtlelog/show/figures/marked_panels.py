@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.characteristics import Characteristic, list_characteristics
-from turtlelog.show.figures.direct_labels import Place, measure_text_mm
+from turtlelog.show.figures.direct_labels import WordSpace, measure_text_mm
 from turtlelog.show.figures.page import choose_lines
 from turtlelog.show.figures.time_window import fit_height, list_time_axes
 from turtlelog.show.shared_curves import Curve, read_curve
@@ -299,7 +299,7 @@ def _write_words(axes: Axes, words: Sequence[_Word]) -> None:
     box = axes.get_position()
     inch = np.array(figure.get_size_inches()) if figure is not None else np.ones(2)
     half_mm = np.array([box.width, box.height]) * inch * 25.4 / 2.0
-    place = Place(center=np.full(2, 0.5), half=np.full(2, 0.5), half_mm=half_mm)
+    place = WordSpace(center=np.full(2, 0.5), half=np.full(2, 0.5), half_mm=half_mm)
     to_panel = axes.transData + axes.transAxes.inverted()
     for line in axes.get_lines():
         points = line.get_transform().transform(np.asarray(line.get_xydata(), dtype=np.float64))
@@ -322,7 +322,7 @@ def _write_words(axes: Axes, words: Sequence[_Word]) -> None:
             _write_upright(axes, place, word, (float(dot[0]), width))
 
 
-def _write_beside(axes: Axes, place: Place, word: _Word, dot: Values) -> None:
+def _write_beside(axes: Axes, place: WordSpace, word: _Word, dot: Values) -> None:
     size_mm = _measure(word)
     middle = place.find_room(dot, float(size_mm[0]), float(size_mm[1]), away_mm=_AWAY_MM)
     scale_mm = place.half_mm / place.half
@@ -335,7 +335,7 @@ def _write_beside(axes: Axes, place: Place, word: _Word, dot: Values) -> None:
     _write(axes, word, middle)
 
 
-def _write_upright(axes: Axes, place: Place, word: _Word, span: tuple[float, float]) -> None:
+def _write_upright(axes: Axes, place: WordSpace, word: _Word, span: tuple[float, float]) -> None:
     """Write words into a span, where they cover least; beside it where it is too narrow."""
     center, width = span
     size_mm = _measure(word)

@@ -152,8 +152,9 @@ def set_value_scale(axes: Axes, found: MetricValues) -> None:
         return
     if found.label.endswith("[%]"):
         high = max(high, low + _LEAST_PERCENT, _LEAST_PERCENT)
-    room = 0.14 * (high - low) or 0.1 * abs(high) or 1.0
-    axes.set_ylim(min(low - room, 0.0), max(high + 1.4 * room, 0.0))
+    # Of what is shown, which reaches to 0: values that are nearly equal would stand at the edge.
+    room = 0.14 * (max(high, 0.0) - min(low, 0.0)) or 1.0
+    axes.set_ylim(min(low - room, 0.0), max(high + room, 0.0))
 
 
 def set_ticks_at(axes: Axes, values: Sequence[float]) -> None:

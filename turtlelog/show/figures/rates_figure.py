@@ -2,7 +2,7 @@
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -25,7 +25,7 @@ from turtlelog.identify.axis_motion import measure_steps
 from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
 from turtlelog.run import Run
 from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
-from turtlelog.show.figures.page import REFERENCE, choose_lines
+from turtlelog.show.figures.page import REFERENCE, choose_lines, label_runs
 from turtlelog.show.robot_curves import read_measured
 from turtlelog.show.shared_curves import Curve, read_applied, read_command
 
@@ -56,6 +56,9 @@ _SHOWN_MS: Final = 2.0
 _REASON_LETTERS: Final = 58
 
 _COMMAND: Final[Mapping[str, Any]] = MappingProxyType({"color": "0.3", "linewidth": 0.9})
+_OUTLIER: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": "#c62828", "markersize": 4.5, "label": "left out of the fit"}
+)
 _DEAD: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "#e69f00", "alpha": 0.22, "linewidth": 0.0, "zorder": 0.6, "label": "dead time"}
 )
@@ -73,12 +76,14 @@ class DrawnAxis:
         command: What was commanded, as it holds.
         measured: How fast the robot was; None where nothing tells.
         traces: The same with the model, where it is known.
+        outliers_s: When steps ended that do not count in the fit, shape (m,).
     """
 
     model: AxisModel
     command: Curve
     measured: tuple[Values, Values] | None
     traces: AxisTraces | None
+    outliers_s: Values = field(default_factory=lambda: np.empty(0))
 
 
 def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None = None) -> None:
@@ -96,7 +101,7 @@ def draw_rates(figure: Figure, runs: Sequence[Run], *, model: RobotModel | None 
         raise ShowError(f"figure rates: expected one recording, found {len(runs)}")
     (run,) = runs
     model = identify_robot([run]) if model is None else model
-    drawn = [found for axis in model.axes if (found := _read_axis(axis, run)) is not None]
+    drawn = [found for axis in model.axes if (found := _read_axis(axis, model, run)) is not None]
     if not drawn:
         raise ShowError("figure rates: expected commands that are not always 0, found none")
     width = figure.get_figwidth()
@@ -145,14 +150,21 @@ def _is_driven(run: Run, name: str) -> bool:
     return curve is not None and bool(np.any(curve.values))
 
 
-def _read_axis(axis: AxisModel, run: Run) -> DrawnAxis | None:
+def _read_axis(axis: AxisModel, model: RobotModel, run: Run) -> DrawnAxis | None:
     command = read_command(run, axis.axis)
     if command is None or not np.any(command.values):
         return None
     if axis.is_known:
         traces = trace_axis(axis, run)
         measured = (traces.time_s - run.start_ns / 1e9, traces.measured)
-        return DrawnAxis(model=axis, command=command, measured=measured, traces=traces)
+        outliers = [event.time_s for event in model.events if event.axis == axis.axis]
+        return DrawnAxis(
+            model=axis,
+            command=command,
+            measured=measured,
+            traces=traces,
+            outliers_s=np.array(outliers),
+        )
     reported = read_measured(run, axis.axis)
     curve = read_applied(run, axis.axis) if reported is None else reported.curve
     found = None if curve is None else (curve.time_s, curve.values)
@@ -171,7 +183,9 @@ def _draw_whole(axes: Axes, one: DrawnAxis, run: Run) -> None:
         draw_thinned(axes, time_s, values, values, **modelled, label="model")
     axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
     axes.margins(x=0.01)
-    if one.traces is None:
+    if one.traces is not None:
+        axes.set_title(f"{label_runs([run])[0]}: {COMMAND_WORDS[one.model.axis]}")
+    else:
         reason = f"not identified: {one.model.reason}"
         told = "\n".join(textwrap.wrap(reason, _REASON_LETTERS, max_lines=3, placeholder=" ..."))
         axes.set_title(told, fontsize=7.0, color="0.35")
@@ -197,7 +211,13 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.axhline(0.0, **REFERENCE)
     time_s, values = one.traces.time_s - run.start_ns / 1e9, one.traces.residual
     draw_thinned(axes, time_s, values, values, **choose_lines(1)[0])
-    axes.set_ylabel("motion\n- model")
+    if len(one.outliers_s):
+        # An outlier is told at the pose after its step, traces at middles of one step or several.
+        near = np.searchsorted(time_s, one.outliers_s)[:, None] + np.arange(-2, 2)
+        near = np.clip(near, 0, len(values) - 1)
+        rows = near[np.arange(len(near)), np.abs(values[near]).argmax(axis=1)]
+        axes.plot(time_s[rows], values[rows], "x", **_OUTLIER)
+    axes.set_ylabel(f"motion - model\n[{COMMAND_UNITS[one.model.axis]}]")
 
 
 def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
@@ -233,6 +253,7 @@ def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:
     axes.set(xlim=(low_s, high_s), ylim=(low - room, high + room))
     axes.set_title(tell_model(one.model), fontsize=7.0)
     axes.set_xlabel(_tell_time(run))
+    axes.set_ylabel(f"{COMMAND_WORDS[one.model.axis]} [{COMMAND_UNITS[one.model.axis]}]")
     axes.locator_params(axis="x", nbins=5)
 
 
@@ -288,8 +309,8 @@ def tell_model(model: AxisModel) -> str:
     """Return what identification found of an axis, for a title."""
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
         return f"{COMMAND_WORDS[model.axis]}: the largest step"
-    times = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
-    return f"{times}, gain {model.gain.value:.3g}"
+    gain = f"{model.gain.value:.3f} ({model.gain.low:.3f} to {model.gain.high:.3f})"
+    return f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}\ngain {gain}"
 
 
 def _tell_ms(found: Estimate) -> str:

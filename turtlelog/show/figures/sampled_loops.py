@@ -25,6 +25,7 @@ from turtlelog.theory import (
     LoopModel,
     PidLoop,
     compute_open_loop,
+    compute_pid_locus,
     compute_pid_poles,
     compute_pid_step_response,
     list_known,
@@ -318,11 +319,8 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve]) -> None:
     limit = first.found.stable_gains[-1][1] if first.found.stable_gains else 0.0
     highest = 1.5 * max(limit, *(curve.found.gains.kp for curve in group))
     _draw_unit_circle(axes)
-    found = [
-        compute_pid_poles(replace(gains, kp=float(kp)), **settings)
-        for kp in np.geomspace(1e-3 * highest, highest, _GAINS)
-    ]
-    locus = np.concatenate(found)
+    rising = np.geomspace(1e-3 * highest, highest, _GAINS).tolist()
+    locus = compute_pid_locus(gains, rising, **settings)
     axes.plot(locus.real, locus.imag, ".", color="0.55", ms=1.2, zorder=1.6)
     for end in {end for ends in first.found.stable_gains for end in ends if end > 0.0}:
         poles = compute_pid_poles(replace(gains, kp=end), **settings)

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from turtlelog.compare.run_names import has_one_gain
+from turtlelog.compare.run_names import has_one_gain, list_differing
+from turtlelog.compare.run_summary import complete_parameters
 from turtlelog.errors import ShowError
 from turtlelog.run import Parameter, Run
 from turtlelog.show.figures.direct_labels import measure_text_mm
@@ -74,7 +75,7 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     Raises:
         ShowError: Where they would be more groups than stand side by side.
     """
-    keys = _find_differing(runs)
+    keys = [key for key in list_differing(runs) if not key.endswith("seed")]
     gains = [key for run in runs for key in run.declaration.list_gains()]
     of_gain = [key for key in keys if key in gains]
     by = of_gain or keys
@@ -82,7 +83,8 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     if more > 0:
         by = ["law.kind"] if "law.kind" in keys else by[:_MOST_KEYS]
         more = len(keys) - len(by)
-    cells = [tuple(run.parameters.get(key) for key in by) for run in runs]
+    known = [complete_parameters(run) for run in runs]
+    cells = [tuple(parameters.get(key) for key in by) for parameters in known]
     is_one_gain = bool(of_gain) and all(has_one_gain(run) for run in runs)
     if is_one_gain:
         by, cells = ["Kp"], [cell[:1] for cell in cells]
@@ -107,15 +109,6 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
 
 def _shorten(name: str) -> str:
     return name if len(name) <= _MOST_LETTERS else f"{name[: _MOST_LETTERS - 3]}..."
-
-
-def _find_differing(runs: Sequence[Run]) -> list[str]:
-    keys = dict.fromkeys(key for run in runs for key in run.parameters)
-    return [
-        key
-        for key in keys
-        if not key.endswith("seed") and len({repr(run.parameters.get(key)) for run in runs}) > 1
-    ]
 
 
 def _rank(value: Parameter | None) -> tuple[int, float, str]:

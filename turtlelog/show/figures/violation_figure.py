@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from turtlelog.display import format_number
 from turtlelog.errors import ShowError
 from turtlelog.run import Run
-from turtlelog.show.figures.direct_labels import Place, place_words
+from turtlelog.show.figures.direct_labels import WordSpace, place_words
 from turtlelog.show.figures.figure_curves import draw_curve, draw_thinned
 from turtlelog.show.figures.page import choose_lines, label_runs
 from turtlelog.show.violated_signal import ViolatedSignal, ViolationMoment
@@ -168,7 +168,7 @@ def _name_moments(
     figure = axes.get_figure(root=True)
     width, height = figure.get_size_inches() if figure is not None else (1.0, 1.0)
     x, y = np.array(axes.get_xlim()), np.array(axes.get_ylim())
-    place = Place(
+    place = WordSpace(
         center=np.array([x.mean(), y.mean()]),
         half=np.array([np.ptp(x), np.ptp(y)]) / 2.0,
         half_mm=25.4 * np.array([0.44 * width, 0.36 * height]),
@@ -183,4 +183,6 @@ def _name_moments(
         color = _RED if violated.outside.any() else "#00674b"
         axes.plot([moment.time_s], [moment.value], marker, ms=5.5, color=color, **_POINT)
         text = f"{word} {format_number(moment.value, violated.unit)}\nat {moment.time_s:.3f} s"
+        if moment is violated.worst and (distance := violated.describe_outside(moment)):
+            text += f"\n{distance} outside"
         place_words(axes, place, text, np.array([moment.time_s, moment.value]), color, 7.0)

@@ -4,6 +4,7 @@ import io
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +28,7 @@ from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
+from turtlelog.show.figures.drawing_processes import draw_in_processes
 from turtlelog.show.figures.figure_kinds import (
     FIGURES,
     FigureKind,
@@ -107,7 +109,7 @@ def write_figures(
     only: Collection[str] | Mapping[str, FigureKind] | None = None,
     formats: Collection[str] = FIGURE_FORMATS,
     page: Page | None = None,
-    on_written: Callable[[Path], None] | None = None,
+    jobs: int | None = 1,
 ) -> list[Path]:
     """Write figures as `<folder>/<name>.<format>` and return the files.
 
@@ -118,16 +120,17 @@ def write_figures(
             usual ones that the runs hold the data for.
         formats: Some of `FIGURE_FORMATS`.
         page: Where they will stand.
-        on_written: Called with each file as it is drawn.
+        jobs: Processes to draw in, at least 1; None: as many as cores where that is quicker. They
+            are forked, so that there is one wherever the system is not Linux. The files are the
+            same, byte for byte.
 
     Raises:
-        ShowError: Where a name or format is unknown, the runs lack what a named figure needs, or
-            the folder cannot be written; nothing is written then.
+        ShowError: Where a name or format is unknown, `jobs` is no number of processes, the runs
+            lack what a named figure needs, or the folder cannot be written; nothing is written
+            then.
     """
     with replace_together(folder) as write:
-        return add_figures(
-            write, runs, only=only, formats=formats, page=page, on_written=on_written
-        )
+        return add_figures(write, runs, only=only, formats=formats, page=page, jobs=jobs)
 
 
 def add_figures(
@@ -137,29 +140,46 @@ def add_figures(
     only: Collection[str] | Mapping[str, FigureKind] | None = None,
     formats: Collection[str] = FIGURE_FORMATS,
     page: Page | None = None,
-    on_written: Callable[[Path], None] | None = None,
+    jobs: int | None = 1,
 ) -> list[Path]:
     """Write figures as `write_figures` does, with what `replace_together` yields."""
-    page = page or Page()
     unknown = [form for form in formats if form not in FIGURE_FORMATS]
     if unknown or not formats:
         found = repr(unknown[0]) if unknown else "none"
         raise ShowError(f"format: expected some of {', '.join(FIGURE_FORMATS)}, found {found}")
+    if jobs is not None and jobs < 1:
+        raise ShowError(f"jobs: expected at least 1 process, found {jobs}")
     kinds = only if isinstance(only, Mapping) else None
     names = [name for name in list_usual_figures() if not FIGURES[name].find_lack(runs)]
     for name in (only or ()) if names else FIGURES:
         _find_kind(name, runs, kinds)
-    written = []
-    for name in names if only is None else dict.fromkeys(only):
-        figure = draw_figure(name, runs, page=page, kinds=kinds)
-        _settle_layout(figure)
-        for form in dict.fromkeys(formats):
-            data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
-            save_figure(figure, data, form, page)
-            written.append(write(f"{name}.{form}", data.getvalue()))
-            if on_written:
-                on_written(written[-1])
-    return written
+    names = names if only is None else [*dict.fromkeys(only)]
+    forms = [*dict.fromkeys(formats)]
+    draw = partial(_draw_files, runs=runs, formats=forms, page=page or Page(), kinds=kinds)
+    return [
+        write(f"{name}.{form}", data)
+        for name, files in zip(names, draw_in_processes(draw, names, jobs), strict=True)
+        for form, data in zip(forms, files, strict=True)
+    ]
+
+
+def _draw_files(
+    name: str,
+    *,
+    runs: Sequence[Run],
+    formats: Sequence[str],
+    page: Page,
+    kinds: Mapping[str, FigureKind] | None,
+) -> list[bytes]:
+    """Return one figure in each format."""
+    figure = draw_figure(name, runs, page=page, kinds=kinds)
+    _settle_layout(figure)
+    files = []
+    for form in formats:
+        data = io.BytesIO()  # matplotlib's writer of PDF trips over a full disk
+        save_figure(figure, data, form, page)
+        files.append(data.getvalue())
+    return files
 
 
 def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None = None) -> None:
@@ -180,17 +200,26 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
 
 @contextmanager
 def _drop_layout_tables() -> Iterator[None]:
-    """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing."""
-    options: Any = subset.Options
-    usual = getattr(options, "_drop_tables_default", None)
-    if usual is None:  # a newer fontTools: the figures take longer, and look the same
-        yield
-        return
-    options._drop_tables_default = [*usual, *_LAYOUT_TABLES]
+    """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing.
+
+    matplotlib offers no choice of these tables. It opens fonts by a public function of fontTools,
+    which leaves them out meanwhile; should it open them otherwise, writing takes longer, and the
+    figures look the same.
+    """
+    usual = subset.load_font
+
+    def load(*arguments: Any, **named: Any) -> Any:
+        font = usual(*arguments, **named)
+        for table in _LAYOUT_TABLES:
+            if table in font:
+                del font[table]
+        return font
+
+    subset.load_font = load
     try:
         yield
     finally:
-        options._drop_tables_default = usual
+        subset.load_font = usual
 
 
 def _settle_layout(figure: Figure) -> None:

@@ -8,6 +8,7 @@ from turtlelog.explain import Attribution, write_sentences
 from turtlelog.measure import Metric, is_lawless
 from turtlelog.run import CUT_SHORT, Run
 from turtlelog.show.close_up import format_length
+from turtlelog.show.many_runs import group_equal
 
 _MOST_NAMED: Final = 4
 """Runs or checks that a sentence names; of more it says how many there are."""
@@ -16,7 +17,7 @@ _MOST_NAMED: Final = 4
 def conclude(
     runs: Sequence[Run], names: Sequence[str], metrics: Sequence[Mapping[str, Metric]]
 ) -> list[str]:
-    """Return which run ends nearest to its goal and which furthest, and which were cut short."""
+    """Return which run ends nearest to its goal and which furthest, which are equal, or cut."""
     found = list_misses(runs, metrics)
     sentences = []
     if len(runs) == 1 and found:
@@ -26,6 +27,11 @@ def conclude(
         sentences.append(f"Only {names[number]} has a goal; it ends {format_length(miss_m)} off.")
     elif found:
         sentences.append(_compare(found, names, of=len(runs)))
+    for group in group_equal(runs):
+        if len(group) > 1:
+            same = [names[number] for number in group]
+            who = join_words(same) if len(same) <= _MOST_NAMED else describe_count(len(same), "run")
+            sentences.append(f"{who} are equal in every row.")
     cut = [name for run, name in zip(runs, names, strict=True) if run.stop_reason in CUT_SHORT]
     if cut:
         who = join_words(cut) if len(cut) <= _MOST_NAMED else describe_count(len(cut), "run")

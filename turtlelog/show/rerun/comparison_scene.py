@@ -13,10 +13,12 @@ from turtlelog.errors import ShowError
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette
+from turtlelog.show.close_up import name_ends
 from turtlelog.show.documents import describe_runs
 from turtlelog.show.many_runs import (
     MANY,
     GainScale,
+    cut_alike,
     find_gain_scale,
     find_restless,
     group_equal,
@@ -42,6 +44,7 @@ from turtlelog.show.rerun.plots import (
     list_references,
 )
 from turtlelog.show.rerun.rrd_file import draw_documents, open_recording, send_comparison_properties
+from turtlelog.show.rerun.run_legend import draw_legend, draw_scale, tell_span, title_scale
 from turtlelog.show.rerun.timelines import (
     RunStream,
     Timelines,
@@ -50,31 +53,22 @@ from turtlelog.show.rerun.timelines import (
     read_span,
 )
 from turtlelog.show.rerun.turtles import Look, choose_size, count_segments, draw_trail, draw_turtle
-from turtlelog.show.rerun.views import (
-    RESTLESS_PLOTS,
-    SCALE_WIDTH,
-    arrange_names,
-    choose_names,
-    choose_phase_rows,
+from turtlelog.show.rerun.views import RESTLESS_PLOTS, choose_phase_rows
+from turtlelog.show.rerun.world import (
+    LETTERING,
+    SMALL_LETTERING,
+    draw_close_up,
+    draw_world,
+    draw_worst_place,
 )
-from turtlelog.show.rerun.world import draw_close_up, draw_world, draw_worst_place
-
-_RECORDED: Final = "recorded"
-_LEGEND_RADIUS: Final = 5.0  # [points]
-_BAR_WIDTH: Final = 0.8
-_LEGEND_SHARE: Final = 0.35
 
 _THIN_WIDTH: Final = 1.0
 _MOST_RESTLESS: Final = 2
 """Named in a title; of more their number is told."""
 
-_SCALE_HEIGHT: Final = 1.0
-_SCALE_LINES: Final = 8
-"""Lines side by side that fill a cell: the viewer rounds the ends of a thick one."""
-_SCALE_LABELS: Final = 12
-"""Values in a view 500 pixels wide: 40 each."""
-
 _MOST_EXTREMES: Final = 3
+"""Runs whose names stand in the plane: more would hide the ways."""
+
 _EXTREME_SHARE: Final = 0.2
 """Of half the plane: nearer to the goal, or to another one, a name would cover others."""
 
@@ -153,7 +147,8 @@ class _Overlay:
         calm = [number for number in range(len(self.runs)) if number not in self.restless]
         content = replace(
             content,
-            scale_title=None if self.scale is None else _title_scale(self.scale),
+            scale_title=None if self.scale is None else title_scale(self.scale),
+            scale_span="" if self.scale is None else f"{self.scale.word} {tell_span(self.scale)}",
             phase_rows=choose_phase_rows(self.prefixes),
         )
         if not self.restless:
@@ -194,6 +189,12 @@ class _Overlay:
         names = ", ".join(self.name_run(number) for number in numbers[:_MOST_RESTLESS])
         more = len(numbers) - _MOST_RESTLESS
         return f"{names} and {more} more" if more > 0 else names
+
+    def name_briefly(self) -> tuple[str, ...]:
+        """Return what the runs are called where there is little room."""
+        if self.scale is not None:
+            return tuple(map(self.name_run, range(len(self.runs))))
+        return cut_alike(self.names)
 
     def name_run(self, number: int) -> str:
         """Return what a run among many is called in a picture: by what the colours tell."""
@@ -267,9 +268,9 @@ def _draw_overlay(
     span = read_span(overlay.runs, overlay.timelines)
     draw_references(stream, overlay.references, span)
     if overlay.scale is not None:
-        _draw_scale(stream, overlay.scale, overlay.colors)
+        draw_scale(stream, overlay.scale, overlay.colors)
     elif content.legend_names:
-        _draw_legend(stream, overlay.names, overlay.colors)
+        draw_legend(stream, overlay.names, overlay.colors)
     if len(overlay.runs) > MANY:
         _name_extremes(stream, overlay, content)
     streams = []
@@ -287,45 +288,15 @@ def _draw_overlay(
     if content.goal is not None:
         draw_close_up(
             stream,
-            content.goal,
+            name_ends(content.goal, overlay.name_briefly()),
             overlay.runs[0],
             overlay.prefixes,
             overlay.colors,
+            lettering=SMALL_LETTERING if content.is_small else LETTERING,
         )
     if content.worst is not None:
         draw_worst_place(stream, content.worst, overlay.colors[content.worst.run])
     return streams
-
-
-def _title_scale(scale: GainScale) -> str:
-    low, high = min(scale.values), max(scale.values)
-    return f"{len(scale.values)} runs, coloured by {scale.word}: {low:g} to {high:g}"
-
-
-def _draw_scale(stream: rr.RecordingStream, scale: GainScale, colors: Sequence[Color]) -> None:
-    """Draw a bar of the runs' colours in their order, with the values of some below it."""
-    width = SCALE_WIDTH / len(colors)
-    edges = np.arange(len(colors) + 1) * width
-    bar = rr.LineStrips2D(
-        [
-            [(x, (row + 0.5) * _SCALE_HEIGHT / _SCALE_LINES) for x in edges[number : number + 2]]
-            for number in range(len(colors))
-            for row in range(_SCALE_LINES)
-        ],
-        radii=_SCALE_HEIGHT / _SCALE_LINES * 0.6,
-        colors=palette.pack_colors([color for color in colors for _ in range(_SCALE_LINES)]),
-    )
-    stream.log(join_path(entities.LEGEND, "bar"), bar, static=True)
-    count = min(len(colors), _SCALE_LABELS)
-    shown = np.unique(np.linspace(0, len(colors) - 1, count).round().astype(int)).tolist()
-    labels = rr.Points2D(
-        [((number + 0.5) * width, _SCALE_HEIGHT) for number in shown],
-        radii=rr.Radius.ui_points(0.0),
-        colors=[colors[number] for number in shown],
-        labels=[f"{scale.values[number]:.3g}" for number in shown],
-        show_labels=True,
-    )
-    stream.log(join_path(entities.LEGEND, "values"), labels, static=True)
 
 
 def _name_extremes(stream: rr.RecordingStream, overlay: _Overlay, content: Content) -> None:
@@ -354,20 +325,6 @@ def _name_extremes(stream: rr.RecordingStream, overlay: _Overlay, content: Conte
 
 def _miss(run: Run) -> float:
     return 0.0 if run.goal_xy_m is None else float(np.hypot(*(run.poses.xy_m[-1] - run.goal_xy_m)))
-
-
-def _draw_legend(stream: rr.RecordingStream, names: Sequence[str], colors: Sequence[Color]) -> None:
-    """Draw runs' names in their colours."""
-    chosen = choose_names(len(names))
-    shown = [names[number] for number in chosen]
-    points = rr.Points2D(
-        arrange_names(shown),
-        radii=rr.Radius.ui_points(_LEGEND_RADIUS),
-        colors=[colors[number] for number in chosen],
-        labels=shown,
-        show_labels=True,
-    )
-    stream.log(join_path(entities.LEGEND), points, static=True)
 
 
 def _name_recording(names: Sequence[str]) -> str:

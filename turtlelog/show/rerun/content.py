@@ -43,8 +43,9 @@ _CLOSE_UP = 2.0
 _SMALLEST_CLOSE_UP_DEG = 0.1
 """Half-height of the close-up at least [deg]: also errors of 0 need a range with a height."""
 
-_LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.5
-"""Shares of a plot that a legend of four lines takes in a window of 1600 x 900 pixels."""
+_LEGEND_WIDTH, _LEGEND_HEIGHT = 0.5, 0.4
+"""Shares of a plot that a legend of four lines takes in a window of 1600 x 900 pixels, where one of
+three plots below each other has 235 pixels of height."""
 
 _MOST_IN_PLOT = 4
 """How many runs a legend inside a plot names; of more, the names have a view of their own."""
@@ -85,6 +86,7 @@ class Content:
         equal: Which runs are one curve, as all their rows are equal, in words; empty without them.
         is_small: Whether the window is too small for legends, phases and documents.
         scale_title: Title of the bar that tells the colours of many runs; None without it.
+        scale_span: What the bar goes from and to, for where it has no room; empty without it.
         end_s: Where the plots end [s]; None where they show all there is.
         length_s: How long the longest run is [s], where the plots end before.
         restless: Runs that never come to rest, in words: their commands are left out.
@@ -122,6 +124,7 @@ class Content:
     timelines: tuple[str, ...] = ()
     ghosts: tuple[str, ...] = ()
     scale_title: str | None = None
+    scale_span: str = ""
     end_s: float | None = None
     length_s: float = 0.0
     restless: str = ""

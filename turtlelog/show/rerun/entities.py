@@ -130,11 +130,18 @@ def join_path(*parts: str) -> str:
     return "/" + "/".join(part.strip("/") for part in parts if part.strip("/"))
 
 
-def name_part(name: str) -> str:
-    """Return a part of an entity path that is as readable as a name: `_` for what needs escapes.
+def locate_phases(prefix: str) -> str:
+    """Return where the phases of a run are: views of phases show paths as names of their rows."""
+    return join_path(PHASE, prefix.rpartition("/")[2])
 
-    Views of phases show paths, and nothing else, as names of their rows.
-    """
+
+def locate_dead_times(prefix: str) -> str:
+    """Return where the dead times of a run are: a row below that of its phases."""
+    return f"{locate_phases(prefix)}_{DEAD_TIME}"
+
+
+def name_part(name: str) -> str:
+    """Return a part of an entity path that is as readable as a name: `_` for what needs escapes."""
     kept = [letter if escape_entity_path_part(letter) == letter else " " for letter in name]
     return "_".join("".join(kept).split()) or escape_entity_path_part(name)
 

@@ -11,11 +11,15 @@ from turtlelog.compare import Column, Table
 from turtlelog.errors import ShowError
 from turtlelog.escapes import escape_markdown
 from turtlelog.explain import Attribution, write_sentences
-from turtlelog.loops import PAUSE
-from turtlelog.measure import Metric, find_first_stretch, measure_run
+from turtlelog.measure import Metric, measure_run
 from turtlelog.run import Run
 from turtlelog.show import palette
-from turtlelog.show.attribution_steps import choose_step_scale, list_attribution_steps
+from turtlelog.show.attribution_steps import (
+    choose_acting_shares,
+    choose_step_scale,
+    list_attribution_steps,
+)
+from turtlelog.show.close_up import Lettering, name_ends
 from turtlelog.show.palette import Color, choose_mechanism_colors
 from turtlelog.show.rerun import entities, plane
 from turtlelog.show.rerun.content import Content, describe_content, find_largest
@@ -29,7 +33,14 @@ from turtlelog.show.rerun.ghosts import (
     list_gaps,
 )
 from turtlelog.show.rerun.layout import build_explanation_layout
-from turtlelog.show.rerun.marks import draw_events, draw_lines, draw_phases
+from turtlelog.show.rerun.marks import (
+    draw_dead_times,
+    draw_events,
+    draw_lines,
+    draw_phases,
+    list_dead_times,
+    list_pause_times,
+)
 from turtlelog.show.rerun.plots import (
     LevelLines,
     Series,
@@ -54,8 +65,14 @@ _RECORDED: Final = "recorded"
 _WIDTH: Final = 1.75
 _THIN_WIDTH: Final = 0.75  # [points]
 _THIN_SIZE: Final = 0.55
-_CLOSE_UP_REACH: Final = 1.2
-"""From the goal to the sides of the close-up, in half of its height: it is 480 x 390 pixels."""
+_MOST_TOLD: Final = 2
+"""Ghosts whose values stand below the steps: more would be longer than the picture is wide."""
+
+_LONGEST: Final = 36
+"""Letters of a name in the key: they take 250 of the 480 pixels of the plane."""
+
+_LETTERING: Final = Lettering(letter=0.042, line=0.15, gap=0.08, reach=1.2)
+"""As measured in a window of 1200 x 860 pixels, where the close-up is 480 x 370."""
 
 
 def write_explanation_rrd(
@@ -87,9 +104,9 @@ def write_explanation_rrd(
     texts = {"Shares": _describe_shares(found), **(documents or {})}
     texts = {**add_thinning(texts, scene.runs)}
     metrics = [measure_run(run) for run in scene.runs]
-    dead_times = _list_dead_times(recorded, metrics[0])
+    dead_times = list_dead_times(recorded, metrics[0])
     lines = {
-        "pause": (palette.WANTED, _list_pause_times(recorded)),
+        "pause": (palette.WANTED, list_pause_times(recorded)),
         "dead_time": (palette.SAMPLED, [end_ns for _, end_ns in dead_times]),
     }
     lines = {name: marked for name, marked in lines.items() if marked[1]}
@@ -105,11 +122,13 @@ def write_explanation_rrd(
         if found.withheld:
             draw_reason(stream, write_sentences(found))
         else:
-            draw_waterfall(stream, list_attribution_steps(found))
+            steps, scale = list_attribution_steps(found), choose_step_scale(found)
+            ghosts = dict(zip(what_ifs, metrics[1:], strict=False))
+            draw_waterfall(stream, steps, scale, _explain_bars(found, ghosts))
         for line, (color, times_ns) in lines.items():
             entity, label = f"{entities.LINES}/{line}", line.replace("_", " ")
             draw_lines(run_stream, entity, label, color, times_ns, largest=find_largest(content))
-        _draw_dead_times(run_stream, dead_times)
+        draw_dead_times(run_stream, dead_times)
         draw_documents(stream, texts)
 
 
@@ -171,6 +190,7 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
     ghosts = [
         Ghost(
             name=f"without {lacks}",
+            brief=_name_briefly(lacks, found),
             prefix=join_path(GHOSTS, name_part(f"without {lacks}")),
             run=run,
             look=_choose_look(colors.get(lacks), is_main=number == len(what_ifs)),
@@ -193,6 +213,13 @@ def _build_scene(recorded: Run, found: Attribution, what_ifs: Mapping[str, Run])
         gaps=list_gaps(recorded, ghosts),
         references=list_references([run for _, run, _, _ in drawn]),
     )
+
+
+def _name_briefly(lacks: str, found: Attribution) -> str:
+    """Return a name for the close-up: the key of the plane has the whole one."""
+    if lacks in found.mechanisms:
+        return f"no {lacks}"
+    return "neither" if lacks.count(" and ") == 1 and "," not in lacks else "none of these"
 
 
 def _choose_look(color: Color | None, *, is_main: bool) -> Look:
@@ -235,8 +262,14 @@ def _draw_scene(
         draw_series(run_stream, curves)
     _draw_apart(stream, scene, content)
     if content.goal is not None:
+        briefs = [_RECORDED, *(one.brief for one in scene.ghosts if one.is_run)]
         draw_close_up(
-            stream, content.goal, recorded, scene.prefixes, scene.colors, reach=_CLOSE_UP_REACH
+            stream,
+            name_ends(content.goal, briefs),
+            recorded,
+            scene.prefixes,
+            scene.colors,
+            lettering=_LETTERING,
         )
     if content.worst is not None:
         draw_worst_place(stream, content.worst, scene.colors[content.worst.run])
@@ -247,9 +280,10 @@ def _draw_apart(stream: rr.RecordingStream, scene: _Scene, content: Content) -> 
     """Draw how far the main ghost is away, and name all turtles."""
     if scene.ghosts:
         main = scene.ghosts[-1]
-        draw_gap(stream, scene.recorded, main, content.plane)
-        rows = [(ghost.name, ghost.look.color) for ghost in reversed(scene.ghosts)]
-        rows.insert(0, (_RECORDED, palette.MAIN))
+        draw_gap(stream, scene.recorded, main, content.plane, "blue to grey")
+        whole = main.name if len(main.name) <= _LONGEST else "without all of these"
+        rows = [(_RECORDED, palette.MAIN), (whole, main.look.color)]
+        rows += [(ghost.name, ghost.look.color) for ghost in reversed(scene.ghosts[:-1])]
         draw_key(stream, rows, content.plane, [scene.recorded, main.run])
 
 
@@ -261,6 +295,30 @@ def _name_steps(found: Attribution) -> str:
     if found.withheld:
         return f"Why there are no shares of {found.metric}"
     return f"Why {found.metric} is {choose_step_scale(found).format_value(value)}"
+
+
+def _explain_bars(
+    found: Attribution, ghosts: Mapping[str, Mapping[str, Metric]]
+) -> tuple[str, ...]:
+    """Return why a bar is not what a ghost lacks, where several mechanisms act together.
+
+    Args:
+        found: The attribution.
+        ghosts: Metrics of the what-ifs that are drawn, by what each lacks.
+    """
+    acting = [share.mechanism for share in choose_acting_shares(found)]
+    if len(acting) < 2:
+        return ()
+    lines, scale = ["Bars: averages over the orders of removal"], choose_step_scale(found)
+    ends = {name: ghosts[name][found.metric].value for name in acting if name in ghosts}
+    told = [
+        f"only {name} removed {scale.format_value(value)}"
+        for name, value in ends.items()
+        if value is not None
+    ]
+    if len(told) > _MOST_TOLD:
+        told = ["one mechanism removed from each thin one"]
+    return (*lines, f"Ghosts: {', '.join(told)}") if told else tuple(lines)
 
 
 def _describe_shares(found: Attribution) -> str:
@@ -280,38 +338,3 @@ def _describe_shares(found: Attribution) -> str:
     )
     sentences = "\n\n".join(escape_markdown(text) for text in write_sentences(found))
     return f"{format_markdown(table)}\n{sentences}\n"
-
-
-def _list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
-    """Return the dead time at the start of each loop, where it is known, in order of time.
-
-    Each is a start and an end in the run's own time [ns], from a loop's first sample until its
-    command acts. Of loops that begin together it is the longest.
-    """
-    ends_ns: dict[int, int] = {}
-    for loop in run.declaration.loops:
-        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
-        if stretch and metric is not None and metric.value:
-            start_ns = stretch[0].start_ns
-            end_ns = start_ns + round(metric.value * 1e9)
-            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
-    return sorted(ends_ns.items())
-
-
-def _draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
-    """Draw them as a bar of their own."""
-    if not spans_ns:
-        return
-    style = rr.StateConfiguration(
-        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
-    )
-    run_stream.log(entities.DEAD_TIME, style)
-    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
-    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
-    run_stream.send_few(entities.DEAD_TIME, times_ns, columns)
-
-
-def _list_pause_times(run: Run) -> list[int]:
-    """Return where each pause starts and ends [ns]."""
-    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
-    return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]

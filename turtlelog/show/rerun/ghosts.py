@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 import rerun as rr
 
-from turtlelog.run import Run
+from turtlelog.angles import wrap_angle
+from turtlelog.run import PoseColumns, Run
 from turtlelog.show import palette
 from turtlelog.show.close_up import format_length
-from turtlelog.show.ideal_pose import NAME as IDEAL_LOOP, find_ideal_poses
 from turtlelog.show.palette import Color
 from turtlelog.show.phase_timelines import TIMELINE, locate_run
 from turtlelog.show.rerun import entities
@@ -19,8 +19,10 @@ from turtlelog.show.rerun.plots import Series
 from turtlelog.show.rerun.timelines import RunStream, Timelines, Values, build_index
 from turtlelog.show.rerun.turtles import MOST_SEGMENTS, Look, draw_trail, draw_turtle
 from turtlelog.show.rerun.world import Bounds
+from turtlelog.show.shared_curves import find_steps
 
 IDEAL: Final = "ideal_loop"
+_IDEAL_NAME: Final = "ideal loop"
 
 _MOST_GAPS: Final = 1000
 """Rows of the line between run and ghost: as many as a trail has segments."""
@@ -33,14 +35,14 @@ _ONE_M: Final = 1.0
 
 _GAP_WIDTH: Final = 1.0  # [points]
 _GAP_ORDER: Final = 27.0  # above turtles
-_ROOM: Final = 0.45
-"""Of the plane's half-width, from its middle: beyond, words beside a line would be cut off."""
-
-_ASIDE, _UP = 0.33, -0.1
-"""Of the plane's half-width: where the distance stands beside its line, far from goal's name."""
-
 _KEY_LETTER: Final = 0.036
 """Of the plane's half-width: 7 pixels of 200."""
+
+_REACH: Final = 1.2
+"""Of the plane's half-width, from its middle to the sides of its view: beyond, words are cut."""
+
+_ASIDE, _UP = 0.1, -0.1
+"""Of the plane's half-width: where the distance stands beside its line, far from goal's name."""
 
 _EDGE: Final = 0.87
 """Of the plane's half-width: inside of the world's border."""
@@ -62,6 +64,7 @@ class Ghost:
         run: Whose poses are the ghost's.
         look: How it is drawn.
         is_run: Whether it was simulated; else only its poses are its own.
+        brief: A short name.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Ghost:
     run: Run
     look: Look
     is_run: bool
+    brief: str = ""
 
 
 def build_ideal_ghost(run: Run) -> Ghost | None:
@@ -78,7 +82,34 @@ def build_ideal_ghost(run: Run) -> Ghost | None:
         return None
     look = Look(color=palette.GHOST, is_ghost=True)
     ideal = replace(run, poses=poses)
-    return Ghost(name=IDEAL_LOOP, prefix=join_path(IDEAL), run=ideal, look=look, is_run=False)
+    return Ghost(name=_IDEAL_NAME, prefix=join_path(IDEAL), run=ideal, look=look, is_run=False)
+
+
+def find_ideal_poses(run: Run) -> PoseColumns | None:
+    """Return where the ideal loops of a run would be at its own pose times.
+
+    Each begins where the run's loop does, as its ideal response in the plots: nothing is clipped.
+    Theory tells a pose where a loop turns the robot, and another then drives it along its track.
+
+    Returns:
+        None where theory does not know both, or where they act together.
+    """
+    turns, ways = [*find_steps(run, "heading")], [*find_steps(run, "along_track")]
+    line = run.goal_line
+    if len(turns) != 1 or len(ways) != 1 or line is None or not len(run.poses):
+        return None
+    (turn,), (way,) = turns, ways
+    loops = {loop.name for loop in run.declaration.loops}
+    if loops != {turn.loop.name, way.loop.name} or turn.end_ns > way.start_ns:
+        return None
+    time_ns = run.poses.time_ns
+    after_s = np.maximum(time_ns - turn.start_ns, 0) / 1e9
+    heading_rad = np.radians(turn.respond(after_s))
+    driven_s = np.maximum(time_ns - way.start_ns, 0) / 1e9
+    along_m = way.respond(driven_s)
+    ahead = np.array([np.cos(line.bearing_rad), np.sin(line.bearing_rad)])
+    xy_m = line.start_xy_m + along_m[:, np.newaxis] * ahead
+    return PoseColumns(time_ns=time_ns, xy_m=xy_m, heading_rad=wrap_angle(heading_rad))
 
 
 def draw_ghost(
@@ -122,8 +153,10 @@ def measure_gap(run: Run, ghost: Ghost) -> Values:
     return np.asarray(np.hypot(away_m[:, 0], away_m[:, 1]))
 
 
-def draw_gap(stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds) -> None:
-    """Draw a line from the run to a ghost at the cursor, and how long it is."""
+def draw_gap(
+    stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds, words: str
+) -> None:
+    """Draw a line from the run to a ghost at the cursor, and how long it is, after some words."""
     half_size_m = bounds.half_size_m
     rows = np.unique(
         np.linspace(0, len(run.poses) - 1, min(len(run.poses), _MOST_GAPS)).round().astype(int)
@@ -151,8 +184,9 @@ def draw_gap(stream: rr.RecordingStream, run: Run, ghost: Ghost, bounds: Bounds)
     is_apart = gap_m >= _APART_M
     middles_m = (own_m + other_m)[is_apart] / 2.0
     places_m = middles_m + _UP * half_size_m * np.array([[0.0, 1.0]])
-    places_m[:, 0] += _find_aside(run, middles_m[:, 0], bounds)
-    labels = [f"{format_length(float(gap))} apart" for gap in gap_m[is_apart]]
+    labels = [f"{words}: {format_length(float(gap))}" for gap in gap_m[is_apart]]
+    longest = max(map(len, labels), default=0)
+    places_m[:, 0] += _find_aside(run, middles_m[:, 0], bounds, longest * _KEY_LETTER)
     names = rr.Points2D.columns(positions=places_m, labels=labels)
     stream.send_columns(
         join_path(entities.GAP_NAME), index, names.partition(is_apart.astype(np.int64))
@@ -216,9 +250,13 @@ def _follow(run: Run, ghost: Ghost) -> Values:
     return locate_run(ghost.run, ghost.run.start_ns, since_start_s)[0]
 
 
-def _find_aside(run: Run, x_m: Values, bounds: Bounds) -> Values:
-    """Return how far to the right words stand [m]: where the goal has no name, if there is room."""
+def _find_aside(run: Run, x_m: Values, bounds: Bounds, width: float) -> Values:
+    """Return how far to the right words stand [m]: on the side where the goal has no name.
+
+    `width` is that of the words, in half-widths of the plane; they end where the view does.
+    """
     goal_x_m = run.goal_xy_m[0] if run.goal_xy_m is not None else float(run.poses.xy_m[-1, 0])
     side = 1.0 if goal_x_m <= run.poses.xy_m[0, 0] else -1.0
-    has_room = side * (x_m - bounds.center_xy_m[0]) < _ROOM * bounds.half_size_m
-    return np.where(has_room, side, -side) * _ASIDE * bounds.half_size_m
+    at = side * (x_m - bounds.center_xy_m[0]) / bounds.half_size_m
+    aside = np.minimum(_ASIDE, _REACH - width - at) + width / 2.0
+    return np.asarray(side * aside * bounds.half_size_m)

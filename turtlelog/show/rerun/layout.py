@@ -10,15 +10,14 @@ import rerun.blueprint as rrb
 from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
+from turtlelog.show.rerun.run_legend import view_legend, view_scale
 from turtlelog.show.rerun.views import (
     view_document,
     view_events,
     view_goal,
-    view_legend,
     view_phases,
     view_plane,
     view_plot,
-    view_scale,
     view_speed,
     view_worst,
 )
@@ -85,7 +84,7 @@ _EXPLAINED: Final = (
     ),
 )
 
-_EXPLAINED_ROWS: Final = (1.0, 2.0)
+_EXPLAINED_ROWS: Final = (1.0, 1.7)
 
 _EXPLAINED_COLUMNS: Final = (1.0, 1.5)
 
@@ -97,6 +96,11 @@ _LEFT_SHARES: Final = (3.0, 2.5, 2.0, 2.0)
 _COLUMN_SHARES: Final = (1.0, 1.8)
 
 _VIOLATION_ROWS: Final = (1.0, 1.2)
+
+_VIOLATION_TOP: Final = (4.0, 1.0)
+"""Signal and legend: of 1200 pixels the legend has 240, a line of which holds 32 letters."""
+
+LEGEND_TITLE: Final = "Legend"
 
 _VIOLATION_COLUMNS: Final = (1.0, 1.3, 1.6)
 """The message has lines of 92 letters, of which a window of 1400 pixels shows most."""
@@ -165,11 +169,14 @@ def build_comparison_layout(content: Content) -> rrb.Blueprint:
 def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprint:
     """Return the layout of a violation: its signal over all, then plane, message and plots.
 
-    The plots are as small as a legend, and have none.
+    The legend of the signal stands beside it, where it covers nothing, and wraps where the window
+    is small. The plots are as small as a legend, and have none.
     """
-    tabs = [view_document(title) for title in content.documents] + [view_events(content)]
+    top = rrb.Horizontal(violated, view_document(LEGEND_TITLE), column_shares=_VIOLATION_TOP)
+    titles = [title for title in content.documents if title != LEGEND_TITLE]
+    tabs = [*map(view_document, titles), view_events(content)]
     parts: list[rrb.Container | rrb.View] = [
-        _build_plane(content),
+        _build_plane(content, with_arrows=False),
         rrb.Tabs(*tabs, active_tab=0),
     ]
     columns = (_TURNING, _RUN_MOVING)
@@ -178,7 +185,7 @@ def build_violation_layout(content: Content, violated: rrb.View) -> rrb.Blueprin
         parts.append(rrb.Horizontal(*(rrb.Vertical(*stack) for stack in stacks)))
     below = rrb.Horizontal(*parts, column_shares=_VIOLATION_COLUMNS[: len(parts)])
     return LinkedBlueprint(
-        rrb.Vertical(violated, below, row_shares=_VIOLATION_ROWS),
+        rrb.Vertical(top, below, row_shares=_VIOLATION_ROWS),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
@@ -287,8 +294,8 @@ def _list_planes_of(content: Content) -> list[rrb.View | rrb.Container]:
     return views
 
 
-def _build_plane(content: Content) -> rrb.View | rrb.Container:
-    plane = view_plane(content)
+def _build_plane(content: Content, *, with_arrows: bool = True) -> rrb.View | rrb.Container:
+    plane = view_plane(content, with_arrows=with_arrows)
     if content.highest_speed_m_s is None:
         return plane
     by_speed = view_speed(content, content.highest_speed_m_s)

@@ -9,7 +9,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from turtlelog.loops import DONE, PAUSE
-from turtlelog.measure import Metric
+from turtlelog.measure import Metric, find_first_stretch
 from turtlelog.run import Run
 from turtlelog.show import palette
 from turtlelog.show.characteristics import ALONG_ERROR, TO_REFERENCE, list_characteristics
@@ -181,11 +181,13 @@ def draw_phases(run_stream: RunStream, run: Run) -> None:
         labels=[" " if name == PAUSE else name for name in run.phase_names],
         colors=[found.bar for found in palette.choose_phase_colors(run.phase_names)],
     )
-    run_stream.log(entities.PHASE, style)
+    prefix = entities.locate_phases(run_stream.prefix)
+    phases = RunStream(run_stream.stream, prefix, run_stream.timelines)
+    phases.log("", style)
     last = DONE if run.is_complete else ""
     columns = rr.StateChange.columns(state=[*(span.phase for span in spans), last])
     starts_ns = [*(span.start_ns for span in spans), run.end_ns]
-    run_stream.send_few(entities.PHASE, starts_ns, columns)
+    phases.send_few("", starts_ns, columns)
 
 
 def draw_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
@@ -197,6 +199,44 @@ def draw_events(run_stream: RunStream, run: Run, speaker: str = "") -> None:
         level=["INFO" if event.kind == "stop" else "WARN" for event in run.events],
     )
     run_stream.send_few(entities.EVENTS, [event.time_ns for event in run.events], columns)
+
+
+def list_dead_times(run: Run, metrics: Mapping[str, Metric]) -> list[tuple[int, int]]:
+    """Return the dead time at the start of each loop, where it is known, in order of time.
+
+    Each is a start and an end in the run's own time [ns], from a loop's first sample until its
+    command acts. Of loops that begin together it is the longest.
+    """
+    ends_ns: dict[int, int] = {}
+    for loop in run.declaration.loops:
+        metric, stretch = metrics.get(f"{loop.name}.dead_time"), find_first_stretch(run, loop)
+        if stretch and metric is not None and metric.value:
+            start_ns = stretch[0].start_ns
+            end_ns = start_ns + round(metric.value * 1e9)
+            ends_ns[start_ns] = max(end_ns, ends_ns.get(start_ns, end_ns))
+    return sorted(ends_ns.items())
+
+
+def draw_dead_times(run_stream: RunStream, spans_ns: Sequence[tuple[int, int]]) -> None:
+    """Draw dead times as a bar of their own, below that of the phases."""
+    if not spans_ns:
+        return
+    style = rr.StateConfiguration(
+        values=["dead time"], labels=[" "], colors=palette.pack_colors([palette.SAMPLED])
+    )
+    dead_times = RunStream(
+        run_stream.stream, entities.locate_dead_times(run_stream.prefix), run_stream.timelines
+    )
+    dead_times.log("", style)
+    times_ns = [time_ns for span_ns in spans_ns for time_ns in span_ns]
+    columns = rr.StateChange.columns(state=["dead time", ""] * len(spans_ns))
+    dead_times.send_few("", times_ns, columns)
+
+
+def list_pause_times(run: Run) -> list[int]:
+    """Return where each pause starts and ends [ns]."""
+    pauses = [span for span in run.find_phase_spans() if span.phase == PAUSE]
+    return [time_ns for span in pauses for time_ns in (span.start_ns, span.end_ns)]
 
 
 def _name_marks(marks: Sequence[Mark]) -> list[str]:

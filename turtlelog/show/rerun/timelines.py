@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
+from turtlelog.display import join_words
 from turtlelog.run import Run
 from turtlelog.show.phase_timelines import TIMELINE, WALL_TIMELINE, find_phase_zeros
 from turtlelog.show.rerun.entities import TICKS, join_path
@@ -25,14 +26,16 @@ Values = NDArray[np.float64]
 CHUNK_ROWS: Final = 65_536
 """Rows sent at once; Rerun takes longer for each row of larger chunks."""
 
-MOST_ROWS: Final = 2**20
-"""Rows of a table up to which every one is drawn."""
-
-THINNED_ROWS: Final = 2**18
-"""About how many rows of longer tables are drawn."""
+MOST_ROWS: Final = 2**18
+"""Rows of a table up to which every one is drawn, and about how many of longer tables at most: a
+hundred for each pixel of a wide screen. A million samples in full took four times as many bytes."""
 
 TRACE_ROWS: Final = 2**16
 """About how many poses a trace in the plane is drawn through."""
+
+MOST_BORDERS: Final = 2**14
+"""Up to so many borders of phases and events are kept exactly: the rows beside them are an eighth
+of the rows of a curve at most. More than these lie closer together than pixels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,12 +47,15 @@ class Timelines:
         tick_ns: Times of the run's poses [ns], shape (n,), whose numbers are the ticks.
         starts_ns: Zeros of the timelines of phases, by their names, in the run's own time [ns].
         epoch_ns: Time from 1970 UTC to the run's own time 0 [ns].
+        borders_ns: Where phases begin and end and events are, in the run's own time [ns], rising;
+            long curves keep the rows beside them.
     """
 
     zero_ns: int
     tick_ns: Times | None = None
     starts_ns: Mapping[str, int] = field(default_factory=dict)
     epoch_ns: int | None = None
+    borders_ns: Times = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def read(self, time_ns: Times) -> dict[str, Times]:
         """Return the run's own times [ns], shape (n,), as each timeline tells them."""
@@ -67,12 +73,19 @@ def build_run_timelines(run: Run) -> Timelines:
     """Return the timelines of a run alone: its ticks too, and wall time where it was imported."""
     stamp = run.notes.get("original_timestamp")
     epoch_ns = None if stamp is None else parse_timestamp(stamp)
-    return Timelines(zero_ns=run.start_ns, tick_ns=run.poses.time_ns, epoch_ns=epoch_ns)
+    return Timelines(
+        zero_ns=run.start_ns,
+        tick_ns=run.poses.time_ns,
+        epoch_ns=epoch_ns,
+        borders_ns=_find_borders(run),
+    )
 
 
 def build_compared_timelines(run: Run) -> Timelines:
     """Return the timelines of a run among others: from its first sample, and from later phases."""
-    return Timelines(zero_ns=run.start_ns, starts_ns=find_phase_zeros(run))
+    return Timelines(
+        zero_ns=run.start_ns, starts_ns=find_phase_zeros(run), borders_ns=_find_borders(run)
+    )
 
 
 def read_span(runs: Sequence[Run], timelines: Sequence[Timelines]) -> dict[str, Times]:
@@ -132,12 +145,18 @@ class RunStream:
         build: Callable[[Values], rr.ComponentColumnList],
     ) -> None:
         """Send a row per time of the run [ns], `build` making columns of values, shape (n, ...)."""
-        rows = choose_rows(values, THINNED_ROWS) if len(values) > MOST_ROWS else None
-        if rows is not None:
-            time_ns, values = time_ns[rows], values[rows]
+        time_ns, values = self.thin(time_ns, values)
         path = join_path(self.prefix, entity)
         for part, index in zip(_split(len(values)), self._find_indexes(time_ns), strict=True):
             self.stream.send_columns(path, index, build(values[part]))
+
+    def thin(self, time_ns: Times, values: Values) -> tuple[Times, Values]:
+        """Return the rows that `send` sends, where there are many."""
+        if len(values) <= MOST_ROWS:
+            return time_ns, values
+        beside = _find_beside(time_ns, self.timelines.borders_ns)
+        rows = choose_rows(values, MOST_ROWS, always=beside)
+        return time_ns[rows], values[rows]
 
     def send_few(self, entity: str, time_ns: ArrayLike, columns: rr.ComponentColumnList) -> None:
         """Send columns of a few rows as they are."""
@@ -159,7 +178,9 @@ class RunStream:
 
 def choose_trace_rows(run: Run) -> NDArray[np.int64]:
     """Return the poses that a trace in the plane is drawn through."""
-    rows = choose_rows(run.poses.xy_m, TRACE_ROWS)
+    poses = run.poses
+    beside = _find_beside(poses.time_ns, _find_borders(run)) if len(poses) > TRACE_ROWS else None
+    rows = choose_rows(poses.xy_m, TRACE_ROWS, always=beside)
     return np.arange(len(run.poses)) if rows is None else rows
 
 
@@ -172,6 +193,26 @@ def add_thinning(documents: Mapping[str, str], runs: Sequence[Run]) -> Mapping[s
 def _find_first_ns(run: Run) -> int:
     tables = (run.poses, run.samples, run.commands)
     return min(int(table.time_ns[0]) for table in tables if len(table))
+
+
+def _find_borders(run: Run) -> Times:
+    """Return where phases begin and end and events are [ns]; nothing of a run that is drawn whole.
+
+    Nothing, too, of more than `MOST_BORDERS`.
+    """
+    if max(len(run.poses), len(run.samples), len(run.commands)) <= min(MOST_ROWS, TRACE_ROWS):
+        return np.zeros(0, dtype=np.int64)
+    if np.count_nonzero(np.diff(run.samples.phase)) > MOST_BORDERS:
+        return np.zeros(0, dtype=np.int64)
+    spans = [end_ns for span in run.find_phase_spans() for end_ns in (span.start_ns, span.end_ns)]
+    borders_ns = np.unique(np.array([*spans, *(event.time_ns for event in run.events)], np.int64))
+    return borders_ns if len(borders_ns) <= MOST_BORDERS else borders_ns[:0]
+
+
+def _find_beside(time_ns: Times, borders_ns: Times) -> NDArray[np.int64]:
+    """Return the last row before each border and the first at or after it."""
+    after = np.searchsorted(time_ns, borders_ns)
+    return np.unique(np.concatenate([after - 1, after]).clip(0, len(time_ns) - 1))
 
 
 def _widen(values: Times) -> Times:
@@ -202,11 +243,16 @@ def _describe_thinning(runs: Sequence[Run]) -> str:
     if poses > TRACE_ROWS:
         drawn.append(f"traces about {TRACE_ROWS:,} of up to {poses:,} poses")
     if longest > MOST_ROWS:
-        drawn.append(f"curves about {THINNED_ROWS:,} of up to {longest:,} rows")
+        drawn.append(f"curves about {MOST_ROWS:,} of up to {longest:,} rows")
     if not drawn:
         return ""
-    kept = "of every stretch the first row, the least and the greatest value"
-    return f"Drawn are of {' and of '.join(drawn)}: {kept}. Metrics are of all."
+    kept = ["the first row", "the least and the greatest value", "the first row of a gap"]
+    beside = any(len(_find_borders(run)) for run in runs)
+    borders = ", and the rows beside each border of a phase and each event" if beside else ""
+    return (
+        f"Drawn are of {' and of '.join(drawn)} at most: of every stretch {join_words(kept)}"
+        f"{borders}. What lies between is left out. Metrics are of all."
+    )
 
 
 def _split(count: int) -> Iterator[slice]:

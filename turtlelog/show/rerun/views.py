@@ -5,7 +5,6 @@ from typing import Any, Final
 
 import numpy as np
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.archetypes import VisibleTimeRanges
 
 from turtlelog.show import palette
@@ -14,7 +13,7 @@ from turtlelog.show.many_runs import MANY
 from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.content import Content
-from turtlelog.show.rerun.entities import join_path, name_document
+from turtlelog.show.rerun.entities import join_path, locate_dead_times, locate_phases, name_document
 from turtlelog.show.rerun.world import Bounds
 from turtlelog.show.tracked_path import WorstPlace
 
@@ -26,32 +25,21 @@ _CROWDED: Final = frozenset({entities.HEADING, entities.ALONG_TRACK})
 RESTLESS_PLOTS: Final = frozenset({entities.HEADING_ERROR, entities.SPEED, entities.TURN_RATE})
 """Plots that one run's swinging would fill from end to end."""
 
-SCALE_WIDTH: Final = 12.0
-"""Of the bar that tells the colours of many runs, in heights of it."""
-
-_SCALE_DEPTH: Final = 2.5
-
 _MOST_PHASE_ROWS: Final = 4
 """Of more than seven runs: plots above them keep the larger part."""
 
-_LEGEND_WIDTH: Final = 12.0  # in heights of a row
 
-_LEGEND_LETTERS: Final = 48
-
-_MOST_COLUMNS: Final = 4
-
-_MOST_NAMES: Final = 28
-"""In four columns and seven lines, which a window of 1200 x 860 has room for."""
-
-
-def view_plane(content: Content) -> rrb.View:
-    """Show where the turtles drive."""
+def view_plane(content: Content, *, with_arrows: bool = True) -> rrb.View:
+    """Show where the turtles drive, with arrows where the title has room for their names."""
     told = content.equal or content.arrows
     if content.is_small:  # a title has room for 20 letters
-        told = "equal runs" if content.equal else ""
+        told = "equal runs" if content.equal else content.scale_span
+    hidden = [entities.SPEED_PATH]
+    if content.arrows and (content.is_small or not with_arrows):
+        hidden, told = [*hidden, entities.ERROR, entities.COMMAND], ""
     return rrb.Spatial2DView(
         origin="/",
-        contents=[*_list_planes(content), *_hide([entities.SPEED_PATH], content)],
+        contents=[*_list_planes(content), *_hide(hidden, content)],
         name=f"Plane ({told})" if told else "Plane",
         background=palette.GROUND,
         overrides=_show_trails(content),
@@ -91,7 +79,7 @@ def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
         entities.ERROR,
         entities.REFERENCE_POSE,
     )
-    hidden = [entities.NAMES, entities.SPEED_PATH]
+    hidden = [entities.NAMES, entities.SPEED_PATH, entities.GAP]
     prefixes = (*content.prefixes, *content.ghosts)
     hidden += [join_path(prefix, arrow) for prefix in prefixes for arrow in arrows]
     return rrb.Spatial2DView(
@@ -107,7 +95,8 @@ def _view_close_up(content: Content, name: str, bounds: Bounds) -> rrb.View:
 def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: str = "") -> rrb.View:
     """Show curves over time, with a legend where there is a corner and anything to tell apart."""
     contents = content.list_curves(plot)
-    has_several = len(contents) > 1 or plot in {*content.references, *_PAIRS}
+    has_names = len(contents) > 1 or plot in {*content.references, *_PAIRS}
+    has_names = has_names or any(path.endswith(f"/{entities.MEASURED}") for path in contents)
     if plot in content.references:
         contents.insert(0, join_path(entities.REFERENCE, plot))
     if legend is None or plot not in _CROWDED:
@@ -123,72 +112,25 @@ def view_plot(content: Content, plot: str, legend: rrb.Corner2D | None, name: st
         name=title.replace(" [", ", close up [") if plot in content.close_ups else title,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits),
-        plot_legend=rrb.PlotLegend(legend, visible=legend is not None and has_several),
+        plot_legend=rrb.PlotLegend(legend, visible=legend is not None and has_names),
     )
 
 
 def view_phases(content: Content) -> rrb.View:
     """Show the phases, a row per run; a pause is too short for its name."""
     shown = content.phase_rows or content.prefixes
-    contents = [join_path(prefix, entities.PHASE) for prefix in shown]
+    contents = [locate_phases(prefix) for prefix in shown]
     of = f" of {len(shown)} of {len(content.prefixes)} runs" if len(content.prefixes) > MANY else ""
     dead = ", pink: dead time" if content.has_dead_time else ""
     until = "" if content.end_s is None else f", {content.end_s:.0f} of {content.length_s:.0f} s"
     if content.has_dead_time:
-        contents.insert(0, join_path(content.prefixes[0], entities.DEAD_TIME))
+        contents.insert(1, locate_dead_times(shown[0]))
     return rrb.StateTimelineView(
         origin="/",
         contents=contents,
         name=f"Phases{of}{until} (brown: pause{dead})",
         time_view=rrb.TimeAxis(link="LinkToGlobal"),
     )
-
-
-def view_legend(names: Sequence[str]) -> rrb.View:
-    """Show the names of many runs in their colours."""
-    shown = [names[number] for number in choose_names(len(names))]
-    last_row = float(arrange_names(shown)[-1, 1])
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[join_path(entities.LEGEND)],
-        name="Runs" if len(shown) == len(names) else f"{len(shown)} of {len(names)} runs",
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(0.0, _LEGEND_WIDTH), y_range=(-0.5, last_row + 1.0)
-        ),
-    )
-
-
-def view_scale(title: str) -> rrb.View:
-    """Show the bar of the colours of many runs."""
-    return rrb.Spatial2DView(
-        origin="/",
-        contents=[f"{join_path(entities.LEGEND)}/**"],
-        name=title,
-        background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(
-            x_range=(-0.3, SCALE_WIDTH + 0.3), y_range=(-0.5, _SCALE_DEPTH)
-        ),
-    )
-
-
-def choose_names(count: int) -> tuple[int, ...]:
-    """Return which of many runs are named: as many as there is room for, the last among them.
-
-    Colours of many runs follow their order, so that those between are known from their neighbours.
-    """
-    if count <= _MOST_NAMES:
-        return tuple(range(count))
-    return tuple(np.unique(np.linspace(0, count - 1, _MOST_NAMES).round().astype(int)).tolist())
-
-
-def arrange_names(names: Sequence[str]) -> NDArray[np.float64]:
-    """Return places in a grid, y downward, shape (n, 2): the longest name sets its columns."""
-    longest = max(len(name) for name in names)
-    columns = max(1, min(_MOST_COLUMNS, _LEGEND_LETTERS // longest))
-    number = np.arange(len(names))
-    across = (number % columns + 0.5) * (_LEGEND_WIDTH / columns)
-    return np.column_stack([across, number // columns])
 
 
 def choose_phase_rows(prefixes: Sequence[str]) -> tuple[str, ...]:

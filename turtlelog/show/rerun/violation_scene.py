@@ -1,5 +1,6 @@
 """A run as a Rerun recording that opens where a check was violated, its signal over all else."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
@@ -11,15 +12,14 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.blueprint.components import AbsoluteTimeRange
 
-from turtlelog.escapes import fence_markdown
+from turtlelog.escapes import escape_markdown, fence_markdown
 from turtlelog.run import Event, Run
 from turtlelog.show import palette
 from turtlelog.show.documents import describe_run
 from turtlelog.show.phase_timelines import TIMELINE
 from turtlelog.show.rerun import entities
-from turtlelog.show.rerun.content import find_emptiest_corner
 from turtlelog.show.rerun.entities import VIOLATION, join_path
-from turtlelog.show.rerun.layout import build_run_layout, build_violation_layout
+from turtlelog.show.rerun.layout import LEGEND_TITLE, build_run_layout, build_violation_layout
 from turtlelog.show.rerun.rrd_file import draw_documents, open_recording
 from turtlelog.show.rerun.run_scene import build_single, draw_single
 from turtlelog.show.rerun.timelines import (
@@ -30,13 +30,29 @@ from turtlelog.show.rerun.timelines import (
     build_run_timelines,
 )
 from turtlelog.show.shared_curves import Curve
-from turtlelog.show.violated_signal import ViolatedSignal, ViolationMoment
+from turtlelog.show.violated_signal import ViolatedSignal
 
 _RADIUS: Final = 6.0  # [points], as are the other sizes
 _CURVE_WIDTH: Final = 2.0
 _OUTSIDE_WIDTH: Final = 4.0
 _LIMIT_WIDTH: Final = 1.5
 _POINT_SIZE: Final = 6.0
+
+Marker = Literal["circle", "diamond", "up", "down"]
+_MARKERS: Final[Mapping[str, Marker]] = {
+    "first": "circle",
+    "worst": "diamond",
+    "high": "up",
+    "low": "down",
+}
+_SIGNS: Final[Mapping[str, str]] = {"high": "▲", "low": "▼"}
+"""How marks of limits look, for the legend: a plot has no words at its lines."""
+
+_NAMES_OUTSIDE: Final[Mapping[str, str]] = {"worst": "outside", "nearest": "not within"}
+
+_MARK_AT: Final = 0.03
+"""Where along a limit its mark stands: at its very beginning the plot's edge cuts it."""
+
 _STRETCH_RADIUS: Final = 2.5
 _ABOVE_TRACES: Final = 26.0  # lines have 20
 
@@ -54,6 +70,8 @@ _CLOSE_UP: Final = 4.0
 would take less than a quarter of it."""
 
 _LONGEST_TITLE: Final = 110
+"""Letters of 6.5 pixels: the plot of a window 1200 pixels wide has 850 of them for its title."""
+
 _LONGEST_NAME: Final = 28
 """In the plane: about half of its width."""
 
@@ -91,6 +109,8 @@ def write_violation_rrd(
     single = build_single(run)
     documents = {"Violation": fence_markdown(message), **describe_run(run, metrics=single.metrics)}
     documents = {**add_thinning(documents, [run])}
+    if violated is not None:
+        documents[LEGEND_TITLE] = _write_legend(violated)
     content = single.describe(documents)
     if violated is None:
         layout = build_run_layout(content)
@@ -111,7 +131,8 @@ def _view_signal(violated: ViolatedSignal) -> rrb.View:
     """Show the signal, its band, and what is outside."""
     low, high = _find_range(violated)
     curve, shown = violated.curve, violated.describe_moment(violated.worst, violated.worst_word)
-    corner = find_emptiest_corner(curve.time_ns, curve.values, (low, high))
+    outside = violated.describe_outside(violated.worst)
+    shown = f"{shown}, {outside} outside" if outside else shown
     values = curve.values[np.isfinite(curve.values)]
     is_close_up = bool((values < low).any() or (values > high).any())
     title = f"{violated.title}{', close up' if is_close_up else ''}: {shown}"
@@ -122,8 +143,24 @@ def _view_signal(violated: ViolatedSignal) -> rrb.View:
         name=shorten(title, _LONGEST_TITLE, placeholder="..."),
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=rrb.ScalarAxis(range=(low, high)),
-        plot_legend=rrb.PlotLegend(rrb.Corner2D[corner]),
+        plot_legend=rrb.PlotLegend(visible=False),
     )
+
+
+def _write_legend(violated: ViolatedSignal) -> str:
+    """Return what is seen in the plot as Markdown, a line for each mark and each curve."""
+    outside, word = violated.describe_outside(violated.worst), violated.worst_word
+    worst = violated.describe_moment(violated.worst, word)
+    limits = violated.describe_limits()
+    lines = [
+        f"◆ {worst}, {outside} outside" if outside else f"◆ {worst}",
+        f"● {violated.describe_moment(violated.first, 'first violated')}",
+        *(f"{sign} {limits[side]}" for side, sign in _SIGNS.items() if side in limits),
+        "green: allowed",
+        f"blue: {violated.name}",
+        f"red: {_NAMES_OUTSIDE[word]}",
+    ]
+    return "  \n".join(map(escape_markdown, lines))
 
 
 def _find_range(violated: ViolatedSignal) -> tuple[float, float]:
@@ -155,24 +192,39 @@ def _draw_signal(run_stream: RunStream, violated: ViolatedSignal) -> None:
         assert ends is not None
         limit = replace(curve, values=ends)
         _draw_line(run_stream, limit, f"limit_{side}", label, (palette.ALLOWED, _LIMIT_WIDTH))
+        known = np.flatnonzero(np.isfinite(ends))
+        if len(known):
+            row = int(known[int(_MARK_AT * len(known))])
+            mark = (f"limit_{side}", label, palette.GOAL)
+            _draw_point(run_stream, mark, _MARKERS[side], int(curve.time_ns[row]), float(ends[row]))
     beyond = replace(curve, values=np.where(violated.outside, curve.values, np.nan))
-    label = "outside" if violated.worst_word == "worst" else "not within"
+    label = _NAMES_OUTSIDE[violated.worst_word]
     _draw_line(run_stream, beyond, "outside", label, (palette.VIOLATION, _OUTSIDE_WIDTH))
-    moments: tuple[tuple[str, str, ViolationMoment, Literal["circle", "diamond"]], ...] = (
-        ("points/first", "● first violated", violated.first, "circle"),
-        ("points/worst", f"◆ {violated.worst_word}", violated.worst, "diamond"),
+    moments = {"first": ("first violated", violated.first)}
+    moments["worst"] = (violated.worst_word, violated.worst)
+    for part, (word, moment) in moments.items():
+        mark = (part, violated.describe_moment(moment, word), palette.VIOLATION)
+        time_ns = curve.start_ns + round(moment.time_s * 1e9)
+        _draw_point(run_stream, mark, _MARKERS[part], time_ns, moment.value)
+
+
+def _draw_point(
+    run_stream: RunStream,
+    mark: tuple[str, str, palette.Color],
+    marker: Marker,
+    time_ns: int,
+    value: float,
+) -> None:
+    part, label, color = mark
+    style = rr.SeriesPoints(
+        names=[label],
+        colors=palette.pack_colors([color]),
+        markers=[marker],
+        marker_sizes=[_POINT_SIZE],
     )
-    for part, word, moment, marker in moments:
-        style = rr.SeriesPoints(
-            names=[violated.describe_moment(moment, word)],
-            colors=palette.pack_colors([palette.VIOLATION]),
-            markers=[marker],
-            marker_sizes=[_POINT_SIZE],
-        )
-        entity = f"{entities.VIOLATED}/{part}"
-        run_stream.log(entity, style)
-        time_ns = [curve.start_ns + round(moment.time_s * 1e9)]
-        run_stream.send_few(entity, time_ns, rr.Scalars.columns(scalars=[moment.value]))
+    entity = f"{entities.VIOLATED}/points/{part}"
+    run_stream.log(entity, style)
+    run_stream.send_few(entity, [time_ns], rr.Scalars.columns(scalars=[value]))
 
 
 def _draw_line(

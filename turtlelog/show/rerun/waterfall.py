@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from turtlelog.show import palette
-from turtlelog.show.attribution_steps import AttributionStep
+from turtlelog.show.attribution_steps import AttributionStep, StepScale
 from turtlelog.show.palette import Color
 from turtlelog.show.rerun import entities
 from turtlelog.show.rerun.entities import join_path
@@ -17,14 +17,19 @@ from turtlelog.show.rerun.entities import join_path
 _WIDTH: Final = 100.0
 """Of the picture; all else is in its units, of which one is 7 pixels in a window of 1200 x 860."""
 
-_HEIGHT: Final = 35.0
+_HEIGHT: Final = 36.0
+_FOOT: Final = 2.0
+"""Below it: in a small window words keep their height, and stand lower."""
 _LETTER: Final = 0.95
-_SMALL_LETTER: Final = 2.4
-"""Width of a letter in a window of 700 x 450, where a unit is 2.8 pixels."""
+_SMALL_LETTER: Final = 2.3
+"""Width of a letter in a window of 700 x 450, where a unit is 3 pixels."""
 _PADDING: Final = 2.4  # around words
 _ABOVE: Final = 1.9  # The viewer writes words below their point.
 _GAP: Final = 0.6
 _LINE: Final = 3.6
+_TICK: Final = 0.7
+_MOST_TICKS: Final = 3
+"""Steps of the axis: its values have room also in a window of 700 x 450."""
 _BAR_SHARE: Final = 0.66  # of a row
 _HIGHEST_BAR: Final = 5.5
 _LEAST_SCALE: Final = 25.0
@@ -37,19 +42,32 @@ _LETTERS: Final = 100
 """Of a line of text."""
 
 
-def draw_waterfall(stream: rr.RecordingStream, steps: Sequence[AttributionStep]) -> None:
-    """Draw the steps from top to bottom, each bar where the one above it ends."""
+def draw_waterfall(
+    stream: rr.RecordingStream,
+    steps: Sequence[AttributionStep],
+    scale: StepScale,
+    notes: Sequence[str] = (),
+) -> None:
+    """Draw the steps from top to bottom, each bar where the one above it ends, over an axis.
+
+    Args:
+        stream: The recording.
+        steps: The bars.
+        scale: The unit of the axis.
+        notes: Lines below the axis.
+    """
     names_end = max(_measure(step.name) for step in steps)
-    low, scale = min(0.0, *_list_ends(steps)), _find_scale(steps, names_end)
+    low, width = min(0.0, *_list_ends(steps)), _find_scale(steps, names_end)
 
     def place(value: float) -> float:
-        return names_end + _GAP + (value - low) * scale
+        return names_end + _GAP + (value - low) * width
 
-    pitch = _HEIGHT / len(steps)
+    pitch = _HEIGHT / (len(steps) + 1 + len(notes))
+    axis_y = len(steps) * pitch
     half = min(_BAR_SHARE * pitch, _HIGHEST_BAR) / 2.0
     middles = (np.arange(len(steps)) + 0.5) * pitch
     words: list[tuple[float, float, str, Color]] = []
-    joints = [[(place(0.0), 0.0), (place(0.0), _HEIGHT)]]
+    joints = [[(place(0.0), 0.0), (place(0.0), axis_y)]]
     for number, (step, y) in enumerate(zip(steps, middles.tolist(), strict=True)):
         left, right = sorted((place(step.start), place(step.end)))
         _draw_bar(stream, number, (left, y - half), (right, y + half), step.color)
@@ -58,6 +76,14 @@ def draw_waterfall(stream: rr.RecordingStream, steps: Sequence[AttributionStep])
         if number + 1 < len(steps):
             x = place(step.end)
             joints.append([(x, y + half), (x, float(middles[number + 1]) - half)])
+    ticks = choose_ticks(_list_ends(steps), scale)
+    joints.append([(place(min(low, *ticks)), axis_y), (place(max(_list_ends(steps))), axis_y)])
+    joints += [[(place(tick), axis_y), (place(tick), axis_y + _TICK)] for tick in ticks]
+    for tick in ticks:
+        words.append((place(tick), axis_y + 0.5 * pitch, write_tick(tick, scale), palette.START))
+    for number, note in enumerate(notes):
+        y = axis_y + (number + 1.5) * pitch
+        words.append((_WIDTH / 2.0, y, note, palette.START))
     lines = rr.LineStrips2D(joints, radii=rr.Radius.ui_points(0.5), colors=[palette.REFERENCE])
     stream.log(join_path(entities.STEPS, "joints"), lines, static=True)
     _write(stream, words)
@@ -88,8 +114,24 @@ def view_waterfall(title: str) -> rrb.View:
         contents=f"{join_path(entities.STEPS)}/**",
         name=title,
         background=palette.GROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(0.0, _WIDTH), y_range=(0.0, _HEIGHT + _FOOT)),
     )
+
+
+def choose_ticks(ends: Sequence[float], scale: StepScale) -> list[float]:
+    """Return round values between the ends of bars, 0 among them, in the metric's unit."""
+    low, high = min(0.0, *ends) * scale.factor, max(0.0, *ends) * scale.factor
+    if not high > low:
+        return [0.0]
+    decade = 10.0 ** np.floor(np.log10((high - low) / _MOST_TICKS))
+    step = next(s * decade for s in (1.0, 2.0, 5.0, 10.0) if s * decade * _MOST_TICKS > high - low)
+    numbers = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1.0)
+    return [float(number * step / scale.factor) + 0.0 for number in numbers]
+
+
+def write_tick(value: float, scale: StepScale) -> str:
+    """Return a value of the axis with its unit."""
+    return f"{round(value * scale.factor, 12):g} {scale.unit}".strip()
 
 
 def _place_words(step: AttributionStep, names_end: float, bar_end: float) -> float:

@@ -1,7 +1,7 @@
 """What the runs of a picture share in the plane: border, starts, goals, how close each run ends."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -37,8 +37,11 @@ _MARKER_RADIUS = 3.5  # [points]
 UPWARD: Final = rr.Transform3D(mat3x3=np.diag([1.0, -1.0, 1.0]))
 """Turns y upward for all that lies below: Rerun's 2D views have it downward."""
 
-_LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
+LETTERING: Final = Lettering(letter=0.06, line=0.2, gap=0.1, reach=1.6)
 """As measured in a window of 1200 x 860 pixels, where 125 pixels are half of the close-up."""
+
+SMALL_LETTERING: Final = Lettering(letter=0.09, line=0.25, gap=0.12, reach=1.55, most_told=6)
+"""Likewise in one of 700 x 450, where 73 pixels are, of which a line of words takes 18."""
 
 _ABOVE: Final = 0.6
 """The viewer writes words below their point: so far, in lines."""
@@ -120,19 +123,18 @@ def draw_close_up(
     prefixes: Sequence[str],
     colors: Sequence[Color],
     *,
-    reach: float = _LETTERING.reach,
+    lettering: Lettering = LETTERING,
 ) -> None:
     """Draw where each run ends, in its colour, and how far from the goal that is.
 
     Args:
         stream: The recording.
-        close_up: What is shown.
+        close_up: What is shown; its ends have the names that stand beside their distances.
         run: One of them; from where it starts, they come.
         prefixes: Entity prefix of each run.
         colors: Colour of each run.
-        reach: From the goal to the sides of the view, in half of its height.
+        lettering: Room that words take in the view.
     """
-    lettering = replace(_LETTERING, reach=reach)
     for end in close_up.ends:
         dot = rr.Points2D(
             [end.xy_m],
@@ -144,14 +146,10 @@ def draw_close_up(
         stream.log(join_path(prefixes[end.run], entities.END), dot, static=True)
     misses = list_miss_labels(close_up, lettering)
     rings = list_ring_labels(close_up, run.poses.xy_m[0], misses, lettering)
-    up_m = _ABOVE * _LETTERING.line * close_up.half_m
-    _write_words(
-        stream,
-        entities.MISSES,
-        up_m,
-        misses,
-        [_choose_color(label, colors) for label in misses],
-    )
+    up_m = _ABOVE * LETTERING.line * close_up.half_m
+    lines = [line for label in misses for line in _part_lines(label, lettering, close_up.half_m)]
+    hues = [_choose_color(line, colors) for line in lines]
+    _write_words(stream, entities.MISSES, up_m, lines, hues)
     _write_words(stream, entities.RING_NAMES, up_m, rings, [palette.REFERENCE] * len(rings))
     turns_rad = np.linspace(0.0, 2.0 * np.pi, _RING_POINTS)
     circle = np.column_stack([np.cos(turns_rad), np.sin(turns_rad)])
@@ -169,8 +167,8 @@ def draw_worst_place(stream: rr.RecordingStream, worst: WorstPlace, color: Color
         [[worst.path_xy_m, worst.xy_m]], radii=rr.Radius.ui_points(_WORST_RADIUS), colors=[color]
     )
     stream.log(join_path(entities.WORST), way, static=True)
-    up_m = _ABOVE * _LETTERING.line * worst.half_m
-    label = label_worst_place(worst, _LETTERING)
+    up_m = _ABOVE * LETTERING.line * worst.half_m
+    label = label_worst_place(worst, LETTERING)
     _write_words(stream, entities.WORST_NAME, up_m, [label], [color])
 
 
@@ -259,6 +257,19 @@ def _square(low: NDArray[np.float64], high: NDArray[np.float64], margin: float) 
     x_m, y_m = (low + high) / 2.0
     size_m = max(float((high - low).max()), 0.1)
     return Bounds(center_xy_m=(float(x_m), float(y_m)), half_size_m=size_m * (0.5 + margin))
+
+
+def _part_lines(label: Label, lettering: Lettering, half_m: float) -> list[Label]:
+    """Return a label for each line, from top to bottom, each with the run that it tells of."""
+    lines = label.text.split("\n")
+    if len(lines) == 1:
+        return [label]
+    (x_m, y_m), line_m = label.xy_m, lettering.line * half_m
+    middle = (len(lines) - 1) / 2.0
+    return [
+        Label(text=line, xy_m=(x_m, y_m + (middle - number) * line_m), runs=(run,))
+        for number, (line, run) in enumerate(zip(lines, label.runs, strict=True))
+    ]
 
 
 def _choose_color(label: Label, colors: Sequence[Color]) -> Color:
