@@ -7,8 +7,8 @@ from hypothesis import given, settings, strategies as st
 
 from tests.explain.logs import add_noise, as_log, simulate
 from tests.log.runs import find_shared
-from turtlelog.errors import ExplainError
-from turtlelog.explain import Certainty, Finding, Identification, identify_run
+from turtlelog.errors import ExplainError, SimulationError
+from turtlelog.explain import Certainty, Finding, Identification, identify, identify_run
 from turtlelog.log import import_log, read_run
 from turtlelog.run import Run, SampleColumns
 from turtlelog.scenario import (
@@ -380,4 +380,37 @@ def test_a_clock_of_days_is_refused_in_words() -> None:
     time_ns = log.samples.time_ns * 100_000
     samples, poses = replace(log.samples, time_ns=time_ns), replace(log.poses, time_ns=time_ns)
     found = identify_run(replace(log, samples=samples, poses=poses))
-    assert found.notes == ("it lasts 1118400 s; up to 3600 s are simulated again",)
+    assert found.notes[0].startswith("it lasts 1118400 s, and up to 3600 s are simulated again")
+    assert found.scenario is None
+
+
+@pytest.mark.parametrize(("slower", "told"), [(240, "searched for"), (260, "every 4.16 s")])
+def test_a_loop_of_many_seconds_is_refused_in_words(
+    slower: int, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identify, "search_loop", stop_here)
+    log = as_log(simulate("paper-kp4"))
+    samples = replace(log.samples, time_ns=log.samples.time_ns * slower)
+    poses = replace(log.poses, time_ns=log.poses.time_ns * slower)
+    found = identify_run(replace(log, samples=samples, poses=poses))
+    assert told in " ".join(found.notes)
+
+
+def stop_here(*_: object) -> None:
+    raise SimulationError("nothing is searched for here")
+
+
+@pytest.mark.parametrize("spare_s", [-0.01, 0.01])
+def test_of_a_run_that_is_too_long_the_beginning_is_looked_at(
+    spare_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = as_log(simulate("paper-kp4"))
+    length_s = float(log.end_ns - log.poses.time_ns[0]) / 1e9
+    monkeypatch.setattr(identify, "LONGEST_S", length_s + spare_s)
+    monkeypatch.setattr(identify, "_BEGINNING_S", 8.0)
+    found = identify_run(log)
+    assert found.findings["law.kp_angular"].value == 4.0
+    is_whole = spare_s > 0.0
+    assert (found.scenario is not None) == is_whole
+    assert any("of its first 8 s" in note for note in found.notes) != is_whole
+    assert (found.findings["stop_reason"].value is not None) == is_whole

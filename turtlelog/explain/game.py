@@ -4,12 +4,9 @@ Where a mechanism that is in draws random numbers, one run says little of it: su
 simulated with every one of `SEEDS`, and the same seeds with and without a mechanism.
 """
 
-import multiprocessing
-import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -28,6 +25,7 @@ from turtlelog.explain.mechanisms import (
 )
 from turtlelog.laws import LAWS
 from turtlelog.measure import measure_run
+from turtlelog.processes import count_cores, map_in_processes
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
 from turtlelog.simulate import simulate_run
@@ -39,8 +37,8 @@ shares; and far from those that people number their runs with."""
 _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation_rms")
 """Dead times are looked for up to 40 poses, which a finer clock passes in a few ticks."""
 
-_AT_ONCE: Final = 4
-"""Simulations that a process takes at a time: some 40 ms of work."""
+_FEW: Final = 4
+"""Simulations that are never worth another process: some 40 ms of work."""
 
 _LONG_S: Final = 6.0
 """Work for more than one process [s]: to start one takes one or two."""
@@ -172,17 +170,9 @@ class Game:
             yield simulate(plays[0])
             del plays[0]
             is_long = len(plays) * (time.perf_counter() - began_s) > _LONG_S
-            jobs = (os.cpu_count() or 1) if is_long else 1
-        if jobs in {None, 1} or len(plays) <= _AT_ONCE:
-            yield from map(simulate, plays)
-            return
-        # Spawned and not forked: the same everywhere, and safe beside threads.
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(min(jobs or 1, len(plays)), mp_context=context)
-        try:
-            yield from pool.map(simulate, plays, chunksize=_AT_ONCE)
-        finally:
-            pool.shutdown(cancel_futures=True)
+            jobs = count_cores() if is_long else 1
+        jobs = 1 if len(plays) <= _FEW else jobs or 1
+        yield from map_in_processes(simulate, plays, jobs, name=lambda _: "a simulation")
 
 
 def _simulate(metric: str, play: tuple[Scenario, bool, int | None]) -> Outcome:

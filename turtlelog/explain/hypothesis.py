@@ -107,10 +107,6 @@ def check_recorded_scenario(run: Run, trace: Trace, *, trust_law: bool) -> Recor
     Raises:
         ScenarioError: Where the law may not run, or cannot.
     """
-    length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
-    if length_s > LONGEST_S:
-        reach = f"it lasts {length_s:.0f} s; up to {LONGEST_S:.0f} s are simulated again"
-        return RecordedScenario(reach=reach)
     scenario = resolve_scenario(restore_scenario(run), trust_law=trust_law)
     rows = list_rows(trace)
     try:

@@ -41,18 +41,27 @@ from turtlelog.explain.loop_findings import (
 from turtlelog.explain.loop_guesses import read_hints
 from turtlelog.explain.resimulation import Resimulation, compare_samples, cut_where_logged
 from turtlelog.explain.search import Fits, search_loop
-from turtlelog.explain.stop_reason import Ending, find_pause, find_stop_rule
+from turtlelog.explain.stop_reason import RULE_KEYS, Ending, find_pause, find_stop_rule
 from turtlelog.explain.trace import Trace, trace_run
 from turtlelog.explain.trace_breaks import describe_breaks, mark_breaks, space_out
 from turtlelog.explain.unseen import list_unseen, take_findings
 from turtlelog.measure import DeadTime, Missing, Status, find_dead_time
 from turtlelog.plants import TURTLESIM, find_plant
-from turtlelog.run import Run
+from turtlelog.run import Run, slice_run
 from turtlelog.scenario import DEFAULT_LAW, Scenario
 from turtlelog.simulate import simulate_run
 
 _MOST_PHASES: Final = 6
 """Phases that are listed: three runs in one file."""
+
+_BEGINNING_S: Final = 600.0
+"""As much of a run that is too long to be simulated is looked at: forty times one of the paper's,
+and some ten seconds of work."""
+
+_SLOWEST_S: Final = 4.0
+"""Between samples [s]: 250 ticks of turtlesim, some 25 times as slow as any loop that was seen. The
+fewer samples there are, the longer each of some hundred settings is simulated to tell it from the
+others."""
 
 _UNEXPLAINED: Final = (
     "an effect that no log tells by itself, such as loss, jitter or a push, or commands that the"
@@ -72,7 +81,8 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     stamps, and from simulating every setting that agrees with them: those that reproduce all
     samples are what fits. Where none does, the plant is driven with the log's commands, and what
     fits within the noise is told as that.
-    A run without samples tells next to nothing, and the findings say why.
+    A run without samples tells next to nothing, and the findings say why. Of one that is too long
+    to be simulated again the beginning is looked at; no scenario stands for it.
 
     Where the run holds its whole scenario, that one is a hypothesis, and its re-simulation the
     test: of another law it stands for the run if it reproduces every sample, of sequential-p if
@@ -88,6 +98,9 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
     """
     if not len(run.samples):
         return identify_plant(run)
+    length_s = float(run.end_ns - run.poses.time_ns[0]) / 1e9
+    if length_s > LONGEST_S:
+        return _identify_beginning(run, length_s, trust_law=trust_law)
     # Commands of any size are read; those whose squares overflow fit nothing.
     with np.errstate(over="ignore", invalid="ignore"):
         reason = _find_other_law(run)
@@ -97,6 +110,25 @@ def identify_run(run: Run, *, trust_law: bool = False) -> Identification:
         if recorded is None and plant != TURTLESIM.name:
             return identify_other_law(run, f"its plant is {plant}: {_AROUND}", trust_law=trust_law)
         return recorded or _prefer_recorded(run, _identify_samples(run))
+
+
+def _identify_beginning(run: Run, length_s: float, *, trust_law: bool) -> Identification:
+    """Return what the first minutes of a long run tell, and nothing of its end."""
+    end_ns = int(run.poses.time_ns[0]) + round(_BEGINNING_S * 1e9)
+    found = identify_run(slice_run(run, end_ns=end_ns), trust_law=trust_law)
+    reason = (
+        f"it lasts {length_s:.0f} s, and up to {LONGEST_S:.0f} s are simulated again:"
+        f" what is found is of its first {_BEGINNING_S:.0f} s"
+    )
+    ends = {key: miss("the end of the run is not looked at") for key in ("stop_reason", *RULE_KEYS)}
+    return replace(
+        found,
+        findings=MappingProxyType(
+            {**found.findings, **{key: ends[key] for key in ends if key in found.findings}}
+        ),
+        scenario=None,
+        notes=(reason, *found.notes),
+    )
 
 
 def _identify_recorded(run: Run) -> Identification | None:
@@ -301,9 +333,13 @@ def _find_obstacle(trace: Trace) -> str | None:
             f"poses are answered {trace.answered_after_s:.3g} s after their publication (median):"
             " what delays them, the log does not tell"
         )
-    length_s = float(trace.run.end_ns - trace.run.poses.time_ns[0]) / 1e9
-    if length_s > LONGEST_S:
-        return f"it lasts {length_s:.0f} s; up to {LONGEST_S:.0f} s are simulated again"
+    times_ns = trace.time_ns if len(trace) > 1 else [trace.run.poses.time_ns[0], trace.run.end_ns]
+    apart_s = float(np.median(np.diff(times_ns))) / 1e9
+    if apart_s > _SLOWEST_S:
+        return (
+            f"its samples come every {apart_s:.3g} s (median); loops of up to {_SLOWEST_S:g} s are"
+            " simulated again"
+        )
     return None
 
 

@@ -1,0 +1,53 @@
+from .attribute import (
+    attribute_run as attribute_run,
+    attribute_scenario as attribute_scenario,
+    choose_metric as choose_metric,
+    require_mechanisms as require_mechanisms,
+)
+from .attribution import (
+    Attribution as Attribution,
+    Grain as Grain,
+    SeedRange as SeedRange,
+    Share as Share,
+    StartRange as StartRange,
+    Together as Together,
+    ValueSet as ValueSet,
+)
+from .game import (
+    Work as Work,
+)
+from .hypothesis import (
+    require_trust as require_trust,
+)
+from .identification import (
+    Certainty as Certainty,
+    Finding as Finding,
+    Identification as Identification,
+)
+from .identify import (
+    identify_run as identify_run,
+)
+from .law_identification import (
+    describe_loop_name as describe_loop_name,
+)
+from .mechanisms import (
+    find_mechanisms as find_mechanisms,
+    simulate_without as simulate_without,
+)
+from .motion_facts import (
+    Delays as Delays,
+    Largest as Largest,
+    MotionFacts as MotionFacts,
+    Periods as Periods,
+    read_motion_facts as read_motion_facts,
+)
+from .report import (
+    write_sentences as write_sentences,
+)
+from .resimulation import (
+    Resimulation as Resimulation,
+)
+from .what_ifs import (
+    name_without as name_without,
+    simulate_what_ifs as simulate_what_ifs,
+)
