@@ -56,6 +56,7 @@ from .errors import (
     LogError as LogError,
     MeasureError as MeasureError,
     PathError as PathError,
+    ProcessError as ProcessError,
     ReplayError as ReplayError,
     RunError as RunError,
     ScenarioError as ScenarioError,

@@ -60,6 +60,10 @@ class LibraryError(TurtlelogError):
     """Something needs a library that is not installed, as a slim installation lacks some."""
 
 
+class ProcessError(TurtlelogError):
+    """A process that ends before its work does."""
+
+
 class FrameError(TurtlelogError):
     """Arrays that are no vectors."""
 

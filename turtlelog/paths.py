@@ -45,7 +45,7 @@ FASTEST_M_S: Final = 1e6
 """Largest speed of a reference [m/s]: far from where a computer's numbers end."""
 
 
-class Place(NamedTuple):
+class PathPlace(NamedTuple):
     """Where a robot is with respect to a path.
 
     Attributes:
@@ -222,7 +222,7 @@ class Path:
         piece = self._pieces[self._find_piece(arc_m)]
         return piece.locate(arc_m - piece.start_m)
 
-    def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> Place:
+    def find_nearest(self, x_m: float, y_m: float, low_m: float, high_m: float) -> PathPlace:
         """Return where a position is with respect to the stretch between two arc lengths.
 
         The stretch of an open path is cut at its ends; a closed one goes round, so that an arc
@@ -239,7 +239,7 @@ class Path:
             away_m = math.hypot(x_m - point.x_m, y_m - point.y_m)
             if away_m < best_m:
                 best_m, best = away_m, (start_m + way_m, piece)
-        return Place(best[0], math.copysign(best_m, self._find_side(x_m, y_m, *best)))
+        return PathPlace(best[0], math.copysign(best_m, self._find_side(x_m, y_m, *best)))
 
     def find_point(self, point: tuple[float, float, float]) -> float:
         """Return the arc length of a point of the path, x [m], y [m] and direction [rad] [m].
@@ -360,7 +360,7 @@ class PathFollower:
         self._reach_m = min(REACH_M, path.length_m / 4.0) if path.is_closed else REACH_M
         self.arc_m = arc_m
 
-    def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> Place:
+    def advance(self, x_m: float, y_m: float, due_m: float | None = None) -> PathPlace:
         """Return where the robot is now; `due_m` is how far the reference is, by time [m]."""
         if self.arc_m is not None:
             low_m, high_m = self.arc_m - self._reach_m, self.arc_m + self._reach_m

@@ -86,6 +86,13 @@ def parse_toml(text: str) -> dict[str, Any]:
     return tables
 
 
+def copy_tables(value: Any) -> Any:
+    """Return tables and arrays of a TOML text that share nothing with those given."""
+    if isinstance(value, dict):
+        return {key: copy_tables(inner) for key, inner in value.items()}
+    return [copy_tables(inner) for inner in value] if isinstance(value, list) else value
+
+
 def format_toml(tables: Mapping[str, Any]) -> str:
     """Return nested tables as TOML text, with lists of numbers and of points in few lines."""
     text = tomli_w.dumps(tables)

@@ -136,3 +136,17 @@ def test_a_cut_run_keeps_what_belongs_together() -> None:
 def test_a_run_whose_end_is_cut_off_does_not_say_why_it_ended() -> None:
     assert slice_run(RUN, end_ns=RUN.end_ns - 1).stop_reason is None
     assert slice_run(RUN, start_ns=2_000_000_000).stop_reason == "standstill"
+
+
+@pytest.mark.parametrize(
+    ("text", "first_s"),
+    [
+        ("final.position_error <= 0.05", 12.608),
+        ("rotate.overshoot <= 0.5", 2.288),
+        ("rotate.overshoot <= 0.5 and speed <= 2", 0.0),
+    ],
+)
+def test_what_holds_of_a_metric_is_violated_at_its_moment(text: str, first_s: float) -> None:
+    spec = parse_spec({"checks": {"asked": {"holds": text}}})
+    (result,) = check_runs(spec, [("kp10", RUN)])
+    assert result.first_violation_s == pytest.approx(first_s, abs=1e-3)

@@ -334,3 +334,27 @@ def test_lost_commands_are_not_called_noise() -> None:
     found = find_dead_time(simulate("textbook", **changes, max_duration_s=4.0), ROTATE)
     assert isinstance(found, Missing)
     assert found.reason == "dead times of 14 and 15 ticks fit alike"
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("paper-kp10", {}),
+        ("paper-kp4", {"limits__speed_m_s": 0.01}),  # several fit
+        ("paper-kp2", {"disturbance__speed_m_s": 0.05}),
+        ("paper-kp1", {"disturbance__noise_speed": 0.01}),  # none is exact
+    ],
+)
+def test_short_way_finds_what_the_long_one_does(name: str, changes: dict[str, Any]) -> None:
+    run = simulate(name, **changes)
+    for phase in (ROTATE, TRANSLATE):
+        found, short = find_dead_time(run, phase), find_dead_time(run, phase, is_short=True)
+        if isinstance(found, Missing) or isinstance(short, Missing):
+            assert short == found
+            continue
+        assert (short.ticks, short.is_exact, short.rows) == (
+            found.ticks,
+            found.is_exact,
+            found.rows,
+        )
+        assert (short.whiteness, short.changes) == (found.whiteness, found.changes)

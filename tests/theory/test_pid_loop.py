@@ -1,5 +1,6 @@
 """The sampled PID loop, held against python-control, closed forms and its own recursion."""
 
+from dataclasses import replace
 from typing import Any
 
 import control
@@ -14,6 +15,7 @@ from turtlelog.theory import (
     PidGains,
     analyse_pid_loop,
     analyse_sampled_loop,
+    compute_pid_locus,
     compute_pid_poles,
     compute_pid_polynomial,
     compute_pid_step_response,
@@ -249,3 +251,11 @@ def test_the_law_sequential_pid_responds_as_theory_says(gains: PidGains) -> None
     # The first sample, whose command is 0, only computes the bearing.
     response = compute_pid_step_response(gains, 100, period_s=TICK_S, dead_time_ticks=3)
     assert error[1:101] / error[1] == pytest.approx(1.0 - response, abs=1e-7)
+
+
+@pytest.mark.parametrize("held", [PidGains(kp=1.0), PidGains(kp=1.0, ki=0.5, kd=0.1)])
+def test_a_locus_has_the_poles_at_each_gain(held: PidGains) -> None:
+    settings: Any = {"period_s": 0.1, "dead_time_ticks": 3}
+    alone = [compute_pid_poles(replace(held, kp=kp), **settings) for kp in (0.5, 1.0, 2.0)]
+    found = compute_pid_locus(held, (0.5, 1.0, 2.0), **settings)
+    np.testing.assert_array_equal(found, np.concatenate(alone))

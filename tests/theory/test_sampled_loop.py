@@ -17,6 +17,7 @@ from turtlelog.theory import (
     compute_sampled_step_response,
     compute_stability_gain,
 )
+from turtlelog.theory.sampled_poles import compute_sampled_locus
 
 TICK_S = 0.016
 DEAD_TIMES = range(13)
@@ -166,6 +167,17 @@ def test_the_double_pole_keeps_all_its_digits(dead_time_ticks: int) -> None:
     poles = compute_sampled_poles(kp, period_s=1.0, dead_time_ticks=dead_time_ticks)
     expected = dead_time_ticks / (dead_time_ticks + 1)
     assert poles[:2] == pytest.approx([expected, expected], rel=1e-15)
+
+
+@given(dead_time_ticks=st.integers(0, 12), logs=st.lists(st.floats(-6.0, 3.0), min_size=1))
+def test_poles_at_many_gains_are_those_at_each_to_the_last_bit(
+    dead_time_ticks: int, logs: list[float]
+) -> None:
+    meeting = compute_overshoot_gain(1.0, dead_time_ticks)
+    gains = [*(10.0**log for log in logs), meeting, 2.0 * meeting]
+    settings: Any = {"period_s": 1.0, "dead_time_ticks": dead_time_ticks}
+    alone = [compute_sampled_poles(kp, **settings) for kp in gains]
+    np.testing.assert_array_equal(compute_sampled_locus(gains, **settings), alone)
 
 
 @given(

@@ -19,7 +19,7 @@ from turtlelog.expressions import (
     fail_at,
     iterate_nodes,
 )
-from turtlelog.log.recording.contents import LOSS_NOTES, NO_LOSS
+from turtlelog.log.recording.recovery_note import LOSS_NOTES, NO_LOSS
 from turtlelog.loops import PAUSE
 from turtlelog.measure import COMMANDED, list_signals, measure_run, read_signal
 from turtlelog.run import Run

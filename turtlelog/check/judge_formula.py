@@ -111,6 +111,9 @@ class _Judge:
             None if time_s is None else time_s + begun_s
             for time_s in (found.margin_s, found.first_violation_s)
         )
+        if not any(name in list_signals(run.declaration) for name in names):
+            # What is asked of metrics alone holds always or never: their own moment tells more.
+            value_s, failed_s = None, None if found.holds else self._find_moment(found.limit)
         told = self._describe(found)
         if begun_s > 0.0 and not told.reason and not check.phase and _names_others(names):
             told = replace(told, reason=f"judged from the first command on, at {begun_s:.3f} s")

@@ -184,18 +184,26 @@ def _shift(function: Steps, earlier_ns: int) -> Steps:
 def _slide_window(function: Steps, first_ns: int, last_ns: int) -> Steps:
     times, start_ns = function.time_ns, int(function.time_ns[0])
     first, last = (function.find_piece(start_ns + edge_ns) for edge_ns in (first_ns, last_ns))
-    leaving_ns, entering_ns = times[first + 1 :] - first_ns, times[last + 1 :] - last_ns
-    time_ns = np.concatenate(([start_ns], leaving_ns, entering_ns))
+    # Of long traces these columns take the most memory: each goes as soon as it is used.
+    leaving = len(times) - first - 1
+    time_ns = np.concatenate(
+        ([start_ns], times[first + 1 :] - first_ns, times[last + 1 :] - last_ns)
+    )
     order = np.argsort(time_ns, kind="stable")  # merges sorted runs
     time_ns = time_ns[order]
-    left = (order > 0) & (order <= len(leaving_ns))
+    left = (order > 0) & (order <= leaving)
+    del order
     firsts: Times = np.cumsum(left, dtype=np.int64)
-    lasts = np.arange(last, last + len(order)) - firsts
+    del left
+    lasts = np.arange(last, last + len(firsts))
+    lasts -= firsts
     firsts += first
     same = time_ns[1:] == time_ns[:-1]
     if same.any():
         kept = np.append(~same, True)
-        time_ns, firsts, lasts = time_ns[kept], firsts[kept], lasts[kept]
+        time_ns = time_ns[kept]
+        firsts = firsts[kept]
+        lasts = lasts[kept]
     values = _find_range_maxima(function.values, firsts, lasts)
     return Steps(time_ns=time_ns, values=values)
 
@@ -229,7 +237,10 @@ def _find_levels(counts: Times) -> NDArray[np.integer[Any]]:
     extremes = np.frexp(np.array([counts.min(), counts.max()], np.float64))[1] - 1
     if extremes[0] == extremes[1]:
         return extremes[:1]
-    return np.frexp(counts.astype(np.float64))[1] - 1
+    levels = np.zeros(len(counts), np.int8)  # few of 64 are there: cheaper than all logarithms
+    for level in range(1, int(extremes[1]) + 1):
+        levels += counts >= (1 << level)
+    return levels
 
 
 def _scan_until(held: Values, coming: Values) -> Values:
@@ -252,7 +263,9 @@ def _scan_until(held: Values, coming: Values) -> Values:
     for block in range(blocks - 1, 0, -1):
         later = np.maximum(low[0, block], after[block])
         after[block - 1] = np.minimum(high[0, block], later)
-    joined = np.minimum(high, np.maximum(low, after))
+    np.maximum(low, after, out=low)
+    joined = np.minimum(high, low, out=low)
+    del high
     return joined.T.reshape(-1)[:count]
 
 

@@ -22,6 +22,7 @@ from turtlelog.measure import (
     find_metric_kind,
     list_ids_like,
 )
+from turtlelog.run.columns import Rebuilding, list_fields, rebuild
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import name_key
 
@@ -85,6 +86,9 @@ class Tolerances:
 
     def __bool__(self) -> bool:
         return bool(self.signals or self.metrics)
+
+    def __reduce__(self) -> Rebuilding:
+        return rebuild, (type(self), list_fields(self))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -45,17 +45,19 @@ from .run_summary import (
 )
 from .run_table import (
     UNLOCKS as UNLOCKS,
-    Cell as Cell,
-    Column as Column,
-    Mark as Mark,
-    Table as Table,
     drop_absent as drop_absent,
-    format_cell as format_cell,
     list_units as list_units,
     list_unlocks as list_unlocks,
     mark_metric as mark_metric,
     tabulate_measured as tabulate_measured,
     tabulate_metrics as tabulate_metrics,
     tabulate_runs as tabulate_runs,
+)
+from .table import (
+    Cell as Cell,
+    Column as Column,
+    Mark as Mark,
+    Table as Table,
+    format_cell as format_cell,
 )
 from .tube import Tolerance as Tolerance

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.compare.alignment import CommonClock, align_runs, find_zero_ns
-from turtlelog.compare.run_table import Cell, Column, Table
+from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.compare.tube import (
     Grid,
     GridValues,

@@ -6,7 +6,7 @@ from typing import Final
 
 from turtlelog.compare.like_loops import group_loops
 from turtlelog.compare.run_names import name_runs, order_by_gain
-from turtlelog.compare.run_table import Cell, Column, Table
+from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.loops import ControlLoop
 from turtlelog.measure import list_metrics, measure_run
 from turtlelog.run import Run

@@ -7,7 +7,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.compare.run_table import Cell, Column, Table
+from turtlelog.compare.table import Cell, Column, Table
 from turtlelog.display import describe_count, format_html
 from turtlelog.escapes import escape_controls
 from turtlelog.identify import AxisTraces

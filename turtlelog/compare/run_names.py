@@ -43,9 +43,7 @@ def _tell_apart(runs: Sequence[Run | RunSummary]) -> list[str]:
 
 def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
     """Return the parameters that tell runs apart, what to call them by key; empty if too many."""
-    parameters = [_list_parameters(run) for run in runs]
-    keys = sorted({key for known in parameters for key in known})
-    found = [key for key in keys if len({repr(known.get(key)) for known in parameters}) > 1]
+    found = sorted(list_differing(runs))
     gains = {key for run in runs for key in run.declaration.list_gains()}
     if len(found) > 1 and gains == {*found} and all(has_one_gain(run) for run in runs):
         return {found[0]: "Kp"}
@@ -53,6 +51,16 @@ def _find_differing(runs: Sequence[Run | RunSummary]) -> dict[str, str]:
         return {}
     words = {key: key.rpartition(".")[2] for key in found}
     return words if len(set(words.values())) == len(words) else {key: key for key in found}
+
+
+def list_differing(runs: Sequence[Run | RunSummary]) -> list[str]:
+    """Return the scenario's keys that differ between runs, but for their names.
+
+    One that a file leaves out while it has its default does not.
+    """
+    parameters = [_list_parameters(run) for run in runs]
+    keys = dict.fromkeys(key for known in parameters for key in known if key != "name")
+    return [key for key in keys if len({repr(known.get(key)) for known in parameters}) > 1]
 
 
 def has_one_gain(run: Run | RunSummary) -> bool:

@@ -1,19 +1,18 @@
 """Runs in short, for tables of many: what they were, and how well they did, read file by file."""
 
-import multiprocessing
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
 from turtlelog.errors import CompareError, TurtlelogError, suggest_names
 from turtlelog.escapes import escape_controls
-from turtlelog.expressions import evaluate_expression, parse_expression
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
 from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.loops import Declaration
@@ -30,6 +29,7 @@ from turtlelog.measure import (
     miss_metric,
 )
 from turtlelog.measure.metric import format_metrics_html
+from turtlelog.processes import map_in_processes
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario import Start
 
@@ -142,7 +142,16 @@ def complete_parameters(run: Run) -> Mapping[str, Parameter]:
 
 
 def _rebuild(values: dict[str, Any]) -> RunSummary:
-    return RunSummary(**values)
+    # What thousands of runs have in common is in memory once, though each was pickled alone.
+    named = {
+        name: {sys.intern(key): one for key, one in values[name].items()} for name in _MAPPINGS
+    }
+    return RunSummary(**values | named | {"declaration": _share(values["declaration"])})
+
+
+@lru_cache(maxsize=64)
+def _share(declaration: Declaration) -> Declaration:
+    return declaration
 
 
 def summarise_run(
@@ -177,13 +186,13 @@ def select_runs(
         ExpressionError: Where it does not parse, or names what no run has.
         CompareError: Where it is no condition.
     """
-    expression = parse_expression(where, source=source)
+    expression = expressions.parse_expression(where, source=source)
     others = (name for name in expression.names if find_metric_kind(name) is not None)
     known = dict.fromkeys([*_list_names(summaries), *others])
     chosen, lacking = [], {}
     for summary in summaries:
         values = {name: summary.find_value(name) for name in known.keys() & expression.names}
-        truth = evaluate_expression(expression, {**known, **values})
+        truth = expressions.evaluate_expression(expression, {**known, **values})
         if truth is None:
             lacking[summary.file or summary.name] = _describe_lack(summary, values)
         elif not isinstance(truth, bool):
@@ -322,7 +331,7 @@ def list_needed_metrics(
     Raises:
         ExpressionError: Where `where` does not parse; what its names stand for is not judged.
     """
-    named = [] if where is None else list(parse_expression(where, source=source).names)
+    named = [] if where is None else list(expressions.parse_expression(where, source=source).names)
     named += [] if sort is None else [sort.removeprefix("-")]
     wanted = dict.fromkeys([*(columns or _USUAL_PATTERNS), *named])
     return tuple(name for name in wanted if is_metric_pattern(name))
@@ -376,9 +385,6 @@ def _rank(value: Any) -> tuple[int, Any]:
 Choice = Collection[str] | Callable[[Run], Collection[str]] | None
 """Which metrics to compute: ids and patterns, or what says which of a run; all."""
 
-_AT_ONCE: Final = 16
-"""Files that a process takes at a time."""
-
 
 def summarise_files(
     paths: Sequence[str | Path],
@@ -411,7 +417,7 @@ def summarise_files(
         choose_metrics(only, Declaration())  # refuses what names no metric of any law
         only = (only,) if isinstance(only, str) else tuple(only)
     measure = partial(_measure_file, settings=settings, only=only, topics=topics or ReadChoice())
-    return _iterate(measure, [str(path) for path in paths], jobs)
+    return map_in_processes(measure, [str(path) for path in paths], jobs)
 
 
 def _measure_file(
@@ -427,18 +433,3 @@ def _measure_file(
         return err
     chosen = only(run) if callable(only) else only
     return summarise_run(run, file=path, metrics=measure_run(run, settings, only=chosen))
-
-
-def _iterate(
-    measure: "partial[RunSummary | TurtlelogError]", paths: Sequence[str], jobs: int
-) -> Iterator[RunSummary | TurtlelogError]:
-    if jobs == 1 or len(paths) < 2:
-        yield from map(measure, paths)
-        return
-    # Spawned and not forked: the same everywhere, and safe beside threads.
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(jobs, len(paths)), mp_context=context)
-    try:
-        yield from pool.map(measure, paths, chunksize=_AT_ONCE)
-    finally:
-        pool.shutdown(cancel_futures=True)

@@ -1,11 +1,11 @@
-"""Tables as values, and those of metrics: of many runs as rows, of few as columns."""
+"""Tables of metrics: of many runs as rows, of few as columns."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import accumulate
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final
 
 from turtlelog.compare.like_loops import group_ids
 from turtlelog.compare.run_names import has_one_gain, name_runs
@@ -16,9 +16,9 @@ from turtlelog.compare.run_summary import (
     list_usual_metrics,
     sort_runs,
 )
-from turtlelog.display import describe_count, format_html, format_number
+from turtlelog.compare.table import Cell, Column, Mark, Table
+from turtlelog.display import describe_count, format_number
 from turtlelog.errors import CompareError
-from turtlelog.escapes import escape_controls
 from turtlelog.loops import ControlLoop, Declaration
 from turtlelog.measure import (
     MeasureSettings,
@@ -29,67 +29,6 @@ from turtlelog.measure import (
     measure_run,
 )
 from turtlelog.run import Run
-
-Cell = str | float | int | None
-Mark = Literal["best", "worst"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Column:
-    """One column of a table.
-
-    Attributes:
-        title: Head of the column.
-        unit: Of its values, empty where they have none.
-        digits: Decimals of its values; None: five significant digits.
-        joined: Whether it makes sense only beside the column before it.
-        lines: The title broken into lines, for where a terminal has no room for it.
-    """
-
-    title: str
-    unit: str = ""
-    digits: int | None = None
-    joined: bool = False
-    lines: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
-    """A table with its notes.
-
-    Attributes:
-        title: One line.
-        columns: At least one.
-        rows: Each as long as `columns`; None: there is no such value.
-        notes: Sentences to stand below.
-        breaks: Rows with which a new group begins; a terminal leaves a line before them.
-        marks: Which cells are the best and the worst of their column, by row and column.
-    """
-
-    title: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-    notes: tuple[str, ...] = ()
-    breaks: tuple[int, ...] = ()
-    marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
-
-    def __repr__(self) -> str:
-        rows = describe_count(len(self.rows), "row")
-        columns = describe_count(len(self.columns), "column")
-        return escape_controls(f"<Table {self.title}: {rows} of {columns}>")
-
-    def _repr_html_(self) -> str:
-        heads = [f"{one.title} [{one.unit}]" if one.unit else one.title for one in self.columns]
-        return format_html(self.rows, heads=heads, title=self.title)
-
-
-def format_cell(cell: Cell, column: Column) -> str:
-    """Return a cell as text; `-` where there is no value."""
-    if cell is None:
-        return "-"
-    if isinstance(cell, float) and column.digits is not None:
-        return f"{cell:.{column.digits}f}"
-    return format_number(cell) if isinstance(cell, float) else str(cell)
 
 
 def tabulate_runs(

@@ -138,7 +138,7 @@ class RunContext:
         return found if isinstance(found, Missing) else found.ticks
 
     def _find_dead_time(self, loop: ControlLoop) -> DeadTime | Missing:
-        found = find_dead_time(take_beginning(self.run, loop, _MOST_SAMPLES), loop)
+        found = find_dead_time(take_beginning(self.run, loop, _MOST_SAMPLES), loop, is_short=True)
         if isinstance(found, Missing) or found.whiteness > _WHITE:
             return found
         reason = (

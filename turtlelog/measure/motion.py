@@ -62,13 +62,15 @@ class LoopMotion:
     apart: float
     command: Values
 
-    def predict(self, dead_times_ticks: range) -> tuple[Values, NDArray[np.bool_]]:
-        """Return what each step moves for each dead time [rad or m], and if that is sure.
+    def predict(
+        self, dead_times_ticks: range, rows: slice = slice(None)
+    ) -> tuple[Values, NDArray[np.bool_]]:
+        """Return what steps move for each dead time [rad or m], and if that is sure.
 
-        Both have shape (dead times, n). The last command is held, 0 before the first; but where
+        Both have shape (dead times, steps). The last command is held, 0 before the first; but where
         samples are further apart than usual, others may have been lost between them.
         """
-        inside = self.tick[:, None] + np.arange(self.step_ticks)
+        inside = self.tick[rows, None] + np.arange(self.step_ticks)
         answered = inside - np.array(dead_times_ticks)[:, None, None]
         latest = self._find_latest(answered)
         is_sure = (latest >= 0) & (answered - self.sample_tick[latest] < self.apart)
@@ -98,21 +100,24 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
     tick, step_ticks, tick_s = _count_ticks(poses.time_ns, plant)
     # One pose may be answered once only, and in order.
     sample_tick = np.maximum.accumulate(tick[samples.pose_sequence])
-    rows = np.arange(first, last)
-    rows = rows[np.diff(tick)[first:last] == step_ticks]
+    steps = slice(first, max(first, last))
+    is_kept = np.diff(tick)[steps] == step_ticks
+    ends = slice(first, steps.stop + 1)
+    heading_rad, xy_m = poses.heading_rad[ends], poses.xy_m[ends]
     if loop.command == "turn_rate":
-        moved, rounding = _measure_turns(poses.heading_rad, rows)
+        moved, rounding = _measure_turns(heading_rad, _find_half_steps(poses.heading_rad)[ends])
         command = samples.turn_rate_rad_s
     else:
-        rows = rows[_find_free(poses.xy_m, rows, plant)]
+        is_kept &= _find_free(xy_m[1:], plant)
         measure = _measure_arcs if plant.name == LAGGED else _measure_moves
-        moved, rounding = measure(poses.xy_m, poses.heading_rad, rows)
+        moved, rounding = measure(xy_m, heading_rad, _find_half_steps(poses.xy_m)[ends])
         command = samples.speed_m_s
+    rows = first + np.flatnonzero(is_kept)
     return LoopMotion(
         time_ns=poses.time_ns[rows],
         tick=tick[rows],
-        moved=moved - _compute_pushed(run, loop, rows),
-        rounding=rounding,
+        moved=moved[is_kept] - _compute_pushed(run, loop, rows),
+        rounding=rounding[is_kept],
         step_ticks=step_ticks,
         tick_s=tick_s,
         sample_tick=sample_tick,
@@ -184,32 +189,30 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
     return np.r_[0, np.cumsum(steps)], 1, usual_ns / 1e9
 
 
-def _measure_turns(heading_rad: Values, rows: NDArray[np.int64]) -> tuple[Values, Values]:
-    moved = subtract_headings(heading_rad[rows + 1], heading_rad[rows])
-    half = _find_half_steps(heading_rad)
-    return moved, half[rows] + half[rows + 1] + _EXACT
+def _measure_turns(heading_rad: Values, half: Values) -> tuple[Values, Values]:
+    """Return what steps turn and what rounding makes of it; `half` as `_find_half_steps`."""
+    moved = subtract_headings(heading_rad[1:], heading_rad[:-1])
+    return moved, half[:-1] + half[1:] + _EXACT
 
 
-def _measure_moves(
-    xy_m: Values, heading_rad: Values, rows: NDArray[np.int64]
-) -> tuple[Values, Values]:
+def _measure_moves(xy_m: Values, heading_rad: Values, half: Values) -> tuple[Values, Values]:
     # turtlesim turns first, then moves along the new heading.
-    along = np.column_stack([np.cos(heading_rad[rows + 1]), np.sin(heading_rad[rows + 1])])
-    half = _find_half_steps(xy_m)
-    moved = ((xy_m[rows + 1] - xy_m[rows]) * along).sum(axis=1)
-    return moved, ((half[rows] + half[rows + 1]) * np.abs(along)).sum(axis=1) + _EXACT
+    return _measure_along(xy_m, heading_rad[1:], half)
 
 
-def _measure_arcs(
-    xy_m: Values, heading_rad: Values, rows: NDArray[np.int64]
-) -> tuple[Values, Values]:
+def _measure_arcs(xy_m: Values, heading_rad: Values, half: Values) -> tuple[Values, Values]:
     # A robot turns while it moves: along an arc, whose chord has the mean heading.
-    half_rad = 0.5 * subtract_headings(heading_rad[rows + 1], heading_rad[rows])
-    mean_rad = heading_rad[rows] + half_rad
-    along = np.column_stack([np.cos(mean_rad), np.sin(mean_rad)])
-    half = _find_half_steps(xy_m)
-    moved = ((xy_m[rows + 1] - xy_m[rows]) * along).sum(axis=1) / np.sinc(half_rad / np.pi)
-    return moved, ((half[rows] + half[rows + 1]) * np.abs(along)).sum(axis=1) + _EXACT
+    half_rad = 0.5 * subtract_headings(heading_rad[1:], heading_rad[:-1])
+    moved, rounding = _measure_along(xy_m, heading_rad[:-1] + half_rad, half)
+    return moved / np.sinc(half_rad / np.pi), rounding
+
+
+def _measure_along(xy_m: Values, along_rad: Values, half: Values) -> tuple[Values, Values]:
+    x, y = np.cos(along_rad), np.sin(along_rad)
+    ways_m = xy_m[1:] - xy_m[:-1]
+    both = half[:-1] + half[1:]
+    moved = ways_m[:, 0] * x + ways_m[:, 1] * y
+    return moved, both[:, 0] * np.abs(x) + both[:, 1] * np.abs(y) + _EXACT
 
 
 def _find_half_steps(values: Values) -> Values:
@@ -220,6 +223,7 @@ def _find_half_steps(values: Values) -> Values:
     return half
 
 
-def _find_free(xy_m: Values, rows: NDArray[np.int64], plant: Plant) -> NDArray[np.bool_]:
-    free = (xy_m[rows + 1] > plant.low_m) & (xy_m[rows + 1] < plant.high_m)
-    return np.asarray(free.all(axis=1))
+def _find_free(xy_m: Values, plant: Plant) -> NDArray[np.bool_]:
+    """Return which places are off the walls."""
+    free = (xy_m > plant.low_m) & (xy_m < plant.high_m)
+    return np.asarray(free[:, 0] & free[:, 1])

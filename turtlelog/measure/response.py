@@ -180,7 +180,9 @@ def find_first_stretch(run: Run, loop: ControlLoop) -> list[PhaseSpan]:
 def find_loop_samples(run: Run, loop: ControlLoop) -> slice | None:
     """Return the rows of the samples of a loop's first stretch, None where there is none."""
     own = [run.phase_names.index(phase) for phase in run.declaration.list_phases(loop.name)]
-    is_own = np.isin(run.samples.phase, own)
+    is_own = np.zeros(len(run.samples), np.bool_)
+    for phase in own:
+        is_own |= run.samples.phase == phase
     first = int(is_own.argmax()) if len(is_own) else 0
     if not len(is_own) or not is_own[first]:
         return None

@@ -1,26 +1,8 @@
-"""Plants: what is driven, one file each."""
+"""Plants: what is driven, one file each.
 
-from turtlelog.plants.lagged import (
-    LAGGED,
-    LARGEST_M,
-    LaggedParameters,
-    LaggedRobot,
-    build_lagged_plant,
-    find_plant,
-    read_plant,
-)
-from turtlelog.plants.turtlesim import TURTLESIM, Plant, Turtle, round_to_float32
+The names stand in `__init__.pyi` and load on first use.
+"""
 
-__all__ = [
-    "LAGGED",
-    "LARGEST_M",
-    "TURTLESIM",
-    "LaggedParameters",
-    "LaggedRobot",
-    "Plant",
-    "Turtle",
-    "build_lagged_plant",
-    "find_plant",
-    "read_plant",
-    "round_to_float32",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -6,17 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.differences import (
-    Difference,
+    Difference as Difference,
     Pairing,
-    SignalDifference,
+    SignalDifference as SignalDifference,
     compare_pairing,
     find_earliest,
     require_tolerance,
 )
-from turtlelog.errors import ReplayError
+from turtlelog.errors import ReplayError as ReplayError
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import Law, Pose
-from turtlelog.log.recording.contents import LOSS_NOTES
+from turtlelog.log.recording.recovery_note import LOSS_NOTES
 from turtlelog.log.recording.topics import CONTROL
 from turtlelog.log.ros2.bag_reader import NOT_READ
 from turtlelog.plants import find_plant

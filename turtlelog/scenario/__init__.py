@@ -1,78 +1,8 @@
-"""Scenario: everything that determines a run; TOML in and out; presets."""
+"""Scenario: everything that determines a run; TOML in and out; presets.
 
-from turtlelog.scenario.convert import (
-    build_scenario,
-    describe_unknown_key,
-    flatten_scenario,
-    flatten_tables,
-    nest_parameters,
-    nest_scenario,
-    resolve_law,
-    resolve_scenario,
-    restore_scenario,
-)
-from turtlelog.scenario.effects import Disturbance, PlantChoice, Sensing, Shaping
-from turtlelog.scenario.files import (
-    PAPER_RUNS,
-    PRESETS,
-    format_scenario,
-    get_preset,
-    iterate_paper_runs,
-    load_scenario,
-    parse_scenario,
-    read_scenario,
-)
-from turtlelog.scenario.model import (
-    DEFAULT_LAW,
-    LawChoice,
-    LawTable,
-    Limits,
-    LoopSettings,
-    Scenario,
-    Start,
-    Target,
-)
-from turtlelog.scenario.overrides import (
-    complete_scenario,
-    override_gains,
-    override_scenario,
-    parse_assignments,
-    replay_commands,
-)
+The names stand in `__init__.pyi` and load on first use.
+"""
 
-__all__ = [
-    "DEFAULT_LAW",
-    "PAPER_RUNS",
-    "PRESETS",
-    "Disturbance",
-    "LawChoice",
-    "LawTable",
-    "Limits",
-    "LoopSettings",
-    "PlantChoice",
-    "Scenario",
-    "Sensing",
-    "Shaping",
-    "Start",
-    "Target",
-    "build_scenario",
-    "complete_scenario",
-    "describe_unknown_key",
-    "flatten_scenario",
-    "flatten_tables",
-    "format_scenario",
-    "get_preset",
-    "iterate_paper_runs",
-    "load_scenario",
-    "nest_parameters",
-    "nest_scenario",
-    "override_gains",
-    "override_scenario",
-    "parse_assignments",
-    "parse_scenario",
-    "read_scenario",
-    "replay_commands",
-    "resolve_law",
-    "resolve_scenario",
-    "restore_scenario",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,7 +4,7 @@ import copy
 import dataclasses
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from datetime import date, time
 from typing import Any, get_args, get_type_hints
 
@@ -31,7 +31,12 @@ from turtlelog.laws import (
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario.consistency import require_consistent
 from turtlelog.scenario.describe import describe_type, describe_value, name_key
-from turtlelog.scenario.model import DEFAULT_LAW, LawChoice, LawTable, Scenario
+from turtlelog.scenario.dotted_keys import (
+    DEFAULT_LAW,
+    flatten_tables,
+    nest_parameters,
+)
+from turtlelog.scenario.model import LawChoice, LawTable, Scenario
 
 _LONGEST_KIND = 300
 """A path and a class are shown whole, so that they can be looked at before they are trusted."""
@@ -206,41 +211,6 @@ def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
     return build_scenario(nest_parameters(run.parameters), source=run.name, trust_law=trust_law)
 
 
-def nest_parameters(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Return values by dotted key as nested tables.
-
-    Raises:
-        ScenarioError: Where a key is both a value and a table.
-    """
-    tables: dict[str, Any] = {}
-    for key, value in parameters.items():
-        set_nested(tables, key, value)
-    lost = parameters.keys() - flatten_tables(tables).keys()
-    if lost:
-        raise ScenarioError(f"{min(lost)}: expected a value, found another for part of its key")
-    return tables
-
-
-def set_nested(tables: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value by its dotted key in nested tables, which are made where they are missing.
-
-    Raises:
-        ScenarioError: Where a key on the way holds a value, or the key itself a table.
-    """
-    *parents, last = key.split(".")
-    for depth, parent in enumerate(parents, start=1):
-        tables = tables.setdefault(parent, {})
-        if not isinstance(tables, dict):
-            above = ".".join(parents[:depth])
-            raise ScenarioError(f"{above}: expected a value, found a key below it")
-    tables[last] = value
-
-
-def flatten_tables(tables: Mapping[str, Any]) -> dict[str, Parameter]:
-    """Return the values of nested tables by dotted key."""
-    return dict(_walk(tables, ""))
-
-
 def describe_unknown_key(key: str, known: list[str]) -> str:
     """Return the end of an error line for a key that is not known, with the nearest that are."""
     return f"expected {suggest_names(key, known, most=2)}, found an unknown key"
@@ -257,14 +227,6 @@ def _drop_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: inner for key, inner in value.items() if inner is not None}
     return value
-
-
-def _walk(tables: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    for key, value in tables.items():
-        if isinstance(value, Mapping):
-            yield from _walk(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _require_law_name(kind: str, source: str) -> None:

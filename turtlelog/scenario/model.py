@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
@@ -11,6 +11,7 @@ from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, MAY_BE_INFINITE, SequentialPParameters
 from turtlelog.paths import Path
 from turtlelog.plants.turtlesim import SPAWN_XY_M
+from turtlelog.scenario.dotted_keys import DEFAULT_LAW
 from turtlelog.scenario.effects import (
     Disturbance,
     Period,
@@ -23,7 +24,6 @@ from turtlelog.scenario.effects import (
 )
 
 Positive = Annotated[float, Meta(gt=0.0)]
-DEFAULT_LAW: Final = "sequential-p"
 
 Count = Annotated[int, Meta(ge=1, le=1_000_000)]
 Ticks = Annotated[int, Meta(ge=0, le=1_000_000)]

@@ -13,8 +13,8 @@ from turtlelog.scenario.convert import (
     flatten_scenario,
     nest_scenario,
     resolve_scenario,
-    set_nested,
 )
+from turtlelog.scenario.dotted_keys import set_nested
 from turtlelog.scenario.model import LawChoice, LawTable, Scenario
 from turtlelog.text_files import parse_toml
 

@@ -19,7 +19,9 @@ z - a. What lag, part of a sample and low-pass add stands in `process` and `pid_
 on an integrator is the business of `sampled_loop`, whose numbers are returned here.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,9 +36,9 @@ from turtlelog.theory.pid_stability import LoopShape, find_stable_intervals, is_
 from turtlelog.theory.process import INTEGRATOR, Process, sample_process
 from turtlelog.theory.sampled_loop import (
     analyse_sampled_loop,
-    compute_sampled_poles,
     compute_stability_gain,
 )
+from turtlelog.theory.sampled_poles import compute_sampled_locus, compute_sampled_poles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,6 +168,30 @@ def compute_pid_poles(
     if whole is None:
         return find_poles(shape)
     return compute_sampled_poles(gains.kp * process.gain, period_s=period_s, dead_time_ticks=whole)
+
+
+def compute_pid_locus(
+    gains: PidGains,
+    kp: Sequence[float],
+    *,
+    period_s: float,
+    dead_time_ticks: int = 0,
+    process: Process = INTEGRATOR,
+) -> NDArray[np.complex128]:
+    """Return the poles of a closed PID loop at several Kp, its other gains held, in one row.
+
+    Each as `compute_pid_poles` returns it, much faster of P on an integrator.
+
+    Raises:
+        TheoryError: Where a number is not finite or outside its range.
+    """
+    _, whole = _prepare(gains, period_s, dead_time_ticks, process)
+    if whole is not None:
+        own = [gain * process.gain for gain in kp]
+        return compute_sampled_locus(own, period_s=period_s, dead_time_ticks=whole).ravel()
+    settings: dict[str, Any] = {"dead_time_ticks": dead_time_ticks, "process": process}
+    found = [compute_pid_poles(replace(gains, kp=k), period_s=period_s, **settings) for k in kp]
+    return np.concatenate(found)
 
 
 def is_pid_stable(

@@ -1,0 +1,48 @@
+from .failure_report import (
+    Artifacts as Artifacts,
+    ArtifactWriter as ArtifactWriter,
+    write_artifacts as write_artifacts,
+)
+from .formula import (
+    FormulaResult as FormulaResult,
+    check_formula as check_formula,
+    check_run as check_run,
+)
+from .formula_trace import (
+    Signals as Signals,
+    read_signals as read_signals,
+)
+from .judge_difference import (
+    judge_replay as judge_replay,
+    match_run as match_run,
+)
+from .judge_run import (
+    check_runs as check_runs,
+)
+from .piecewise_constant import (
+    Steps as Steps,
+)
+from .recording import (
+    Recording as Recording,
+)
+from .result import (
+    CheckResult as CheckResult,
+    MissingValueError as MissingValueError,
+    PartialLogError as PartialLogError,
+    UndecidedError as UndecidedError,
+    Verdict as Verdict,
+    join_verdicts as join_verdicts,
+)
+from .robustness import (
+    compute_robustness as compute_robustness,
+)
+from .spec import (
+    Check as Check,
+    Spec as Spec,
+    Tolerances as Tolerances,
+)
+from .spec_file import (
+    load_spec as load_spec,
+    load_tolerances as load_tolerances,
+    parse_spec as parse_spec,
+)

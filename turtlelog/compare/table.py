@@ -1,0 +1,70 @@
+"""Tables as values: what a command prints and a file holds, before it is text."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal
+
+from turtlelog.display import describe_count, format_html, format_number
+from turtlelog.escapes import escape_controls
+
+Cell = str | float | int | None
+Mark = Literal["best", "worst"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        title: Head of the column.
+        unit: Of its values, empty where they have none.
+        digits: Decimals of its values; None: five significant digits.
+        joined: Whether it makes sense only beside the column before it.
+        lines: The title broken into lines, for where a terminal has no room for it.
+    """
+
+    title: str
+    unit: str = ""
+    digits: int | None = None
+    joined: bool = False
+    lines: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """A table with its notes.
+
+    Attributes:
+        title: One line.
+        columns: At least one.
+        rows: Each as long as `columns`; None: there is no such value.
+        notes: Sentences to stand below.
+        breaks: Rows with which a new group begins; a terminal leaves a line before them.
+        marks: Which cells are the best and the worst of their column, by row and column.
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+    breaks: tuple[int, ...] = ()
+    marks: Mapping[tuple[int, int], Mark] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __repr__(self) -> str:
+        rows = describe_count(len(self.rows), "row")
+        columns = describe_count(len(self.columns), "column")
+        return escape_controls(f"<Table {self.title}: {rows} of {columns}>")
+
+    def _repr_html_(self) -> str:
+        heads = [f"{one.title} [{one.unit}]" if one.unit else one.title for one in self.columns]
+        return format_html(self.rows, heads=heads, title=self.title)
+
+
+def format_cell(cell: Cell, column: Column) -> str:
+    """Return a cell as text; `-` where there is no value."""
+    if cell is None:
+        return "-"
+    if isinstance(cell, float) and column.digits is not None:
+        return f"{cell:.{column.digits}f}"
+    return format_number(cell) if isinstance(cell, float) else str(cell)

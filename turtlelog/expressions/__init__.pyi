@@ -1,0 +1,42 @@
+from .evaluation import (
+    Values as Values,
+    check_comparison as check_comparison,
+    describe_unknown_name as describe_unknown_name,
+    evaluate_expression as evaluate_expression,
+    evaluate_node as evaluate_node,
+    fail_at as fail_at,
+    require_kind as require_kind,
+)
+from .operands import (
+    ARGUMENTS as ARGUMENTS,
+    Kind as Kind,
+    Operand as Operand,
+    compare_operands as compare_operands,
+    make_operand as make_operand,
+)
+from .parser import (
+    PRECEDENCE as PRECEDENCE,
+    parse_expression as parse_expression,
+)
+from .printing import (
+    format_expression as format_expression,
+)
+from .tokens import (
+    draw_caret as draw_caret,
+)
+from .tree import (
+    Arithmetic as Arithmetic,
+    Call as Call,
+    Comparison as Comparison,
+    Expression as Expression,
+    Logic as Logic,
+    Name as Name,
+    Node as Node,
+    Number as Number,
+    Prefix as Prefix,
+    Temporal as Temporal,
+    Text as Text,
+    Truth as Truth,
+    Until as Until,
+    iterate_nodes as iterate_nodes,
+)

@@ -1,0 +1,31 @@
+from .base import (
+    ABSENT_BY_DEFAULT as ABSENT_BY_DEFAULT,
+    MAY_BE_INFINITE as MAY_BE_INFINITE,
+    Decision as Decision,
+    Goal as Goal,
+    Law as Law,
+    Pose as Pose,
+)
+from .loading import (
+    LAWS as LAWS,
+    declare_law as declare_law,
+    describe_law_error as describe_law_error,
+    find_law as find_law,
+    list_mechanisms as list_mechanisms,
+    list_sample_counters as list_sample_counters,
+    list_unused_keys as list_unused_keys,
+    print_to_stderr as print_to_stderr,
+    require_law_name as require_law_name,
+)
+from .schedule import (
+    GainSchedule as GainSchedule,
+    PIDGainSchedule as PIDGainSchedule,
+)
+from .sequential_p import (
+    SequentialP as SequentialP,
+    SequentialPParameters as SequentialPParameters,
+)
+from .sequential_pid import (
+    SequentialPID as SequentialPID,
+    SequentialPIDParameters as SequentialPIDParameters,
+)

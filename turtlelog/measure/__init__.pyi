@@ -1,0 +1,74 @@
+from .breaks import (
+    PoseGap as PoseGap,
+    PoseJump as PoseJump,
+    describe_breaks as describe_breaks,
+    find_gaps as find_gaps,
+    find_jumps as find_jumps,
+)
+from .dead_time import (
+    DeadTime as DeadTime,
+    DeadTimeChange as DeadTimeChange,
+    find_dead_time as find_dead_time,
+)
+from .measure_settings import (
+    MeasureSettings as MeasureSettings,
+)
+from .metric import (
+    Metric as Metric,
+    Metrics as Metrics,
+    Missing as Missing,
+    Status as Status,
+)
+from .metrics import (
+    ANY_LOOP as ANY_LOOP,
+    METRICS as METRICS,
+    choose_metrics as choose_metrics,
+    find_metric_kind as find_metric_kind,
+    is_lawless as is_lawless,
+    is_metric_pattern as is_metric_pattern,
+    list_essential_metrics as list_essential_metrics,
+    list_ids_like as list_ids_like,
+    list_metrics as list_metrics,
+    measure_run as measure_run,
+    miss_metric as miss_metric,
+    suggest_metrics as suggest_metrics,
+)
+from .outliers import (
+    Outlier as Outlier,
+    describe_outliers as describe_outliers,
+    find_outliers as find_outliers,
+    list_outliers as list_outliers,
+)
+from .path import (
+    read_reference_path as read_reference_path,
+)
+from .references import (
+    read_reference as read_reference,
+)
+from .registry import (
+    MetricKind as MetricKind,
+)
+from .response import (
+    find_first_stretch as find_first_stretch,
+)
+from .run_loops import (
+    model_run_loops as model_run_loops,
+)
+from .signals import (
+    COMMANDED as COMMANDED,
+    SIGNALS as SIGNALS,
+    Signal as Signal,
+    SignalKind as SignalKind,
+    could_be_signal as could_be_signal,
+    explain_no_signal as explain_no_signal,
+    list_signal_units as list_signal_units,
+    list_signals as list_signals,
+    read_signal as read_signal,
+)
+from .step_response import (
+    find_overshoot as find_overshoot,
+    find_settling_time as find_settling_time,
+)
+from .table.end import (
+    PAPER_WINDOW_S as PAPER_WINDOW_S,
+)

@@ -1,0 +1,27 @@
+from .law_replay import (
+    Difference as Difference,
+    LawReplay as LawReplay,
+    ReplayError as ReplayError,
+    SignalDifference as SignalDifference,
+    replay_law as replay_law,
+)
+from .loop_replay import (
+    LoopReplay as LoopReplay,
+    replay_loop as replay_loop,
+)
+from .plant_replay import (
+    PlantReplay as PlantReplay,
+    PlantStretch as PlantStretch,
+    PoseError as PoseError,
+    replay_plant as replay_plant,
+)
+from .plant_ticks import (
+    CommandUse as CommandUse,
+    Gap as Gap,
+    Jump as Jump,
+    follow_commands as follow_commands,
+    moves_as_turtlesim as moves_as_turtlesim,
+)
+from .run_pairs import (
+    RowCount as RowCount,
+)

@@ -1,0 +1,22 @@
+from .columns import (
+    Clock as Clock,
+    CommandColumns as CommandColumns,
+    PoseColumns as PoseColumns,
+    SampleColumns as SampleColumns,
+    take_rows as take_rows,
+)
+from .run import (
+    CUT_SHORT as CUT_SHORT,
+    Event as Event,
+    GoalLine as GoalLine,
+    Parameter as Parameter,
+    PhaseSpan as PhaseSpan,
+    Run as Run,
+)
+from .slicing import (
+    slice_run as slice_run,
+)
+from .tables import (
+    TABLES as TABLES,
+    tabulate_run as tabulate_run,
+)
