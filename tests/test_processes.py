@@ -49,8 +49,9 @@ def test_one_slow_item_leaves_few_results_in_memory() -> None:
 
 
 @needs_signals
-def test_a_process_that_is_killed_is_one_line_with_its_item() -> None:
-    wanted = [signal.SIGCONT] * 20 + [signal.SIGKILL] + [signal.SIGCONT] * 20
+@pytest.mark.parametrize("before", [0, 1, 20])
+def test_a_process_that_is_killed_is_one_line_with_its_item(before: int) -> None:
+    wanted = [signal.SIGCONT] * before + [signal.SIGKILL] + [signal.SIGCONT] * 20
     line = "SIGKILL: expected a result, found that the process at work on it was ended by SIGKILL"
     with pytest.raises(ProcessError, match=line):
         list(map_in_processes(signal.raise_signal, wanted, 2, name=lambda one: one.name))

@@ -131,10 +131,8 @@ class _Worker:
 
     def hand_out(self, place: int, item: Any) -> None:
         self.held.append((place, item))
-        try:
+        with suppress(OSError):  # it has ended, and what it found before that is still to be taken
             self.pipe.send(item)
-        except OSError as err:
-            raise self._describe_end() from err
 
     def take(self) -> tuple[int, Any, bool]:
         """Return the place of a result, the result, and whether it is an error."""
