@@ -1,3 +1,6 @@
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +95,19 @@ def test_points_stand_in_the_order_of_the_file(index_types: IndexType, tmp_path:
         tmp_path / "a.mcap", range(0, 1000, 10), chunk_size=200, index_types=index_types
     )
     assert read_columns(path)["/p"].fields["x"].tolist() == [*range(100)]
+
+
+def test_threads_that_fill_at_once_lose_no_row() -> None:
+    message = b"\5" + (22 + 20).to_bytes(8, "little") + bytes(22)
+    data = message + pack([("float64", 7), ("float64", 8)])
+    former = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            for _ in range(400):
+                columns = FixedColumns(lay_out(), 16)
+                fill = partial(columns.fill, data, np.zeros(1, np.int64))
+                assert all(pool.map(fill, range(16)))
+                assert len(columns.finish()[LOG_TIME]) == 16
+    finally:
+        sys.setswitchinterval(former)

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
@@ -112,6 +113,7 @@ class FixedColumns:
     def __init__(self, layout: Layout, count: int) -> None:
         """Set columns of so many rows aside."""
         self._layout, self._count, self._used = layout, count, 0
+        self._lock = Lock()
         numbers = []
         kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
         for name in (*_KINDS, *layout.kinds):
@@ -127,13 +129,16 @@ class FixedColumns:
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
         """Copy messages into the rows from `first` on; return whether there is room for them.
 
+        Several threads may fill rows at once, each its own.
+
         Raises:
             LogError: Where one is not of the topic's type.
         """
         end = first + len(starts)
         if end > self._count:
             return False
-        self._used = max(self._used, end)
+        with self._lock:
+            self._used = max(self._used, end)
         if len(starts) and not self._scatter(data, starts, first):
             rows = {name: column[first:end] for name, column in self._columns.items()}
             fill_columns(rows, self._layout, _gather_fixed(self._layout, data, starts))
