@@ -10,7 +10,11 @@ import turtlelog as tl
 from tests.check.artifact_files import read_mark
 from tests.check.recordings import simulate
 from turtlelog.check import CheckResult, Verdict
-from turtlelog.check.failure_report import describe_failure, tabulate_surroundings
+from turtlelog.check.failure_report import (
+    describe_failure,
+    describe_results,
+    tabulate_surroundings,
+)
 from turtlelog.show import write_violation_rrd
 from turtlelog.show.rerun.snapshot import open_camera
 
@@ -45,7 +49,9 @@ def test_the_view_opens_at_the_violation_and_marks_it(
     assert (mark.cursor_s, mark.label) == ((at_s, at_s), "first violated")
     row = run.poses.time_ns.searchsorted(run.start_ns + round(at_s * 1e9), side="right") - 1
     assert mark.xy_m == pytest.approx(run.poses.xy_m[row], abs=1e-6)
-    assert mark.message.splitlines()[1:-1] == describe_failure(run, result)
+    told = [*describe_results(run, result), f"  recording       {result.file}"]
+    assert mark.message.splitlines()[1:-1] == told
+    assert set(told) < set(describe_failure(run, result))
     cut = tl.read_recording(mcap)
     around = np.abs((run.poses.time_ns - run.start_ns) / 1e9 - at_s) <= 1.0
     np.testing.assert_array_equal(cut.poses.time_ns, run.poses.time_ns[around])

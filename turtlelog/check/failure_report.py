@@ -36,6 +36,12 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
         run: That was checked.
         results: What came of it; of many, the first violated are told in full.
     """
+    lines = [*describe_results(run, *results), *_list_scenario(run, results[0])]
+    return [escape_controls(line) for line in lines]
+
+
+def describe_results(run: Run, *results: CheckResult) -> list[str]:
+    """Return the lines of `describe_failure` without recording, gains and scenario."""
     ordered = sorted(results, key=_read_first)
     lines: list[str] = []
     for result in ordered[:_MOST]:
@@ -43,7 +49,7 @@ def describe_failure(run: Run, *results: CheckResult) -> list[str]:
     if len(ordered) > _MOST:
         others = ", ".join(result.check for result in ordered[_MOST:])
         lines += textwrap.wrap(f"and {len(ordered) - _MOST} more: {others}", _WIDTH)
-    return [escape_controls(line) for line in (*lines, *_list_scenario(run, results[0]))]
+    return [escape_controls(line) for line in lines]
 
 
 def _read_first(result: CheckResult) -> float:
@@ -266,7 +272,8 @@ def _write_view(run: Run, result: CheckResult, rrd: Path, *, at_s: float) -> Non
     from turtlelog.show import write_violation_rrd
 
     found = find_violated_signal(run, result)
-    lines = describe_failure(run, result)
+    # What is known of the scenario has a tab of its own.
+    lines = [*describe_results(run, result), escape_controls(f"  recording       {result.file}")]
     if found.signal is None:
         lines += textwrap.wrap(f"no band is drawn: {found.reason}", _WIDTH)
     title = shorten(result.check, _LONGEST, placeholder="...")
