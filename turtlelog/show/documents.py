@@ -1,11 +1,13 @@
 """What stands beside the pictures as text: tables and the scenario, in Markdown."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Final
 
 from turtlelog.compare import (
     Column,
+    Table,
     format_cell,
     summarise_run,
     tabulate_measured,
@@ -51,7 +53,7 @@ def describe_runs(
     pairs = zip(runs, metrics, strict=True)
     summaries = [summarise_run(run, metrics=measured) for run, measured in pairs]
     tables = {
-        "Side by side": (tabulate_runs(summaries),),
+        "Side by side": (_put_ends_first(tabulate_runs(summaries)),),
         "Metrics": (
             tabulate_measured(
                 name_runs(runs),
@@ -62,6 +64,24 @@ def describe_runs(
         "Table 1": (tabulate_whole_runs(runs), tabulate_table1(runs)),
     }
     return {title: "\n".join(map(format_markdown, found)) for title, found in tables.items()}
+
+
+def _put_ends_first(table: Table) -> Table:
+    """Return a table of runs with what they missed the goal by behind their gains.
+
+    Beside the pictures there is room for half of the columns.
+    """
+    titles = [column.title for column in table.columns]
+    ends = [place for place, title in enumerate(titles) if title.startswith("final.")]
+    first = next((place for place, title in enumerate(titles) if "." in title), len(titles))
+    rest = [place for place in range(first, len(titles)) if place not in ends]
+    order = [*range(first), *reversed(ends), *rest]
+    return replace(
+        table,
+        columns=tuple(table.columns[place] for place in order),
+        rows=tuple(tuple(row[place] for place in order) for row in table.rows),
+        marks={(row, order.index(place)): mark for (row, place), mark in table.marks.items()},
+    )
 
 
 def choose_essentials(
