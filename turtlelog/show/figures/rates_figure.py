@@ -310,7 +310,8 @@ def tell_model(model: AxisModel) -> str:
     if model.gain is None or model.dead_time_s is None or model.lag_s is None:
         return f"{COMMAND_WORDS[model.axis]}: the largest step"
     gain = f"{model.gain.value:.3f} ({model.gain.low:.3f} to {model.gain.high:.3f})"
-    return f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}\ngain {gain}"
+    delays = f"dead time {_tell_ms(model.dead_time_s)}\nlag {_tell_ms(model.lag_s)}"
+    return f"{COMMAND_WORDS[model.axis]}: intervals of 95 %\n{delays}\ngain {gain}"
 
 
 def _tell_ms(found: Estimate) -> str:
