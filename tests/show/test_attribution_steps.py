@@ -41,7 +41,7 @@ def test_the_steps_lead_from_the_logged_value_to_what_the_tolerances_leave() -> 
         ("total", "as logged", "106.7 mm"),
         ("share", "queue", "-51.1 mm (48 %)"),
         ("share", "pause", "-50.6 mm (47 %)"),
-        ("left", "left", "5.1 mm, no more than the tolerances leave"),
+        ("left", "left", "5.1 mm (5 %), no more than the tolerances leave"),
     ]
     assert len({step.color for step in steps}) == 4
 
@@ -63,7 +63,7 @@ def test_the_largest_share_is_first_and_what_takes_away_leads_up() -> None:
         "-8.00 deg (80 %)",
     )
     assert (second.mechanism, second.end, second.text) == ("b", 5.0, "+3.00 deg (-30 %)")
-    assert left.text == "5.00 deg, without a and b"
+    assert left.text == "5.00 deg (50 %), without a and b"
 
 
 def test_a_mechanism_without_a_share_has_no_bar() -> None:
@@ -158,4 +158,4 @@ def test_the_last_bar_names_two_mechanisms(names: str, told: str) -> None:
     found = make_attribution(
         mechanisms=tuple(names), shares=tuple(make_share(name, 1.0) for name in names)
     )
-    assert list_attribution_steps(found)[-1].text == f"5.00 deg, without {told}"
+    assert list_attribution_steps(found)[-1].text == f"5.00 deg (50 %), without {told}"

@@ -97,13 +97,14 @@ def list_attribution_steps(found: Attribution) -> tuple[AttributionStep, ...]:
         )
     ]
     steps += _list_shares(found, total, scale)
+    part = _tell_part(left, total) if len(steps) > 1 else ""
     steps.append(
         AttributionStep(
             kind="left",
             start=0.0,
             end=left,
             name="left",
-            text=f"{scale.format_value(left)}, {_explain_left(found)}",
+            text=f"{scale.format_value(left)}{part}, {_explain_left(found)}",
             color=palette.GHOST,
         )
     )
@@ -165,10 +166,14 @@ def _describe_share(share: Share, total: float, scale: StepScale) -> str:
     size = scale.format_value(-value, signed=True)
     if share.standard_error is not None:
         size += f" ± {abs(share.standard_error * scale.factor):.2g}"
-    percent = 100.0 * value / total if total else math.inf
-    part = f" ({percent:.0f} %)" if abs(percent) < _MOST_PERCENT else ""
     chance = ", may be chance" if not share.is_clear else ""
-    return f"{size}{part}{chance}"
+    return f"{size}{_tell_part(value, total)}{chance}"
+
+
+def _tell_part(value: float, total: float) -> str:
+    """Return in brackets which part of the logged value that is; nothing where it says nothing."""
+    percent = 100.0 * value / total if total else math.inf
+    return f" ({percent:.0f} %)" if abs(percent) < _MOST_PERCENT else ""
 
 
 def _explain_left(found: Attribution) -> str:

@@ -103,7 +103,7 @@ def test_the_waterfall_has_the_values_of_the_attribution(
     texts = [text.strip() for text in list_texts(bars)]
     assert texts[0] == "106.7 mm"
     assert texts[1:3] == ["\N{MINUS SIGN}51.1 mm (48 %)", "\N{MINUS SIGN}50.6 mm (47 %)"]
-    assert texts[3] == "5.1 mm, no more than the tolerances leave"
+    assert texts[3] == "5.1 mm (5 %), no more than the tolerances leave"
     averages = "bars: averages over the orders of removal"
     assert bars.get_xlabel() == f"final position error [mm]\n{averages}"
 

@@ -75,12 +75,12 @@ def test_the_steps_stand_with_their_words_in_a_view_of_their_own(kp10_rrd: Path)
         "pause",
         "-50.6 mm (47 %)",
         "left",
-        "5.1 mm, no more than the tolerances leave",
+        "5.1 mm (5 %), no more than the tolerances leave",
         "0 mm",
         "50 mm",
         "100 mm",
         "Bars: averages over the orders of removal",
-        "Ghosts: only queue removed 26.8 mm, only pause removed 27.4 mm",
+        "Ghosts: 26.8 mm without queue, 27.4 mm without pause",
     ]
     places = np.array(read_static(kp10_rrd, "/attribution/words", "Points2D:positions"))
     assert places[:, 0].min() > 0.0
@@ -131,7 +131,7 @@ def test_one_effect_alone_needs_no_average_and_many_ghosts_are_not_all_told(
     for shares, ghosts, told in (
         ({"queue": 0.01}, ("queue",), None),
         ({"queue": 0.02, "pause": 0.01}, (), "orders of removal"),
-        ({"queue": 0.02, "pause": 0.01}, ("queue", "pause"), "only queue removed"),
+        ({"queue": 0.02, "pause": 0.01}, ("queue", "pause"), "mm without queue"),
         (
             {"queue": 0.03, "pause": 0.02, "jitter": 0.01},
             ("queue", "pause", "jitter"),
@@ -234,7 +234,7 @@ def shift(gap_m: float) -> Run:
 
 
 def test_the_distance_to_the_ghost_is_a_plot(kp10_rrd: Path) -> None:
-    assert "From ghost [mm]" in read_layout(kp10_rrd)
+    assert "Distance to ghost [mm]" in read_layout(kp10_rrd)
     entity = f"{RECORDED}/gap_mm/without_queue_and_pause"
     values = np.array(read_rows(kp10_rrd, entity, "Scalars:scalars"))[:, 0]
     found = explain("paper-kp10")[1]["queue and pause"]

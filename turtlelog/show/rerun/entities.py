@@ -117,8 +117,8 @@ TITLES: Final[Mapping[str, str]] = MappingProxyType(
         DISTANCE: "Distance [m]",
         DISTANCE_LOG: "log₁₀ distance [m]",
         SPEED: "Speed [m/s]",
-        GAP_MM: "From ghost [mm]",
-        GAP_M: "From ghost [m]",
+        GAP_MM: "Distance to ghost [mm]",
+        GAP_M: "Distance to ghost [m]",
         WORLD_VELOCITY: "World velocity [m/s]",
     }
 )

@@ -312,12 +312,12 @@ def _explain_bars(
     lines, scale = ["Bars: averages over the orders of removal"], choose_step_scale(found)
     ends = {name: ghosts[name][found.metric].value for name in acting if name in ghosts}
     told = [
-        f"only {name} removed {scale.format_value(value)}"
+        f"{scale.format_value(value)} without {name}"
         for name, value in ends.items()
         if value is not None
     ]
     if len(told) > _MOST_TOLD:
-        told = ["one mechanism removed from each thin one"]
+        told = ["each thin one is without one mechanism"]
     return (*lines, f"Ghosts: {', '.join(told)}") if told else tuple(lines)
 
 
