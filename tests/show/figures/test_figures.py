@@ -163,7 +163,7 @@ def test_without_runs_there_is_theory() -> None:
 
 def test_runs_stand_in_the_order_of_their_gains() -> None:
     figure = tl.show.draw_figure("heading", [simulate(10), simulate(2), simulate(4), simulate(1)])
-    assert list_legend(figure)[2:] == ["paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10"]
+    assert list_legend(figure)[:4] == ["paper-kp1", "paper-kp2", "paper-kp4", "paper-kp10"]
 
 
 @pytest.mark.parametrize(
@@ -202,11 +202,18 @@ def test_no_lettering_is_cut_off_on_the_narrowest_page(name: str) -> None:
     assert high < page.y1 + 1.0
 
 
-@pytest.mark.parametrize("count", [2, 4, 7, 20])
+@pytest.mark.parametrize("count", [2, 4, 7, 12])
 def test_runs_differ_in_colour_and_neighbours_in_dashes(count: int) -> None:
     looks = choose_lines(count)
     assert len({to_rgb(look["color"]) for look in looks}) == count
     assert all(one["linestyle"] != other["linestyle"] for one, other in pairwise(looks))
+
+
+@pytest.mark.parametrize(("count", "width"), [(13, None), (24, None), (25, 0.7), (100, 0.7)])
+def test_many_lines_are_whole_and_more_are_thin(count: int, width: float | None) -> None:
+    assert {(look["linestyle"], look.get("linewidth")) for look in choose_lines(count)} == {
+        ("-", width)
+    }
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 20])
@@ -231,12 +238,12 @@ def test_runs_stay_apart_in_grey(count: int) -> None:
 def test_names_of_all_kinds_can_be_printed(name: str, shown: str) -> None:
     figure = tl.show.draw_figure("heading", [replace(simulate(1), name=name)])
     figure.draw_without_rendering()
-    assert list_legend(figure) == ["goal bearing", "ideal", shown]
+    assert list_legend(figure) == [shown, "goal bearing", "ideal"]
 
 
 def test_names_that_differ_in_the_middle_stay_apart() -> None:
     runs = [replace(simulate(1), name=f"{'a' * 40}{part}{'b' * 40}") for part in "xy"]
-    first, second = list_legend(tl.show.draw_figure("heading", runs))[2:]
+    first, second = list_legend(tl.show.draw_figure("heading", runs))[:2]
     assert (first[:2], second[:2]) == ("1:", "2:")
 
 

@@ -13,7 +13,7 @@ from tests.show.rerun.rrds import make_foreign_run
 from tests.show.robots import OUTLIER, OUTLIER_ROW, keep_no_commands, make_robot
 from turtlelog.log.ros2 import read_bag
 from turtlelog.show.figures.left_out import list_left_out
-from turtlelog.show.figures.panels import draw_signal
+from turtlelog.show.figures.signal_panels import draw_signal
 
 
 def find_axes(figure: Figure, label: str) -> Axes:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from turtlelog.run import Run
+from turtlelog.show.figures.legend import name_some
 from turtlelog.show.figures.page import REFERENCE, choose_lines
 from turtlelog.show.shared_curves import (
     MOST_POINTS,
@@ -124,9 +125,10 @@ def draw_step_responses(figure: Figure, runs: Sequence[Run]) -> None:
     time_s = np.linspace(0.0, last_s, 601)
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
-    for gain, looks in zip(gains, choose_lines(len(gains)), strict=True):
+    names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
+    for gain, name, looks in zip(gains, names, choose_lines(len(gains)), strict=True):
         values = compute_closed_loop_response(gain, time_s)
-        axes.plot(time_s, values, label=f"Kp = {gain:g}", **looks)
+        axes.plot(time_s, values, label=name, **looks)
         settled_s = compute_settling_time(gain)
         level = compute_closed_loop_response(gain, [0.0, settled_s])[-1]
         label = "4 τ" if gain == gains[-1] else None
@@ -143,10 +145,9 @@ def draw_ideal_locus(axes: Axes, gains: Sequence[float]) -> None:
     axes.plot(branch.real, branch.imag, color="0.3", label="s = -Kp")
     axes.plot([0.0], [0.0], "x", color="black", ms=6.0, mew=1.4, label="pole of 1/s", zorder=3)
     poles = compute_root_locus(gains)
-    for gain, pole, looks in zip(gains, poles, choose_lines(len(gains)), strict=True):
-        axes.plot(
-            [pole.real], [pole.imag], "o", ms=4.5, color=looks["color"], label=f"Kp = {gain:g}"
-        )
+    names = name_some(axes, [f"Kp = {gain:g}" for gain in gains])
+    for name, pole, looks in zip(names, poles, choose_lines(len(gains)), strict=True):
+        axes.plot([pole.real], [pole.imag], "o", ms=4.5, color=looks["color"], label=name)
     axes.set(xlabel="real part [1/s]", ylabel="imaginary part [1/s]", xlim=(left, -0.24 * left))
     axes.set_ylim(-1.0, 1.0)
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from turtlelog.display import NamedValues
 from turtlelog.run import Run
 from turtlelog.show.figures.attribution_figure import draw_attribution
+from turtlelog.show.figures.command_panels import draw_command, draw_wanted
 from turtlelog.show.figures.figure_curves import (
     draw_plant_responses,
     draw_step_responses,
@@ -21,26 +22,21 @@ from turtlelog.show.figures.needs import (
     find_lacks,
     has_states,
 )
-from turtlelog.show.figures.panels import (
-    Draw,
-    draw_along_error,
-    draw_command,
-    draw_error_magnitude,
-    draw_overview,
-    draw_plane,
-    draw_signal,
-    draw_stack,
-    draw_states,
-    draw_track,
-    draw_wanted,
-    has_one_plane,
-)
+from turtlelog.show.figures.panels import Draw, draw_overview, draw_stack
+from turtlelog.show.figures.plane_panels import draw_plane, has_one_plane
 from turtlelog.show.figures.rates_figure import draw_rates
 from turtlelog.show.figures.sampled_loops import (
     draw_bode,
     draw_nyquist,
     draw_root_locus,
     draw_step,
+)
+from turtlelog.show.figures.signal_panels import (
+    draw_along_error,
+    draw_error_magnitude,
+    draw_signal,
+    draw_states,
+    draw_track,
 )
 from turtlelog.show.figures.strip_figure import draw_strips
 from turtlelog.show.figures.violation_figure import draw_violation

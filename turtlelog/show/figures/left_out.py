@@ -15,7 +15,7 @@ from turtlelog.show.figures.figure_kinds import (
 )
 from turtlelog.show.figures.needs import GOAL, SAMPLES, find_lacks
 from turtlelog.show.figures.page import label_runs
-from turtlelog.show.figures.panels import has_one_plane
+from turtlelog.show.figures.plane_panels import has_one_plane
 from turtlelog.show.robot_curves import lack_samples
 from turtlelog.show.tracked_path import ON_PATH_M, find_worst_place, list_paths
 

@@ -1,15 +1,14 @@
-"""The printed page: how wide a figure is, fonts and lines, the legend, how runs are told apart."""
+"""The printed page: how wide a figure is, fonts and lines, how runs are told apart."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, isfinite
+from math import isfinite
 from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
 from matplotlib import rcParams
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
-from matplotlib.textpath import text_to_path
 
 from turtlelog.compare import name_runs
 from turtlelog.errors import ShowError
@@ -65,6 +64,14 @@ LOOKS: Final[Mapping[str, Any]] = MappingProxyType(
 )
 """Settings of matplotlib under which every figure is drawn and written."""
 
+_MOST_DASHED: Final = 12
+"""Lines that dashes help to tell apart; of more, four patterns are three lines and more each, and
+only make a picture restless."""
+
+_MOST_BROAD: Final = 24
+"""Lines of the usual width: in a column of 40 mm more of them leave no ground between."""
+_THIN: Final = 0.7
+
 _DASHES: Final[tuple[Any, ...]] = ("-", (0, (6, 1.5)), (0, (3, 1.2, 1, 1.2)), (0, (1.6, 0.9)))
 """Patterns of lines: what tells runs apart where colours are gone."""
 
@@ -75,6 +82,11 @@ IDEAL: Final[Mapping[str, Any]] = MappingProxyType(
     {"linewidth": 0.7, "linestyle": (0, (1, 1.5)), "zorder": 1.8, "label": "ideal"}
 )
 """What theory says; in the colour of its run."""
+
+IDEAL_ENDS: Final[Mapping[str, Any]] = MappingProxyType(
+    {**IDEAL, "label": "ideal, ends of the bar"}
+)
+"""The same of the first and the last of many runs, between which the others lie."""
 
 AIM: Final[Mapping[str, Any]] = MappingProxyType(
     {"linewidth": 0.8, "linestyle": (0, (4, 1.2, 1, 1.2, 1, 1.2)), "zorder": 1.9}
@@ -115,14 +127,13 @@ PUSHED: Final[Mapping[str, Any]] = MappingProxyType(
 _MOST_LETTERS: Final = 28
 _NAMES: Final = frozenset(
     {
-        *("goal", "goal bearing", "goal heading", "zero", "ideal", "limit", "path", "start"),
+        *("goal", "goal bearing", "goal heading", "zero", "limit", "path", "start"),
+        *(str(IDEAL["label"]), str(IDEAL_ENDS["label"])),
         *("tolerance", "sensed", "dropped out", "disturbance", "end", "outlier"),
         *(AIMED, BEARING_NOW),
     }
 )
 """What figures name beside runs."""
-_LINE_HEIGHT: Final = 1.45
-_POINTS_PER_INCH: Final = 72.0
 
 
 PageKind = Literal["column", "page", "slide"]
@@ -214,7 +225,9 @@ def choose_lines(count: int) -> Sequence[Mapping[str, Any]]:
     ]
     if count <= len(FEW):
         return lines
-    return [{**line, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
+    looks: dict[str, Any] = {} if count <= _MOST_DASHED else {"linestyle": "-"}
+    looks |= {"linewidth": _THIN} if count > _MOST_BROAD else {}
+    return [{**line, **looks, "zorder": 2.9 - 0.9 * i / count} for i, line in enumerate(lines)]
 
 
 def label_runs(runs: Sequence[Run]) -> list[str]:
@@ -223,43 +236,6 @@ def label_runs(runs: Sequence[Run]) -> list[str]:
     if len(set(labels)) < len(labels):
         labels = [f"{number}: {label}" for number, label in enumerate(labels, start=1)]
     return labels
-
-
-def add_legend(figure: Figure, without: Collection[str] = ()) -> None:
-    """Name what the panels show above them; the figure grows by the lines that this takes.
-
-    What is named elsewhere is left out, and what would stand alone where nothing is.
-    """
-    named: dict[str, Any] = {}
-    for axes in figure.axes:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            if label not in without:
-                named.setdefault(label, handle)
-    if len(named) < 2 and not (named and without):
-        return
-    width, height = figure.get_size_inches()
-    columns = _count_columns(list(named), width * _POINTS_PER_INCH)
-    lines = ceil(len(named) / columns)
-    line_points = _LINE_HEIGHT * rcParams["legend.fontsize"]
-    figure.set_size_inches(width, height + (lines + 0.5) * line_points / _POINTS_PER_INCH)
-    legend = figure.legend(
-        named.values(), named.keys(), loc="outside upper center", ncols=ceil(len(named) / lines)
-    )
-    for label, entry in zip(named, legend.legend_handles, strict=True):
-        if label in (IDEAL["label"], AIMED, BEARING_NOW) and entry is not None:
-            entry.set(color="0.35")  # for all runs, whatever the colour of the first
-
-
-def _count_columns(labels: Sequence[str], width_points: float) -> int:
-    """Return how many columns of the widest entry there is room for."""
-    size = rcParams["legend.fontsize"]
-    font = FontProperties(family=rcParams["font.family"], size=size)
-    widest = max(
-        text_to_path.get_text_width_height_descent(label, font, ismath=False)[0] for label in labels
-    )
-    around = ("handlelength", "handletextpad", "columnspacing")
-    entry_points = widest + size * sum(rcParams[f"legend.{name}"] for name in around)
-    return min(len(labels), max(1, int(width_points / entry_points)))
 
 
 def _clean(name: str) -> str:

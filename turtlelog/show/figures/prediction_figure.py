@@ -16,7 +16,8 @@ from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces
 from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
 from turtlelog.show.figures.figure_curves import draw_thinned
-from turtlelog.show.figures.page import LOOKS, REFERENCE, Page, add_legend, choose_lines
+from turtlelog.show.figures.legend import add_legend
+from turtlelog.show.figures.page import LOOKS, REFERENCE, Page, choose_lines
 from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.show.output_files import replace_file
 

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisModel, RobotModel
 from turtlelog.run import Run
-from turtlelog.show.figures.page import LOOKS, Page, add_legend
+from turtlelog.show.figures.legend import add_legend
+from turtlelog.show.figures.page import LOOKS, Page
 from turtlelog.show.figures.rates_figure import draw_rates
 from turtlelog.show.figures.writing import FIGURE_FORMATS, save_figure
 from turtlelog.show.output_files import replace_file

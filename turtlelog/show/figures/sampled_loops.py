@@ -20,6 +20,7 @@ from turtlelog.measure import model_run_loops
 from turtlelog.plants import LAGGED, find_plant
 from turtlelog.run import Run
 from turtlelog.show.figures.figure_curves import draw_ideal_locus, find_gains
+from turtlelog.show.figures.legend import name_some
 from turtlelog.show.figures.page import REFERENCE, choose_lines, label_runs
 from turtlelog.theory import (
     LoopModel,
@@ -83,6 +84,12 @@ class _LoopCurve:
         """For a legend: the name, and the margins."""
         return f"{self.name}: {_tell_margins(self.found)}"
 
+    @property
+    def locus_label(self) -> str:
+        """For a legend of poles: the name, and Kp."""
+        verdict = "" if self.found.stable else ", unstable"
+        return f"{self.name}: Kp = {self.found.gains.kp:g}{verdict}"
+
 
 def find_known_loops(runs: Sequence[Run]) -> list[tuple[str, LoopModel]]:
     """Return the loops of runs that theory knows, each under its name in a legend."""
@@ -110,11 +117,12 @@ def draw_bode(figure: Figure, runs: Sequence[Run]) -> None:
     size.axhline(0.0, **REFERENCE)
     phase.axhline(-180.0, **REFERENCE)
     curves = _style_loops(runs)
-    for curve in curves:
+    labels = name_some(size, [curve.label for curve in curves])
+    for curve, label in zip(curves, labels, strict=True):
         frequencies = _list_frequencies(curve.found)
         values = _respond(curve.model, frequencies)
         turned = _unwrap_degrees(values)
-        size.semilogx(frequencies, _to_db(np.abs(values)), label=curve.label, **curve.looks)
+        size.semilogx(frequencies, _to_db(np.abs(values)), label=label, **curve.looks)
         phase.semilogx(frequencies, turned, **curve.looks)
         _mark_margins(size, phase, curve, frequencies, turned)
     ends = sorted({math.pi / curve.found.period_s for curve in curves})
@@ -131,9 +139,11 @@ def draw_nyquist(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw the open loops in the complex plane, with the unit circle and the point -1."""
     axes = figure.subplots()
     _draw_unit_circle(axes)
-    for curve in _style_loops(runs):
+    curves = _style_loops(runs)
+    labels = name_some(axes, [curve.label for curve in curves])
+    for curve, label in zip(curves, labels, strict=True):
         values = _respond(curve.model, _list_frequencies(curve.found))
-        axes.plot(values.real, values.imag, label=curve.label, **curve.looks)
+        axes.plot(values.real, values.imag, label=label, **curve.looks)
         axes.plot(values.real, -values.imag, color=curve.looks["color"], **_MIRRORED)
         margins = curve.found.margins
         if margins is not None and margins.phase_margin_rad is not None:
@@ -180,13 +190,13 @@ def draw_step(figure: Figure, runs: Sequence[Run]) -> None:
     axes.axhspan(0.98, 1.02, color="0.92", zorder=0.5, label="2 % band")
     axes.axhline(1.0, **REFERENCE)
     lowest, highest = 0.0, 1.0
-    for curve in curves:
+    labels = name_some(axes, [f"{curve.name}: {_tell_step(curve.found)}" for curve in curves])
+    for curve, label in zip(curves, labels, strict=True):
         gains, settings = curve.model.require()
         count = min(math.ceil(last_s / curve.found.period_s) + 2, _MOST_SAMPLES)
         values = _cut_where_far(compute_pid_step_response(gains, count, **settings))
         time_s = np.arange(count) * curve.found.period_s
         marker: dict[str, Any] = {"marker": ".", "ms": 2.5} if count <= _MOST_MARKED else {}
-        label = f"{curve.name}: {_tell_step(curve.found)}"
         axes.plot(time_s, values, label=label, **marker, **curve.looks)
         highest = max(highest, min(float(np.nanmax(values)), 1.0 + _FAR))
         lowest = min(lowest, max(float(np.nanmin(values)), 1.0 - _FAR))
@@ -326,10 +336,9 @@ def _draw_locus(axes: Axes, group: Sequence[_LoopCurve]) -> None:
         poles = compute_pid_poles(replace(gains, kp=end), **settings)
         at = poles[np.abs(np.abs(poles) - 1.0) < 1e-6]
         axes.plot(at.real, at.imag, "s", ms=4.0, mfc="none", color="black", label="limit of Kp")
-    for curve in group:
+    labels = name_some(axes, [curve.locus_label for curve in group])
+    for curve, label in zip(group, labels, strict=True):
         poles = curve.found.poles
-        verdict = "" if curve.found.stable else ", unstable"
-        label = f"{curve.name}: Kp = {curve.found.gains.kp:g}{verdict}"
         axes.plot(poles.real, poles.imag, "o", ms=4.0, color=curve.looks["color"], label=label)
     dead_time = f"{1e3 * first.found.dead_time_s:.4g} ms"
     axes.set_title(f"{SIGNAL_WORDS[first.model.loop.signal]}, dead time {dead_time}")

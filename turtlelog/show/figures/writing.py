@@ -36,9 +36,10 @@ from turtlelog.show.figures.figure_kinds import (
 )
 from turtlelog.show.figures.gain_bar import add_gain_bar
 from turtlelog.show.figures.left_out import has_table1
+from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.marked_panels import mark_panels
-from turtlelog.show.figures.page import LOOKS, Page, add_legend
-from turtlelog.show.figures.panels import has_one_plane
+from turtlelog.show.figures.page import LOOKS, Page
+from turtlelog.show.figures.plane_panels import has_one_plane
 from turtlelog.show.figures.time_window import cut_time_axes, require_window
 from turtlelog.show.output_files import replace_together
 from turtlelog.show.table_formats import format_latex
