@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 TIMELESS: Final = frozenset(
     {
         *("plant", "step-responses", "root-locus", "bode", "nyquist", "step"),
-        *("gains", "strips", "plane"),
+        *("gains", "strips"),
     }
 )
-"""Figures of which no axis shows runs over time."""
+"""Figures that times cannot cut: no axis shows runs over time, nor a path driven in it."""
 
 
 @Parameter(name="*")

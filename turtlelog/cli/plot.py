@@ -1,7 +1,7 @@
 """`turtlelog plot`: figures and tables for print."""
 
 import gc
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -15,7 +15,7 @@ from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
 from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
-from turtlelog.cli.page_options import PageOptions
+from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -113,6 +113,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         left_out = show.list_left_out(runs, names) if runs else ()
     for line in left_out:
         print_note(f"plot: {line}")
+    _tell_whole(figures.values(), page)
     film_runs(runs, movie, timeline=timeline)
     told = {**_describe(files or [], figures, tables), "left_out": list(left_out)}
     _tell(told, movie, json=json)
@@ -137,6 +138,13 @@ def _collect_rarely() -> Iterator[None]:
 @_collect_rarely()
 def _build_page(where: PageOptions, kinds: list[str], names: list[str] | None) -> "Page":
     return where.build_page(kinds, names)  # loads matplotlib
+
+
+def _tell_whole(names: Iterable[str], page: "Page") -> None:
+    """Say which figures the page's times do not cut."""
+    whole = [name for name in names if name in TIMELESS]
+    if whole and (page.from_s is not None or page.to_s is not None):
+        print_note(f"plot: not cut in time: {', '.join(dict.fromkeys(whole))}")
 
 
 def _require_scenes(files: list[Path] | None, movie: MovieOptions) -> list[Path]:

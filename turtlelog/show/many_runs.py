@@ -52,10 +52,12 @@ class GainScale:
     Attributes:
         word: What it is: `Kp`, `pause_ticks`.
         values: One per run.
+        unit: Of a gain; empty of other numbers, whose keys say theirs.
     """
 
     word: str
     values: tuple[float, ...]
+    unit: str = ""
 
 
 def group_equal(runs: Sequence[Run]) -> list[list[int]]:
@@ -115,7 +117,15 @@ def find_gain_scale(runs: Sequence[Run]) -> GainScale | None:
     numbers = [float(v) for v in values if isinstance(v, int | float) and not isinstance(v, bool)]
     if len(numbers) < len(runs) or not all(np.isfinite(numbers)):
         return None
-    return GainScale(word=word, values=tuple(numbers))
+    unit = find_gain_unit(runs, differing[0])
+    return GainScale(word=word, values=tuple(numbers), unit=unit)
+
+
+def find_gain_unit(runs: Sequence[Run], key: str) -> str:
+    """Return the unit of a key that is the gain of a loop; empty where loops differ, or of none."""
+    loops = [loop for run in runs for loop in run.declaration.loops if loop.gain == key]
+    units = {loop.gain_unit for loop in loops}
+    return units.pop() if len(units) == 1 else ""
 
 
 def _are_apart(runs: Sequence[Run], key: str) -> bool:

@@ -46,6 +46,29 @@ def test_the_plane_has_no_time_axis() -> None:
     assert [axes.get_xlim() for axes in cut.axes] == [axes.get_xlim() for axes in whole.axes]
 
 
+def test_a_path_is_strong_within_the_times_and_faint_outside() -> None:
+    whole, strong, close = draw_path(Page(from_s=4.0, to_s=5.0))
+    time_s = (RUN.poses.time_ns - RUN.start_ns) / 1e9
+    driven_m = RUN.poses.xy_m[(time_s >= 4.0) & (time_s <= 5.0)]
+    np.testing.assert_array_equal(strong[~np.isnan(strong[:, 0])], driven_m)
+    np.testing.assert_array_equal(whole, RUN.poses.xy_m)
+    assert close == "whole paths, 4 to 5 s strong"
+
+
+def test_without_times_a_path_is_drawn_once() -> None:
+    (axes, _) = draw_figure("plane", [RUN]).axes
+    assert [line.get_alpha() for line in axes.get_lines() if line.get_label() == RUN.name] == [None]
+
+
+def draw_path(page: Page) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return the faint and the strong path, and the title."""
+    (axes, _) = draw_figure("plane", [RUN], page=page).axes
+    (strong,) = [line for line in axes.get_lines() if line.get_label() == RUN.name]
+    (whole,) = [line for line in axes.get_lines() if line.get_alpha() == 0.25]
+    found = [np.asarray(line.get_xydata()) for line in (whole, strong)]
+    return found[0], found[1], axes.get_title()
+
+
 def test_times_beyond_the_runs_are_refused() -> None:
     assert draw_figure("heading", [RUN], page=Page(to_s=12.608))
     with pytest.raises(ShowError, match=r"^to: expected -?[0-9.]+ to 12.608 s"):

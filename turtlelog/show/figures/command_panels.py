@@ -19,8 +19,9 @@ from turtlelog.show.figures.page import (
     REFERENCE,
     choose_lines,
     label_runs,
+    style_runs,
 )
-from turtlelog.show.figures.panels import finish, style_runs
+from turtlelog.show.figures.panels import finish
 from turtlelog.show.robot_curves import read_measured
 from turtlelog.show.shared_curves import (
     Command,

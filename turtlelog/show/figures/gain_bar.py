@@ -48,7 +48,8 @@ def add_gain_bar(figure: Figure, runs: Sequence[Run]) -> frozenset[str]:
     if scale is not None:
         shown = np.unique(np.linspace(0, count - 1, min(count, _MOST_TICKS)).round().astype(int))
         bar.set_ticks(shown.tolist(), labels=[f"{scale.values[row]:g}" for row in shown])
-        bar.set_label(f"{scale.word} of {count} runs{' [1/s]' if scale.word == 'Kp' else ''}")
+        unit = f" [{scale.unit}]" if scale.unit else ""
+        bar.set_label(f"{scale.word} of {count} runs{unit}")
     else:
         bar.set_ticks([])
         bar.set_label(f"{count} runs, from {names[0]} to {names[-1]}")

@@ -152,7 +152,7 @@ def _draw_panel(
         # NaN parts the line where a run has no value.
         line: dict[str, Any] = {"color": "0.75", "linewidth": 0.7, "zorder": 1.7}
         axes.plot(gains[asked][order], found.values[asked][order], **line)
-    small = 4.5 if len(runs) <= 3 * _MOST_NAMED else 3.0
+    small = 4.5 if len(runs) <= _MOST_NAMED else 3.4 if len(runs) <= 3 * _MOST_NAMED else 2.4
     for place, looks in zip(places, choose_lines(len(places)), strict=True):
         there = gains == place
         values = found.values[there]

@@ -238,6 +238,12 @@ def label_runs(runs: Sequence[Run]) -> list[str]:
     return labels
 
 
+def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
+    """Return runs with how the line of each looks, its name in a legend included."""
+    styled = zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True)
+    return [(run, {**looks, "label": name}) for run, name, looks in styled]
+
+
 def _clean(name: str) -> str:
     """Return a name as matplotlib shows it letter by letter; `?` where its font has none."""
     font = get_font(findfont(FontProperties(family=rcParams["font.family"])))

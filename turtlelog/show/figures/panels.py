@@ -2,16 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from turtlelog.run import Run
-from turtlelog.show.figures.page import (
-    choose_lines,
-    label_runs,
-)
 from turtlelog.show.figures.plane_panels import draw_paths, show_all
 from turtlelog.show.robot_curves import lack_samples
 
@@ -60,12 +55,6 @@ def draw_overview(figure: Figure, runs: Sequence[Run], panels: Sequence[Draw]) -
         if number + 1 < len(panels):
             axes.set_xlabel("")
             axes.tick_params(labelbottom=False)
-
-
-def style_runs(runs: Sequence[Run]) -> list[tuple[Run, dict[str, Any]]]:
-    """Return runs with how the line of each looks, its name in a legend included."""
-    styled = zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True)
-    return [(run, {**looks, "label": name}) for run, name, looks in styled]
 
 
 def finish(axes: Axes, runs: Sequence[Run], label: str) -> None:

@@ -29,14 +29,14 @@ from turtlelog.show.figures.page import (
     REFERENCE,
     SENSED,
     choose_lines,
-    label_runs,
+    style_runs,
 )
 from turtlelog.show.figures.tracking_panels import (
     draw_tracked_paths,
     draw_ways_to_reference,
     draw_worst_place,
 )
-from turtlelog.show.robot_curves import lack_samples, part_path
+from turtlelog.show.robot_curves import find_jump_rows, lack_samples, part_path
 from turtlelog.show.shared_curves import (
     REFERENCE as AIMED,
 )
@@ -56,6 +56,12 @@ _WORDS_POINTS: Final = 6.5
 _RING: Final[Mapping[str, Any]] = MappingProxyType(
     {"color": "0.75", "linewidth": 0.5, "zorder": 1.2}
 )
+
+_PLANE: Final = "plane"
+"""The label of axes that show where runs drove."""
+
+_FAINT: Final = 0.25
+"""How opaque the part of a path is that a page's times leave out."""
 
 
 def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
@@ -84,23 +90,60 @@ def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
     """Draw the way of every run, where it begins and ends, its goal and what it tracks."""
     draw_tracked_paths(axes, runs)
     draw_ways_to_reference(axes, runs)
-    for run, name, looks in zip(runs, label_runs(runs), choose_lines(len(runs)), strict=True):
+    for run, looks in style_runs(runs):
         xy_m = run.poses.xy_m
         driven_m = part_path(run)
-        draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks, label=name)
+        draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
         if len(runs) == 1 and run.poses.sensed_xy_m is not None:
             draw_points(axes, *run.poses.sensed_xy_m.T, **SENSED)
         (end,) = axes.plot(*xy_m[-1], "o", ms=3.0, color=looks["color"])
         if lack_samples(runs) and len(runs) == 1:
             end.set_label("end")
         for aims_m in _list_aims([run]) if has_own_way(run) else ():
-            draw_thinned(axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM}, label=AIMED)
+            draw_thinned(
+                axes, aims_m[:, 0], aims_m[:, 1], aims_m, **{**looks, **AIM, "label": AIMED}
+            )
     starts = np.unique([run.poses.xy_m[0] for run in runs], axis=0)
     axes.plot(*starts.T, "s", ms=4.0, color="0.3", label="start", zorder=3)
     goals = _list_goals(runs)
     if len(goals):
         axes.plot(*goals.T, "x", ms=6.0, mew=1.4, color="black", label="goal", zorder=3)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", label=_PLANE)
+
+
+def stress_window(
+    figure: Figure, runs: Sequence[Run], window_s: tuple[float, float] | None
+) -> None:
+    """Leave the paths of planes strong where they were driven within some time, and fade the rest.
+
+    Args:
+        figure: Drawn, without its legend.
+        runs: What it shows, in its order.
+        window_s: From when to when, from each run's first sample [s]; None for all.
+    """
+    if window_s is None:
+        return
+    planes = [axes for axes in figure.axes if axes.get_label() == _PLANE]
+    for axes in planes:
+        for run, looks in style_runs(runs):
+            _fade_outside(axes, run, looks, window_s)
+    if planes:
+        from_s, to_s = window_s
+        title = planes[0].get_title()
+        named = f"{title}, {from_s:g} to {to_s:g} s strong" if title else ""
+        planes[0].set_title(named or f"{from_s:g} to {to_s:g} s strong")
+
+
+def _fade_outside(
+    axes: Axes, run: Run, looks: Mapping[str, Any], window_s: tuple[float, float]
+) -> None:
+    (whole,) = [line for line in axes.get_lines() if line.get_label() == looks["label"]]
+    whole.set(alpha=_FAINT, label=None)
+    rows = find_jump_rows(run)
+    time_s = np.insert((run.poses.time_ns - run.start_ns) / 1e9, rows, np.nan)
+    is_inside = (time_s >= window_s[0]) & (time_s <= window_s[1])
+    driven_m = np.where(is_inside[:, None], part_path(run), np.nan)
+    draw_thinned(axes, driven_m[:, 0], driven_m[:, 1], driven_m, **looks)
 
 
 def show_all(axes: Axes, runs: Sequence[Run]) -> None:

@@ -22,8 +22,9 @@ from turtlelog.show.figures.page import (
     REFERENCE,
     SENSED,
     choose_lines,
+    style_runs,
 )
-from turtlelog.show.figures.panels import finish, style_runs
+from turtlelog.show.figures.panels import finish
 from turtlelog.show.palette import FEW
 from turtlelog.show.robot_curves import part_curve
 from turtlelog.show.shared_curves import (

@@ -21,6 +21,7 @@ from turtlelog.show.figures.metric_panels import (
     set_value_scale,
 )
 from turtlelog.show.figures.page import choose_lines
+from turtlelog.show.many_runs import find_gain_unit
 
 Values = NDArray[np.float64]
 
@@ -41,6 +42,9 @@ _HALF_WIDTH: Final = 0.17
 _PANEL_INCH: Final = 1.75
 _NARROW_INCH: Final = 2.3
 """A panel is at least so wide, where there is more than one: its groups have names below it."""
+
+_SIDE_INCH: Final = 0.65
+"""Of a panel's width, for the numbers and the two lines beside its axis."""
 
 _BOX: Final[Mapping[str, Any]] = MappingProxyType(
     {
@@ -91,7 +95,7 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
     found: dict[tuple[Parameter | None, ...], list[int]] = {}
     for row, cell in enumerate(cells):
         found.setdefault(cell, []).append(row)
-    label = "Kp [1/s]" if is_one_gain else ", ".join(key.rpartition(".")[2] for key in by)
+    label = "Kp [1/s]" if is_one_gain else ", ".join(_name_key(key, runs) for key in by)
     if more > 0 and not is_one_gain:
         label += f" ({more} more keys differ)"
     if len(found) > _MOST_GROUPS:
@@ -105,6 +109,12 @@ def group_runs(runs: Sequence[Run]) -> RunGroups:
         names=tuple(_shorten(", ".join(map(_tell, cell))) for cell in order),
         rows=tuple(tuple(found[cell]) for cell in order),
     )
+
+
+def _name_key(key: str, runs: Sequence[Run]) -> str:
+    """Return the last part of a key, with its unit if it is a gain; others say theirs."""
+    unit = find_gain_unit(runs, key)
+    return f"{key.rpartition('.')[2]}{f' [{unit}]' if unit else ''}"
 
 
 def _shorten(name: str) -> str:
@@ -140,25 +150,60 @@ def draw_strips(
     groups = group_runs(runs)
     found = measure_for_figure("strips", runs, metrics)
     width = figure.get_figwidth()
-    columns = max(1, min(len(found), int(width / _NARROW_INCH)))
+    columns = _choose_columns(groups, len(found), width)
     rows = -(-len(found) // columns)
     figure.set_size_inches(width, rows * _PANEL_INCH + 0.2)
     grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat[len(found) :]:
         axes.remove()
-    room_mm = 25.4 * (width / columns - 0.55) / len(groups.names)
+    room_mm = _find_room(groups, width / columns)
     for number, (axes, one) in enumerate(zip(grid.flat, found, strict=False)):
         _draw_strip(axes, groups, one, room_mm)
+        axes.tick_params(labelbottom=number + columns >= len(found))
         if number + columns >= len(found):
-            axes.set_xlabel(groups.label)
+            axes.set_xlabel("; ".join(filter(None, [groups.label, _tell_sizes(groups)])))
+    figure.align_ylabels()
+
+
+def _choose_columns(groups: RunGroups, count: int, width_inch: float) -> int:
+    """Return as many columns of panels as there is room for, fewer where names would slant."""
+    most = max(1, min(count, int(width_inch / _NARROW_INCH)))
+    widest = _measure_widest(_name_groups(groups))
+    fitting = [n for n in range(most, 0, -1) if widest <= _find_room(groups, width_inch / n)]
+    return fitting[0] if fitting else most
+
+
+def _find_room(groups: RunGroups, panel_inch: float) -> float:
+    """Return how wide the name of a group may be below a panel [mm]."""
+    return 0.95 * 25.4 * (panel_inch - _SIDE_INCH) / len(groups.names)
+
+
+def _measure_widest(names: Sequence[str]) -> float:
+    return max(measure_text_mm(line) for name in names for line in name.split("\n"))
+
+
+def _name_groups(groups: RunGroups) -> list[str]:
+    """Return names below a panel, with how many runs there are unless all have as many."""
+    if _tell_sizes(groups):
+        return [*groups.names]
+    named = zip(groups.names, groups.rows, strict=True)
+    return [f"{name}\nn = {len(rows)}".lstrip("\n") for name, rows in named]
+
+
+def _tell_sizes(groups: RunGroups) -> str:
+    """Return how many runs all groups have; empty where they differ, as their names tell it."""
+    sizes = {len(rows) for rows in groups.rows}
+    if len(sizes) > 1 or len(groups.rows) == 1:
+        return ""
+    (size,) = sizes
+    return "one run each" if size == 1 else f"n = {size} each"
 
 
 def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: float) -> None:
     set_value_scale(axes, found)
     is_boxed = any(np.isfinite(found.values[list(rows)]).sum() >= _BOX_FROM for rows in groups.rows)
-    names = []
-    for place, (rows, name, looks) in enumerate(
-        zip(groups.rows, groups.names, choose_lines(len(groups.rows)), strict=True)
+    for place, (rows, looks) in enumerate(
+        zip(groups.rows, choose_lines(len(groups.rows)), strict=True)
     ):
         values = found.values[list(rows)]
         known = values[np.isfinite(values)]
@@ -167,9 +212,8 @@ def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: flo
             count = f"{len(values) - len(known)} without"
             text = axes.text(place, 0.99, count, fontsize=6.0, color=_NONE, ha="center", va="top")
             text.set_transform(axes.get_xaxis_transform())
-        names.append(f"{name}\nn = {len(values)}".lstrip("\n"))
-    widest = max(measure_text_mm(line) for name in names for line in name.split("\n"))
-    if widest > 0.95 * room_mm:
+    names = _name_groups(groups)
+    if _measure_widest(names) > room_mm:
         axes.set_xticks(range(len(names)), [name.replace("\n", ", ") for name in names])
         axes.tick_params(axis="x", labelrotation=35.0)
         for text in axes.get_xticklabels():
@@ -179,7 +223,7 @@ def _draw_strip(axes: Axes, groups: RunGroups, found: MetricValues, room_mm: flo
     axes.set_xlim(-0.6, len(names) - 0.4)
     axes.grid(visible=False, axis="x")
     words = found.label
-    axes.set_ylabel(f"{found.loop}: {words}" if found.loop else words)
+    axes.set_ylabel(f"{found.loop}:\n{words}" if found.loop else words)
 
 
 def _draw_group(axes: Axes, place: int, known: Values, color: Any, *, is_boxed: bool) -> None:

@@ -39,15 +39,22 @@ def require_window(runs: Sequence[Run], page: Page) -> None:
             )
 
 
-def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
-    """Show what lies within the page's times, each curve at the height that it has there."""
+def find_window(runs: Sequence[Run], page: Page) -> tuple[float, float] | None:
+    """Return from when to when a page shows runs [s]; None where it shows all of them."""
     if page.from_s is None and page.to_s is None:
-        return
+        return None
     first_s, last_s = _find_span(runs)
-    window_s = (
+    return (
         first_s if page.from_s is None else page.from_s,
         last_s if page.to_s is None else page.to_s,
     )
+
+
+def cut_time_axes(figure: Figure, runs: Sequence[Run], page: Page) -> None:
+    """Show what lies within the page's times, each curve at the height that it has there."""
+    window_s = find_window(runs, page)
+    if window_s is None:
+        return
     for axes in list_time_axes(figure):
         is_free = axes.get_autoscaley_on()
         axes.set_xlim(*window_s)

@@ -39,8 +39,8 @@ from turtlelog.show.figures.left_out import has_table1
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.marked_panels import mark_panels
 from turtlelog.show.figures.page import LOOKS, Page
-from turtlelog.show.figures.plane_panels import has_one_plane
-from turtlelog.show.figures.time_window import cut_time_axes, require_window
+from turtlelog.show.figures.plane_panels import has_one_plane, stress_window
+from turtlelog.show.figures.time_window import cut_time_axes, find_window, require_window
 from turtlelog.show.output_files import replace_together
 from turtlelog.show.table_formats import format_latex
 
@@ -95,6 +95,7 @@ def draw_figure(
         figure = Figure(figsize=size, layout="constrained")
         kind.draw_on(figure, order_by_gain(runs))
         cut_time_axes(figure, runs, page)
+        stress_window(figure, order_by_gain(runs), find_window(runs, page))
         add_legend(figure, without=add_gain_bar(figure, order_by_gain(runs)))
         page.fit(figure)
         if page.has_marks:
