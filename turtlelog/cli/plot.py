@@ -111,6 +111,8 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         drawn, tables = _draw_all(output, runs, kinds_of, (kinds, page, jobs))
         figures = {path: path.stem for path in drawn}
         left_out = show.list_left_out(runs, names) if runs else ()
+    if page.has_marks and (names or is_file):
+        left_out = (*left_out, *show.list_unmarked(runs, figures.values()))
     for line in left_out:
         print_note(f"plot: {line}")
     _tell_whole(figures.values(), page)

@@ -4,6 +4,7 @@ from .figures import (
     Page as Page,
     draw_figure as draw_figure,
     list_left_out as list_left_out,
+    list_unmarked as list_unmarked,
     write_figures as write_figures,
     write_prediction_figure as write_prediction_figure,
     write_robot_figure as write_robot_figure,

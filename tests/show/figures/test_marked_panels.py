@@ -1,6 +1,7 @@
 """Characteristics on the curves of figures."""
 
 from itertools import combinations
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import turtlelog as tl
 from turtlelog.measure import measure_run
 from turtlelog.scenario import get_preset
 from turtlelog.show import Page, draw_figure
+from turtlelog.show.figures.left_out import list_unmarked
 from turtlelog.show.figures.page import PageKind
 
 RUNS = [tl.simulate_run(get_preset(f"paper-kp{kp}")) for kp in (1, 2, 4, 10)]
@@ -83,17 +85,77 @@ def test_words_cover_neither_each_other_nor_dots_nor_leave_the_panel(
     assert all(panel.y0 <= box.y0 and box.y1 <= panel.y1 for box in boxes)
 
 
-def test_several_runs_have_settling_times_in_their_colours() -> None:
-    (axes,) = draw_figure("heading", RUNS, page=MARKED).axes
-    settled = [text for text in axes.texts if text.get_text().startswith("settled")]
-    assert len({text.get_color() for text in settled}) == len(RUNS)
+def test_several_runs_have_a_table_in_their_colours_that_covers_no_curve() -> None:
+    for kind in get_args(PageKind):
+        figure = draw_figure("heading", RUNS, page=Page(kind=kind, has_marks=True))
+        FigureCanvasAgg(figure).draw()
+        (axes,) = figure.axes
+        assert list_words(axes) == [
+            "kp1: settled 4.08 s",
+            "kp2: settled 2.78 s",
+            "kp4: settled 2.28 s",
+            "kp10: settled 2.21 s, overshoot 1 %",
+        ]
+        assert len({text.get_color() for text in axes.texts}) == len(RUNS)
+        for run in RUNS:
+            time_s = (run.poses.time_ns - run.start_ns) / 1e9
+            curve = np.stack([time_s, np.degrees(run.poses.heading_rad)], axis=1)
+            points = axes.transData.transform(curve)
+            boxes = [text.get_window_extent() for text in axes.texts]
+            assert not any(box.contains(*point) for box in boxes for point in points)
 
 
-@pytest.mark.parametrize(("count", "has_words"), [(4, True), (5, False)])
-def test_more_than_four_runs_have_dots_without_words(count: int, has_words: bool) -> None:  # noqa: FBT001
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [(4, "kp1: settled 4.08 s"), (5, "settled 2.21 to 4.08 s")],
+)
+def test_of_more_than_four_runs_extremes_are_told(count: int, words: str) -> None:
     (axes,) = draw_figure("heading", [*RUNS, RUN][:count], page=MARKED).axes
-    assert bool(list_words(axes)) == has_words
+    assert list_words(axes)[0] == words
     assert len(list_dots(axes)) >= count
+
+
+def test_extremes_say_of_how_many_runs_they_are() -> None:
+    (axes,) = draw_figure("heading", [*RUNS, RUNS[0]], page=MARKED).axes
+    assert list_words(axes)[1] == "overshoot 1.01 % (1 of 5 runs)"
+
+
+def test_extremes_take_the_place_of_a_table_without_room() -> None:
+    slide = draw_figure("panel", RUNS, page=Page(kind="slide", has_marks=True))
+    words = {str(axes.get_label()): list_words(axes) for axes in slide.axes}
+    assert words["along_track"][0] == "settled 5.58 to 6.63 s"
+    assert words["heading"][0] == "kp1: settled 4.08 s"
+
+
+def test_coordinates_have_arrival_settling_and_their_own_end_values() -> None:
+    figure = draw_figure("position-error", [RUN], page=MARKED)
+    assert RUN.goal_xy_m is not None
+    for axes, goal_m, end_m in zip(figure.axes, RUN.goal_xy_m, RUN.poses.xy_m[-1], strict=True):
+        assert {*list_words(axes)} == {
+            *("pause 0.528 s", "settled 5.58 s", "at the goal 8.85 s"),
+            f"at the end {goal_m - end_m:.3g} m",
+        }
+        assert any(dot[1] == pytest.approx(goal_m - end_m) for dot in list_dots(axes))
+
+
+@pytest.mark.parametrize(
+    ("names", "lines"),
+    [
+        (["heading", "position-error", "panel"], ()),
+        (
+            ["plane", "heading", "speed"],
+            ("left marks out of plane, speed: expected a curve with characteristics, found none",),
+        ),
+    ],
+)
+def test_figures_without_marks_are_told(names: list[str], lines: tuple[str, ...]) -> None:
+    assert list_unmarked(RUNS, names) == lines
+    for name in names:
+        words = [
+            word for axes in draw_figure(name, [RUN], page=MARKED).axes for word in list_words(axes)
+        ]
+        plain = [word for axes in draw_figure(name, [RUN]).axes for word in list_words(axes)]
+        assert (words == plain) == any(name in line for line in lines)
 
 
 def test_an_error_s_band_lies_around_zero() -> None:

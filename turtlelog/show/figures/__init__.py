@@ -1,7 +1,7 @@
 """Figures for print: the paper's, from any recordings, with matplotlib.
 
-`figure_kinds` names them, `figure_curves` and `panels` draw them, `page` gives them their size and
-looks, `writing` writes them.
+`figure_kinds` names them, `figure_curves` and the files of panels draw them, `page` gives them
+their size and looks, `legend` names what they show, `writing` writes them.
 """
 
 from turtlelog.libraries import load_library
@@ -9,7 +9,7 @@ from turtlelog.libraries import load_library
 load_library("matplotlib")
 
 from turtlelog.show.figures.figure_kinds import FIGURES, FigureKind
-from turtlelog.show.figures.left_out import list_left_out
+from turtlelog.show.figures.left_out import list_left_out, list_unmarked
 from turtlelog.show.figures.page import Page
 from turtlelog.show.figures.prediction_figure import write_prediction_figure
 from turtlelog.show.figures.robot_figure import write_robot_figure
@@ -22,6 +22,7 @@ __all__ = [
     "Page",
     "draw_figure",
     "list_left_out",
+    "list_unmarked",
     "write_figures",
     "write_prediction_figure",
     "write_robot_figure",

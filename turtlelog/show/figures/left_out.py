@@ -2,10 +2,13 @@
 
 import sys
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Final
 
 from turtlelog.compare import order_by_gain, tabulate_table1
+from turtlelog.measure import measure_run
 from turtlelog.run import Run
+from turtlelog.show.characteristics import Characteristic, list_characteristics
 from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
 from turtlelog.show.figures.figure_kinds import (
     FIGURES,
@@ -13,9 +16,11 @@ from turtlelog.show.figures.figure_kinds import (
     list_state_panels,
     list_usual_figures,
 )
+from turtlelog.show.figures.marked_panels import has_marks
 from turtlelog.show.figures.needs import GOAL, SAMPLES, find_lacks
 from turtlelog.show.figures.page import label_runs
 from turtlelog.show.figures.plane_panels import has_one_plane
+from turtlelog.show.figures.signal_panels import draw_track
 from turtlelog.show.robot_curves import lack_samples
 from turtlelog.show.tracked_path import ON_PATH_M, find_worst_place, list_paths
 
@@ -52,6 +57,32 @@ def list_left_out(runs: Sequence[Run], names: Iterable[str] | None = None) -> tu
         needed = GOAL if any(len(run.samples) for run in runs) else SAMPLES
         lines.append(f"left out table1.tex: expected a gain or {needed}, found none")
     return (*lines, *_tell_states(runs, shown), *_tell_close_up(runs, shown))
+
+
+def list_unmarked(runs: Sequence[Run], names: Iterable[str]) -> tuple[str, ...]:
+    """Return one line on the figures whose curves have no characteristics, where there are any.
+
+    Args:
+        runs: What is drawn.
+        names: Of the figures.
+    """
+    found = [list_characteristics(run, measure_run(run)) for run in runs]
+    lacking = [name for name in names if not _is_marked(name, runs, found)]
+    expected = "a curve with characteristics, found none"
+    return (f"left marks out of {', '.join(lacking)}: expected {expected}",) if lacking else ()
+
+
+def _is_marked(name: str, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]) -> bool:
+    signals = _list_signals(name, runs)
+    return any(has_marks(signal, marks) for signal in signals for marks in found)
+
+
+def _list_signals(name: str, runs: Sequence[Run]) -> list[str]:
+    """Return the signals of a figure's panels over time."""
+    kind = FIGURES[name]
+    drawn = [panel.draw for panel in kind.choose_panels(runs)] if kind.draw is None else []
+    named = [draw.keywords.get("signal", "") for draw in drawn if isinstance(draw, partial)]
+    return [*filter(None, named), *(["along_track"] if draw_track in drawn else [])]
 
 
 def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:

@@ -1,7 +1,7 @@
 """Characteristics in panels over time: guide lines, dots, spans, and words that cover nothing."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -13,28 +13,21 @@ from numpy.typing import NDArray
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.characteristics import Characteristic, list_characteristics
-from turtlelog.show.figures.direct_labels import WordSpace, measure_text_mm
-from turtlelog.show.figures.page import choose_lines
+from turtlelog.show.figures.mark_words import GUIDE_ORDER, Table, Word, write_words
+from turtlelog.show.figures.page import label_runs, style_runs
 from turtlelog.show.figures.time_window import fit_height, list_time_axes
+from turtlelog.show.many_runs import cut_alike
 from turtlelog.show.shared_curves import Curve, read_curve
 
 Values = NDArray[np.float64]
 
 MOST_WORDED: Final = 4
-"""Of more runs the dots have neither words nor guides: these would cover the curves."""
-
-_WORDS_POINTS: Final = 6.5
-_LINE_MM: Final = 1.25 * _WORDS_POINTS * 25.4 / 72.0
-_DOT_MM: Final = 0.8
-_LEADER_MM: Final = 4.0
-"""Words that stand further from their dot have a line to it."""
+"""Of more runs the dots have no guides, and words tell extremes alone: a table of all would cover
+the curves."""
 
 _GUIDE: Final[Mapping[str, Any]] = MappingProxyType(
-    {"linestyle": (0, (1, 1.6)), "linewidth": 0.7, "zorder": 1.6}
+    {"linestyle": (0, (1, 1.6)), "linewidth": 0.7, "zorder": GUIDE_ORDER}
 )
-_GUIDE_POINTS: Final = 40
-"""Points of a guide line that words avoid: a tenth of a curve's, as it may rather be covered."""
-
 _PAUSE: Final[Mapping[str, Any]] = MappingProxyType(
     {"facecolor": "0.90", "edgecolor": "none", "zorder": 0.4}
 )
@@ -54,11 +47,13 @@ _LEAST_PAUSE: Final = 0.005
 """Of an axis: a narrower stripe is a line of a third of a millimetre in a column."""
 
 _DEAD_WORDS: Final = "#8a4f1d"
-_AWAY_MM: Final = (2.0, 4.0, 7.0, 10.0, 14.0, 19.0, 25.0, 32.0)
-"""How far words may stand from their dot, best first: marks of one phase end in one corner."""
-
 _CUT: Final = 0.8
 """An axis is cut to a phase that is a smaller part of it."""
+
+_COORDINATES: Final = frozenset({"x", "y", "error_x", "error_y"})
+_WAYS: Final = frozenset({"along_track", "distance"})
+"""What loops control that move a robot to its goal."""
+_MOMENTS: Final = frozenset({"settling_time", "time_to_goal", "position_error"})
 
 _OF_ERRORS: Final[Mapping[str, str]] = MappingProxyType({"heading_error": "heading"})
 """Errors on whose curve the characteristics of a loop's signal stand, too."""
@@ -92,16 +87,6 @@ class _Marked:
         return abs(value) if self.is_magnitude else value
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Word:
-    """Words for a dot of a panel, or for a span of time, in which they stand upright."""
-
-    text: str
-    at: tuple[float, float]
-    color: Any
-    span_s: tuple[float, float] | None = None
-
-
 def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
     """Mark characteristics in the panels that show what loops control.
 
@@ -117,22 +102,26 @@ def mark_panels(figure: Figure, runs: Sequence[Run], *, is_cut: bool) -> None:
     if not is_cut:
         for axes in panels:
             _cut_to_phase(axes, found)
-    words = {axes: [*_mark_panel(axes, runs, found)] for axes in panels}
+    words = {axes: _mark_panel(axes, runs, found) for axes in panels}
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-    for axes, named in words.items():
-        _write_words(axes, named)
+    for axes, (named, tables) in words.items():
+        write_words(axes, named, tables)
 
 
 def _mark_panel(
     axes: Axes, runs: Sequence[Run], found: Sequence[Sequence[Characteristic]]
-) -> Iterator[_Word]:
-    """Draw the guides of a panel, and yield the words that belong to them."""
+) -> tuple[list[Word], list[Table]]:
+    """Draw the guides of a panel; return its words, and of several runs tables in their place."""
     label = str(axes.get_label())
     signal = label.strip("|")
     height = axes.get_ylim()
-    for run, marks, looks in zip(runs, found, choose_lines(len(runs)), strict=True):
+    words: list[Word] = []
+    told: dict[str, tuple[Any, list[_Told]]] = {}
+    for (run, looks), marks, name in zip(
+        style_runs(runs), found, cut_alike(label_runs(runs)), strict=True
+    ):
         curve = read_curve(run, signal)
         if curve is None:
             continue
@@ -145,25 +134,88 @@ def _mark_panel(
             has_guides=len(runs) <= MOST_WORDED,
             color=looks["color"],
         )
-        own = [mark for mark in marks if mark.signal in {signal, _OF_ERRORS.get(signal, signal)}]
-        named = list(_mark_run(panel, own))
-        yield from named if len(runs) <= MOST_WORDED else ()
+        drawn = list(_mark_run(panel, choose_marks(signal, marks)))
         if panel.is_alone:
-            yield from _shade_pauses(axes, marks)
+            words = [*(_word(panel, *one) for one in drawn), *_shade_pauses(axes, marks)]
+        told[name] = (looks["color"], drawn)
     axes.set_ylim(height)
+    return words, [] if len(runs) == 1 else _tabulate(axes, told)
 
 
-def _mark_run(panel: _Marked, marks: Sequence[Characteristic]) -> Iterator[_Word]:
+_Told = tuple[Characteristic, str]
+"""A mark that is drawn, with its words."""
+
+
+def choose_marks(signal: str, marks: Sequence[Characteristic]) -> list[Characteristic]:
+    """Return the marks of a run that belong on the curve of a signal.
+
+    On coordinates stand the moments of the way to the goal, without its bands.
+    """
+    if signal not in _COORDINATES:
+        return [mark for mark in marks if mark.signal in {signal, _OF_ERRORS.get(signal, signal)}]
+    return [
+        replace(mark, span_s=None, levels=None)
+        for mark in marks
+        if mark.signal in _WAYS and mark.kind in _MOMENTS
+    ]
+
+
+def _mark_run(panel: _Marked, marks: Sequence[Characteristic]) -> Iterator[_Told]:
     for mark in marks:
+        shown = replace(mark, value=panel.read(mark.at_s)) if _is_end(panel, mark) else mark
         draw = _DRAWN.get(mark.kind)
-        text = draw(panel, mark, marks) if draw is not None else ""
+        text = draw(panel, shown, marks) if draw is not None else ""
         if text:
-            is_dead = mark.kind == "dead_time"
-            at_s = mark.span_s[1] if is_dead and mark.span_s is not None else mark.at_s
-            color = "0.25" if panel.is_alone else panel.color
-            yield _Word(
-                text=text, at=(at_s, panel.read(at_s)), color=_DEAD_WORDS if is_dead else color
-            )
+            yield shown, text
+
+
+def _is_end(panel: _Marked, mark: Characteristic) -> bool:
+    """Whether a mark is where a coordinate ends: its own value stands there, not the distance."""
+    is_coordinate = str(panel.axes.get_label()) in _COORDINATES
+    return is_coordinate and mark.kind == "position_error"
+
+
+def _word(panel: _Marked, mark: Characteristic, text: str) -> Word:
+    is_dead = mark.kind == "dead_time"
+    at_s = mark.span_s[1] if is_dead and mark.span_s is not None else mark.at_s
+    return Word(text=text, at=(at_s, panel.read(at_s)), color=_DEAD_WORDS if is_dead else "0.25")
+
+
+def _tabulate(axes: Axes, told: Mapping[str, tuple[Any, Sequence[_Told]]]) -> list[Table]:
+    """Return a table with a line for each of a few runs, and one of the extremes of all."""
+    low, high = axes.get_xlim()
+    seen = {
+        name: (color, [one for one in drawn if low <= one[0].at_s <= high])
+        for name, (color, drawn) in told.items()
+    }
+    lines = [
+        (f"{name}: {', '.join(text for _, text in drawn)}", color)
+        for name, (color, drawn) in seen.items()
+        if drawn
+    ]
+    by_word: dict[tuple[str, str], list[float]] = {}
+    for _, drawn in seen.values():
+        for mark, _ in drawn:
+            by_word.setdefault((mark.word, mark.unit), []).append(mark.value)
+    extremes = [
+        (_tell_extremes(word, unit, values, len(told)), "0.25")
+        for (word, unit), values in by_word.items()
+    ]
+    tables = [lines, extremes] if len(told) <= MOST_WORDED else [extremes]
+    return [table for table in tables if table]
+
+
+def _tell_extremes(word: str, unit: str, values: Sequence[float], count: int) -> str:
+    """Return the least and the greatest value of several runs in words."""
+    least, most = f"{min(values):.3g}", f"{max(values):.3g}"
+    span = least if least == most else f"{least} to {most}"
+    some = "" if len(values) == count else f" ({len(values)} of {count} runs)"
+    return f"{word} {span} {unit}{some}"
+
+
+def has_marks(signal: str, marks: Sequence[Characteristic]) -> bool:
+    """Whether the curve of a signal has a mark of a run."""
+    return any(mark.kind in _DRAWN for mark in choose_marks(signal, marks))
 
 
 def _mark_rise(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
@@ -176,7 +228,7 @@ def _mark_rise(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]
 
 def _mark_settled(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
     _draw_band(panel, mark)
-    _guide(panel, None, mark.at_s)
+    _guide(panel, None, mark.at_s, mark.kind)
     return _tell(mark)
 
 
@@ -185,7 +237,7 @@ def _mark_overshoot(panel: _Marked, mark: Characteristic, others: Sequence[Chara
         return ""
     _guide(panel, mark.start_s, mark.at_s)
     if not panel.is_alone:
-        return f"{mark.value:+.2g} %"
+        return f"{mark.word} {mark.value:.2g} %"
     peaks = [other for other in others if other.kind == "peak" and other.loop == mark.loop]
     words = [] if panel.is_error else [_tell(peak) for peak in peaks]
     return "\n".join([*words, *([_tell(mark)] if mark.value >= 0.0 else [])])
@@ -199,7 +251,7 @@ def _mark_dead_time(panel: _Marked, mark: Characteristic, _: Sequence[Characteri
 
 
 def _mark_point(panel: _Marked, mark: Characteristic, _: Sequence[Characteristic]) -> str:
-    if not panel.is_alone:
+    if not panel.is_alone and mark.kind == "final_error":
         return ""
     _guide(panel, None, mark.at_s)
     return _tell(mark)
@@ -225,14 +277,17 @@ def _tell(mark: Characteristic) -> str:
     return f"{mark.word} {mark.value:.{digits}g} {mark.unit}"
 
 
-def _guide(panel: _Marked, from_s: float | None, at_s: float) -> None:
-    """Draw a dot on the curve, dotted lines down to the axis and, from a time on, along."""
+def _guide(panel: _Marked, from_s: float | None, at_s: float, kind: str = "") -> None:
+    """Draw a dot on the curve, dotted lines down to the axis and, from a time on, along.
+
+    Of several runs only settling times have a line: it is their place in time that differs.
+    """
     axes, level = panel.axes, panel.read(at_s)
     color = "0.35" if panel.is_alone else panel.color
     bottom = axes.get_ylim()[0]
-    if panel.has_guides:
+    if panel.has_guides and (panel.is_alone or kind == "settling_time"):
         axes.plot([at_s, at_s], [bottom, level], color=color, **_GUIDE)
-    if panel.has_guides and from_s is not None:
+    if panel.is_alone and from_s is not None:
         axes.plot([from_s, at_s], [level, level], color=color, **_GUIDE)
     axes.plot([at_s], [level], "o", ms=3.2, mfc="white", mec=panel.color, mew=0.9, zorder=3.2)
 
@@ -249,12 +304,12 @@ def _draw_band(panel: _Marked, mark: Characteristic) -> None:
     times_s = [mark.start_s, mark.span_s[1]]
     if panel.is_alone:
         panel.axes.fill_between(times_s, low, high, **_BAND)
-    color = "0.35" if panel.is_alone else panel.color
+    color = "0.35"  # also of several runs, whose bands are often the same
     for level in [high] if panel.is_magnitude else [low, high]:
         panel.axes.plot(times_s, [level, level], color=color, **_GUIDE)
 
 
-def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[_Word]:
+def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[Word]:
     """Shade the pauses that are seen by half at least, and wider than a line."""
     left, right = axes.get_xlim()
     for mark in marks:
@@ -267,7 +322,7 @@ def _shade_pauses(axes: Axes, marks: Sequence[Characteristic]) -> Iterator[_Word
         bottom, top = axes.get_ylim()
         level = float(np.sqrt(bottom * top)) if axes.get_yscale() == "log" else (bottom + top) / 2.0
         at = ((start_s + end_s) / 2.0, level)
-        yield _Word(text=_tell(mark), at=at, color="0.45", span_s=(start_s, end_s))
+        yield Word(text=_tell(mark), at=at, color="0.45", span_s=(start_s, end_s))
 
 
 def _cut_to_phase(axes: Axes, found: Sequence[Sequence[Characteristic]]) -> None:
@@ -291,81 +346,3 @@ def _cut_to_phase(axes: Axes, found: Sequence[Sequence[Characteristic]]) -> None
         axes.set_xlim(max(start_s - room, low), min(end_s + room, high))
         if is_free:
             fit_height(axes, axes.get_xlim())
-
-
-def _write_words(axes: Axes, words: Sequence[_Word]) -> None:
-    """Write words near their dots where they cover least, in the order of time."""
-    figure = axes.get_figure(root=True)
-    box = axes.get_position()
-    inch = np.array(figure.get_size_inches()) if figure is not None else np.ones(2)
-    half_mm = np.array([box.width, box.height]) * inch * 25.4 / 2.0
-    place = WordSpace(center=np.full(2, 0.5), half=np.full(2, 0.5), half_mm=half_mm)
-    to_panel = axes.transData + axes.transAxes.inverted()
-    for line in axes.get_lines():
-        points = line.get_transform().transform(np.asarray(line.get_xydata(), dtype=np.float64))
-        points = axes.transAxes.inverted().transform(_drop_gaps(points))
-        if line.get_zorder() == _GUIDE["zorder"]:
-            place.taken.append(np.linspace(points[0], points[-1], _GUIDE_POINTS))
-        else:
-            place.avoid_line(points)
-    low, high = sorted(axes.get_xlim())
-    shown = [word for word in words if low <= word.at[0] <= high]
-    dots = to_panel.transform([word.at for word in shown]) if shown else np.empty((0, 2))
-    for word, dot in zip(shown, dots, strict=True):
-        if word.span_s is None:
-            place.avoid_point(dot, _DOT_MM)
-    for word, dot in sorted(zip(shown, dots, strict=True), key=lambda pair: pair[0].at):
-        if word.span_s is None:
-            _write_beside(axes, place, word, dot)
-        else:
-            width = float(np.ptp(to_panel.transform([(at_s, 1.0) for at_s in word.span_s])[:, 0]))
-            _write_upright(axes, place, word, (float(dot[0]), width))
-
-
-def _write_beside(axes: Axes, place: WordSpace, word: _Word, dot: Values) -> None:
-    size_mm = _measure(word)
-    middle = place.find_room(dot, float(size_mm[0]), float(size_mm[1]), away_mm=_AWAY_MM)
-    scale_mm = place.half_mm / place.half
-    away_mm = np.maximum(np.abs(middle - dot) * scale_mm - size_mm / 2.0, 0.0)
-    if float(np.hypot(*away_mm)) > _LEADER_MM:
-        half = size_mm / 2.0 / scale_mm
-        ends = np.stack([dot, np.clip(dot, middle - half, middle + half)], axis=1)
-        looks: dict[str, Any] = {"color": word.color, "linewidth": 0.4, "zorder": 3.1}
-        axes.plot(*ends, transform=axes.transAxes, scalex=False, scaley=False, **looks)
-    _write(axes, word, middle)
-
-
-def _write_upright(axes: Axes, place: WordSpace, word: _Word, span: tuple[float, float]) -> None:
-    """Write words into a span, where they cover least; beside it where it is too narrow."""
-    center, width = span
-    size_mm = _measure(word)
-    half = size_mm[::-1] / 2.0 * place.half / place.half_mm
-    if width < 2.0 * half[0]:
-        _write_beside(axes, place, word, np.array([center, 0.5]))
-        return
-    points = np.concatenate(place.taken) if place.taken else np.empty((0, 2))
-    heights = np.linspace(half[1] + 0.03, max(0.97 - half[1], half[1] + 0.03), 25)
-    middles = [np.array([center, height]) for height in heights]
-    middle = min(middles, key=lambda found: place.count_covered(found, half, points))
-    place.take_box(middle, half)
-    _write(axes, word, middle, rotation=90.0)
-
-
-def _measure(word: _Word) -> Values:
-    """Return the width and height of words [mm], shape (2,)."""
-    lines = word.text.split("\n")
-    width_mm = max(measure_text_mm(line, _WORDS_POINTS) for line in lines) + 1.0
-    return np.array([width_mm, _LINE_MM * len(lines)])
-
-
-def _write(axes: Axes, word: _Word, middle: Values, rotation: float = 0.0) -> None:
-    at = (float(middle[0]), float(middle[1]))
-    words = axes.text(*at, word.text, color=word.color, fontsize=_WORDS_POINTS, rotation=rotation)
-    words.set(transform=axes.transAxes, ha="center", va="center", zorder=4)
-    if word.span_s is None:
-        words.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.3, "alpha": 0.75})
-    words.set_in_layout(False)
-
-
-def _drop_gaps(points: Values) -> Values:
-    return points[np.isfinite(points).all(axis=1)]
