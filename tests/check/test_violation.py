@@ -151,7 +151,7 @@ def test_a_metric_that_is_the_value_of_a_signal_has_a_band(
         ({"expect": "final.position_error > 1"}, "no signal stays below its limit"),
         ({"holds": "always(phase == 'pause')"}, "no band around a signal"),
         ({"holds": "always(abs(speed) >= 2)"}, "no band around a signal"),
-        ({"holds": "always(final.position_error <= 0)"}, "names no signal"),
+        ({"holds": "always(final.position_error <= 0)"}, "asked for without always"),
         ({"holds": "always(sensed_x > 0)"}, "undecided: "),
         ({"holds": "always(speed <= 2)"}, "was not violated"),
     ],

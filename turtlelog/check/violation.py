@@ -148,7 +148,8 @@ def _find_of_metric(run: Run, result: CheckResult, judged: JudgedMetric) -> Sign
     magnitude = np.abs(curve.values)
     outside = np.arange(len(magnitude)) == row
     first_s = at_s if result.first_violation_s is None else result.first_violation_s
-    if kind is not None and kind.grows:
+    is_over_time = kind is not None and kind.grows
+    if is_over_time:
         outside |= (magnitude > limit) & (curve.time_s >= first_s)
     rows = _Rows(curve=curve, outside=outside, excess=magnitude - limit)
     ends = np.full(len(magnitude), limit)
@@ -164,6 +165,7 @@ def _find_of_metric(run: Run, result: CheckResult, judged: JudgedMetric) -> Sign
             worst=rows.tell(row),
             check=result.check,
             expected=result.expected,
+            metric="" if is_over_time else metric.id,
         )
     )
 
@@ -199,7 +201,9 @@ def _find_over_time(run: Run, result: CheckResult, check: Check) -> SignalSearch
     leaf = next((one for one in list_leaves(formula) if found.decided_by in one.list_links()), None)
     signals = read_signals(run, names)
     if leaf is None or not names_signals(leaf.node, signals):
-        return SignalSearch(reason=f"{found.decided_by or formula.text} names no signal")
+        of_metric = any(name in list_metrics(run.declaration) for name in names)
+        hint = "; a metric is one value, to be asked for without always" if of_metric else ""
+        return SignalSearch(reason=f"{found.decided_by or formula.text} names no signal{hint}")
     trace = FormulaTrace.open(signals, formula, window_ns=window_ns)
     band = BandReader(run, formula, leaf, signals).read(found.decided_by)
     if band is None:

@@ -18,6 +18,12 @@ if TYPE_CHECKING:
 
     Only = Collection[str] | Mapping[str, FigureKind]
 
+_DRAWABLE: Final = (
+    "a signal in a band (always(abs(cross_track) <= 0.05)) or a metric that is a signal's value at"
+    " a moment (final.position_error <= 0.05)"
+)
+"""What the figure violation can draw."""
+
 _OF_METRICS: Final = ("attribution", "gains", "strips")
 
 
@@ -111,9 +117,7 @@ def _bind_violation(asked: AskedOptions, kind: "FigureKind", runs: "Sequence[Run
     (result,) = tl.check_runs(build_spec([asked.expect]), [(runs[0].name, runs[0])])
     found = find_judged_signal(runs[0], result)
     if found.signal is None:
-        raise ShowError(
-            f"figure violation: expected a signal in a band, found none: {found.reason}"
-        )
+        raise ShowError(f"figure violation: expected {_DRAWABLE}, found none: {found.reason}")
     return replace(kind, draw=partial(draw_violation, violated=found.signal))
 
 

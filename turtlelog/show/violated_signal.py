@@ -41,6 +41,8 @@ class ViolatedSignal:
         worst_word: `worst` or `nearest`.
         check: The check's name.
         expected: What was to hold, as written.
+        metric: Id of the metric that is held to the limit, which the signal has at the worst moment
+            alone; empty where the band is asked for over time.
     """
 
     name: str
@@ -55,6 +57,7 @@ class ViolatedSignal:
     reference: Values | None = None
     check: str = ""
     expected: str = ""
+    metric: str = ""
 
     @property
     def is_moving(self) -> bool:

@@ -380,6 +380,9 @@ def test_a_step_that_does_not_count_is_marked_where_it_is_off(robot: tl.Run) -> 
     assert axes.get_ylabel() == "motion - model\n[m/s]"
     residual = np.concatenate([np.asarray(one.get_ydata()) for one in axes.get_lines()[1:2]])
     assert np.abs(np.asarray(line.get_ydata())).max() == np.abs(residual).max() > 0.5
+    time_s, largest = max(np.asarray(line.get_xydata()).tolist(), key=lambda at: abs(at[1]))
+    told = f"left out: {largest:+.3g} m/s at {time_s:.2f} s"
+    assert axes.texts[0].get_text().startswith(told)
 
 
 def test_an_axis_that_is_not_identified_is_drawn_with_the_reason(robot: tl.Run) -> None:

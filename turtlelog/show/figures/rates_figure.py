@@ -217,7 +217,18 @@ def _draw_left(axes: Axes, one: DrawnAxis, run: Run) -> None:
         near = np.clip(near, 0, len(values) - 1)
         rows = near[np.arange(len(near)), np.abs(values[near]).argmax(axis=1)]
         axes.plot(time_s[rows], values[rows], "x", **_OUTLIER)
+        _name_outliers(axes, time_s[rows], values[rows], COMMAND_UNITS[one.model.axis])
     axes.set_ylabel(f"motion - model\n[{COMMAND_UNITS[one.model.axis]}]")
+
+
+def _name_outliers(axes: Axes, time_s: Values, values: Values, unit: str) -> None:
+    """Tell above a panel how large what does not count in the fit is, of several the largest."""
+    largest = int(np.abs(values).argmax())
+    told = f"left out: {values[largest]:+.3g} {unit} at {time_s[largest]:.2f} s"
+    if len(values) > 1:
+        told += f", the largest of {len(values)}"
+    text = axes.text(1.0, 1.0, told, fontsize=6.5, color=_OUTLIER["color"])
+    text.set(transform=axes.transAxes, ha="right", va="bottom")
 
 
 def _draw_step(axes: Axes, one: DrawnAxis, run: Run) -> None:

@@ -25,6 +25,14 @@ _HEIGHT: Final = 0.5
 _SMALL: Final = 0.12
 """Share of the axis below which limits and what is outside would be too small to be told apart."""
 
+_SHORT: Final = 0.01
+"""Share of the axis of time below which what is outside is narrower than its own dot of 2 mm."""
+_MOST_STRIPES: Final = 60
+"""Of more the panel would be red."""
+_STRIPE: Final[Mapping[str, Any]] = MappingProxyType(
+    {"color": _RED, "alpha": 0.3, "linewidth": 2.5, "zorder": 0.8}
+)
+
 _TITLE_LETTERS: Final = 11.5
 """Letters of a title in an inch of its figure."""
 
@@ -77,9 +85,10 @@ def draw_violation(
     title = "\n".join(textwrap.wrap(f"{violated.expected}: {told}", int(_TITLE_LETTERS * width)))
     axes.set_title(title, color="#00674b" if holds else _RED)
     if holds:
-        _name_moments(axes, violated, {"nearest to the limit:": violated.worst})
+        word = violated.metric or "nearest to the limit:"
+        _name_moments(axes, violated, {word: violated.worst})
         return
-    named = {violated.worst_word: violated.worst}
+    named = {violated.metric or violated.worst_word: violated.worst}
     if violated.first != violated.worst:
         named["first"] = violated.first
     _name_moments(axes, violated, named)
@@ -119,17 +128,30 @@ def _draw_outside(axes: Axes, violated: ViolatedSignal) -> None:
     values = np.where(shown, curve.values, np.nan)
     alone = outside & ~np.r_[False, outside[:-1]] & ~np.r_[outside[1:], False]
     drawstyle = "steps-post" if curve.holds else "default"
-    label = f"outside: {_measure_outside(violated)}"
+    label = f"outside: {violated.metric or _measure_outside(violated)}"
     axes.plot(curve.time_s, values, drawstyle=drawstyle, **_OUTSIDE, label=label)
     axes.plot(curve.time_s[alone], curve.values[alone], "o", ms=2.5, color=_RED, zorder=2.6)
+    for at_s in _list_short(violated)[:_MOST_STRIPES]:
+        axes.axvline(at_s, **_STRIPE)
+
+
+def _list_short(violated: ViolatedSignal) -> list[float]:
+    """Return the middles of what is outside for too short to be seen [s]."""
+    time_s = violated.curve.time_s
+    edges = np.diff(np.concatenate([[False], violated.outside, [False]]).astype(int))
+    begin_s = time_s[np.flatnonzero(edges == 1)]
+    end_s = time_s[np.minimum(np.flatnonzero(edges == -1), len(time_s) - 1)]
+    is_short = end_s - begin_s < _SHORT * float(time_s[-1] - time_s[0])
+    return [float(at_s) for at_s in ((begin_s + end_s) / 2.0)[is_short]]
 
 
 def _measure_outside(violated: ViolatedSignal) -> str:
-    """Return for how long it is outside; of a single row that it is one."""
+    """Return for how long it is outside; of a single row that it is one, and how long it lasts."""
     time_s = violated.curve.time_s
     lasts_s = np.append(np.diff(time_s), 0.0)
     rows = int(violated.outside.sum())
-    return "one row" if rows == 1 else f"{float(lasts_s[violated.outside].sum()):.3g} s"
+    told = f"{float(lasts_s[violated.outside].sum()):.3g} s"
+    return f"one row, {told}" if rows == 1 else told
 
 
 def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
@@ -147,7 +169,9 @@ def _keep_band_in_view(axes: Axes, violated: ViolatedSignal) -> None:
     time_s, whole = violated.curve.time_s, np.ones(len(violated.curve.values))
     below = low * whole if violated.low is None else violated.low
     above = high * whole if violated.high is None else violated.high
-    if violated.curve.holds and violated.is_moving:
+    if violated.metric:
+        pass  # is asked for at one moment
+    elif violated.curve.holds and violated.is_moving:
         axes.fill_between(time_s, below, above, step="post", **_BAND)
     else:
         axes.fill_between(time_s, below, above, **_BAND)
