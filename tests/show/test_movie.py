@@ -1,19 +1,23 @@
 """Movies: which moment each picture shows, what moves in it, and files that can be read back."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 
 from tests.fresh_process import run_command
 from turtlelog import Run, read_run
 from turtlelog.errors import ShowError
 from turtlelog.show import write_movie
+from turtlelog.show.figures.page import label_runs
 from turtlelog.show.movie import encoding
 from turtlelog.show.movie.film import plan_film
-from turtlelog.show.movie.picture import draw_pictures
+from turtlelog.show.movie.picture import _set_stage, draw_pictures
 from turtlelog.show.phase_timelines import locate_run
 
 RECORDINGS = Path(__file__).parents[2] / "recordings" / "paper"
@@ -127,3 +131,32 @@ def test_both_commands_film(tmp_path: Path) -> None:
         )
         assert (done.returncode, done.stdout + done.stderr) == (0, f"wrote {command}.gif\n")
     assert (tmp_path / "plot.gif").read_bytes() == (tmp_path / "view.gif").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("names", "shown"),
+    [
+        (("kp1", "kp10"), ["kp1", "kp10"]),
+        (
+            tuple(f"a-controller-with-a-long-name-{kp}-tuned" for kp in (1, 10)),
+            ["Kp 1, pause 34 ticks, backlog 6", "Kp 10, pause 33 ticks, backlog 5"],
+        ),
+        (
+            ("from-the-hall-on-a-monday-afternoon", "outdoors-in-the-rain-with-a-new-law"),
+            None,
+        ),
+    ],
+    ids=["short", "alike", "unlike"],
+)
+def test_every_run_is_named_above_the_picture(
+    runs: tuple[Run, ...], names: tuple[str, ...], shown: list[str] | None
+) -> None:
+    named = [replace(run, name=name) for run, name in zip(runs, names, strict=True)]
+    if shown is None:  # these differ by more than their gains, so that their names must do
+        named = [replace(run, parameters={}) for run in named]
+    film = plan_film(named, timeline="sim_time", length_s=1.0, pictures_per_s=2.0)
+    figure = Figure(figsize=(12.8, 7.2), dpi=62.5)
+    FigureCanvasAgg(figure)
+    _set_stage(figure, named, film)
+    told = [text.get_text() for text in figure.texts if text.get_text()]
+    assert told == (label_runs(named) if shown is None else shown)

@@ -23,9 +23,10 @@ from turtlelog.show.close_up import (
     format_length,
     list_miss_labels,
 )
-from turtlelog.show.figures.page import LOOKS, choose_lines, label_runs
+from turtlelog.show.figures.page import LOOKS, choose_lines
 from turtlelog.show.movie.encoding import Picture
 from turtlelog.show.movie.film import Film, Values
+from turtlelog.show.movie.head_line import HEIGHT, name_runs_above
 from turtlelog.show.phase_timelines import TIMELINE, locate_run
 from turtlelog.show.robot_curves import part_path
 from turtlelog.show.shared_curves import Curve, choose_rows, find_unit, list_levels, read_curve
@@ -62,12 +63,6 @@ _ZOOM: Final = (0.55, 0.9)
 
 _RINGS_SEEN: Final = 3.0
 """Half-widths of the close-up within which its rings have room for their names."""
-
-_MOST_NAMED: Final = 7
-"""Names above the picture: as many as have a hue of their own."""
-
-_NAMES_END: Final = 0.66
-"""Of the width: the rest is the clock's."""
 
 _MOST_POINTS: Final = 2000
 """Of a trail: more than the picture is wide."""
@@ -178,7 +173,8 @@ def _set_stage(figure: Figure, runs: Sequence[Run], film: Film) -> _Stage:
         _set_curve(stage, figure.add_axes(place), runs, looks, signal)
     if close_up is not None:
         _set_goal(stage, runs, looks, close_up)
-    _write_head(stage, runs, looks)
+    name_runs_above(figure, runs, [look["color"] for look in looks], left=_PLANE[0])
+    stage.clock = figure.text(0.98, HEIGHT, "", ha="right", va="center", animated=True)
     return stage
 
 
@@ -291,26 +287,6 @@ def _set_goal(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look], close_u
     plane = stage.figure.axes[0]
     far_m = float(np.diff(plane.get_ylim())[0]) / 2.0
     stage.goal = _Goal(axes=axes, close_up=close_up, far_m=far_m, words=words)
-
-
-def _write_head(stage: _Stage, runs: Sequence[Run], looks: Sequence[Look]) -> None:
-    """Name the runs in their colours above, and leave room for the time."""
-    names, chosen = label_runs(runs), list(range(len(runs)))
-    if len(runs) > _MOST_NAMED:
-        chosen = np.linspace(0, len(runs) - 1, 4).round().astype(int).tolist()
-    left, named = _PLANE[0], 0
-    renderer = stage.figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    for number in chosen:
-        text = stage.figure.text(left, 0.935, names[number], color=looks[number]["color"])
-        text.set(fontsize=17.0, fontweight="bold", va="center")
-        right = left + text.get_window_extent(renderer).width / stage.figure.bbox.width
-        if right > _NAMES_END:
-            text.remove()
-            break
-        left, named = right + 0.02, named + 1
-    if named < len(runs):
-        stage.figure.text(left, 0.935, f"({named} of {len(runs)} runs)", va="center")
-    stage.clock = stage.figure.text(0.98, 0.935, "", ha="right", va="center", animated=True)
 
 
 def _move(stage: _Stage, number: int, time_s: float) -> Iterator[Artist]:
