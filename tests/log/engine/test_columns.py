@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
+from mcap.records import Metadata
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tests.log.engine.files import CODES, POINT, Row, pack, write_points, write_rows
 from tests.log.runs import find_shared
 from turtlelog.errors import LogError
-from turtlelog.log import TopicColumns, iter_columns, read_columns
+from turtlelog.log import TopicColumns, iter_columns, read_columns, read_info
+from turtlelog.log.engine import read_raw
 
 pytestmark = pytest.mark.usefixtures("way")
 
@@ -255,3 +257,42 @@ def test_one_message_out_of_line_changes_nothing(odd: int, tmp_path: Path) -> No
     np.testing.assert_array_equal(found.fields["x"], np.arange(200.0))
     np.testing.assert_array_equal(found.fields["n"], np.arange(200) % 7)
     np.testing.assert_array_equal(found.sequence, np.arange(200))
+
+
+@pytest.mark.parametrize("index_types", [IndexType.CHUNK | IndexType.MESSAGE, IndexType.NONE])
+def test_a_chunk_may_hold_a_record_that_does_not_belong_there(
+    index_types: IndexType, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, index_types=index_types)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("t/msg/P", "ros2msg", b"float64 x")
+        channel = writer.register_channel("/p", "cdr", schema)
+        for time_ns in (1, 2):
+            writer.add_message(channel, time_ns, pack([("float64", time_ns)]), time_ns)
+            inside = writer._Writer__chunk_builder.record_writer  # type: ignore[attr-defined]
+            Metadata(name="out of place", metadata={}).write(inside)
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert read_columns(path)["/p"].fields["x"].tolist() == [1, 2]
+    assert read_raw(path).metadata == ()
+
+
+def test_a_topic_that_comes_late_has_its_type(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(
+            stream, 1, index_types=IndexType.NONE, repeat_channels=False, repeat_schemas=False
+        )
+        writer.start(profile="ros2")
+        for number, name in enumerate(("Early", "Late")):
+            schema = writer.register_schema(f"t/msg/{name}", "ros2msg", b"float64 x")
+            channel = writer.register_channel(f"/{name.lower()}", "cdr", schema)
+            writer.add_message(channel, number, pack([("float64", number)]), number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    expected = {"/early": "t/msg/Early", "/late": "t/msg/Late"}
+    assert {topic: found.type for topic, found in read_columns(path).items()} == expected
+    assert [*read_columns(path, ["/late"])["/late"].fields["x"]] == [1]
+    batches = [{topic: of.type for topic, of in batch.items()} for batch in iter_columns(path)]
+    assert {topic: kind for batch in batches for topic, kind in batch.items()} == expected
+    assert {topic.topic: topic.type for topic in read_info(path).topics} == expected

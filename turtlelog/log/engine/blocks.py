@@ -23,12 +23,14 @@ from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECO
 from turtlelog.log.engine.parsing import (
     COUNTED_HEAD,
     MESSAGE_HEAD,
+    OF_CHUNKS,
     Place,
     RecordStretch,
     gather_heads,
     iterate_places,
     parse_record,
     take_apart,
+    take_whole,
 )
 from turtlelog.log.engine.walk import Loss, Section, walk_sections
 from turtlelog.log.error_boundary import DamageError
@@ -66,12 +68,18 @@ class Block:
     unit: str = "byte"
 
 
-def build_indexed_block(entry: ChunkEntry, stored: bytes, largest: int = LARGEST_CHUNK) -> Block:
+def build_indexed_block(
+    entry: ChunkEntry,
+    stored: bytes,
+    described: Mapping[bytes, Any],
+    largest: int = LARGEST_CHUNK,
+) -> Block:
     """Return a chunk as a block.
 
     Args:
         entry: What the summary says of it.
         stored: The bytes of the file from the start of the chunk to the end of its indexes.
+        described: Schemas and channels that need not be parsed, by their bytes.
         largest: What a chunk may hold unpacked [bytes].
 
     Raises:
@@ -87,9 +95,15 @@ def build_indexed_block(entry: ChunkEntry, stored: bytes, largest: int = LARGEST
     body = memoryview(stored)[RECORD.size : entry.length]
     data = open_chunk(entry, body, largest)
     offsets = _parse_indexes(memoryview(stored)[entry.length :], byte + entry.length)
-    rest = _follow_indexes(data, offsets, byte)
-    if rest is None:
-        rest = _check_tiling(data, offsets, byte)
+    places = _follow_indexes(data, offsets, byte)
+    if places is None:
+        places = _check_tiling(data, offsets, byte)
+    rest = tuple(
+        described.get(take_whole(data, place))
+        or parse_record(place, data[place.start : place.end], byte)
+        for place in places
+        if place.opcode in OF_CHUNKS
+    )
     return Block(data=data, byte=byte, offsets=offsets, rest=rest)
 
 
@@ -233,10 +247,8 @@ def _parse_indexes(data: memoryview, byte: int) -> dict[int, Offsets]:
     return offsets
 
 
-def _follow_indexes(
-    data: bytes, offsets: Mapping[int, Offsets], byte: int
-) -> tuple[Any, ...] | None:
-    """Return the other records of a chunk, by the compiled loops; None without them.
+def _follow_indexes(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place] | None:
+    """Return where the other records of a chunk stand, by the compiled loops; None without them.
 
     Also where the messages are not just those that the indexes name, one after the other.
     """
@@ -250,7 +262,7 @@ def _follow_indexes(
     ends[[*offsets]] = np.cumsum([len(found) for found in offsets.values()])
     cursors = ends - counts
     starts = np.concatenate([np.empty(0, np.int64), *offsets.values()])
-    buffer, place, rest = np.frombuffer(data, np.uint8), 0, []
+    buffer, place, rest = np.frombuffer(data, np.uint8), 0, list[Place]()
     while place < len(data):
         after = kernels.follow(buffer, place, starts, cursors, ends)
         if after == place and data[place] == Opcode.MESSAGE:
@@ -261,14 +273,13 @@ def _follow_indexes(
         other = next(iterate_places(data, place, len(data), byte), None)
         if other is None or other.opcode == Opcode.MESSAGE:
             return None
-        rest.append(parse_record(other, data[other.start : other.end], byte))
+        rest.append(other)
         place = other.end
-    is_all = bool((cursors == ends).all())
-    return tuple(record for record in rest if record is not None) if is_all else None
+    return rest if (cursors == ends).all() else None
 
 
-def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> tuple[Any, ...]:
-    """Return the other records of a chunk; its messages must fill what they leave, each once.
+def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> list[Place]:
+    """Return where the other records of a chunk stand; its messages must fill the rest, each once.
 
     From 0 on the records are a chain: each message ends where one starts that is marked, or where
     another record does. Lengths that add up leave no message beside the chain.
@@ -283,17 +294,16 @@ def _check_tiling(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> tup
     gaps = ends[marks[ends >> _SLOT] != ends & _WITHIN].tolist()
     if marks[0]:
         gaps.append(0)
-    rest, filled = [], int((ends - starts).sum())
+    rest, filled = list[Place](), int((ends - starts).sum())
     for gap in gaps:
         for place in _walk_gap(data, gap, marks, byte):
-            rest.append((place.start, parse_record(place, data[place.start : place.end], byte)))
+            rest.append(place)
             filled += RECORD.size + place.length
         if filled > len(data):
             break
     if filled != len(data):
         raise _mistrust(byte, f"{filled} bytes of {len(data)}")
-    rest.sort(key=lambda found: found[0])
-    return tuple(record for _, record in rest if record is not None)
+    return sorted(rest, key=lambda place: place.start)
 
 
 def _check_messages(data: bytes, starts: Offsets, channels: NDArray[Any], byte: int) -> Offsets:

@@ -96,26 +96,29 @@ class Catalogue:
             DamageError: Where one differs from another of its id; `byte` is where they stand.
         """
         for record in records:
-            if isinstance(record, Schema):
-                known: Any = self.schemas.setdefault(record.id, record)
-            elif isinstance(record, Channel):
-                known = self.channels.setdefault(record.id, record)
-            else:
+            if not isinstance(record, Schema | Channel):
                 continue
-            if known is record:
+            if self._find_known(record) is None:
                 self._take(record, byte)
-            elif known != record:
-                kind = type(record).__name__.lower()
-                raise DamageError(f"byte {byte}: expected one {kind} {record.id}, found two")
+            else:
+                self.check((record,), byte)
 
     def check(self, records: Collection[Any], byte: int) -> None:
-        """Hold schemas and channels against those that are known.
+        """Hold schemas and channels against those that are known; changes nothing.
 
         Raises:
             DamageError: Where one differs.
         """
-        known: dict[type, Mapping[int, Any]] = {Schema: self.schemas, Channel: self.channels}
-        self.add([found for found in records if found.id in known.get(type(found), {})], byte)
+        for record in records:
+            known = self._find_known(record)
+            if known is not None and known is not record and known != record:
+                kind = type(record).__name__.lower()
+                raise DamageError(f"byte {byte}: expected one {kind} {record.id}, found two")
+
+    def _find_known(self, record: Any) -> Schema | Channel | None:
+        if isinstance(record, Schema):
+            return self.schemas.get(record.id)
+        return self.channels.get(record.id) if isinstance(record, Channel) else None
 
     def list_reasons(self) -> dict[str, str]:
         """Return why topics cannot be understood, in order of their names; of others nothing."""
@@ -156,7 +159,10 @@ class Catalogue:
             self.allowance.spend_description(record)
         except LogError as err:
             raise DamageError(f"byte {byte}: {err}") from err
-        if isinstance(record, Channel):
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        else:
+            self.channels[record.id] = record
             self._of_topics.setdefault(record.topic, []).append(record)
             self._plans.pop(record.topic, None)
 

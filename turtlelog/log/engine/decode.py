@@ -1,7 +1,7 @@
 """The messages of a topic in a block -> rows: one size all at once, others field by field."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from threading import Lock
@@ -110,13 +110,15 @@ def unpack_messages(
 class FixedColumns:
     """Columns of a topic whose messages have one size."""
 
-    def __init__(self, layout: Layout, count: int) -> None:
-        """Set columns of so many rows aside."""
+    def __init__(self, layout: Layout, count: int, kept: Collection[str] | None = None) -> None:
+        """Set columns of so many rows aside: those of these names, None for all."""
         self._layout, self._count, self._used = layout, count, 0
         self._lock = Lock()
         numbers = []
         kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
         for name in (*_KINDS, *layout.kinds):
+            if kept is not None and name not in kept:
+                continue
             stored, offset = layout.little.fields[name][:2]  # type: ignore[index]
             kind = _KINDS.get(name) or layout.kinds[name].replace("?", "u1")
             kinds[name] = np.dtype(kind), (count, *stored.shape)
@@ -152,6 +154,11 @@ class FixedColumns:
         octets = np.frombuffer(data, np.uint8)
         done = kernels.scatter(octets, starts, COUNTED_HEAD + size, *self._tables, first)
         return bool(done == len(starts))
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether any are filled."""
+        return self._used > 0
 
     def finish(self) -> Rows:
         """Return the rows that are filled."""
@@ -206,6 +213,11 @@ def select_rows(
 ) -> Rows:
     """Return some of the rows."""
     return {name: values[chosen] for name, values in rows.items()}
+
+
+def keep_columns(rows: Rows, kept: Collection[str] | None) -> Rows:
+    """Return the columns of some names, None for all."""
+    return rows if kept is None else {name: rows[name] for name in rows if name in kept}
 
 
 def _read_fixed(layout: Layout, data: bytes, starts: Offsets) -> Rows:

@@ -6,6 +6,7 @@ a larger one may take more. Each limit is some ten times what recordings need.
 """
 
 from collections.abc import Mapping
+from threading import Lock
 from types import MappingProxyType
 from typing import Final
 
@@ -80,6 +81,7 @@ class Allowance:
         self._file_size = file_size
         self._most = {kind: base + int(share * file_size) for kind, (base, share) in _BASES.items()}
         self._left = dict(self._most)
+        self._spending = Lock()
 
     def count_left(self, kind: str) -> int:
         """Return how many of a kind may still come."""
@@ -91,8 +93,9 @@ class Allowance:
         Raises:
             LogError: One clause, where there are more than a file of this size may hold.
         """
-        self._left[kind] -= count
-        if self._left[kind] < 0:
+        with self._spending:  # threads unpack messages at once
+            self._left[kind] = left = self._left[kind] - count
+        if left < 0:
             raise LogError(
                 f"expected up to {self._most[kind]} {kind} in a file of {self._file_size} bytes,"
                 " found more"

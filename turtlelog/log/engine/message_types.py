@@ -284,7 +284,7 @@ def fill_columns(columns: Mapping[str, Column], layout: Layout, rows: NDArray[np
     is_big = little["#encapsulation"] == BIG_ENDIAN
     if is_big.any():
         big = rows[is_big].view(layout.big)
-        for name in layout.kinds:
+        for name in layout.kinds.keys() & columns.keys():
             columns[name][is_big] = big[name]
 
 

@@ -65,7 +65,9 @@ _MESSAGE: Final = int(Opcode.MESSAGE)
 _KNOWN: Final = frozenset(
     {Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.ATTACHMENT}
 )
-_OF_CHUNKS: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
+OF_CHUNKS: Final = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
+"""What a chunk may carry beside messages; all else in it is passed over."""
+
 _ROWS: Final = 2**16  # messages looked at together
 _BYTES: Final = 2**24  # from the first to the last of them
 
@@ -123,6 +125,11 @@ def iterate_places(data: bytes | memoryview, start: int, end: int, byte: int) ->
             )
         yield place
         start = place.end
+
+
+def take_whole(data: bytes, place: Place) -> bytes:
+    """Return the bytes of a record, opcode and length included."""
+    return data[place.start - RECORD.size : place.end]
 
 
 def parse_record(place: Place, body: bytes, byte: int) -> Any:
@@ -258,7 +265,7 @@ def take_apart(data: bytes, *, is_chunk: bool, most_records: int) -> RecordStret
         most_records: What there may be before the rest is given up.
     """
     starts, others = array("I"), list[tuple[int, int, int]]()
-    known, size, place, left = _OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
+    known, size, place, left = OF_CHUNKS if is_chunk else _KNOWN, len(data), 0, most_records
     fault, walk = None, start_walk(data, most_records)
     unpack, last = RECORD.unpack_from, size - RECORD.size
     while place < size and left:

@@ -3,7 +3,7 @@
 import os
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar
 
@@ -24,6 +24,7 @@ from turtlelog.log.engine.decode import (
     FixedColumns,
     Rows,
     fill_rows,
+    keep_columns,
     read_rows,
     select_rows,
     unpack_messages,
@@ -135,7 +136,9 @@ class Source:
 
         def build(job: _Job) -> T:
             entry, stored, before = job
-            block = build_indexed_block(entry, stored, self.allowance.largest_chunk)
+            block = build_indexed_block(
+                entry, stored, self._summary.described, self.allowance.largest_chunk
+            )
             self.catalogue.check(block.rest, block.byte)
             return work(replace(block, before=before))
 
@@ -176,6 +179,7 @@ class Selection:
             checked.
         is_flat: Whether fields must be numbers and texts, not sequences of texts or messages: those
             take some hundred times the memory of their bytes.
+        kept: By topic: the only columns that its rows keep, log time among them; of others all.
     """
 
     topics: frozenset[str] | None = None
@@ -183,6 +187,7 @@ class Selection:
     end_ns: int = EVER
     is_lenient: bool = False
     is_flat: bool = False
+    kept: Mapping[str, Collection[str]] = field(default_factory=dict)
 
     @property
     def is_ever(self) -> bool:
@@ -325,7 +330,7 @@ def read_piece(
             first = block.before.get(topic, 0)
             if fill_rows(plan, unpacked, starts, wholes[topic], first):
                 continue
-        rows = read_rows(plan, unpacked, starts)
+        rows = keep_columns(read_rows(plan, unpacked, starts), selection.kept.get(topic))
         if not selection.is_ever:
             times = rows[LOG_TIME]
             rows = select_rows(rows, (times >= selection.start_ns) & (times < selection.end_ns))
@@ -361,12 +366,12 @@ def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
 
 def _find_list(fields: tuple[Field, ...]) -> str | None:
     """Return the name of a sequence of texts or messages."""
-    for field in fields:
-        is_plain = isinstance(field.kind, str) and field.kind != TEXT
-        if not is_plain and (field.is_sequence or (field.length and field.kind == TEXT)):
-            return field.name
-        if not isinstance(field.kind, str) and (found := _find_list(field.kind)) is not None:
-            return f"{field.name}.{found}"
+    for part in fields:
+        is_plain = isinstance(part.kind, str) and part.kind != TEXT
+        if not is_plain and (part.is_sequence or (part.length and part.kind == TEXT)):
+            return part.name
+        if not isinstance(part.kind, str) and (found := _find_list(part.kind)) is not None:
+            return f"{part.name}.{found}"
     return None
 
 

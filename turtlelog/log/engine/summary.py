@@ -18,7 +18,7 @@ from turtlelog.errors import LogError, describe_error
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
-from turtlelog.log.engine.parsing import Place, iterate_places, parse_record
+from turtlelog.log.engine.parsing import Place, iterate_places, parse_record, take_whole
 from turtlelog.log.error_boundary import DamageError, UnfinishedError
 
 _FOOTER: Final = struct.Struct("<BQQQI")  # opcode, length, summary, summary offsets, crc
@@ -72,6 +72,7 @@ class FileSummary:
         chunks: In the order of the file.
         statistics: None where there are none.
         named: Opcode and name of each metadata record and attachment, by its byte in the file.
+        described: Schemas and channels by their bytes, the opcode first: chunks repeat them.
     """
 
     schemas: tuple[Schema, ...]
@@ -79,6 +80,7 @@ class FileSummary:
     chunks: tuple[ChunkEntry, ...]
     statistics: Statistics | None
     named: Mapping[int, tuple[int, str]]
+    described: Mapping[bytes, Schema | Channel]
 
 
 def read_ends(stream: BinaryIO) -> Ends:
@@ -176,19 +178,16 @@ def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
         DamageError: Where a record in it makes no sense, or there are too many.
     """
     chunks: list[ChunkEntry] = []
-    schemas: list[Schema] = []
-    channels: list[Channel] = []
     statistics, named = None, dict[int, tuple[int, str]]()
+    described: dict[bytes, Schema | Channel] = {}
     for place in iterate_places(data, 0, len(data), byte):
         if place.opcode == Opcode.CHUNK_INDEX:
             chunks.append(_parse_entry(data, place, byte))
             continue
         _spend(allowance, place.opcode, byte + place.start)
         found = parse_record(place, data[place.start : place.end], byte + place.start)
-        if isinstance(found, Schema):
-            schemas.append(found)
-        elif isinstance(found, Channel):
-            channels.append(found)
+        if isinstance(found, Schema | Channel):
+            described[take_whole(data, place)] = found
         elif isinstance(found, Statistics):
             statistics = found
         elif isinstance(found, MetadataIndex):
@@ -196,11 +195,12 @@ def parse_summary(data: bytes, byte: int, allowance: Allowance) -> FileSummary:
         elif isinstance(found, AttachmentIndex):
             named[found.offset] = Opcode.ATTACHMENT, found.name
     return FileSummary(
-        schemas=tuple(schemas),
-        channels=tuple(channels),
+        schemas=tuple(found for found in described.values() if isinstance(found, Schema)),
+        channels=tuple(found for found in described.values() if isinstance(found, Channel)),
         chunks=tuple(sorted(chunks, key=lambda entry: entry.start)),
         statistics=statistics,
         named=named,
+        described=described,
     )
 
 

@@ -1,6 +1,6 @@
 """File -> columns, topic by topic: the one way to read messages. And raw records."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -162,23 +162,37 @@ def collect_columns(
     source: Source | SqliteSource, selection: Selection
 ) -> Mapping[str, TopicColumns]:
     """Return the columns of an open file, those of topics without messages included."""
+    found = collect_parts(source, selection)
+    plans = selection.choose_plans(source.catalogue)
+    parts = {topic: found.get(topic) or [make_empty_rows(plan)] for topic, plan in plans.items()}
+    return build_columns(parts, source.catalogue.types)
+
+
+def collect_parts(
+    source: Source | SqliteSource,
+    selection: Selection,
+    look: Callable[[Piece], object] = lambda _: None,
+) -> dict[str, list[Rows]]:
+    """Return the rows of topics that have some, in parts; `look` is called with every piece."""
     expected = count_rows(source, selection)
     if source.is_indexed:  # others are counted as they are walked
         expect(sum(expected.values()), INDEXED_S)
     wholes = _set_aside(source, selection, expected)
     stores: dict[str, _RowStore] = {}
     for piece in iterate_pieces(source, selection, wholes=wholes):
+        look(piece)
         for topic, found in piece.rows.items():
             if topic not in stores:
                 promised = expected.get(topic, 0) if source.is_indexed else 0
                 stores[topic] = _RowStore(0 if topic in wholes else promised)
             stores[topic].take(found)
-    parts = {}
-    for topic, plan in selection.choose_plans(source.catalogue).items():
-        whole = [wholes[topic].finish()] if topic in wholes else []
-        others = stores[topic].parts if topic in stores else []
-        parts[topic] = [*whole, *others] or [make_empty_rows(plan)]
-    return build_columns(parts, source.catalogue.types)
+    parts: dict[str, list[Rows]] = {}
+    for topic, columns in wholes.items():
+        if columns.has_rows:
+            parts[topic] = [columns.finish()]
+    for topic, store in stores.items():
+        parts[topic] = [*parts.get(topic, []), *store.parts]
+    return parts
 
 
 def _set_aside(
@@ -191,7 +205,7 @@ def _set_aside(
         return {}
     most = _SHARE * source.size + _SPARE
     return {
-        topic: FixedColumns(plan.layout, expected[topic])
+        topic: FixedColumns(plan.layout, expected[topic], selection.kept.get(topic))
         for topic, plan in plans.items()
         if plan.layout is not None
         and plan.json is None

@@ -14,18 +14,22 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import walk_blocks
 from turtlelog.log.engine.channels import Catalogue, TopicPlan
-from turtlelog.log.engine.decode import Rows, make_empty_rows
+from turtlelog.log.engine.decode import (
+    LOG_TIME,
+    PUBLISH_TIME,
+    SEQUENCE,
+    Rows,
+    make_empty_rows,
+)
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import read_type
 from turtlelog.log.engine.source import (
     Selection,
     Source,
-    count_rows,
-    iterate_pieces,
     read_piece,
 )
 from turtlelog.log.engine.summary import salvage_summary
-from turtlelog.log.engine.topic_columns import TopicColumns, build_columns
+from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
 from turtlelog.log.engine.walk import Loss
 from turtlelog.log.error_boundary import DamageError
 from turtlelog.log.recording.head import HEAD, Head, parse_head
@@ -43,15 +47,19 @@ from turtlelog.log.recording.topics import (
     SENSED64,
     SHAPED,
     TOPIC_NAMES,
+    USED_FIELDS,
     VELOCITY64,
     Topic,
     define_states,
     list_topics,
 )
-from turtlelog.log.recording.used_rows import UsedRows
 from turtlelog.loops import Declaration
 
 _OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
+_USED: Final = replace(
+    _OWN,
+    kept={name: frozenset((LOG_TIME, SEQUENCE, *fields)) for name, fields in USED_FIELDS.items()},
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,19 +119,13 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
 
 
 def _read_source(source: Source) -> Contents:
-    stores: dict[str, UsedRows] = {}
     found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
     if source.is_indexed:
         # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
         _find_head(found)
-    expected = count_rows(source, _OWN) if source.is_indexed else {}
-    for piece in iterate_pieces(source, _OWN):
-        found += _keep_notes(piece.rest)
-        for topic, rows in piece.rows.items():
-            if topic not in stores:
-                stores[topic] = UsedRows(topic, expected.get(topic, 0))
-            stores[topic].take(rows)
-    parts = {topic: stores.pop(topic).finish() for topic in list(stores)}
+    parts = collect_parts(source, _USED, lambda piece: found.extend(_keep_notes(piece.rest)))
+    for rows in (rows for of_topic in parts.values() for rows in of_topic):
+        rows[PUBLISH_TIME] = rows[LOG_TIME]
     return build_contents(found, source.catalogue, parts, ())
 
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import chain
 from types import MappingProxyType
 from typing import Final
 
@@ -106,6 +107,20 @@ TOPIC_NAMES: Final = frozenset(
     }
 )
 """Names of all that a recording may hold."""
+
+_PLANAR: Final = "x", "y", "theta"
+_TWIST: Final = "linear.x", "angular.z"
+USED_FIELDS: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        POSE.name: (*_PLANAR, "linear_velocity", "angular_velocity"),
+        **dict.fromkeys((POSE64.name, SENSED.name, SENSED64.name, REFERENCE64.name), _PLANAR),
+        **dict.fromkeys((VELOCITY64.name, MEASURED.name, SHAPED.name), _TWIST),
+        COMMAND.name: ("linear.x", "linear.y", "angular.z"),
+        CONTROL.name: ("sequence", "pose_sequence", *chain(*CONTROL_COLUMNS.values())),
+        **dict.fromkeys((PHASE.name, REFERENCE.name), ()),
+    }
+)
+"""The fields that a run needs of topics of many messages; of others it needs all."""
 
 _CONTROL_SAMPLE: Final = """\
 # One callback of the controller. NaN: not recorded.
