@@ -16,7 +16,13 @@ from turtlelog.check.reference import load_reference
 from turtlelog.errors import TurtlelogError
 from turtlelog.measure.path import read_reference_path
 from turtlelog.scenario import override_scenario, parse_assignments, read_scenario
-from turtlelog.text_files import MOST_BYTES, format_toml, parse_toml, read_text_file
+from turtlelog.text_files import (
+    MOST_BYTES,
+    format_toml,
+    parse_known_toml,
+    parse_toml,
+    read_text_file,
+)
 
 READERS: list[Callable[[Path], Any]] = [
     read_scenario,
@@ -199,3 +205,36 @@ def test_lists_of_text_and_text_like_lists_stay_as_they_are() -> None:
     text = format_toml(tables)
     assert parse_toml(text) == tables
     assert text == tomli_w.dumps(tables)
+
+
+LINES = 'a = 1\nb = "x = 1"\n\n[law]\nkind = "p"\nkp = 2.5\n[loop]\nkp = 1e-3\nwrap = true\n'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(LINES, LINES.replace("\n", "\r\n"), "", "\n", "# nothing\n", "a.b = 1\na.c = 2\n"),
+        "a = [\n1,\n2]\n[t]\nb = {c = 1}\n",
+        'a = """\nb = 1\n[c]\n"""\nd = 2\n',
+        "a = '''\nb = 1\n'''\n",
+        "[a.b]\nc = 1\n[a]\nd = 2\n",
+        "[[a]]\nb = 1\n[[a]]\nb = 2\n",
+        '["a b"]\nc = 1 # said\n  d = 2\n',
+        f"a = 1 # {'long ' * 50}\n",
+    ],
+)
+def test_a_text_read_line_by_line_is_read_as_a_whole_is(text: str) -> None:
+    assert parse_known_toml(text) == parse_toml(text)
+    assert parse_known_toml(text) == parse_toml(text)  # now of lines that are known
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a = 1\na = 1\n", "[a]\n[a]\n", "a = 1\n[a]\n", "a = [\nb = 1\n", "a\n", "[a\nb = 1\n"],
+)
+def test_a_text_read_line_by_line_is_refused_as_a_whole_is(text: str) -> None:
+    with pytest.raises(ValueError) as whole:  # noqa: PT011
+        parse_toml(text)
+    with pytest.raises(ValueError) as lines:  # noqa: PT011
+        parse_known_toml(text)
+    assert str(lines.value) == str(whole.value)

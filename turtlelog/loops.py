@@ -230,6 +230,7 @@ class Declaration:
     phases: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {"control": ()})
     states: tuple[str, ...] = ()
     uses_goal: bool = True
+    _hash: int = field(init=False, repr=False, compare=False, default=0)
 
     def __post_init__(self) -> None:
         if not isinstance(self.phases, Mapping):
@@ -247,6 +248,9 @@ class Declaration:
             if not isinstance(loop, ControlLoop):
                 raise RunError(f"loops: expected a ControlLoop, found {loop!r:.60}")
         self._require_names()
+        # Tables of many runs ask for it a hundred times for each run.
+        held = self.loops, tuple(phases.items()), self.states, self.uses_goal
+        object.__setattr__(self, "_hash", hash(held))
 
     def _require_names(self) -> None:
         names = [loop.name for loop in self.loops]
@@ -267,7 +271,7 @@ class Declaration:
                 raise RunError(f"state: expected a name that no signal has, found {state!r}")
 
     def __hash__(self) -> int:
-        return hash((self.loops, tuple(self.phases.items()), self.states, self.uses_goal))
+        return self._hash
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuild, (self.loops, dict(self.phases), self.states, self.uses_goal)

@@ -8,6 +8,7 @@ import textwrap
 import time
 import tomllib
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +30,16 @@ _KEY: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _LONG_KEY: Final = re.compile(
     rf"(?:^|[\[{{,])[ \t]*+(?:{_KEY}\.[ \t]*+){{{_DEEPEST + 1}}}", re.MULTILINE
 )
+
+_TABLE: Final = re.compile(r"\[([A-Za-z0-9_-]+)\]")
+_OF_LINES: Final = ('"""', "'''", "\r")
+"""What texts go over several lines in, and line ends that are not looked at by themselves."""
+
+_LONGEST_LINE: Final = 120
+_MOST_LINES: Final = 4096
+"""Letters of a line that is kept, and lines: 2 MB at most."""
+
+_NO_PAIR: Final = (None, None)
 
 _LINE_LENGTH: Final = 80
 """Letters of a list that stands in one line: with its key about as wide as a terminal."""
@@ -84,6 +95,42 @@ def parse_toml(text: str) -> dict[str, Any]:
     if level:
         raise ValueError(deep)
     return tables
+
+
+def parse_known_toml(text: str) -> dict[str, Any]:
+    """Return what `parse_toml` does; lines that other texts had, too, are not parsed again.
+
+    Scenarios of one experiment differ in a few lines. Text other than tables one level deep, with
+    plain values a line each, is parsed as a whole.
+
+    Raises:
+        ValueError: As `parse_toml`.
+    """
+    tables: dict[str, Any] = {}
+    table = tables
+    lines = [] if any(sign in text for sign in _OF_LINES) else text.split("\n")
+    for line in lines:
+        if (heading := _TABLE.fullmatch(line)) is not None and heading[1] not in tables:
+            table = tables[heading[1]] = {}
+        elif line:
+            key, value = _keep_line(line) if len(line) <= _LONGEST_LINE else _NO_PAIR
+            if key is None or key in table:
+                return parse_toml(text)
+            table[key] = value
+    return tables if lines else parse_toml(text)
+
+
+def _parse_line(line: str) -> tuple[str | None, Any]:
+    """Return key and value of a line that stands for itself, `_NO_PAIR` of any other."""
+    try:
+        pairs = [*tomllib.loads(line).items()]
+    except (ValueError, RecursionError):
+        return _NO_PAIR
+    is_plain = len(pairs) == 1 and not isinstance(pairs[0][1], dict | list)
+    return pairs[0] if is_plain else _NO_PAIR
+
+
+_keep_line = lru_cache(maxsize=_MOST_LINES)(_parse_line)
 
 
 def copy_tables(value: Any) -> Any:

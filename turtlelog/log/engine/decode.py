@@ -3,7 +3,7 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -17,6 +17,7 @@ from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import TopicPlan
 from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
 from turtlelog.log.engine.compiled import find_kernels
+from turtlelog.log.engine.few_messages import MOST, decode_few
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.json_messages import JsonField, decode_json
 from turtlelog.log.engine.limits import UNPACKED, Allowance
@@ -114,19 +115,14 @@ class FixedColumns:
         """Set columns of so many rows aside: those of these names, None for all."""
         self._layout, self._count, self._used = layout, count, 0
         self._lock = Lock()
-        numbers = []
         kinds: dict[str, tuple[np.dtype[Any], tuple[int, ...]]] = {}
         for name in (*_KINDS, *layout.kinds):
             if kept is not None and name not in kept:
                 continue
-            stored, offset = layout.little.fields[name][:2]  # type: ignore[index]
+            stored = layout.little.fields[name][0]  # type: ignore[index]
             kind = _KINDS.get(name) or layout.kinds[name].replace("?", "u1")
             kinds[name] = np.dtype(kind), (count, *stored.shape)
-            together = stored.itemsize // stored.base.itemsize
-            numbers.append((offset, stored.base.itemsize, together))
         self._columns = _allocate(kinds)
-        addresses = [column.ctypes.data for column in self._columns.values()]
-        self._tables = np.array(numbers, np.int64), np.array(addresses, np.int64)
 
     def fill(self, data: bytes, starts: Offsets, first: int) -> bool:
         """Copy messages into the rows from `first` on; return whether there is room for them.
@@ -159,6 +155,17 @@ class FixedColumns:
     def has_rows(self) -> bool:
         """Whether any are filled."""
         return self._used > 0
+
+    @cached_property
+    def _tables(self) -> tuple[Offsets, Offsets]:
+        """Offset, size and count of the numbers of each column in a message; where columns are."""
+        numbers = []
+        for name in self._columns:
+            stored, offset = self._layout.little.fields[name][:2]  # type: ignore[index]
+            together = stored.itemsize // stored.base.itemsize
+            numbers.append((offset, stored.base.itemsize, together))
+        addresses = [column.ctypes.data for column in self._columns.values()]
+        return np.array(numbers, np.int64), np.array(addresses, np.int64)
 
     def finish(self) -> Rows:
         """Return the rows that are filled."""
@@ -328,6 +335,10 @@ def _decode_messages(
     Raises:
         LogError: Where a message is longer or shorter than its type, or a text no UTF-8.
     """
+    if order == "<" and len(starts) <= MOST:
+        few = decode_few(fields, data, starts, ends, _PADDING)
+        if few is not None:
+            return few
     cursor = _Cursor(data, starts, ends, order)
     columns: dict[str, Column] = {}
     cursor.take_fields(fields, "", columns)

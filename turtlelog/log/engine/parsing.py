@@ -3,8 +3,9 @@
 import struct
 import zlib
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from io import BytesIO
 from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 
@@ -30,6 +31,9 @@ from turtlelog.log.engine.runs import start_walk
 from turtlelog.log.error_boundary import DamageError
 
 Rare = TypeVar("Rare")
+
+_LONGEST_KEPT: Final = 2**13  # bytes of a schema or a channel that is kept for the next file
+_MOST_KEPT: Final = 256  # of each; with what is read of them they stay below 8 MB
 
 _ID: Final = struct.Struct("<H")
 _IDS: Final = struct.Struct("<HH")  # of a channel, and of its schema
@@ -169,6 +173,12 @@ def parse_body(kind: type[Rare], body: bytes) -> tuple[Rare, int]:
     return record, stream.count
 
 
+def _recall(read: Callable[[bytes], tuple[Rare, int]]) -> Callable[[bytes], tuple[Rare, int]]:
+    """Return what reads short records once in the life of the program: files repeat them."""
+    keep = lru_cache(maxsize=_MOST_KEPT)(read)
+    return lambda body: keep(body) if len(body) <= _LONGEST_KEPT else read(body)
+
+
 def _read_schema(body: bytes) -> tuple[Schema, int]:
     name, place = _take_field(body, 2)
     encoding, place = _take_field(body, place)
@@ -211,7 +221,10 @@ def _take_field(body: bytes, place: int) -> tuple[bytes, int]:
 
 
 # A file may repeat some ten thousand of these in every chunk: the library takes thrice as long.
-_FREQUENT: Final[dict[Any, Any]] = {Schema: _read_schema, Channel: _read_channel}
+_FREQUENT: Final[dict[Any, Any]] = {
+    Schema: _recall(_read_schema),
+    Channel: _recall(_read_channel),
+}
 
 
 def read_record(stream: BinaryIO, place: Place) -> Any:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, BinaryIO, Final
 
@@ -54,6 +55,9 @@ from turtlelog.log.recording.topics import (
     list_topics,
 )
 from turtlelog.loops import Declaration
+
+_MOST_PLANS: Final = 64
+"""Of topics: those of every recording, and of the states of some laws."""
 
 _OWN: Final = Selection(topics=TOPIC_NAMES, is_lenient=True, is_flat=True)
 _USED: Final = replace(
@@ -120,13 +124,14 @@ def read_contents(stream: BinaryIO, *, may_be_foreign: bool = False) -> Contents
 
 def _read_source(source: Source) -> Contents:
     found: list[Any] = list(source.read_lone((Opcode.METADATA, Opcode.ATTACHMENT)))
+    head: Head | None = None
     if source.is_indexed:
         # First: what others wrote, or a newer turtlelog, may hold messages unlike ours.
-        _find_head(found)
+        head = _find_head(found)
     parts = collect_parts(source, _USED, lambda piece: found.extend(_keep_notes(piece.rest)))
     for rows in (rows for of_topic in parts.values() for rows in of_topic):
         rows[PUBLISH_TIME] = rows[LOG_TIME]
-    return build_contents(found, source.catalogue, parts, ())
+    return build_contents(found, source.catalogue, parts, (), head)
 
 
 def _keep_notes(records: Iterable[Any]) -> list[Any]:
@@ -168,19 +173,27 @@ def build_contents(
     catalogue: Catalogue,
     parts: Mapping[str, list[Rows]],
     damages: Collection[Loss],
+    head: Head | None = None,
 ) -> Contents:
     """Return what records outside chunks, and the rows of topics in parts, make together.
+
+    Args:
+        records: Those outside chunks.
+        catalogue: Of the file.
+        parts: The rows of topics.
+        damages: What could not be read.
+        head: That of the records, where it is known already.
 
     Raises:
         LogError: Where they are no recording of ours, or a topic of ours has another type.
     """
-    head, topics = _find_head(records), {}
+    head, topics = head or _find_head(records), {}
     states = () if head.declaration is None else head.declaration.states
     for topic in _list_topics(head, parts):
         plan = _plan(topic, states if topic.name == LAW_STATE else ())
         if topic.name in catalogue.topics:
             _check_type(plan, catalogue.find_plan(topic.name))
-        rows = parts.get(topic.name) or [make_empty_rows(plan)]
+        rows = parts.get(topic.name) or [_make_empty_rows(topic, plan)]
         topics[topic.name] = build_columns({topic.name: rows}, {topic.name: topic.schema})
     return Contents(
         head=head,
@@ -229,10 +242,20 @@ def _check_type(expected: TopicPlan, found: TopicPlan) -> None:
         raise LogError(f"topic {topic}: expected {wanted}, found other fields")
 
 
+@lru_cache(maxsize=_MOST_PLANS)
 def _plan(topic: Topic, states: tuple[str, ...]) -> TopicPlan:
     definition = define_states(states) if states else SCHEMAS[topic.schema]
     kind = read_type(topic.schema, definition)
     return TopicPlan(topic=topic.name, type=topic.schema, fields=kind.fields, layout=kind.layout)
+
+
+def _make_empty_rows(topic: Topic, plan: TopicPlan) -> Rows:
+    return dict(_keep_empty_rows(topic)) if topic.schema in SCHEMAS else make_empty_rows(plan)
+
+
+@lru_cache(maxsize=_MOST_PLANS)
+def _keep_empty_rows(topic: Topic) -> Rows:
+    return make_empty_rows(_plan(topic, ()))
 
 
 def reconcile_contents(contents: Contents) -> tuple[Contents, str]:

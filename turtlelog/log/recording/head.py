@@ -15,7 +15,7 @@ from turtlelog.log.recording.topics import MEASURED, SENSED, SHAPED
 from turtlelog.loops import Declaration
 from turtlelog.run import Clock
 from turtlelog.scenario import DEFAULT_LAW, nest_parameters
-from turtlelog.text_files import copy_tables, format_toml, parse_toml
+from turtlelog.text_files import copy_tables, format_toml, parse_known_toml
 from turtlelog.version import __version__
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ def parse_scenario_file(attachments: Mapping[str, bytes]) -> tuple[dict[str, Any
 
 def _parse_tables(name: str, text: bytes) -> dict[str, Any]:
     try:
-        return parse_toml(text.decode())
+        return parse_known_toml(text.decode())
     except ValueError as err:
         raise LogError(f"attachment {name}: expected TOML, found: {err}") from err
 
