@@ -400,7 +400,7 @@ FIGURES: Final[Mapping[str, FigureKind]] = NamedValues(
             title="Paths in the plane, and how each run ends",
             paper="17",
             draw=draw_plane,
-            height=0.57,
+            height=0.53,
             needs="poses",
         ),
         "panel": FigureKind(

@@ -200,7 +200,7 @@ def _draw_limits(axes: Axes, loop: LoopGains, *, is_first: bool) -> None:
         else:
             beyond.append((kind, limits[0], looks["color"], limits[0] >= right))
         if shown and is_first:
-            _tell_limits(axes, shown, looks["color"])
+            _tell_limits(axes, shown, looks["color"], is_left=kind == "overshoot")
     if "stability" in starts:
         axes.axvspan(starts["stability"], right, **_BEYOND)
     if "overshoot" in starts:
@@ -219,12 +219,16 @@ def _draw_lines(axes: Axes, limits: Sequence[float], looks: Mapping[str, Any], n
         axes.axvline(limit, **looks, label=name, zorder=1.5)
 
 
-def _tell_limits(axes: Axes, limits: Sequence[float], color: str) -> None:
-    """Write the values of limits above their lines."""
+def _tell_limits(axes: Axes, limits: Sequence[float], color: str, *, is_left: bool) -> None:
+    """Write the values of limits above their lines; two that stand left of others end at the last.
+
+    In a column, the least and the greatest limit of overshoot would touch those of stability.
+    """
     told = "-".join(dict.fromkeys(f"{limit:.3g}" for limit in (limits[0], limits[-1])))
-    middle = math.sqrt(limits[0] * limits[-1])
-    text = axes.text(middle, 1.02, told, fontsize=6.2, color=color)
-    text.set(transform=axes.get_xaxis_transform(), ha="center", va="bottom")
+    ends = is_left and limits[0] < limits[-1]
+    at = limits[-1] if ends else math.sqrt(limits[0] * limits[-1])
+    text = axes.text(at, 1.02, told, fontsize=6.2, color=color)
+    text.set(transform=axes.get_xaxis_transform(), ha="right" if ends else "center", va="bottom")
 
 
 def _tell_beyond(axes: Axes, beyond: Sequence[tuple[str, float, str, bool]]) -> None:
