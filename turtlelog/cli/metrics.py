@@ -128,6 +128,7 @@ def metrics(
         only=essential if is_short else patterns,
         topics=topics.build_choice(),
         jobs=count_jobs(jobs, files),
+        with_parameters=False,
     )
     errors: list[TurtlelogError] = []
     summaries = watch_summaries(found, len(files), errors)

@@ -12,6 +12,10 @@ from .difference import (
     tabulate_differences as tabulate_differences,
 )
 from .like_loops import order_ids as order_ids
+from .measured_files import (
+    complete_summaries as complete_summaries,
+    summarise_files as summarise_files,
+)
 from .paper_tables import (
     tabulate_table1 as tabulate_table1,
     tabulate_whole_runs as tabulate_whole_runs,
@@ -33,14 +37,12 @@ from .run_names import (
 from .run_summary import (
     RunSummary as RunSummary,
     choose_columns as choose_columns,
-    complete_summaries as complete_summaries,
     list_lacks as list_lacks,
     list_needed_metrics as list_needed_metrics,
     list_usual_metrics as list_usual_metrics,
     list_usual_of_run as list_usual_of_run,
     select_runs as select_runs,
     sort_runs as sort_runs,
-    summarise_files as summarise_files,
     summarise_run as summarise_run,
 )
 from .run_table import (

@@ -1,25 +1,21 @@
 """Runs in short, for tables of many: what they were, and how well they did, read file by file."""
 
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from fnmatch import fnmatchcase
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Final
 
 from turtlelog import expressions
 from turtlelog.compare.like_loops import order_ids
-from turtlelog.errors import CompareError, TurtlelogError, suggest_names
+from turtlelog.errors import CompareError, suggest_names
 from turtlelog.escapes import escape_controls
 from turtlelog.laws import ABSENT_BY_DEFAULT, LAWS
-from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.loops import Declaration
 from turtlelog.measure import (
-    MeasureSettings,
     Metric,
-    choose_metrics,
     find_metric_kind,
     is_lawless,
     is_metric_pattern,
@@ -28,8 +24,7 @@ from turtlelog.measure import (
     measure_run,
     miss_metric,
 )
-from turtlelog.measure.metric import format_metrics_html
-from turtlelog.processes import map_in_processes
+from turtlelog.measure.metric import Status, format_metrics_html
 from turtlelog.run import Parameter, Run
 from turtlelog.scenario import Start
 
@@ -90,7 +85,12 @@ class RunSummary:
 
     def __reduce__(self) -> tuple[Any, tuple[dict[str, Any]]]:
         values = {found.name: getattr(self, found.name) for found in fields(self)}
-        return _rebuild, (values | {name: dict(values[name]) for name in _MAPPINGS},)
+        packed = {
+            "parameters": dict(self.parameters),
+            "notes": dict(self.notes),
+            "metrics": [_pack(key, metric) for key, metric in self.metrics.items()],
+        }
+        return _rebuild, (values | packed,)
 
     @property
     def is_lawless(self) -> bool:
@@ -143,14 +143,47 @@ def complete_parameters(run: Run) -> Mapping[str, Parameter]:
 
 def _rebuild(values: dict[str, Any]) -> RunSummary:
     # What thousands of runs have in common is in memory once, though each was pickled alone.
-    named = {
-        name: {sys.intern(key): one for key, one in values[name].items()} for name in _MAPPINGS
+    named: dict[str, Any] = {
+        "parameters": {sys.intern(k): _share(one) for k, one in values["parameters"].items()},
+        "metrics": dict(map(_unpack, values["metrics"])),
+        "declaration": _share_declaration(values["declaration"]),
     }
-    return RunSummary(**values | named | {"declaration": _share(values["declaration"])})
+    return RunSummary(**values | named)
+
+
+_Packed = tuple[str, str, float | None, str, str, str, float | None]
+
+
+def _pack(key: str, metric: Metric) -> _Packed:
+    status = metric.status.value
+    return key, metric.id, metric.value, metric.unit, status, metric.reason, metric.at_s
+
+
+def _unpack(packed: _Packed) -> tuple[str, Metric]:
+    key, name, value, unit, status, reason, at_s = packed
+    metric = Metric(
+        id=sys.intern(name),
+        value=value,
+        unit=sys.intern(unit),
+        status=Status(status),
+        reason=_share(reason),
+        at_s=at_s,
+    )
+    return sys.intern(key), metric
+
+
+def _share(value: Any) -> Any:
+    """Return a text that equals this one, the same for all that do; other values as they are."""
+    return _keep_text(value) if isinstance(value, str) else value
+
+
+@lru_cache(maxsize=1024)
+def _keep_text(text: str) -> str:
+    return text
 
 
 @lru_cache(maxsize=64)
-def _share(declaration: Declaration) -> Declaration:
+def _share_declaration(declaration: Declaration) -> Declaration:
     return declaration
 
 
@@ -158,17 +191,29 @@ def summarise_run(
     run: Run, *, file: str = "", metrics: Mapping[str, Metric] | None = None
 ) -> RunSummary:
     """Return a run in short; `metrics`, where it has been measured already."""
+    return summarise_measured(run, file, measure_run(run) if metrics is None else metrics)
+
+
+def summarise_measured(
+    run: Run, file: str, metrics: Mapping[str, Metric], *, with_parameters: bool = True
+) -> RunSummary:
+    """Return a run in short, with all its parameters or with its gains alone."""
     return RunSummary(
         name=run.name,
         source=run.source,
         stop_reason=run.stop_reason,
-        parameters=complete_parameters(run),
-        metrics=measure_run(run) if metrics is None else metrics,
+        parameters=complete_parameters(run) if with_parameters else _take_gains(run),
+        metrics=metrics,
         file=file,
         notes=run.notes,
         declaration=run.declaration,
         lacks=list_lacks(run),
     )
+
+
+def _take_gains(run: Run) -> Mapping[str, Parameter]:
+    known = complete_parameters(run)
+    return {key: known[key] for key in run.declaration.list_gains() if key in known}
 
 
 def select_runs(
@@ -262,36 +307,6 @@ def list_usual_of_run(run: Run) -> tuple[str, ...]:
     return USUAL_OF_MOTION if is_lawless(run) else list_usual_metrics(run.declaration)
 
 
-def complete_summaries(
-    summaries: Sequence[RunSummary],
-    settings: MeasureSettings | None = None,
-    *,
-    topics: ReadChoice | None = None,
-) -> tuple[RunSummary, ...]:
-    """Return runs with the metrics of `final` and `run` that any of them was measured for.
-
-    Only where bags of somebody else's stand beside runs of a law: their files are read again.
-    """
-    if len({found.is_lawless for found in summaries}) < 2:
-        return tuple(summaries)
-    ids = dict.fromkeys(name for found in summaries for name in found.metrics)
-    shared = [name for name in ids if name.partition(".")[0] in {"final", "run"}]
-    return tuple(_complete(found, shared, settings, topics or ReadChoice()) for found in summaries)
-
-
-def _complete(
-    summary: RunSummary,
-    ids: Sequence[str],
-    settings: MeasureSettings | None,
-    topics: ReadChoice,
-) -> RunSummary:
-    lacking = [name for name in ids if name not in summary.metrics]
-    if not lacking:
-        return summary
-    found = measure_run(read_as_chosen(summary.file, topics), settings, only=lacking)
-    return replace(summary, metrics={**summary.metrics, **found})
-
-
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:
     """Return the ids of the metrics that tell runs of these laws apart at a glance.
 
@@ -380,56 +395,3 @@ def _describe_lack(summary: RunSummary, values: Mapping[str, Any]) -> str:
 def _rank(value: Any) -> tuple[int, Any]:
     """Numbers stand before texts."""
     return (0, value) if isinstance(value, int | float) else (1, str(value))
-
-
-Choice = Collection[str] | Callable[[Run], Collection[str]] | None
-"""Which metrics to compute: ids and patterns, or what says which of a run; all."""
-
-
-def summarise_files(
-    paths: Sequence[str | Path],
-    settings: MeasureSettings | None = None,
-    *,
-    only: Choice = None,
-    topics: ReadChoice | None = None,
-    jobs: int = 1,
-) -> Iterator[RunSummary | TurtlelogError]:
-    """Yield the summary of every file in the order given, or the error where one cannot be read.
-
-    One run at a time is in memory, with `jobs` one in each process.
-
-    Args:
-        paths: Any files that `read_run` takes.
-        settings: As in `measure_run`.
-        only: The same, patterns stand for the metrics that each run has; or a function that says
-            which, as `list_essential_metrics` does.
-        topics: The same topics for all of them.
-        jobs: Processes to measure in, at least 1. They import the module that runs: a script that
-            asks for more than one keeps its own work under `if __name__ == "__main__":`.
-
-    Raises:
-        MeasureError: Where `only` names no metric.
-        CompareError: Where `jobs` is no number of processes.
-    """
-    if jobs < 1:
-        raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
-    if only is not None and not callable(only):
-        choose_metrics(only, Declaration())  # refuses what names no metric of any law
-        only = (only,) if isinstance(only, str) else tuple(only)
-    measure = partial(_measure_file, settings=settings, only=only, topics=topics or ReadChoice())
-    return map_in_processes(measure, [str(path) for path in paths], jobs)
-
-
-def _measure_file(
-    path: str,
-    *,
-    settings: MeasureSettings | None,
-    only: Choice,
-    topics: ReadChoice,
-) -> RunSummary | TurtlelogError:
-    try:
-        run = read_as_chosen(path, topics)
-    except TurtlelogError as err:
-        return err
-    chosen = only(run) if callable(only) else only
-    return summarise_run(run, file=path, metrics=measure_run(run, settings, only=chosen))

@@ -1,0 +1,107 @@
+"""Files -> runs in short, read one by one in as many processes as are asked for."""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from turtlelog.compare.run_summary import RunSummary, summarise_measured
+from turtlelog.errors import CompareError, TurtlelogError
+from turtlelog.log import ReadChoice, read_as_chosen
+from turtlelog.loops import Declaration
+from turtlelog.measure import MeasureSettings, choose_metrics, measure_run
+from turtlelog.processes import map_in_processes
+from turtlelog.run import Run
+
+Choice = Collection[str] | Callable[[Run], Collection[str]] | None
+"""Which metrics to compute: ids and patterns, or what says which of a run; all."""
+
+
+def summarise_files(
+    paths: Sequence[str | Path],
+    settings: MeasureSettings | None = None,
+    *,
+    only: Choice = None,
+    topics: ReadChoice | None = None,
+    jobs: int = 1,
+    with_parameters: bool = True,
+) -> Iterator[RunSummary | TurtlelogError]:
+    """Yield the summary of every file in the order given, or the error where one cannot be read.
+
+    One run at a time is in memory, with `jobs` one in each process.
+
+    Args:
+        paths: Any files that `read_run` takes.
+        settings: As in `measure_run`.
+        only: The same, patterns stand for the metrics that each run has; or a function that says
+            which, as `list_essential_metrics` does.
+        topics: The same topics for all of them.
+        jobs: Processes to measure in, at least 1. They import the module that runs: a script that
+            asks for more than one keeps its own work under `if __name__ == "__main__":`.
+        with_parameters: Whether to keep all parameters, not the laws' gains alone: half of what a
+            summary takes.
+
+    Raises:
+        MeasureError: Where `only` names no metric.
+        CompareError: Where `jobs` is no number of processes.
+    """
+    if jobs < 1:
+        raise CompareError(f"jobs: expected at least 1 process, found {jobs}")
+    if only is not None and not callable(only):
+        choose_metrics(only, Declaration())  # refuses what names no metric of any law
+        only = (only,) if isinstance(only, str) else tuple(only)
+    measure = partial(
+        _measure_file,
+        settings=settings,
+        only=only,
+        topics=topics or ReadChoice(),
+        with_parameters=with_parameters,
+    )
+    return map_in_processes(measure, [str(path) for path in paths], jobs)
+
+
+def _measure_file(
+    path: str,
+    *,
+    settings: MeasureSettings | None,
+    only: Choice,
+    topics: ReadChoice,
+    with_parameters: bool,
+) -> RunSummary | TurtlelogError:
+    try:
+        run = read_as_chosen(path, topics)
+    except TurtlelogError as err:
+        return err
+    chosen = only(run) if callable(only) else only
+    metrics = measure_run(run, settings, only=chosen)
+    return summarise_measured(run, path, metrics, with_parameters=with_parameters)
+
+
+def complete_summaries(
+    summaries: Sequence[RunSummary],
+    settings: MeasureSettings | None = None,
+    *,
+    topics: ReadChoice | None = None,
+) -> tuple[RunSummary, ...]:
+    """Return runs with the metrics of `final` and `run` that any of them was measured for.
+
+    Only where bags of somebody else's stand beside runs of a law: their files are read again.
+    """
+    if len({found.is_lawless for found in summaries}) < 2:
+        return tuple(summaries)
+    ids = dict.fromkeys(name for found in summaries for name in found.metrics)
+    shared = [name for name in ids if name.partition(".")[0] in {"final", "run"}]
+    return tuple(_complete(found, shared, settings, topics or ReadChoice()) for found in summaries)
+
+
+def _complete(
+    summary: RunSummary,
+    ids: Sequence[str],
+    settings: MeasureSettings | None,
+    topics: ReadChoice,
+) -> RunSummary:
+    lacking = [name for name in ids if name not in summary.metrics]
+    if not lacking:
+        return summary
+    found = measure_run(read_as_chosen(summary.file, topics), settings, only=lacking)
+    return replace(summary, metrics={**summary.metrics, **found})
