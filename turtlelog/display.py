@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from html import escape
 from math import degrees
 from typing import Any, Final, TypeVar
 
@@ -90,6 +89,8 @@ def _format_cell(cell: object) -> str:
 
 
 def _escape(text: str) -> str:
+    from html import escape  # with the names of 2,000 letters
+
     return escape(escape_controls(text))
 
 

@@ -5,19 +5,21 @@ module that runs: a script that asks for more than one keeps its own work under
 `if __name__ == "__main__":`.
 """
 
-import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from turtlelog.errors import ProcessError
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -43,7 +45,8 @@ _BYTES_PER_S: Final = 100e6
 
 def count_cores() -> int:
     """Return how many cores this process may use; of a worker 1, as it starts no others."""
-    if multiprocessing.current_process().daemon:
+    loaded = sys.modules.get("multiprocessing")  # not before the first process is started
+    if loaded is not None and loaded.current_process().daemon:
         return 1
     if hasattr(os, "process_cpu_count"):
         return int(os.process_cpu_count() or 1)
@@ -120,6 +123,8 @@ class _Worker:
     """A process, and the items that it holds, the first of which it works on."""
 
     def __init__(self, work: Callable[[Any], Any], name: Callable[[Any], str]) -> None:
+        import multiprocessing
+
         context = multiprocessing.get_context("spawn")
         self.pipe, theirs = context.Pipe()
         self.held: deque[tuple[int, Any]] = deque()
@@ -160,6 +165,8 @@ class _Worker:
 
 def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
     """Yield results in order while the workers are kept busy."""
+    from multiprocessing.connection import wait
+
     found: dict[int, tuple[Any, bool]] = {}
     done = started = 0
     while done < len(items):
@@ -182,7 +189,7 @@ def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
             yield result
 
 
-def _serve(pipe: Connection, work: Callable[[Any], Any]) -> None:
+def _serve(pipe: "Connection", work: Callable[[Any], Any]) -> None:
     """Work until the other side ends, however it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(EOFError, OSError):

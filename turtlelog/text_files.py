@@ -12,8 +12,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import tomli_w
-
 from turtlelog.errors import describe_error
 
 MOST_BYTES: Final = 2**20
@@ -142,6 +140,8 @@ def copy_tables(value: Any) -> Any:
 
 def format_toml(tables: Mapping[str, Any]) -> str:
     """Return nested tables as TOML text, with lists of numbers and of points in few lines."""
+    import tomli_w  # who reads only spares it
+
     text = tomli_w.dumps(tables)
     for pattern in (_NUMBERS, _POINTS):
         text = pattern.sub(_join_entries, text)

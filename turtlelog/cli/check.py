@@ -58,7 +58,7 @@ class ReportOptions:
         artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
         report: Write a report on the recordings and their checks to this .html file.
         jobs: Processes to read and judge in; as many as cores where that is quicker. With
-            --artifacts or --report, which need what was read, it is one.
+            --report, which needs all that was read, it is one.
     """
 
     junit: Path | None = None
@@ -170,7 +170,8 @@ def _check(
     from turtlelog.check.junit import CheckedFile, format_junit
 
     choice = spec.read.override(topics.build_choice())
-    keeps_runs = reports.report is not None or reports.artifacts is not None
+    jobs = 1 if reports.report is not None else reports.jobs or 1
+    keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
     judge = _Judge(
         spec=spec,
         reference=read_reference_run(spec, choice),
@@ -179,22 +180,21 @@ def _check(
         is_described=reports.junit is not None,
         keeps_runs=keeps_runs,
     )
-    judged = map_in_processes(judge, files, 1 if keeps_runs else reports.jobs or 1)
+    judged = map_in_processes(judge, files, jobs)
     checked: list[CheckedFile] = []
     runs: dict[str, Run] = {}
     with ExitStack() as stack:
         writer = reports.artifacts and stack.enter_context(
             tl.check.ArtifactWriter(reports.artifacts)
         )
-        for file in watch_files(judged, len(files)):
+        for path, file in zip(files, watch_files(judged, len(files)), strict=True):
             checked.append(file.checked)
             print_run_notes(file.checked.file, file.notes)
-            if file.run is None:
-                continue
-            if reports.report is not None:
+            if file.run is not None and reports.report is not None:
                 runs[file.checked.file] = file.run
             if writer:
-                _write_artifacts(file.run, file.checked.results, writer)
+                # Of files judged in other processes those that fail are read here once more.
+                _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
     if reports.junit is not None:
         with tl.log.replace_when_complete(reports.junit) as part:
             part.write_text(format_junit(checked), encoding="utf-8")
@@ -224,6 +224,11 @@ class _Judge:
     allow_partial: bool
     is_described: bool
     keeps_runs: bool
+
+    def look_closer(self, path: Path, file: _Judged) -> _Judged:
+        """Return what was found of a file with its run, where a check fails."""
+        has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
+        return replace(self, keeps_runs=True, is_described=False)(path) if has_failed else file
 
     def __call__(self, path: Path) -> _Judged:
         from turtlelog.check.judge_run import fail_recording, judge_run
@@ -316,13 +321,11 @@ def _read(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
     return run, told
 
 
-def _write_artifacts(
-    run: "Run", results: "Sequence[CheckResult]", writer: "ArtifactWriter"
-) -> None:
-    for result in results:
-        if result.verdict != "FAIL":
+def _write_artifacts(file: _Judged, writer: "ArtifactWriter") -> None:
+    for result in file.checked.results:
+        if file.run is None or result.verdict != "FAIL":
             continue
-        written = writer.write(run, result)
+        written = writer.write(file.run, result)
         for line in (*(f"wrote {path}" for path in written.files), *written.notes):
             print_note(line)
 

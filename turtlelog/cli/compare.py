@@ -1,14 +1,15 @@
 """`turtlelog compare`: runs beside each other, or against a reference."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.compare_reference import compare_with_reference, describe_metric
 from turtlelog.cli.compare_robot import compare_with_robot, list_scenario_files
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
@@ -16,7 +17,6 @@ from turtlelog.cli.options import (
     Jobs,
     ReadingOptions,
     count_jobs,
-    iterate_runs,
     read_runs,
     watch_summaries,
 )
@@ -31,22 +31,13 @@ from turtlelog.cli.output import (
 )
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
-from turtlelog.display import format_number
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
-    from turtlelog import Metric, Run
+    from turtlelog import Run
     from turtlelog.compare import (
-        MetricDifference,
-        PathError,
-        RunComparison,
         RunSummary,
-        SignalDifference,
-        Table,
     )
-
-
-_RUNS_ABREAST: Final = 3
 
 
 @Parameter(name="*")
@@ -59,7 +50,7 @@ class ReferenceOptions:
         align: What to bring together: first_sample (the usual), phase:NAME (the start of a phase),
             recorded (times as they are), sample (samples by their number).
         jobs: Processes to read and measure in; as many as cores where that is quicker. With
-            --reference, --rrd or the scenario of a robot it is one.
+            --rrd or the scenario of a robot it is one.
     """
 
     reference: Path | None = None
@@ -155,8 +146,7 @@ def compare(
     require_new_target(rrd, paths, suffix=".rrd")
     held = None if rrd is None else _draw(paths, rrd, topics)
     if against.reference is not None:
-        runs = iterate_runs(paths, topics) if held is None else iter(held)
-        _compare_against(runs, paths, against, kind)
+        compare_with_reference(paths, held, kind, align=against.align, topics=topics, jobs=jobs)
         return EXIT_FINE
     only = _choose_needed(choice, kind)
     summaries, errors = _summarise(paths, held, topics, only=only, jobs=jobs)
@@ -269,82 +259,6 @@ def _compare_across(summaries: "Sequence[RunSummary]", choice: ChoiceOptions, ki
         print_note(note)
 
 
-def _compare_against(
-    runs: "Iterator[Run]", paths: Sequence[Path], against: ReferenceOptions, kind: str
-) -> None:
-    alignment = against.align or "first_sample"
-    if alignment == "first-sample":
-        alignment = "first_sample"
-    reference = next(runs)
-    summaries: list[RunSummary] = []
-    errors: list[PathError] = []
-
-    def summarise(run: "Run") -> "Run":
-        file = str(paths[len(summaries)])
-        summaries.append(tl.summarise_run(run, file=file, metrics=_measure_usual(run, reference)))
-        return run
-
-    def measure(run: "Run") -> "Run":
-        errors.append(tl.compare.measure_path_error(reference, run, alignment=alignment))
-        if summaries[-1].is_lawless != summaries[0].is_lawless:
-            summaries[0] = replace(summaries[0], metrics=_measure_usual(reference, run))
-        return run
-
-    comparisons = list(
-        tl.compare.iter_comparisons(
-            summarise(reference),
-            (measure(summarise(run)) for run in runs),
-            alignment=alignment,
-        )
-    )
-    if kind == "json":
-        print_json(_describe_against(paths, comparisons, errors, alignment))
-    else:
-        print_tables(_tabulate_differences(summaries, comparisons, errors, kind), kind)
-
-
-def _measure_usual(run: "Run", other: "Run") -> "Mapping[str, Metric]":
-    """Return the metrics that tell both runs from others at a glance."""
-    known = tl.measure.list_metrics(run.declaration)
-    usual = [name for one in (run, other) for name in tl.compare.list_usual_of_run(one)]
-    return tl.measure_run(run, only=[name for name in usual if name in known])
-
-
-def _tell_path(name: str, reference: str, error: "PathError") -> str:
-    def show(value_m: float) -> str:
-        return format_number(round(value_m, 9), "m")  # less is rounding
-
-    return (
-        f"{name}: up to {show(error.largest_m)} from the path of {reference} at"
-        f" {error.largest_at_s:.2f} s, RMS {show(error.rms_m)}; at equal times up to"
-        f" {show(error.largest_apart_m)} apart, RMS {show(error.rms_apart_m)}."
-    )
-
-
-def _tabulate_differences(
-    summaries: "Sequence[RunSummary]",
-    comparisons: "Sequence[RunComparison]",
-    errors: "Sequence[PathError]",
-    kind: str,
-) -> "list[Table]":
-    reference, *names = tl.compare.name_runs(summaries)
-    # As many runs as a terminal has room for; a file has room for all.
-    step = _RUNS_ABREAST if kind == "txt" else len(names)
-    differences = [
-        tl.compare.tabulate_differences(
-            comparisons[first : first + step],
-            names=names[first : first + step],
-            reference=reference,
-        )
-        for first in range(0, len(names), step)
-    ]
-    if kind == "csv":
-        return differences
-    told = [_tell_path(name, reference, one) for name, one in zip(names, errors, strict=True)]
-    last = replace(differences[-1], notes=(*differences[-1].notes, *told))
-    return [tl.tabulate_runs(summaries), *differences[:-1], last]
-
-
 def _describe_across(
     summaries: "Sequence[RunSummary]", *, only: Sequence[str], notes: Sequence[str]
 ) -> dict[str, Any]:
@@ -366,7 +280,7 @@ def _describe_across(
                 "parameters": dict(summary.parameters),
                 "signals": [],
                 "metrics": [
-                    {**_describe_metric(metric), "mark": marks[metric.id].get(row)}
+                    {**describe_metric(metric), "mark": marks[metric.id].get(row)}
                     for metric in map(summary.find_metric, names)
                     if metric is not None
                 ],
@@ -375,63 +289,4 @@ def _describe_across(
                 zip(tl.compare.name_runs(summaries), summaries, strict=True)
             )
         ],
-    }
-
-
-def _describe_against(
-    paths: Sequence[Path],
-    comparisons: "Sequence[RunComparison]",
-    errors: "Sequence[PathError]",
-    alignment: str,
-) -> dict[str, Any]:
-    """Return runs against the reference, which is the first path."""
-    return {
-        "reference": str(paths[0]),
-        "alignment": alignment,
-        "runs": [
-            {
-                "file": str(path),
-                "name": found.name,
-                "overlap_s": found.overlap_s,
-                "overlap_from_s": found.overlap_from_s,
-                "notes": list(found.notes),
-                "signals": [_describe_signal(signal) for signal in found.signals],
-                "metrics": [_describe_difference(metric) for metric in found.metrics],
-                "path_error": asdict(error),
-            }
-            for path, found, error in zip(paths[1:], comparisons, errors, strict=True)
-        ],
-    }
-
-
-def _describe_metric(metric: "Metric") -> dict[str, Any]:
-    return {
-        "id": metric.id,
-        "value": metric.value,
-        "unit": metric.unit,
-        "status": metric.status.value,
-        "reference": None,
-        "better": _find_better(metric.id),
-    }
-
-
-def _describe_signal(found: "SignalDifference") -> dict[str, Any]:
-    return {
-        "signal": found.signal,
-        "unit": found.unit,
-        "largest": found.largest,
-        "at_s": found.at_s,
-    }
-
-
-def _find_better(name: str) -> str | None:
-    kind = tl.measure.find_metric_kind(name)
-    return None if kind is None else kind.better
-
-
-def _describe_difference(found: "MetricDifference") -> dict[str, Any]:
-    return {
-        **_describe_metric(found.metric),
-        "reference": found.reference.value,
-        "reference_status": found.reference.status.value,
     }

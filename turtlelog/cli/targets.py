@@ -1,7 +1,6 @@
 """Outputs, refused before any work is done where they could not be written at its end."""
 
 import os
-import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -85,7 +84,7 @@ def _require_place(target: Path) -> None:
     folder = target.absolute().parent
     if not folder.is_dir():
         raise UsageError("expected a place that can be written, found no such folder")
-    probe = folder / f".turtlelog-{secrets.token_hex(6)}.part"
+    probe = folder / f".turtlelog-{os.urandom(6).hex()}.part"
     # Permissions alone do not tell: the disk may be read-only, or the name too long for it.
     probe.touch(exist_ok=False)
     probe.unlink()

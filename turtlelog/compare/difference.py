@@ -120,20 +120,27 @@ def iter_comparisons(
     """
     metrics = measure_run(reference)
     for run in runs:
-        clock = align_runs(reference, run, alignment)
-        start_ns, end_ns = map(clock.read_ns, clock.span)
-        names = list_signal_units([reference.declaration, run.declaration])
-        signals = _compare_signals(reference, run, clock, dict.fromkeys(names, Tolerance()))
-        pairs = _pair_metrics((reference, metrics), run)
-        yield RunComparison(
-            name=run.name,
-            alignment=alignment,
-            overlap_from_s=start_ns / 1e9,
-            overlap_s=end_ns / 1e9 - start_ns / 1e9,
-            signals=tuple(signals.values()),
-            metrics=tuple(pair for pair in pairs if not pair.differs_in_unit),
-            notes=(*_list_notes(reference, run, clock), *_list_apart(pairs)),
-        )
+        yield compare_measured(reference, metrics, run, alignment=alignment)
+
+
+def compare_measured(
+    reference: Run, metrics: Mapping[str, Metric], run: Run, *, alignment: str
+) -> RunComparison:
+    """Return what `compare_runs` does, with a reference of which all metrics are known."""
+    clock = align_runs(reference, run, alignment)
+    start_ns, end_ns = map(clock.read_ns, clock.span)
+    names = list_signal_units([reference.declaration, run.declaration])
+    signals = _compare_signals(reference, run, clock, dict.fromkeys(names, Tolerance()))
+    pairs = _pair_metrics((reference, metrics), run)
+    return RunComparison(
+        name=run.name,
+        alignment=alignment,
+        overlap_from_s=start_ns / 1e9,
+        overlap_s=end_ns / 1e9 - start_ns / 1e9,
+        signals=tuple(signals.values()),
+        metrics=tuple(pair for pair in pairs if not pair.differs_in_unit),
+        notes=(*_list_notes(reference, run, clock), *_list_apart(pairs)),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -302,9 +302,10 @@ def choose_columns(
     return tuple(chosen)
 
 
-def list_usual_of_run(run: Run) -> tuple[str, ...]:
+def list_usual_of_run(run: Run | RunSummary) -> tuple[str, ...]:
     """Return the ids of the metrics that tell a run from others at a glance."""
-    return USUAL_OF_MOTION if is_lawless(run) else list_usual_metrics(run.declaration)
+    has_no_law = run.is_lawless if isinstance(run, RunSummary) else is_lawless(run)
+    return USUAL_OF_MOTION if has_no_law else list_usual_metrics(run.declaration)
 
 
 def list_usual_metrics(*declarations: Declaration) -> tuple[str, ...]:

@@ -1,7 +1,6 @@
 """From the `kind` of a scenario's law to its class."""
 
 import dataclasses
-import hashlib
 import importlib
 import inspect
 import re
@@ -207,7 +206,9 @@ def _load_module(place: str) -> ModuleType:
 def _run_file(path: Path) -> ModuleType:
     source = path.read_bytes()
     # Compiled here: Python's own cache beside the file overlooks an edit within the same second.
-    key = hashlib.sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
+    from hashlib import sha256
+
+    key = sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
     name = f"turtlelog_law_{path.stem}_{key}"
     if name in sys.modules:
         return sys.modules[name]

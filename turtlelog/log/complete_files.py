@@ -1,7 +1,6 @@
 """Files and folders that are complete or not there; which file is being recorded live."""
 
 import os
-import secrets
 import shutil
 import stat
 import sys
@@ -36,7 +35,7 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
     target = Path(os.path.realpath(path))
     if target.is_symlink():
         raise LogError(f"{path}: expected the name of a file to write, found a link to itself")
-    temporary = target.with_name(f".turtlelog-{secrets.token_hex(6)}.part")
+    temporary = target.with_name(f".turtlelog-{os.urandom(6).hex()}.part")
     try:
         # Made at once, so that a place that cannot be written fails before any work is done.
         temporary.touch(exist_ok=False)
@@ -91,7 +90,7 @@ def create_folder(path: str | Path) -> Iterator[Path]:
         raise LogError(f"{path}: expected the name of a new folder, found {kind}")
     # An absolute path has a name also where it was given as "." or "run/..".
     target = path.resolve()
-    temporary = target.with_name(f".turtlelog-{secrets.token_hex(6)}.part")
+    temporary = target.with_name(f".turtlelog-{os.urandom(6).hex()}.part")
     try:
         temporary.mkdir()
         yield temporary

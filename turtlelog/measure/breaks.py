@@ -19,6 +19,7 @@ from turtlelog.measure.outliers import (
     LOCAL_SPANS,
     LONGEST_STEP_NS,
     NEIGHBOURS,
+    compute_median,
     find_grain,
     find_outliers,
 )
@@ -88,7 +89,7 @@ def find_gaps(run: Run) -> tuple[PoseGap, ...]:
             row=row + 1,
             start_ns=int(time_ns[row]),
             end_ns=int(time_ns[row + 1]),
-            usual_ns=int(np.median(step_ns)),
+            usual_ns=int(compute_median(step_ns)),
         )
         for row in np.flatnonzero(step_ns > GAP_STEPS * usual_ns).tolist()
     )
@@ -106,7 +107,7 @@ def find_jumps(run: Run) -> tuple[PoseJump, ...]:
         return ()
     steps = _measure_steps(poses)
     step_ns = np.diff(poses.time_ns)
-    usual_ns = np.maximum(step_ns, np.median(step_ns))
+    usual_ns = np.asarray(np.maximum(step_ns, compute_median(step_ns)))
     moved, turned = np.hypot(steps[0], steps[1]), np.abs(steps[2])
     applied = [poses.speed_m_s, poses.turn_rate_rad_s]
     is_jump = np.zeros(len(step_ns), dtype=bool)

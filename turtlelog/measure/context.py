@@ -12,6 +12,7 @@ from turtlelog.loops import ControlLoop
 from turtlelog.measure.dead_time import DeadTime, find_dead_time
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.path import compute_path_distances, compute_path_length
 from turtlelog.measure.rates import Axis, HeldCommands, Rates, read_held_commands, read_rates
 from turtlelog.measure.references import read_heading_reference
@@ -107,13 +108,13 @@ class RunContext:
     @cached_property
     def tick_s(self) -> float | None:
         """Time from pose to pose that is most usual, their median [s]; None for one pose."""
-        return float(np.median(self.pose_period_s)) if len(self.pose_period_s) else None
+        return compute_median(self.pose_period_s) if len(self.pose_period_s) else None
 
     @cached_property
     def loop_period_s(self) -> float | None:
         """Time from sample to sample that is most usual, bursts aside [s]; None where all are 0."""
         periods_s = self.sample_period_s[self.sample_period_s > 0.0]
-        return float(np.median(periods_s)) if len(periods_s) else None
+        return compute_median(periods_s) if len(periods_s) else None
 
     @cached_property
     def path_length_m(self) -> float:

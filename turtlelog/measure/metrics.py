@@ -1,6 +1,5 @@
 """The metrics of a run by id: the one table that measuring, comparison and checks share."""
 
-import difflib
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
@@ -209,6 +208,8 @@ def _matches_any_loop(pattern: str) -> bool:
 
 def suggest_metrics(pattern: str, known: Iterable[str]) -> str:
     """Return the ids nearest to a name that is none, or where they are listed."""
+    import difflib  # Only mistakes pay for it.
+
     ids = list(known)
     near = difflib.get_close_matches(pattern, ids, n=3, cutoff=0.5)
     if not near:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from turtlelog.angles import subtract_headings
 from turtlelog.loops import PLANT_KEYS, ControlLoop, read_number
+from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.response import find_loop_samples
 from turtlelog.plants import LAGGED, Plant, find_plant
 from turtlelog.plants.turtlesim import TICK_NS, TICK_S
@@ -121,7 +122,7 @@ def read_loop_motion(run: Run, loop: ControlLoop) -> LoopMotion | None:
         step_ticks=step_ticks,
         tick_s=tick_s,
         sample_tick=sample_tick,
-        apart=max(float(np.median(np.diff(sample_tick))), 1.0) if len(sample_tick) > 1 else 1.0,
+        apart=max(compute_median(np.diff(sample_tick)), 1.0) if len(sample_tick) > 1 else 1.0,
         command=command * read_gain(run, loop),
     )
 
@@ -178,7 +179,7 @@ def _count_ticks(time_ns: NDArray[np.int64], plant: Plant) -> tuple[NDArray[np.i
         return (time_ns - time_ns[0]) // plant.period_ns, 1, plant.period_s
     if not len(step_ns):
         return np.zeros(len(time_ns), dtype=np.int64), 1, TICK_S
-    usual_ns = float(np.median(step_ns))
+    usual_ns = compute_median(step_ns)
     if not (step_ns % TICK_NS).any() and usual_ns == TICK_NS:
         return (time_ns - time_ns[0]) // TICK_NS, 1, TICK_S
     # A wall clock jitters, and a callback may be late without a pose being lost.

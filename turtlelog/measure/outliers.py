@@ -1,8 +1,9 @@
 """Values of a measured signal that its neighbours on both sides contradict."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -157,3 +158,17 @@ def find_grain(values: Values) -> float:
     steps = np.abs(np.diff(values))
     steps = steps[steps > _ROUNDING * float(np.abs(values).max())]
     return float(steps.min()) if len(steps) else 0.0
+
+
+def compute_median(values: NDArray[Any]) -> float:
+    """Return what `np.median` does of one row, NaN of an empty one.
+
+    To look for NaN, that loads numpy's masked arrays: a tenth of the time that numpy takes.
+    """
+    half, odd = divmod(len(values), 2)
+    if not len(values):
+        return math.nan
+    places = [half] if odd else [half - 1, half]
+    ordered = np.partition(values, [*places, -1])
+    last = float(ordered[-1])  # NaN stands behind all numbers
+    return last if math.isnan(last) else sum(float(ordered[n]) for n in places) / len(places)

@@ -12,7 +12,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from turtlelog.measure.outliers import find_outliers
+from turtlelog.measure.outliers import compute_median, find_outliers
 from turtlelog.plants import find_plant
 from turtlelog.run import Run
 
@@ -97,12 +97,12 @@ def thin_poses(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     apart = np.flatnonzero(np.append(True, np.diff(time_ns) >= _SAME_TIME_NS))
     if len(apart) < 2:
         return np.array([0, len(time_ns) - 1])
-    usual_s = float(np.median(np.diff(time_ns[apart]))) / 1e9
+    usual_s = compute_median(np.diff(time_ns[apart])) / 1e9
     rows = apart[:: max(round(SHORTEST_S / usual_s), 1)]
     if len(rows) < 2:
         return np.array([0, len(time_ns) - 1])
     step_ns = np.diff(time_ns[rows])
-    is_far = np.concatenate([[True], step_ns >= _LEAST_STEP * np.median(step_ns)])
+    is_far = np.concatenate([[True], step_ns >= _LEAST_STEP * compute_median(step_ns)])
     return np.asarray(rows[is_far])
 
 

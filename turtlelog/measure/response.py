@@ -12,6 +12,7 @@ from turtlelog.angles import wrap_angle
 from turtlelog.loops import PAUSE, ControlLoop
 from turtlelog.measure.measure_settings import MeasureSettings
 from turtlelog.measure.metric import Missing, Status
+from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.references import read_controlled_distance, read_reference
 from turtlelog.measure.signals import Signal
 from turtlelog.measure.step_response import fold_at_zero
@@ -162,7 +163,7 @@ def _find_first_row(time_ns: NDArray[np.int64], start_ns: int) -> int:
     if after in {0, len(time_ns)} or time_ns[after] == start_ns:
         return after
     step_ns = time_ns[after] - time_ns[after - 1]
-    return after - 1 if step_ns <= _NEAR * np.median(np.diff(time_ns)) else after
+    return after - 1 if step_ns <= _NEAR * compute_median(np.diff(time_ns)) else after
 
 
 def came_to_rest(run: Run) -> bool:

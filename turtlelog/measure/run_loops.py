@@ -7,6 +7,7 @@ import numpy as np
 from turtlelog.loops import ControlLoop
 from turtlelog.measure.dead_time import find_dead_time
 from turtlelog.measure.metric import Missing
+from turtlelog.measure.outliers import compute_median
 from turtlelog.run import Parameter, Run
 from turtlelog.theory import LoopModel, MeasuredTiming, model_loop
 
@@ -50,11 +51,11 @@ def _measure_timing(run: Run, loop: ControlLoop) -> MeasuredTiming | str:
     found = find_dead_time(run, loop)
     if isinstance(found, Missing):
         return f"the dead time cannot be measured: {found.reason}"
-    tick_s = float(np.median(np.diff(run.poses.time_ns))) / 1e9
+    tick_s = compute_median(np.diff(run.poses.time_ns)) / 1e9
     changes = " at the end" if found.changes else ""
     words = f"{_MEASURED}, {found.ticks} tick{'' if found.ticks == 1 else 's'}"
     return MeasuredTiming(
-        period_s=float(np.median(periods_ns)) / 1e9,
+        period_s=compute_median(periods_ns) / 1e9,
         dead_time_s=found.ticks * tick_s,
         sources={"period_s": _MEASURED, "dead_time_s": words + changes},
     )

@@ -8,6 +8,7 @@ heading, by quadrature.
 
 from collections import deque
 from collections.abc import Mapping
+from functools import lru_cache
 from math import cos, exp, expm1, inf, sin
 from typing import Final, Protocol
 
@@ -24,12 +25,6 @@ LAGGED: Final = "lagged"
 LARGEST_M: Final = 1e6
 """Farthest from the origin that it starts or goes [m]: a double tells 0.1 nm apart there."""
 
-_GAUSS: Final = tuple(
-    (0.5 + 0.5 * float(node), 0.5 * float(weight))
-    for node, weight in zip(*np.polynomial.legendre.leggauss(8), strict=True)
-)
-"""Nodes and weights of Gauss and Legendre on [0, 1]."""
-
 _LONGEST_PIECE: Final = 2.0
 """How far a piece of the quadrature turns [rad], plus its length in lags. 8 nodes are then right to
 rounding, at 4 to 3e-13 of the way, at 8 no longer to 1e-9."""
@@ -41,6 +36,17 @@ than a coordinate of 10 m can tell."""
 _MOST_TURN_RAD: Final = 1000.0
 """Turn within one advance that the quadrature follows [rad]; it would take forever with a loop that
 runs away."""
+
+
+@lru_cache(maxsize=1)
+def _find_gauss() -> tuple[tuple[float, float], ...]:
+    """Return nodes and weights of Gauss and Legendre on [0, 1]."""
+    # numpy's polynomials take time to load, which who simulates no such robot spares.
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    return tuple(
+        (0.5 + 0.5 * float(node), 0.5 * float(weight))
+        for node, weight in zip(nodes, weights, strict=True)
+    )
 
 
 def build_lagged_plant(period_ns: int) -> Plant:
@@ -196,7 +202,7 @@ class LaggedRobot:
 
     def _move_by_quadrature(self, duration_s: float) -> None:
         x_m = y_m = 0.0
-        for node, weight in _GAUSS:
+        for node, weight in _find_gauss():
             time_s = node * duration_s
             heading_rad = self._heading_rad + self._turn.integrate(time_s)
             way_m = weight * self._speed.find_rate(time_s)

@@ -9,7 +9,6 @@ from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine.idl import convert_idl
 from turtlelog.log.engine.json_messages import JsonField, read_json_schema
 from turtlelog.log.engine.known_definitions import find_definition
 from turtlelog.log.engine.limits import FIELDS, Allowance
@@ -245,4 +244,8 @@ def _read_text(schema: Schema, known: str | None) -> str:
             raise LogError(f"its type {schema.name} is not known and the file holds no definition")
         return known
     text = schema.data.decode()
-    return text if schema.encoding == SchemaEncoding.ROS2 else convert_idl(schema.name, text)
+    if schema.encoding == SchemaEncoding.ROS2:
+        return text
+    from turtlelog.log.engine.idl import convert_idl
+
+    return convert_idl(schema.name, text)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from io import SEEK_END, BytesIO
 from typing import Final
 
-import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from turtlelog.errors import LogError, describe_error
@@ -157,6 +156,8 @@ def _unpack_zstd(
 
 
 def _iterate_lz4(packed: bytes | memoryview, size: int) -> Iterator[bytes]:
+    import lz4.frame  # type: ignore[import-untyped]  # files of zstd spare it
+
     unpacker = lz4.frame.LZ4FrameDecompressor()
     yield unpacker.decompress(packed, max_length=min(max(size, 1), SPARE))
     while not unpacker.eof:

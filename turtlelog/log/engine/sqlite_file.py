@@ -2,15 +2,17 @@
 
 import os
 import shutil
-import sqlite3
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from turtlelog.errors import LogError
 from turtlelog.log.error_boundary import DamageError, open_file
+
+if TYPE_CHECKING:
+    import sqlite3
 
 SQLITE_MAGIC: Final = b"SQLite format 3\x00"
 
@@ -27,7 +29,7 @@ _JOURNAL_MAGIC: Final = bytes.fromhex("d9d505f920a163d7")
 
 
 @contextmanager
-def open_connection(path: Path, *, is_damaged: bool) -> Iterator[sqlite3.Connection]:
+def open_connection(path: Path, *, is_damaged: bool) -> "Iterator[sqlite3.Connection]":
     """Open a SQLite file to read; where it was not closed, a copy of it in a temporary folder.
 
     A `-wal` beside the file holds rows that were committed, a `-journal` what to take back of those
@@ -40,6 +42,8 @@ def open_connection(path: Path, *, is_damaged: bool) -> Iterator[sqlite3.Connect
     Raises:
         LogError: One clause, where it cannot be read, also for what SQLite finds while it is open.
     """
+    import sqlite3  # files of MCAP spare it
+
     path = path.resolve()
     with ExitStack() as closing:
         place, mode = path, "mode=ro&immutable=1"
@@ -87,7 +91,7 @@ def measure_pages(path: Path) -> tuple[int, int, int]:
     return size, pages * page, page
 
 
-def describe_sqlite_error(err: sqlite3.Error) -> str:
+def describe_sqlite_error(err: "sqlite3.Error") -> str:
     """Return what SQLite found as one clause."""
     text = " ".join(str(err).split())
     if text == "interrupted":

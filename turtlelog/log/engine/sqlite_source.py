@@ -7,13 +7,12 @@ A recording chooses no code to run: tables are read, never views, no function of
 called, and a file whose pages lead in circles is left after a bounded number of steps.
 """
 
-import sqlite3
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -26,6 +25,9 @@ from turtlelog.log.engine.parsing import COUNTED_HEAD, HEADING, MESSAGE_HEAD
 from turtlelog.log.engine.sqlite_file import open_connection
 from turtlelog.log.engine.sqlite_tables import describe_topics, list_columns
 from turtlelog.log.error_boundary import DamageError
+
+if TYPE_CHECKING:
+    import sqlite3
 
 T = TypeVar("T")
 Row = tuple[Any, ...]
@@ -42,7 +44,6 @@ _BASE_STEPS: Final = 20_000_000
 _STEPS_A_BYTE: Final = 20
 """A row of 20 bytes takes about 40 steps to count."""
 
-_ALLOWED: Final = frozenset({sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ})
 _FUNCTIONS: Final = frozenset({"count", "min", "max", "typeof"})
 
 _GAP: Final = bytearray(MESSAGE_HEAD)
@@ -96,7 +97,7 @@ class SqliteSource:
     summary_start = 0
     index_length = 0
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
+    def __init__(self, connection: "sqlite3.Connection") -> None:
         self._connection = connection
         connection.execute("PRAGMA query_only = ON")
         connection.execute("PRAGMA trusted_schema = OFF")
@@ -109,7 +110,7 @@ class SqliteSource:
         self.catalogue = Catalogue(allowance := Allowance(self.size))
         self._numbers = describe_topics(self.execute, columns, self.catalogue, allowance)
 
-    def execute(self, query: str, *values: object) -> sqlite3.Cursor:
+    def execute(self, query: str, *values: object) -> "sqlite3.Cursor":
         """Run a query; it may take a number of steps that the size of the file bounds."""
         self._steps_left = _BASE_STEPS + _STEPS_A_BYTE * self.size
         return self._connection.execute(query, values)
@@ -167,7 +168,7 @@ class SqliteSource:
         cursor = self.execute(f"{query} ORDER BY rowid", *values)
         yield from map(work, self._iterate_blocks(cursor))
 
-    def _iterate_blocks(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
+    def _iterate_blocks(self, cursor: "sqlite3.Cursor") -> Iterator[Block]:
         first, count, left = 1, _LEAST_ROWS, self.size
         rows = SqliteRows()
         while found := cursor.fetchmany(count):
@@ -257,7 +258,7 @@ def open_sqlite(path: Path, *, is_damaged: bool = False) -> Iterator[SqliteSourc
         yield SqliteSource(connection)
 
 
-def _read_number(connection: sqlite3.Connection, pragma: str) -> int:
+def _read_number(connection: "sqlite3.Connection", pragma: str) -> int:
     return int(connection.execute(f"PRAGMA {pragma}").fetchone()[0])
 
 
@@ -265,7 +266,10 @@ def _authorize(
     action: int, _: str | None, second: str | None, __: str | None, inside: str | None
 ) -> int:
     """Allow reading tables, and counting; nothing within a view or trigger."""
-    is_known = action in _ALLOWED or (action == sqlite3.SQLITE_FUNCTION and second in _FUNCTIONS)
+    import sqlite3
+
+    is_reading = action in {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ}
+    is_known = is_reading or (action == sqlite3.SQLITE_FUNCTION and second in _FUNCTIONS)
     return sqlite3.SQLITE_OK if is_known and inside is None else sqlite3.SQLITE_DENY
 
 

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from itertools import count
-from sqlite3 import Cursor
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding
@@ -11,6 +10,9 @@ from mcap.well_known import MessageEncoding
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.limits import DESCRIPTIONS, Allowance
+
+if TYPE_CHECKING:
+    from sqlite3 import Cursor
 
 _TOPIC_COLUMNS: Final = ("id", "name", "type", "serialization_format")
 _TOPIC_NOTES: Final = {
@@ -25,7 +27,7 @@ _DEFINITION_COLUMNS: Final = ("topic_type", "encoding", "encoded_message_definit
 _MOST_CHANNELS: Final = 2**16 - 1  # their numbers have 16 bits in a block
 
 
-Execute = Callable[..., Cursor]
+Execute = Callable[..., "Cursor"]
 """Runs a query with its values, within a bounded number of steps."""
 
 

@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from itertools import chain
 from types import MappingProxyType
 from typing import Final
@@ -211,6 +210,8 @@ def find_type_hash(kind: str, definition: str) -> str | None:
 
 
 def _hash_states(kind: str, names: list[str]) -> str:
+    from hashlib import sha256
+
     fields = [{"name": name, "type": dict(_FLOAT64)} for name in names]
     description = {
         "type_description": {"type_name": kind, "fields": fields},

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.registry import run_metric
 
 Values = NDArray[np.float64]
@@ -125,7 +126,7 @@ def find_percentile(ordered_s: Values, percent: int) -> float:
         percent: From 1 to 100.
     """
     if percent == 50:
-        return float(np.median(ordered_s))
+        return compute_median(ordered_s)
     return float(ordered_s[-(-len(ordered_s) * percent // 100) - 1])
 
 

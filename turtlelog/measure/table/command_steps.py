@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates
 from turtlelog.measure.registry import run_metric
 from turtlelog.measure.step_response import find_overshoot, find_rise, find_settling_time
@@ -221,7 +222,7 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
             return steps if isinstance(steps, Missing) else _ONE_POSE
         if not steps:
             return _NO_STEPS
-        period_s = float(np.median(np.diff(rates.edges_s)))
+        period_s = compute_median(np.diff(rates.edges_s))
         if period_s * _FEWEST > HELD_AFTER_S:
             reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_FEWEST} Hz"
             return Missing(status=Status.TOO_SHORT, reason=reason)
@@ -231,7 +232,7 @@ def _take_median(axis: Axis, name: str, factor: float = 1.0) -> Callable[[RunCon
         known = [value for value in found if value is not None]
         if not known:
             return _NOT_SEEN if figures else _NO_ANSWER
-        return Found(float(np.median(known)) * factor)
+        return Found(compute_median(np.array(known)) * factor)
 
     return compute
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates, Values
 from turtlelog.measure.registry import run_metric
 
@@ -127,7 +128,7 @@ def find_lag(edges_s: Values, means: Values, commands: HeldCommands) -> Result:
         asked = np.diff(commands.integrate(edges_s - shifts_s[:, None])) / step_s
         return _correlate(asked, means, step_s)
 
-    usual_s = float(np.median(step_s))
+    usual_s = compute_median(step_s)
     count = int(np.ceil((LATEST_S - EARLIEST_S) / max(usual_s, 0.01))) + 1
     shifts_s = np.linspace(EARLIEST_S, LATEST_S, count)
     found = correlate(shifts_s)

@@ -8,6 +8,7 @@ import numpy as np
 
 from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
+from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import Axis, Rates, Values, thin_poses
 from turtlelog.measure.registry import run_metric
 
@@ -143,7 +144,7 @@ def _compute_arc_length(context: RunContext) -> Result:
     rates = context.get_rates("speed")
     if rates is None:
         return _ONE_POSE
-    period_s = max(float(np.median(np.diff(rates.edges_s))), 0.04)
+    period_s = max(compute_median(np.diff(rates.edges_s)), 0.04)
     if period_s > 1.0 / _LEAST_HZ:
         reason = f"poses at {1.0 / period_s:.3g} Hz, and it takes {_LEAST_HZ:g} Hz"
         return Missing(status=Status.TOO_SHORT, reason=reason)
@@ -184,7 +185,7 @@ def compute_spectral_arc_length(speed: Values, rate_hz: float) -> float | None:
     spectrum = np.abs(np.fft.rfft(speed, count))
     spectrum = spectrum[frequency_hz <= _HIGHEST_HZ] / spectrum.max()
     frequency_hz = frequency_hz[: len(spectrum)]
-    if _FLOOR * float(np.median(spectrum[len(spectrum) // 2 :])) >= _LEAST_AMPLITUDE:
+    if _FLOOR * compute_median(spectrum[len(spectrum) // 2 :]) >= _LEAST_AMPLITUDE:
         return None
     high = np.flatnonzero(spectrum >= _LEAST_AMPLITUDE)
     if not len(high):  # all of it lies above the highest frequency
