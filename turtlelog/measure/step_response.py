@@ -22,6 +22,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from turtlelog.measure.sums import sum_products
+
 Values = NDArray[np.float64]
 
 SHORTEST_HOLD_S: Final = 1.0
@@ -192,7 +194,7 @@ def fold_at_zero(time_s: Values, values: Values) -> tuple[Values, Values]:
 
 def integrate(step_s: Values, values: Values) -> float:
     """Return the integral of the signal [unit s]; IAE where it is a folded error."""
-    return float(np.dot(step_s, values[:-1]) + np.dot(step_s, values[1:])) / 2.0
+    return (sum_products(step_s, values[:-1]) + sum_products(step_s, values[1:])) / 2.0
 
 
 def integrate_square(step_s: Values, values: Values) -> float:
@@ -201,8 +203,8 @@ def integrate_square(step_s: Values, values: Values) -> float:
     Of a line from a to b over T: T (a^2 + a b + b^2) / 3.
     """
     before, after = values[:-1], values[1:]
-    squares = _sum_products(step_s, before, before)
-    mixed, last = _sum_products(step_s, before, after), _sum_products(step_s, after, after)
+    squares = sum_products(step_s, before, before)
+    mixed, last = sum_products(step_s, before, after), sum_products(step_s, after, after)
     # Not by `sum`, which rounds otherwise from Python 3.12 on.
     return (squares + mixed + last) / 3.0
 
@@ -214,8 +216,8 @@ def integrate_time_weighted(time_s: Values, step_s: Values, values: Values) -> f
     u a + 2 u b) / 6.
     """
     begin_s, end_s, before, after = time_s[:-1], time_s[1:], values[:-1], values[1:]
-    same = _sum_products(step_s, begin_s, before) + _sum_products(step_s, end_s, after)
-    mixed = _sum_products(step_s, begin_s, after) + _sum_products(step_s, end_s, before)
+    same = sum_products(step_s, begin_s, before) + sum_products(step_s, end_s, after)
+    mixed = sum_products(step_s, begin_s, after) + sum_products(step_s, end_s, before)
     return (2.0 * same + mixed) / 6.0
 
 
@@ -225,11 +227,6 @@ def compute_rms(step_s: Values, values: Values) -> float:
     if length_s <= 0.0:
         return float(np.abs(values[-1]))
     return float(np.sqrt(integrate_square(step_s, values) / length_s))
-
-
-def _sum_products(step_s: Values, first: Values, second: Values) -> float:
-    # Nothing is laid out in memory on the way: long signals are measured at the speed of reading.
-    return float(np.einsum("i,i,i->", step_s, first, second))
 
 
 def find_largest(deviation: Values) -> tuple[float, int]:

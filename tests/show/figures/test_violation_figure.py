@@ -43,7 +43,9 @@ def test_a_violation_of_one_row_has_a_stripe_and_tells_how_long_it_lasts() -> No
 @pytest.mark.parametrize(("rows", "stripes"), [(9, 1), (11, 0)])
 def test_what_lasts_for_a_hundredth_of_the_axis_has_no_stripe(rows: int, stripes: int) -> None:
     outside = (np.arange(1001) >= 500) & (np.arange(1001) < 500 + rows)
-    curve = Curve(start_ns=0, time_ns=np.arange(1001) * 10_000_000, values=outside.astype(np.float64))
+    curve = Curve(
+        start_ns=0, time_ns=np.arange(1001) * 10_000_000, values=outside.astype(np.float64)
+    )
     moment = ViolationMoment(time_s=5.0, value=1.0)
     violated = ViolatedSignal(
         name="speed",

@@ -16,6 +16,7 @@ from turtlelog.measure.context import RunContext
 from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.registry import loop_metric
 from turtlelog.measure.response import CommandStretch, Response
+from turtlelog.measure.sums import sum_products
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -133,7 +134,7 @@ def measure_saturated_time_share(commands: CommandStretch) -> Result:
     length_s = float(held_s.sum())
     if length_s <= 0.0:
         return _ONE_TIME
-    share = min(float(np.dot(held_s, saturated)) / length_s, 1.0)
+    share = min(sum_products(held_s, saturated) / length_s, 1.0)
     return Found(share, _tell_first(commands))
 
 
@@ -167,7 +168,7 @@ def compute_effort(held_s: Values, values: Values) -> float:
     The input's term of the linear-quadratic cost (B. D. O. Anderson and J. B. Moore, Optimal
     Control). `held_s`: how long each value holds [s].
     """
-    return float(np.einsum("i,i,i->", held_s, values, values))
+    return sum_products(held_s, values, values)
 
 
 def compute_total_variation(values: Values) -> float:

@@ -14,6 +14,7 @@ from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import SAME, Axis, HeldCommands, Rates, Values
 from turtlelog.measure.registry import run_metric
+from turtlelog.measure.sums import sum_products
 
 _ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 _NO_COMMANDS: Final = Missing(status=Status.ABSENT, reason="the recording holds no commands")
@@ -85,7 +86,7 @@ def _compute_rms(rates: Rates, commands: HeldCommands) -> Result:
     edges_s = rates.edges_s[rows.start : rows.stop + 1]
     step_s = np.diff(edges_s)
     off = rates.means[rows] - np.diff(commands.integrate(edges_s)) / step_s
-    return Found(float(np.sqrt(np.dot(off * off, step_s) / step_s.sum())))
+    return Found(float(np.sqrt(sum_products(off, off, step_s) / step_s.sum())))
 
 
 def _compute_lag(rates: Rates, commands: HeldCommands) -> Result:

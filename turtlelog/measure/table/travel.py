@@ -11,6 +11,7 @@ from turtlelog.measure.metric import Found, Missing, Result, Status
 from turtlelog.measure.outliers import compute_median
 from turtlelog.measure.rates import Axis, Rates, Values, thin_poses
 from turtlelog.measure.registry import run_metric
+from turtlelog.measure.sums import sum_products
 
 _ONE_POSE: Final = Missing(status=Status.TOO_SHORT, reason="1 pose")
 
@@ -48,7 +49,7 @@ def _find_largest(rates: Rates) -> Result:
 
 def _compute_mean(rates: Rates) -> Result:
     step_s = np.diff(rates.edges_s)
-    return Found(float(np.dot(np.abs(rates.means), step_s) / step_s.sum()))
+    return Found(sum_products(np.abs(rates.means), step_s) / float(step_s.sum()))
 
 
 for _axis, _unit in (("speed", "m/s"), ("turn_rate", "rad/s")):
