@@ -5,7 +5,7 @@ from threading import Lock
 from typing import Any, Final
 
 COST_S: Final = 0.7
-"""What numba's import and the loops take from their cache [s]; 1.6 s before they are in it."""
+"""What numba's import and the loops take from their cache [s]; some 2.5 s before they are in it."""
 
 WALKED_S: Final = 1e-7
 """What they save of a message that no index names [s]: 0.9e-7 in chunks, 1.6e-7 without."""

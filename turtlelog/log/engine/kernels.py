@@ -9,11 +9,13 @@ is no whole message ends a walk.
 
 from typing import Any
 
-from numba import int64, njit, types, uint8, uint16, uint32, uint64
+from llvmlite import binding, ir
+from numba import config, int64, njit, types, uint8, uint16, uint32, uint64
 from numba.extending import intrinsic
 
 _BYTES = types.Array(uint8, 1, "C", readonly=True)
 _PLACES = int64[::1]
+_AT_ONCE = 128  # messages; of 150 bytes, 19 kB
 
 
 @intrinsic
@@ -37,6 +39,66 @@ def _store(_: Any, _address: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.int64, value), build
+
+
+def _reduce_power(bits: int) -> int:
+    """Return x^bits modulo the polynomial of CRC-32, its bits as the checksum has them, times 2."""
+    rest = 1
+    for _ in range(bits):
+        rest <<= 1
+        rest ^= 0x104C11DB7 if rest >> 32 else 0
+    return int(f"{rest:032b}"[::-1], 2) << 1
+
+
+_FOLDED = 64  # bytes, four vectors
+_VECTOR = ir.VectorType(ir.IntType(64), 2)
+_POWERS = [_reduce_power(8 * _FOLDED + 32), _reduce_power(8 * _FOLDED - 32)]
+# Of another processor than this one, which numba can be told to compile for, nobody knows.
+HAS_FOLD = bool(
+    binding.get_host_cpu_features().get("pclmul") and not (config.CPU_NAME or config.CPU_FEATURES)
+)
+"""Whether the processor multiplies without carries, which `fold` does."""
+
+
+@intrinsic
+def _fold_once(_: Any, _state: Any, _address: Any) -> Any:
+    """Multiply a state of 64 bytes by x^512, modulo the polynomial, and add the bytes there."""
+
+    def build(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        word, octet = ir.IntType(64), ir.IntType(8)
+        kind = ir.FunctionType(_VECTOR, [_VECTOR, _VECTOR, octet])
+        name = "llvm.x86.pclmulqdq"
+        multiply = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
+        powers = ir.Constant(_VECTOR, _POWERS)
+        for place in range(0, _FOLDED, 16):
+            states, addresses = (
+                builder.inttoptr(builder.add(found, word(place)), _VECTOR.as_pointer())
+                for found in arguments
+            )
+            state = builder.load(states, align=1)
+            low, high = (builder.call(multiply, [state, powers, octet(half)]) for half in (0, 17))
+            added = builder.load(addresses, align=1)
+            builder.store(builder.xor(builder.xor(low, high), added), states, align=1)
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), build
+
+
+def _fold(data: Any, state: Any) -> None:
+    """Take bytes into a state of 64 bytes that has the checksum of all that it has taken.
+
+    Args:
+        data: Of them all but the last, fewer than 64, are taken.
+        state: The bytes before, the first four of all with the checksum before them added.
+    """
+    begin, to = data.ctypes.data, state.ctypes.data
+    for place in range(0, len(data) - _FOLDED + 1, _FOLDED):
+        _fold_once(to, begin + place)
+
+
+_FOLD = types.void(_BYTES, types.Array(uint8, 1, "C"))
+# After Gopal et al., "Fast CRC Computation for Generic Polynomials Using PCLMULQDQ" (2009).
+fold = njit(_FOLD, nogil=True, cache=True)(_fold) if HAS_FOLD else None
 
 
 @njit(inline="always")
@@ -126,9 +188,39 @@ def skip_followed(data: Any, longest: int) -> int:
         place = end
 
 
+@njit(inline="always")
+def _count_usual(begin: int, starts: Any, size: int) -> int:
+    """Return how many messages come before one that is longer or shorter, or in another order."""
+    for message in range(len(starts)):
+        place = begin + starts[message]
+        extra = _load(uint64(0), place + 1) - size
+        times = _load(uint64(0), place + 15) | _load(uint64(0), place + 23)
+        # Plain CDR, little-endian, and of times that 63 bits hold.
+        if extra > 3 or times >> uint64(63) or _load(uint16(0), place + 31) != 0x0100:
+            return message
+    return len(starts)
+
+
+@njit(inline="always")
+def _copy_numbers(source: int, starts: Any, kind: Any, width: int, together: int, to: int) -> None:
+    """Copy so many numbers that stand together in each message."""
+    if together == 1:  # nearly all: the loop for several takes twice as long
+        for message in range(len(starts)):
+            _store(to + message * width, _load(kind, source + starts[message]))
+        return
+    for message in range(len(starts)):
+        for number in range(together):
+            step = number * width
+            _store(to + step, _load(kind, source + starts[message] + step))
+        to += width * together
+
+
 @njit(int64(_BYTES, _PLACES, uint64, int64[:, ::1], _PLACES, int64), nogil=True, cache=True)
 def scatter(data: Any, starts: Any, size: int, numbers: Any, columns: Any, first: int) -> int:
     """Copy the numbers of messages of one size into columns; return of how many before another.
+
+    Some messages at a time, which the processor's nearest cache holds, and of these column by
+    column: message by message takes twice as long.
 
     Args:
         data: The records.
@@ -139,27 +231,23 @@ def scatter(data: Any, starts: Any, size: int, numbers: Any, columns: Any, first
         columns: Address of the column of each.
         first: Row of the first message.
     """
-    begin = data.ctypes.data
-    for message in range(len(starts)):
-        place = begin + starts[message]
-        extra = _load(uint64(0), place + 1) - size
-        times = _load(uint64(0), place + 15) | _load(uint64(0), place + 23)
-        # Plain CDR, little-endian, and of times that 63 bits hold.
-        if extra > 3 or times >> uint64(63) or _load(uint16(0), place + 31) != 0x0100:
-            return message
+    begin, done = data.ctypes.data, 0
+    while done < len(starts):
+        some = starts[done : done + _AT_ONCE]
+        usual = _count_usual(begin, some, size)
         for number in range(len(numbers)):
-            source, width = place + numbers[number, 0], numbers[number, 1]
+            source, width = begin + numbers[number, 0], numbers[number, 1]
             together = numbers[number, 2]
-            target = columns[number] + (first + message) * width * together
-            for _ in range(together):
-                if width == 8:
-                    _store(target, _load(uint64(0), source))
-                elif width == 4:
-                    _store(target, _load(uint32(0), source))
-                elif width == 2:
-                    _store(target, _load(uint16(0), source))
-                else:
-                    _store(target, _load(uint8(0), source))
-                source += width
-                target += width
-    return len(starts)
+            to = columns[number] + (first + done) * width * together
+            if width == 8:
+                _copy_numbers(source, some[:usual], uint64(0), 8, together, to)
+            elif width == 4:
+                _copy_numbers(source, some[:usual], uint32(0), 4, together, to)
+            elif width == 2:
+                _copy_numbers(source, some[:usual], uint16(0), 2, together, to)
+            else:
+                _copy_numbers(source, some[:usual], uint8(0), 1, together, to)
+        done += usual
+        if usual < len(some):
+            break
+    return done

@@ -5,7 +5,6 @@ The mcap library checks chunks and the data section, but never the summary.
 
 import io
 import struct
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import BinaryIO, Final
@@ -15,6 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
 from turtlelog.errors import LogError, describe_error
+from turtlelog.log.engine.checksum import compute_crc
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.framing import MCAP0_MAGIC, RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, NOTES, Allowance
@@ -156,9 +156,13 @@ def _read_summary(stream: BinaryIO, footer: int, start: int, expected: int) -> b
 
 def _compute_checksum(stream: BinaryIO, start: int, end: int) -> int:
     stream.seek(start)
-    found = 0
-    for place in range(start, end, _STEP):
-        found = zlib.crc32(stream.read(min(_STEP, end - place)), found)
+    found, buffer = 0, memoryview(bytearray(min(_STEP, max(end - start, 0))))
+    while start < end:
+        count = stream.readinto(buffer[: end - start])  # type: ignore[attr-defined]
+        if not count:
+            break  # the file became shorter: what is missing is missed in the checksum
+        found = compute_crc(buffer[:count], found)
+        start += count
     return found
 
 
