@@ -6,7 +6,7 @@ readers give messages one by one; they read a part of the file, and their times 
 """
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -20,7 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from benchmarks.long_runs import write_long_recording
 from benchmarks.table import Cost, Row, run_alone, run_apart, time_calls
-from turtlelog.log import read_columns, recover_recording
+from turtlelog.log import read_columns, read_recording, recover_recording
 from turtlelog.log.recording.topics import SCHEMAS
 
 MESSAGES = 1_000_000
@@ -41,7 +41,10 @@ if arguments[0] == "compiled":  # load the loops, however little is read
 else:
     compiled.COST_S = float("inf")
 from benchmarks.bench_engine import Path, time_reading
-said["unpack"], *said["read"] = time_reading([Path(name) for name in arguments[1:]])
+names = [name for name in arguments[1:] if name != "run"]
+said["unpack"], *said["read"] = time_reading(
+    [Path(name) for name in names], as_run="run" in arguments
+)
 said["loaded"] = compiled.find_kernels() is not None
 """
 AIMS = {"compiled": 1.6, "plain": 3.0}
@@ -132,10 +135,15 @@ def deserialize_rows(path: Path, count: int) -> None:
             reader.deserialize(data, connection.msgtype)
 
 
-def time_reading(paths: Sequence[Path]) -> list[float]:
-    """Return the times to decompress the chunks of the first file, and to read each [s]."""
+def time_reading(paths: Sequence[Path], *, as_run: bool = False) -> list[float]:
+    """Return the times to decompress the chunks of the first file, and to read each [s].
+
+    With `as_run` also that to read the first as the run of a recording, the last of them.
+    """
     chunks = find_chunks(paths[0])
-    reading = [partial(read_columns, path) for path in paths]
+    reading: list[Callable[[], object]] = [partial(read_columns, path) for path in paths]
+    if as_run:
+        reading.append(partial(read_recording, paths[0]))
     return time_calls(lambda: unpack_alone(paths[0], chunks), *reading)
 
 
@@ -156,9 +164,11 @@ def measure_reading(folder: Path, messages: int) -> Iterator[Row]:
         peer = Cost("indexed", indexed, is_yardstick=True)
         for lacks, time_s in zip(("indexes", "chunks"), lacking, strict=True):
             yield Row(job=f"read without {lacks}, {way}", value=time_s, peer=peer, aim=1.5)
-        said = run_apart(READ, way, str(own))
+        said = run_apart(READ, way, str(own), "run")
         bound = Cost("unpack", said["unpack"])
-        yield Row(job=f"read our {messages:,}, {way}", value=said["read"][0], bound=bound, aim=aim)
+        columns, run = said["read"]
+        yield Row(job=f"read our {messages:,}, {way}", value=columns, bound=bound, aim=aim)
+        yield Row(job=f"our {messages:,} as a run, {way}", value=run, bound=bound, aim=aim)
 
 
 def measure_peers(folder: Path, path: Path, messages: int, part: int) -> Iterator[Row]:
