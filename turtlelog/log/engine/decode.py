@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cached_property, partial
 from threading import Lock
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 import zstandard
@@ -17,7 +17,7 @@ from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import TopicPlan
 from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
 from turtlelog.log.engine.compiled import find_kernels
-from turtlelog.log.engine.few_messages import MOST, decode_few
+from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.json_messages import JsonField, decode_json
 from turtlelog.log.engine.limits import UNPACKED, Allowance
@@ -26,17 +26,13 @@ from turtlelog.log.engine.message_types import (
     ENCAPSULATION,
     LITTLE_ENDIAN,
     MESSAGE,
-    TEXT,
     Column,
-    Field,
     Layout,
     fill_columns,
-    name_parts,
 )
 from turtlelog.log.engine.parsing import COUNTED_HEAD, MESSAGE_HEAD, gather_bytes, gather_heads
 
 Rows = dict[str, Column]
-Order = Literal["<", ">"]
 
 LOG_TIME: Final = "#log_time"
 PUBLISH_TIME: Final = "#publish_time"
@@ -48,13 +44,6 @@ _KINDS: Final = MappingProxyType({LOG_TIME: "i8", PUBLISH_TIME: "i8", SEQUENCE: 
 # to fill for the first time. What is smaller of a topic shares an array.
 _LARGE: Final = 2**22
 _LINE: Final = 64  # bytes; columns start at a multiple
-
-_PADDING: Final = 4  # some middlewares fill a message up to a multiple of this [bytes]
-
-# Before it writes a message, ROS 2 with Fast DDS estimates its size as if an empty sequence were
-# padded for the numbers that it lacks, and hands on what is left over. After a sequence's length
-# only numbers of this size need padding, and it may carry more with it [bytes].
-_LARGEST_NUMBER: Final = 8
 
 
 def read_rows(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
@@ -252,8 +241,8 @@ def _gather_fixed(layout: Layout, data: bytes, starts: Offsets) -> NDArray[np.vo
 
 def _check_sizes(lengths: NDArray[np.uint64], layout: Layout) -> None:
     extra = lengths - np.uint64(COUNTED_HEAD + layout.size)  # wraps where it is below
-    if len(extra) and extra.max() >= _PADDING:
-        number = int((extra >= _PADDING).argmax())
+    if len(extra) and extra.max() >= PADDING:
+        number = int((extra >= PADDING).argmax())
         found = int(lengths[number]) - COUNTED_HEAD
         raise LogError(f"message {number}: expected {layout.size} bytes, found {found}")
 
@@ -274,10 +263,10 @@ def _read_differing(plan: TopicPlan, block: Block, starts: Offsets) -> Rows:
     }
     is_big = heads["#encapsulation"] == BIG_ENDIAN
     if not is_big.any():
-        return columns | _decode_messages(plan.fields, block.data, firsts, ends, "<")
+        return columns | decode_messages(plan.fields, block.data, firsts, ends, "<")
     orders: tuple[tuple[Order, NDArray[np.bool_]], ...] = (("<", ~is_big), (">", is_big))
     for order, rows in orders:
-        found = _decode_messages(plan.fields, block.data, firsts[rows], ends[rows], order)
+        found = decode_messages(plan.fields, block.data, firsts[rows], ends[rows], order)
         for name, values in found.items():
             shape = (len(starts), *values.shape[1:])
             columns.setdefault(name, np.empty(shape, values.dtype))[rows] = values
@@ -315,170 +304,3 @@ def _check_times(*columns: NDArray[np.uint64]) -> None:
     for times in columns:
         if len(times) and times.max() >= 2**63:
             raise LogError(f"expected times below 2^63 ns, found {times.max()}")
-
-
-def _decode_messages(
-    fields: tuple[Field, ...], data: bytes, starts: Offsets, ends: Offsets, order: Order
-) -> dict[str, Column]:
-    """Return the fields of messages as columns, by dotted name.
-
-    A sequence of numbers is an array per message; one of texts a list; one of messages a list of
-    dictionaries by dotted name.
-
-    Args:
-        fields: Of the message type.
-        data: The bytes in which the messages stand.
-        starts: Of the fields, behind the encapsulation, shape (n,).
-        ends: Of the messages, shape (n,).
-        order: `<` for little-endian, `>` for big-endian.
-
-    Raises:
-        LogError: Where a message is longer or shorter than its type, or a text no UTF-8.
-    """
-    if order == "<" and len(starts) <= MOST:
-        few = decode_few(fields, data, starts, ends, _PADDING)
-        if few is not None:
-            return few
-    cursor = _Cursor(data, starts, ends, order)
-    columns: dict[str, Column] = {}
-    cursor.take_fields(fields, "", columns)
-    is_long = ends - cursor.places >= _PADDING + cursor.overestimates
-    if is_long.any():
-        number = int(is_long.argmax())
-        expected, found = (cursor.places - starts)[number] + 4, (ends - starts)[number] + 4
-        raise LogError(f"message {number}: expected {expected} bytes, found {found}")
-    return columns
-
-
-class _Cursor:
-    """A place in every message, moved over one field at a time.
-
-    Attributes:
-        places: Where the next field starts, or the one before ends, shape (n,).
-        overestimates: How many bytes too many a writer may have set aside so far, shape (n,).
-    """
-
-    def __init__(self, data: bytes, starts: Offsets, ends: Offsets, order: Order) -> None:
-        self.places, self.overestimates = starts.copy(), np.zeros_like(starts)
-        self._data, self._starts, self._ends, self._order = data, starts, ends, order
-        self._numbers = np.arange(len(starts))
-
-    def take_fields(
-        self, fields: tuple[Field, ...], prefix: str, columns: dict[str, Column]
-    ) -> None:
-        for field in fields:
-            if not isinstance(field.kind, str) and not field.is_sequence:
-                for part in name_parts(field):
-                    self.take_fields(field.kind, f"{prefix}{part}.", columns)
-                continue
-            try:
-                columns[prefix + field.name] = self._take(field)
-            except LogError as err:
-                raise LogError(f"{prefix}{field.name}: {err}") from err
-        if not fields:  # ROS gives a type without fields one byte
-            self._take_numbers("u1", 1)
-
-    def _take(self, field: Field) -> Column:
-        if field.is_sequence:
-            lengths = self._take_numbers("u4", 1)[:, 0].astype(np.int64)
-            # Nothing takes less than a byte: what cannot be there is not asked for.
-            self._require(lengths)
-        elif field.length is None:
-            return self._take_texts() if field.kind == TEXT else self._take_one(field)
-        else:
-            lengths = np.full(len(self.places), field.length)
-            self._require(lengths)
-            if field.kind != TEXT:
-                return self._finish(self._take_numbers(str(field.kind), field.length), field)
-        if isinstance(field.kind, str) and field.kind != TEXT:
-            return self._take_arrays(field.kind, lengths)
-        return self._take_lists(field.kind, lengths)
-
-    def _take_one(self, field: Field) -> Column:
-        return self._finish(self._take_numbers(str(field.kind), 1)[:, 0], field)
-
-    def _finish(self, values: Column, field: Field) -> Column:
-        return values != 0 if field.kind == "?" else np.ascontiguousarray(values)
-
-    def _require(self, sizes: Offsets) -> None:
-        short = self.places + sizes > self._ends
-        if short.any():
-            row = int(short.argmax())
-            size = self._ends[row] - self._starts[row] + 4
-            raise LogError(f"message {self._numbers[row]}: expected more than {size} bytes")
-
-    def _align(self, size: int) -> None:
-        self.places += (self._starts - self.places) % size
-
-    def _take_numbers(self, kind: str, count: int) -> Column:
-        """Return `count` numbers of every message, shape (n, count)."""
-        code = np.dtype(kind.replace("?", "u1"))
-        self._align(code.itemsize)
-        size = code.itemsize * count
-        self._require(np.full(len(self.places), size))
-        values = gather_bytes(self._data, self.places, size).view(code.newbyteorder(self._order))
-        self.places += size
-        return values.reshape(-1, count).astype(code)
-
-    def _take_texts(self) -> Column:
-        lengths = self._take_numbers("u4", 1)[:, 0].astype(np.int64)
-        self._require(lengths)
-        starts, self.places = self.places, self.places + lengths
-        texts = np.empty(len(starts), dtype=object)
-        data, row = self._data, 0
-        try:
-            for row, (start, end) in enumerate(
-                zip(starts.tolist(), self.places.tolist(), strict=True)
-            ):
-                # The closing zero is counted; some middlewares leave it out.
-                texts[row] = data[start:end].removesuffix(b"\x00").decode()
-        except UnicodeDecodeError as err:
-            number = self._numbers[row]
-            raise LogError(
-                f"message {number}: expected UTF-8 text, found {err.object[:20]!r}"
-            ) from err
-        return texts
-
-    def _take_arrays(self, kind: str, lengths: Offsets) -> Column:
-        code = np.dtype(kind.replace("?", "u1"))
-        # An empty sequence is not padded.
-        self.places += np.where(lengths > 0, (self._starts - self.places) % code.itemsize, 0)
-        if code.itemsize == _LARGEST_NUMBER:
-            self.overestimates += np.where(lengths > 0, 0, _LARGEST_NUMBER)
-        self._require(lengths * code.itemsize)
-        stored, arrays = code.newbyteorder(self._order), np.empty(len(lengths), dtype=object)
-        rows = zip(self.places.tolist(), lengths.tolist(), strict=True)
-        for row, (start, length) in enumerate(rows):
-            values = np.frombuffer(self._data, stored, length, start)
-            arrays[row] = values != 0 if kind == "?" else values.astype(code)
-        self.places += lengths * code.itemsize
-        return arrays
-
-    def _take_lists(self, kind: str | tuple[Field, ...], lengths: Offsets) -> Column:
-        """Take the k-th value of every message that has one, for k = 0, 1, ..."""
-        lists = np.empty(len(lengths), dtype=object)
-        lists[:] = [[] for _ in range(len(lengths))]
-        for number in range(int(lengths.max(initial=0))):
-            rows = np.flatnonzero(lengths > number)
-            inner = _Cursor(self._data, self._starts[rows], self._ends[rows], self._order)
-            inner.places, inner._numbers = self.places[rows], self._numbers[rows]
-            for row, value in zip(rows, inner.take_values(kind), strict=True):
-                lists[row].append(value)
-            self.places[rows] = inner.places
-            self.overestimates[rows] += inner.overestimates
-        return lists
-
-    def take_values(self, kind: str | tuple[Field, ...]) -> list[object]:
-        """Return one text, or one message as a dictionary, of every message."""
-        if isinstance(kind, str):
-            return list(self._take_texts())
-        columns: dict[str, Column] = {}
-        self.take_fields(kind, "", columns)
-        names = list(columns)
-        if not names:
-            return [{} for _ in self._numbers]
-        values = [
-            [*column] if column.dtype == object or column.ndim > 1 else column.tolist()
-            for column in columns.values()
-        ]
-        return [dict(zip(names, row, strict=True)) for row in zip(*values, strict=True)]
