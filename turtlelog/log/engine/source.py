@@ -3,13 +3,12 @@
 import os
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar
 
 import numpy as np
 
-from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import (
     Block,
     Offsets,
@@ -17,7 +16,7 @@ from turtlelog.log.engine.blocks import (
     count_indexed,
     walk_blocks,
 )
-from turtlelog.log.engine.channels import Catalogue, TopicPlan
+from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry
 from turtlelog.log.engine.decode import (
     LOG_TIME,
@@ -30,10 +29,9 @@ from turtlelog.log.engine.decode import (
     unpack_messages,
 )
 from turtlelog.log.engine.framing import RECORD
-from turtlelog.log.engine.json_messages import keep_flat
 from turtlelog.log.engine.limits import Allowance
-from turtlelog.log.engine.message_types import TEXT, Field
 from turtlelog.log.engine.parsing import read_record
+from turtlelog.log.engine.selection import EVER, Selection
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.engine.summary import (
     Ends,
@@ -53,8 +51,6 @@ _Job = tuple[ChunkEntry, bytes, Mapping[str, int]]
 
 _THREADS: Final = min(os.cpu_count() or 1, 4)
 _AHEAD: Final = 2**25  # bytes of chunks that are unpacked before they are asked for
-EVER: Final = 2**64
-"""A log time after all others [ns]."""
 
 
 class Source:
@@ -165,76 +161,6 @@ class Source:
             for channel, count in count_indexed(memoryview(stored)[entry.length :]):
                 if channel in known:
                     counts[known[channel].topic] += count
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Selection:
-    """Which messages are asked for.
-
-    Attributes:
-        topics: By name; None for all that can be understood.
-        start_ns: Least log time.
-        end_ns: The log time before which they end.
-        is_lenient: Whether topics may be missing or not understood; then all chunks are read and
-            checked.
-        is_flat: Whether fields must be numbers and texts, not sequences of texts or messages: those
-            take some hundred times the memory of their bytes.
-        kept: By topic: the only columns that its rows keep, log time among them; of others all.
-    """
-
-    topics: frozenset[str] | None = None
-    start_ns: int = 0
-    end_ns: int = EVER
-    is_lenient: bool = False
-    is_flat: bool = False
-    kept: Mapping[str, Collection[str]] = field(default_factory=dict)
-
-    @property
-    def is_ever(self) -> bool:
-        """Whether no message is left out for its time."""
-        return self.start_ns <= 0 and self.end_ns >= EVER
-
-    def choose_plans(self, catalogue: Catalogue) -> dict[str, TopicPlan]:
-        """Return the plans of the topics asked for, as far as they are known so far.
-
-        Raises:
-            LogError: Where one that is asked for by name cannot be understood.
-        """
-        plans = {}
-        known = catalogue.topics
-        for topic in sorted(known if self.topics is None else self.topics.intersection(known)):
-            plan = self.choose_plan(catalogue, topic)
-            if plan is not None:
-                plans[topic] = plan
-        return plans
-
-    def choose_plan(self, catalogue: Catalogue, topic: str) -> TopicPlan | None:
-        """Return the plan of a topic, None where it is not asked for.
-
-        Raises:
-            LogError: Where it is asked for by name and cannot be understood.
-        """
-        if self.topics is not None and topic not in self.topics:
-            return None
-        plan = catalogue.find_plan(topic)
-        if plan.reason and self.topics is not None and not self.is_lenient:
-            raise LogError(f"topic {topic}: not understood: {plan.reason}")
-        if self.is_flat and (name := _find_list(plan.fields)) is not None:
-            expected = "fields of numbers and texts"
-            raise LogError(f"topic {topic}: expected {expected}, found the sequence {name}")
-        if self.is_flat and plan.json is not None:
-            plan = replace(plan, json=keep_flat(plan.json))
-        return None if plan.reason else plan
-
-    def require_topics(self, catalogue: Catalogue) -> None:
-        """Check that every topic asked for by name is there.
-
-        Raises:
-            LogError: Where one is not.
-        """
-        missing = (self.topics or frozenset()).difference(catalogue.topics)
-        for topic in () if self.is_lenient else sorted(missing):
-            raise LogError(f"topic {topic}: expected it in the file, found no such topic")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -362,17 +288,6 @@ def _map_ahead(work: Callable[[_Job], T], jobs: Iterable[_Job]) -> Iterator[T]:
         finally:
             for _, future in waiting:
                 future.cancel()
-
-
-def _find_list(fields: tuple[Field, ...]) -> str | None:
-    """Return the name of a sequence of texts or messages."""
-    for part in fields:
-        is_plain = isinstance(part.kind, str) and part.kind != TEXT
-        if not is_plain and (part.is_sequence or (part.length and part.kind == TEXT)):
-            return part.name
-        if not isinstance(part.kind, str) and (found := _find_list(part.kind)) is not None:
-            return f"{part.name}.{found}"
-    return None
 
 
 def _merge(offsets: list[Offsets]) -> Offsets:

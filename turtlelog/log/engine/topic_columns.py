@@ -28,14 +28,8 @@ from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.message_types import Column
 from turtlelog.log.engine.opening import open_source
 from turtlelog.log.engine.parsing import MESSAGE_HEAD, gather_heads
-from turtlelog.log.engine.source import (
-    EVER,
-    Piece,
-    Selection,
-    Source,
-    count_rows,
-    iterate_pieces,
-)
+from turtlelog.log.engine.selection import EVER, Selection
+from turtlelog.log.engine.source import Piece, Source, count_rows, iterate_pieces
 from turtlelog.log.engine.sqlite_source import SqliteSource
 from turtlelog.log.error_boundary import name_file, open_file
 

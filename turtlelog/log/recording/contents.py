@@ -24,11 +24,8 @@ from turtlelog.log.engine.decode import (
 )
 from turtlelog.log.engine.limits import Allowance
 from turtlelog.log.engine.message_types import read_type
-from turtlelog.log.engine.source import (
-    Selection,
-    Source,
-    read_piece,
-)
+from turtlelog.log.engine.selection import Selection
+from turtlelog.log.engine.source import Source, read_piece
 from turtlelog.log.engine.summary import salvage_summary
 from turtlelog.log.engine.topic_columns import TopicColumns, build_columns, collect_parts
 from turtlelog.log.engine.walk import Loss
