@@ -28,7 +28,7 @@ from turtlelog.show.movie.film import plan_film
 from turtlelog.show.movie.picture import draw_pictures
 from turtlelog.show.rerun.snapshot import open_camera
 
-_CELL: Final = (640, 400)
+_CELL: Final = (700, 640)
 _FIGURES: Final = ("panel", "plane", "heading")
 _HEAD: Final = 24
 _CHROMIUM: Final = Path("/usr/bin/chromium")

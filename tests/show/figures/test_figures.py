@@ -183,6 +183,15 @@ def test_a_legend_names_everything_once_and_covers_no_curve(name: str, runs: int
     assert all(axes.get_window_extent().y1 <= box.y0 + 1.0 for axes in figure.axes)
 
 
+def test_a_plane_that_stands_alone_takes_one_column() -> None:
+    short = simulate(1).slice(end_s=1.0)
+    figure = tl.show.draw_figure("plane", [short])
+    width, height = figure.get_size_inches()
+    assert len(figure.axes) == 1
+    assert width == pytest.approx(87.5 / 25.4)
+    assert height > width
+
+
 OF_ONE = ("attribution", "rates")
 """Figures of one run."""
 

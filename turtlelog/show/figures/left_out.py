@@ -9,7 +9,7 @@ from turtlelog.compare import order_by_gain, tabulate_table1
 from turtlelog.measure import measure_run
 from turtlelog.run import Run
 from turtlelog.show.characteristics import Characteristic, list_characteristics
-from turtlelog.show.close_up import ARRIVED_M, find_close_up, format_length
+from turtlelog.show.close_up import ARRIVED_M, format_length
 from turtlelog.show.figures.figure_kinds import (
     FIGURES,
     MOST_STATES,
@@ -22,7 +22,7 @@ from turtlelog.show.figures.page import label_runs
 from turtlelog.show.figures.plane_panels import has_one_plane
 from turtlelog.show.figures.signal_panels import draw_track
 from turtlelog.show.robot_curves import lack_samples
-from turtlelog.show.tracked_path import ON_PATH_M, find_worst_place, list_paths
+from turtlelog.show.tracked_path import ON_PATH_M, list_paths
 
 _MOST_NAMED: Final = 3
 """So many runs are named that a figure does not show; of more it is said how many."""
@@ -97,9 +97,9 @@ def _tell_states(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
 
 def _tell_close_up(runs: Sequence[Run], shown: Sequence[str]) -> list[str]:
     """Say what does not stand beside the plane; of runs without samples and goal nothing should."""
-    if has_one_plane(runs) and not any(run.goal_xy_m for run in runs):
+    if "plane" not in shown or not has_one_plane(runs):
         return []
-    if "plane" not in shown or find_close_up(runs) or find_worst_place(runs):
+    if lack_samples(runs) and not any(run.goal_xy_m for run in runs):
         return []
     part, expected = ("how each run ends", _ARRIVAL)
     if list_paths(runs):

@@ -82,8 +82,8 @@ def draw_plane(figure: Figure, runs: Sequence[Run]) -> None:
 
 
 def has_one_plane(runs: Sequence[Run]) -> bool:
-    """Whether nothing stands beside the plane, of runs without samples."""
-    return lack_samples(runs) and find_close_up(runs) is None and find_worst_place(runs) is None
+    """Whether nothing stands beside the plane: no run arrives, or leaves its path."""
+    return find_close_up(runs) is None and find_worst_place(runs) is None
 
 
 def draw_paths(axes: Axes, runs: Sequence[Run]) -> None:
