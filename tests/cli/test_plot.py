@@ -92,8 +92,8 @@ def test_what_was_asked_for_by_name_and_is_not_held_ends_with_an_error(
         (["--text-width", "nan"], "text width: expected 120 to 1000 mm, found nan"),
         (["--for", "slide", "--text-width", "150"], "--text-width: expected --for column or page"),
         (
-            [str(RECORDING), "--only", "plane,plant", "--to", "3"],
-            "--to: expected a figure over time, found plane, plant",
+            [str(RECORDING), "--only", "gains,plant", "--to", "3"],
+            "--to: expected a figure over time, found gains, plant",
         ),
         (["--dpi", "200", "--format", "pdf,svg"], "--dpi: expected png files, found pdf, svg"),
         (["--dpi", "601", "--format", "png"], "dpi: expected 50 to 600, found 601"),
