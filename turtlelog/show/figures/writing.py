@@ -46,8 +46,10 @@ from turtlelog.show.table_formats import format_latex
 
 FIGURE_FORMATS: Final = ("pdf", "png", "svg")
 
-_LAYOUT_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern")
-"""How letters join and move beside each other; a PDF has a place for each letter instead."""
+_UNUSED_TABLES: Final = ("GSUB", "GPOS", "GDEF", "MATH", "kern", "cmap", "post", "name", "OS/2")
+"""How letters join, how glyphs are found and what they are called: a PDF finds glyphs by their
+numbers, at places of its own. ISO 32000-1, 9.9: of a CIDFontType2 it needs glyf, head, hhea, hmtx,
+loca, maxp, and cvt, fpgm and prep if there are any."""
 _LEAST_INCH: Final = 3.0
 """A narrower figure is no lower: its lettering is the same."""
 _MOST_COLUMNS: Final = 4
@@ -192,7 +194,7 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
         if (engine := figure.get_layout_engine()) is not None:
             engine.execute(figure)
         if form == "pdf":
-            with _drop_layout_tables():
+            with _drop_unused_tables():
                 FigureCanvasPdf(figure).print_pdf(data, metadata=_NO_DATE[form])
         elif form == "svg":
             FigureCanvasSVG(figure).print_svg(data, metadata=_NO_DATE[form])
@@ -201,7 +203,7 @@ def save_figure(figure: Figure, data: io.BytesIO, form: str, page: Page | None =
 
 
 @contextmanager
-def _drop_layout_tables() -> Iterator[None]:
+def _drop_unused_tables() -> Iterator[None]:
     """Leave out what no PDF uses of a font: cutting it to the letters takes most of the writing.
 
     matplotlib offers no choice of these tables. It opens fonts by a public function of fontTools,
@@ -212,7 +214,8 @@ def _drop_layout_tables() -> Iterator[None]:
 
     def load(*arguments: Any, **named: Any) -> Any:
         font = usual(*arguments, **named)
-        for table in _LAYOUT_TABLES:
+        font.setGlyphOrder([f"glyph{number}" for number in range(font["maxp"].numGlyphs)])
+        for table in _UNUSED_TABLES:
             if table in font:
                 del font[table]
         return font
