@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from turtlelog.identify.axis_motion import AXES, Axis, get_commands, read_axis_motion
 from turtlelog.identify.held_response import Values
@@ -126,7 +126,7 @@ def measure_rate_noise(model: RobotModel, axis: Axis, runs: Sequence[Run]) -> No
         return None
     weight = np.sqrt(in_line) / squares
     terms = np.column_stack([horizons_s, np.ones(len(horizons_s))]) * weight[:, None]
-    power, still = nnls(terms, squares * weight)[0].tolist()
+    power, still = scipy.optimize.nnls(terms, squares * weight)[0].tolist()
     # Noise of poses alone gives each mean square alike, but for the chance of its many poses.
     sure = max(_SURE * float(np.sqrt(2.0 / in_all[-1])), _MATTERS)
     noise = float(np.sqrt(power))

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cholesky_banded, solve_banded
-from scipy.optimize import nnls
 
 from turtlelog.identify.held_response import Values
 
@@ -62,7 +61,7 @@ def estimate_noise(
         length *= 2
     measured = np.maximum(variances, np.finfo(float).tiny)
     terms = np.column_stack([lengths, np.full(len(lengths), 2.0)]) / measured[:, None]
-    slip, sensing = nnls(terms, np.ones(len(lengths)))[0].tolist()
+    slip, sensing = scipy.optimize.nnls(terms, np.ones(len(lengths)))[0].tolist()
     return StepNoise(slip=max(slip, _LEAST_SLIP * sensing), sensing=sensing)
 
 
@@ -88,9 +87,10 @@ class Whitening:
         variance = variance * np.where(is_outlier, _EXCLUDED, 1.0)
         beside = np.where(follows[1:], -noise.sensing, 0.0)
         bands = np.stack([variance, np.append(beside, 0.0)])
-        self._factor = cholesky_banded(bands, lower=True, check_finite=False)
+        self._factor = scipy.linalg.cholesky_banded(bands, lower=True, check_finite=False)
         self.log_size = 2.0 * float(np.log(self._factor[0]).sum())
 
     def apply(self, values: Values) -> Values:
         """Return values of each step, shape (n,) or (n, k), whitened."""
-        return np.asarray(solve_banded((1, 0), self._factor, values, check_finite=False))
+        solve = scipy.linalg.solve_banded
+        return np.asarray(solve((1, 0), self._factor, values, check_finite=False))
