@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import turtlelog as tl
 from turtlelog.cli.options import ReadingOptions, read_runs
@@ -16,14 +16,12 @@ from turtlelog.cli.output import (
     print_tables,
 )
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.targets import require_pictures
 from turtlelog.errors import TurtlelogError, UsageError
 
 if TYPE_CHECKING:
     from turtlelog import Scenario
     from turtlelog.compare import ErrorBand, RobotComparison
-
-_FIGURES: Final = frozenset({".pdf", ".png", ".svg"})
 
 
 def list_scenario_files(files: Sequence[Path]) -> list[Path]:
@@ -41,7 +39,7 @@ def compare_with_robot(
 ) -> int:
     """Print how far the robot of the scenario among some files is from those of the others."""
     bags, scenario_file = _part(files)
-    _require_targets(plot, rrd, files, bags)
+    require_pictures(plot, rrd, files, drawn=bags, of="bag")
     scenario = _load(scenario_file)
     found: list[tuple[Path, RobotComparison]] = []
     is_fine = True
@@ -71,20 +69,6 @@ def _part(files: Sequence[Path]) -> tuple[list[Path], Path]:
             " scenarios are compared by their runs, which turtlelog run records"
         )
     return bags, scenarios[0]
-
-
-def _require_targets(
-    plot: Path | None, rrd: Path | None, files: Sequence[Path], bags: Sequence[Path]
-) -> None:
-    """Refuse pictures that could not be written, before anything is read."""
-    for name, target in (("--plot", plot), ("--rrd", rrd)):
-        if target is not None and len(bags) > 1:
-            raise UsageError(f"{name}: expected one bag to draw, found {len(bags)}")
-    if plot is not None and plot.suffix.lower() not in _FIGURES:
-        expected = "a name that ends in .pdf, .png or .svg"
-        raise UsageError(f"--plot {plot}: expected {expected}, found another")
-    require_new_target(plot, files, suffix="" if plot is None else plot.suffix.lower())
-    require_new_target(rrd, files, suffix=".rrd")
 
 
 def _load(file: Path) -> "Scenario":

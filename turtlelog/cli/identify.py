@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import turtlelog as tl
 from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
 from turtlelog.cli.output import format_table, print_json, print_note, print_text
-from turtlelog.cli.targets import require_new_target
+from turtlelog.cli.targets import require_new_target, require_pictures
 from turtlelog.display import describe_count
-from turtlelog.errors import UsageError
 
 if TYPE_CHECKING:
     from turtlelog import RobotModel
@@ -26,7 +25,6 @@ _MOST_EVENTS: Final = 5
 _RARE: Final = 0.01
 """Share of the steps; where more are off, it is not by single faults, such as a jump."""
 
-_FIGURES: Final = frozenset({".pdf", ".png", ".svg"})
 
 _WHOLE_MS: Final = 10.0
 """Width of an interval above which tenths of a millisecond tell nothing [ms]."""
@@ -79,7 +77,7 @@ def identify(
         scenario: Write the robot as a scenario to this .toml file, to be simulated and given gains.
         json: Print one JSON object instead of tables.
     """
-    _require_targets(plot, rrd, files)
+    require_pictures(plot, rrd, files, drawn=files, of="file")
     require_new_target(scenario, files, suffix=".toml")
     runs = read_runs(files, topics)
     model = tl.identify_robot(runs)
@@ -96,18 +94,6 @@ def identify(
     if rrd is not None:
         tl.show.write_robot_rrd(model, runs[0], rrd)
         print_note(f"wrote {rrd}")
-
-
-def _require_targets(plot: Path | None, rrd: Path | None, files: Sequence[Path]) -> None:
-    """Refuse pictures that could not be written, before anything is read."""
-    for name, target in (("--plot", plot), ("--rrd", rrd)):
-        if target is not None and len(files) > 1:
-            raise UsageError(f"{name}: expected one file to draw, found {len(files)}")
-    if plot is not None and plot.suffix.lower() not in _FIGURES:
-        expected = "a name that ends in .pdf, .png or .svg"
-        raise UsageError(f"--plot {plot}: expected {expected}, found another")
-    require_new_target(plot, files, suffix="" if plot is None else plot.suffix.lower())
-    require_new_target(rrd, files, suffix=".rrd")
 
 
 def _write_scenario(robot: "RobotScenario", path: Path) -> None:

@@ -14,6 +14,8 @@ from turtlelog.libraries import load_library
 _LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
 """What writes files of a suffix, where a slim installation lacks it."""
 
+_PICTURES: Final = frozenset({".pdf", ".png", ".svg"})
+
 
 def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: str) -> None:
     """Refuse a file that could not be written, is an input, or is named as something else.
@@ -34,6 +36,25 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
             _require_replaceable(target, inputs)
     if suffix in _LIBRARIES:
         load_library(_LIBRARIES[suffix])
+
+
+def require_pictures(
+    plot: Path | None, rrd: Path | None, inputs: Sequence[Path], *, drawn: Sequence[Path], of: str
+) -> None:
+    """Refuse pictures of a robot that could not be written, or of more than one that is drawn.
+
+    Raises:
+        UsageError: Where one is refused.
+        LibraryError: Where what writes it is not installed.
+    """
+    for name, target in (("--plot", plot), ("--rrd", rrd)):
+        if target is not None and len(drawn) > 1:
+            raise UsageError(f"{name}: expected one {of} to draw, found {len(drawn)}")
+    if plot is not None and plot.suffix.lower() not in _PICTURES:
+        expected = "a name that ends in .pdf, .png or .svg"
+        raise UsageError(f"--plot {plot}: expected {expected}, found another")
+    require_new_target(plot, inputs, suffix="" if plot is None else plot.suffix.lower())
+    require_new_target(rrd, inputs, suffix=".rrd")
 
 
 def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> None:
