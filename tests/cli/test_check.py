@@ -164,6 +164,24 @@ def test_artifacts_are_written_of_what_fails(
     assert 1.28 <= times_s.min() <= times_s.max() <= 3.29
 
 
+def test_artifacts_are_the_same_of_files_judged_in_several_processes(
+    call: Call, spec: Path, kp4: Path, kp10: Path, tmp_path: Path, monkeypatch: Any
+) -> None:
+    for variable in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(variable, "/none")
+    answers, written = [], []
+    for jobs in ("1", "2"):
+        folder = tmp_path / f"failed{jobs}"
+        words = ("check", spec, kp4, "none.mcap", kp10, "--artifacts", folder, "--jobs", jobs)
+        answers.append(call(*words))
+        (cut,) = folder.glob("*.mcap")  # the view holds when it was written
+        written.append((sorted(path.name for path in folder.iterdir()), cut.read_bytes()))
+    assert answers[0].out == answers[1].out
+    assert answers[0].err.replace("failed1", "failed2") == answers[1].err
+    assert written[0] == written[1]
+    assert len(written[0][0]) == 2
+
+
 def test_a_first_spec_is_passed_by_the_run_that_it_was_read_off(
     call: Call, kp4: Path, kp10: Path, tmp_path: Path
 ) -> None:

@@ -168,3 +168,23 @@ def test_runs_are_sorted_by_the_gain_as_its_column_is_called(
     answer = call("compare", *words, "--sort", "Kp")
     assert (answer.code, answer.out) == (2, "")
     assert "--sort: expected Kp turn or Kp drive, found 'Kp'" in answer.err
+
+
+@pytest.mark.parametrize("options", [[], ["--json"], ["--csv"]], ids=["table", "json", "csv"])
+def test_runs_are_held_to_a_reference_in_several_processes(
+    call: Call, kp4: Path, kp10: Path, options: list[str]
+) -> None:
+    words = ("compare", kp10, kp4, kp10, "--reference", kp4, *options, "--jobs")
+    alone, together = call(*words, "1"), call(*words, "2")
+    assert together == alone
+    assert alone.code == 0
+
+
+def test_a_run_that_no_process_can_read_is_an_error_of_the_whole(
+    call: Call, kp4: Path, kp10: Path
+) -> None:
+    words = ("compare", kp10, "none.mcap", kp10, "--reference", kp4, "--jobs")
+    alone, together = call(*words, "1"), call(*words, "2")
+    assert together == alone
+    assert alone.code == 2
+    assert "none.mcap" in alone.err

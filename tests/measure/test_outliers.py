@@ -1,12 +1,19 @@
 """Outliers of measured signals: what is one, and what is none."""
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from tests.log.runs import find_shared
 from turtlelog import read_run
-from turtlelog.measure.outliers import describe_outliers, find_outliers, list_outliers
+from turtlelog.measure.outliers import (
+    compute_median,
+    describe_outliers,
+    find_outliers,
+    list_outliers,
+)
 
 Values = NDArray[np.float64]
 
@@ -137,3 +144,15 @@ def test_two_hundred_clean_signals_have_no_outliers() -> None:
         grain = 10.0 ** random.uniform(-6.0, -0.5)
         found += find(np.round((motion + noise) / grain) * grain)
     assert found == []
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 9])
+@pytest.mark.parametrize("kind", [np.int64, np.float64])
+def test_the_median_is_numpys_to_the_bit(count: int, kind: type) -> None:
+    values = (np.random.default_rng(count).normal(size=count) * 1e6).astype(kind)
+    assert compute_median(values) == np.median(values)
+
+
+@pytest.mark.parametrize("values", [[], [math.nan], [1.0, math.nan, 2.0]])
+def test_the_median_of_nothing_or_of_nan_is_nan(values: list[float]) -> None:
+    assert math.isnan(compute_median(np.array(values)))
