@@ -1,6 +1,7 @@
 """What reading many files of one experiment costs, counted and not timed."""
 
 import io
+import tomllib
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,6 @@ from typing import Any
 import pytest
 
 import turtlelog as tl
-from turtlelog import text_files
 from turtlelog.log.engine import message_types, opening
 
 FILES = 100
@@ -52,11 +52,11 @@ def test_many_files_are_opened_once_and_what_they_share_is_parsed_once(
         counts["toml"] += 1
         return loads(text)
 
-    read_schema, loads = message_types._parse_schema, text_files.tomllib.loads
+    read_schema, loads = message_types._parse_schema, tomllib.loads
     monkeypatch.setattr(opening, "open_file", open_counted)
     monkeypatch.setattr(message_types, "_parse_schema", parse_schema)
     tl.read_run(experiment[0])
-    monkeypatch.setattr(text_files.tomllib, "loads", parse_lines)
+    monkeypatch.setattr(tomllib, "loads", parse_lines)
     counts.clear()
     names = [tl.read_run(file).name for file in experiment[1:]]
     assert names == [f"run {number}" for number in range(1, FILES)]
