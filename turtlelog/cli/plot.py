@@ -13,7 +13,7 @@ from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
-from turtlelog.cli.options import Json, ReadingOptions, read_runs
+from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
@@ -38,6 +38,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
     movie: MovieOptions | None = None,
     timeline: str = "sim_time",
     topics: ReadingOptions | None = None,
+    jobs: Annotated[Whole | None, Parameter(metavar="COUNT")] = None,
     json: Json = False,
 ) -> None:
     """Make the paper's figures from any recordings, and its tables as LaTeX.
@@ -73,6 +74,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         formats: Some of pdf, png, svg, with commas; otherwise pdf.
         timeline: What the movie is driven on: sim_time, or PHASE_time, from the start of a later
             phase of each run, as translate_time.
+        jobs: Processes to draw in, on Linux; as many as cores unless given. The files are the same.
         json: Print one JSON object instead of lines.
     """
     movie = movie or MovieOptions()
@@ -106,7 +108,7 @@ def plot(  # noqa: PLR0913 (each is an option of the command)
         tables: list[Path] = []
         left_out: Sequence[str] = ()
     else:
-        drawn, tables = _draw_all(output, runs, kinds_of, kinds, page)
+        drawn, tables = _draw_all(output, runs, kinds_of, (kinds, page, jobs))
         figures = {path: path.stem for path in drawn}
         left_out = show.list_left_out(runs, names) if runs else ()
     if page.has_marks and (names or is_file):
@@ -245,10 +247,10 @@ def _draw_all(
     output: Path,
     runs: "Sequence[Run]",
     only: "Only | None",
-    kinds: list[str],
-    page: "Page",
+    how: "tuple[list[str], Page, int | None]",
 ) -> tuple[list[Path], list[Path]]:
     """Return the figures and the tables that were written into a folder."""
+    kinds, page, jobs = how
     from turtlelog.show.figures.writing import add_figures, add_tables
     from turtlelog.show.output_files import replace_together
 
@@ -262,7 +264,7 @@ def _draw_all(
             progress.done += 1
             return write(name, data)
 
-        figures = add_figures(count, runs, only=only, formats=kinds, page=page)
+        figures = add_figures(count, runs, only=only, formats=kinds, page=page, jobs=jobs)
         tables = add_tables(write, runs) if runs and only is None else []
     return figures, tables
 
