@@ -1,8 +1,8 @@
 """Work on many things in several processes: the results in order, never many at once in memory.
 
-Processes are spawned and not forked: the same everywhere, and safe beside threads. They import the
-module that runs: a script that asks for more than one keeps its own work under
-`if __name__ == "__main__":`.
+Processes are spawned: the same everywhere, and safe beside threads. They import the module that
+runs: a script that asks for more than one keeps its own work under `if __name__ == "__main__":`.
+Where libraries take a second of each, they are forked instead, on Linux.
 """
 
 import os
@@ -10,11 +10,12 @@ import pickle
 import signal
 import sys
 import traceback
+import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
 from turtlelog.errors import ProcessError
 
@@ -41,6 +42,10 @@ FILE_S: Final = 3e-3
 
 _BYTES_PER_S: Final = 100e6
 """That are read, decompressed and measured on one core [bytes/s]."""
+
+
+CAN_FORK: Final = sys.platform == "linux"
+"""Whether a process can be forked safely: elsewhere libraries of the system forbid it."""
 
 
 def count_cores() -> int:
@@ -93,15 +98,17 @@ def map_in_processes(
     jobs: int,
     *,
     name: Callable[[T], str] = str,
-) -> Iterator[R]:
+    is_forked: bool = False,
+) -> Generator[R, None, None]:
     """Yield what work makes of every item, in their order, as `map` does.
 
     Args:
-        work: It can be pickled, as can items and results. What it raises is raised here, where its
-            result would stand.
+        work: It can be pickled unless processes are forked, as can items and results. What it
+            raises is raised here, where its result would stand.
         items: What to work on.
         jobs: Processes; with 1, or of one item, the work is done in this one.
         name: What an item is called in an error.
+        is_forked: Whether processes begin with all that this one has loaded; see `CAN_FORK`.
 
     Raises:
         ProcessError: Where a process ends before its work does, as one that runs out of memory.
@@ -112,7 +119,9 @@ def map_in_processes(
     workers: list[_Worker] = []
     try:
         for _ in range(min(jobs, len(items))):
-            workers.append(_Worker(work, name))  # one by one: those that run are ended below
+            workers.append(
+                _Worker(work, name, "fork" if is_forked else "spawn")
+            )  # one by one: those that run are ended below
         yield from _collect(workers, items)
     finally:
         for worker in workers:
@@ -122,15 +131,22 @@ def map_in_processes(
 class _Worker:
     """A process, and the items that it holds, the first of which it works on."""
 
-    def __init__(self, work: Callable[[Any], Any], name: Callable[[Any], str]) -> None:
+    def __init__(
+        self,
+        work: Callable[[Any], Any],
+        name: Callable[[Any], str],
+        start: Literal["fork", "spawn"],
+    ) -> None:
         import multiprocessing
 
-        context = multiprocessing.get_context("spawn")
+        context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
         self.held: deque[tuple[int, Any]] = deque()
         self._name = name
         self._process = context.Process(target=_serve, args=(theirs, work), daemon=True)
-        with _block_interrupts():
+        with _block_interrupts(), warnings.catch_warnings():
+            # Newer Pythons warn of a fork beside threads, such as those of a library that is idle.
+            warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
         theirs.close()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from turtlelog.errors import LogError
-from turtlelog.log.engine import decode
+from turtlelog.log.engine import cursor
 from turtlelog.log.engine.few_messages import MOST, decode_few
 from turtlelog.log.engine.message_types import read_type
 
@@ -31,8 +31,8 @@ def pack(*rows: tuple[Any, ...]) -> tuple[bytes, Any, Any]:
 
 
 def decode_all(data: bytes, starts: Any, ends: Any) -> dict[str, Any]:
-    cursor, columns = decode._Cursor(data, starts, ends, "<"), dict[str, Any]()
-    cursor.take_fields(FIELDS, "", columns)
+    taken, columns = cursor._Cursor(data, starts, ends, "<"), dict[str, Any]()
+    taken.take_fields(FIELDS, "", columns)
     return columns
 
 
@@ -69,7 +69,7 @@ def test_messages_that_are_not_sound_are_left_to_the_general_way(
     data, starts, ends = harm(data, starts[1:], ends[1:])
     assert decode_few(FIELDS, data, starts, ends, 4) is None
     with pytest.raises(LogError):
-        decode._decode_messages(FIELDS, data, starts, ends, "<")
+        cursor.decode_messages(FIELDS, data, starts, ends, "<")
 
 
 def test_up_to_three_bytes_of_padding_do_no_harm() -> None:

@@ -2,18 +2,20 @@
 
 import multiprocessing
 import os
-import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 
 import turtlelog as tl
 from tests.log.runs import simulate_preset
-from turtlelog.errors import ShowError
-from turtlelog.show.figures.drawing_processes import draw_in_processes
+from turtlelog.errors import ProcessError, ShowError
+from turtlelog.processes import CAN_FORK
+from turtlelog.show.figures import writing
 
+Draw = Callable[[str], list[bytes]]
 NAMES = [f"figure {number}" for number in range(7)]
-FORKED = pytest.mark.skipif(sys.platform != "linux", reason="nothing is forked here")
+FORKED = pytest.mark.skipif(not CAN_FORK, reason="nothing is forked here")
 
 
 def tell(name: str) -> list[bytes]:
@@ -21,11 +23,18 @@ def tell(name: str) -> list[bytes]:
     return [name.encode(), str(os.getpid()).encode()]
 
 
+def draw(names: Sequence[str], jobs: int | None, work: Draw = tell) -> Iterator[tuple[str, str]]:
+    """Yield the names of figures, and the processes that drew them."""
+    for name, (told, process) in writing._draw_in_processes(work, names, jobs):
+        assert told.decode() == name
+        yield name, process.decode()
+
+
 @pytest.mark.parametrize("jobs", [1, 2, 3, 7, 20])
 def test_figures_come_in_order_from_any_number_of_processes(jobs: int) -> None:
-    drawn = list(draw_in_processes(tell, NAMES, jobs))
-    assert [name.decode() for name, _ in drawn] == NAMES
-    if sys.platform == "linux":
+    drawn = list(draw(NAMES, jobs))
+    assert [name for name, _ in drawn] == NAMES
+    if CAN_FORK:
         assert len({process for _, process in drawn}) == min(jobs, len(NAMES))
     assert not multiprocessing.active_children()
 
@@ -35,22 +44,18 @@ def test_figures_come_in_order_from_any_number_of_processes(jobs: int) -> None:
 def test_each_of_as_many_processes_as_cores_has_three_figures_to_draw(
     monkeypatch: pytest.MonkeyPatch, names: int, processes: int
 ) -> None:
-    monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    drawn = list(draw_in_processes(tell, ["a"] * names, None))
-    assert len({process for _, process in drawn}) == processes
+    monkeypatch.setattr(writing, "count_cores", lambda: 4)
+    assert len({process for _, process in draw(["a"] * names, None)}) == processes
 
 
-def test_no_figure_needs_no_process() -> None:
-    assert not list(draw_in_processes(tell, [], 3))
+@pytest.mark.parametrize("jobs", [None, 3])
+def test_no_figure_needs_no_process(jobs: int | None) -> None:
+    assert not list(draw([], jobs))
 
 
-@pytest.mark.parametrize("platform", ["win32", "darwin"])
-def test_elsewhere_all_is_drawn_in_one_process(
-    monkeypatch: pytest.MonkeyPatch, platform: str
-) -> None:
-    monkeypatch.setattr(sys, "platform", platform)
-    drawn = list(draw_in_processes(tell, NAMES, 4))
-    assert {process for _, process in drawn} == {str(os.getpid()).encode()}
+def test_where_none_can_be_forked_one_process_draws_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writing, "CAN_FORK", False)
+    assert {process for _, process in draw(NAMES, 4)} == {str(os.getpid())}
 
 
 def test_an_error_in_another_process_is_raised_here_after_what_comes_before() -> None:
@@ -59,27 +64,23 @@ def test_an_error_in_another_process_is_raised_here_after_what_comes_before() ->
             raise ShowError(f"no {name}")
         return tell(name)
 
-    drawing = draw_in_processes(fail, NAMES, 2)
-    assert [next(drawing)[0].decode() for _ in range(5)] == NAMES[:5]
+    drawing = draw(NAMES, 2, fail)
+    assert [next(drawing)[0] for _ in range(5)] == NAMES[:5]
     with pytest.raises(ShowError, match="no figure 5"):
         next(drawing)
     assert not multiprocessing.active_children()
 
 
-def test_what_a_process_that_dies_has_not_drawn_is_drawn_here() -> None:
-    first = os.getpid()
-
-    def die(name: str) -> list[bytes]:
-        if os.getpid() != first:
-            os._exit(9)
-        return tell(name)
-
-    assert [name.decode() for name, _ in draw_in_processes(die, NAMES, 3)] == NAMES
+@FORKED
+def test_a_process_that_dies_is_one_line_with_its_figures() -> None:
+    with pytest.raises(ProcessError, match=r"figure \d, figure \d: expected a result"):
+        list(draw(NAMES, 3, lambda _: os._exit(9)))
+    assert not multiprocessing.active_children()
 
 
 @FORKED
 def test_who_stops_early_leaves_no_process_behind() -> None:
-    drawing = draw_in_processes(tell, NAMES, 3)
+    drawing = writing._draw_in_processes(tell, NAMES, 3)
     next(drawing)
     drawing.close()  # type: ignore[attr-defined]
     assert not multiprocessing.active_children()

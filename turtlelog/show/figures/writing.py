@@ -2,9 +2,10 @@
 
 import io
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,9 +27,9 @@ from turtlelog.compare import (
 )
 from turtlelog.errors import ShowError, suggest_names
 from turtlelog.measure import measure_run
+from turtlelog.processes import CAN_FORK, count_cores, map_in_processes
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
-from turtlelog.show.figures.drawing_processes import draw_in_processes
 from turtlelog.show.figures.figure_kinds import (
     FIGURES,
     FigureKind,
@@ -59,6 +60,9 @@ _WIDE: Final = frozenset(
 )
 _WIDE_OF_RUNS: Final = frozenset({"root-locus"})
 """Of theory alone these have one panel."""
+_LEAST_DRAWN: Final = 3
+"""Figures for each process where their number is not given: a process costs as long as a fifth of
+a small figure to fork, and the copies of what it changes as much again."""
 _NO_DATE: Final = {
     "pdf": {"CreationDate": None, "ModDate": None},
     "svg": {"Date": None},
@@ -162,9 +166,42 @@ def add_figures(
     draw = partial(_draw_files, runs=runs, formats=forms, page=page or Page(), kinds=kinds)
     return [
         write(f"{name}.{form}", data)
-        for name, files in zip(names, draw_in_processes(draw, names, jobs), strict=True)
+        for name, files in _draw_in_processes(draw, names, jobs)
         for form, data in zip(forms, files, strict=True)
     ]
+
+
+def _draw_in_processes(
+    draw: Callable[[str], list[bytes]], names: Sequence[str], jobs: int | None
+) -> Iterator[tuple[str, list[bytes]]]:
+    """Yield each figure and its files, drawn in several processes where they can be forked.
+
+    Each draws figures that stand together: those of theory load libraries of their own.
+    """
+    if jobs is None:
+        jobs = min(count_cores(), len(names) // _LEAST_DRAWN)
+    jobs = max(min(jobs, len(names)) if CAN_FORK else 1, 1)
+    cuts = [len(names) * part // jobs for part in range(jobs + 1)]
+    parts = [names[first:after] for first, after in pairwise(cuts)]
+    work = partial(_draw_until_error, draw)
+    drawings = map_in_processes(work, parts, jobs, name=", ".join, is_forked=True)
+    with closing(drawings):
+        for part, (drawn, error) in zip(parts, drawings, strict=True):
+            yield from zip(part, drawn, strict=False)
+            if error is not None:
+                raise error
+
+
+def _draw_until_error(
+    draw: Callable[[str], list[bytes]], names: Sequence[str]
+) -> tuple[list[list[bytes]], Exception | None]:
+    """Return the files of figures up to the first that fails, and its error."""
+    drawn: list[list[bytes]] = []
+    try:
+        drawn.extend(map(draw, names))
+    except Exception as err:
+        return drawn, err
+    return drawn, None
 
 
 def _draw_files(
