@@ -195,7 +195,7 @@ def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
             started += 1
         busy = {worker.pipe: worker for worker in workers if worker.held}
         for pipe in wait(list(busy)):
-            place, *outcome = busy[pipe].take()  # type: ignore[index]
+            place, *outcome = busy[pipe].take()
             found[place] = (outcome[0], outcome[1])
         while done in found:
             result, is_error = found.pop(done)

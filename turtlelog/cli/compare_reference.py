@@ -1,6 +1,6 @@
 """`turtlelog compare --reference`: how far each run is from one."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -98,7 +98,7 @@ def compare_with_reference(
     others = paths[1:]
     if held is None:
         print_run_notes(paths[0], reference.notes)
-        found = map_in_processes(comparer, others, jobs)
+        found: Iterable[_Compared] = map_in_processes(comparer, others, jobs)
     else:
         found = map(comparer.compare, others, held[1:])
     compared: list[_Compared] = []
