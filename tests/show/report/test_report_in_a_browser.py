@@ -1,5 +1,6 @@
 """Reports in real Chromium, from the disk: what is seen, pressed, printed and never asked for."""
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -147,3 +148,30 @@ def test_a_robot_s_bag_six_samples_and_a_long_name_are_shown(
         page = open_report(tmp_path / f"{name}.html", width=390)
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         assert page.locator("#plane .bk-Figure").count() == 1
+
+
+TIPS = """() => {
+  const found = [], walk = (root) => root.querySelectorAll("*").forEach((one) => {
+    if (one.shadowRoot === null) return;
+    if (one.classList.contains("bk-Tooltip")) found.push(one.shadowRoot.textContent);
+    walk(one.shadowRoot);
+  });
+  walk(document);
+  return found.join(" ");
+}"""
+
+
+def test_the_mouse_reads_all_runs_at_a_time_that_every_plot_shows(
+    two_runs: Path, open_report: Open
+) -> None:
+    page = open_report(two_runs)
+    page.locator("#plot-speed").scroll_into_view_if_needed()
+    before, box = read_pixels(page, "#plot-turn_rate"), page.locator("#plot-speed").bounding_box()
+    page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.6 * box["height"])
+    page.wait_for_function(f"({TIPS})().includes('kp10')")
+    told = page.evaluate(TIPS)
+    assert SCRIPT in told
+    values = re.findall(r"commanded speed: *([-0-9.]+) m/s", told)
+    assert len(values) == 2
+    assert set(values) == {"1.0000"}  # both drive at their limit there
+    assert read_pixels(page, "#plot-turn_rate") != before

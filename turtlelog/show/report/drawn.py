@@ -42,6 +42,11 @@ class Drawn:
     is_plotted: bool = True
 
 
+def _make_crosshair() -> Any:
+    models = load_library("bokeh.models")
+    return models.Span(dimension="height", line_color=RING, line_alpha=0.5)
+
+
 @dataclass(slots=True, kw_only=True)
 class Plots:
     """What stands in the page.
@@ -51,12 +56,14 @@ class Plots:
         config: For the script: ids of models, by what they are.
         thinned: How many curves are drawn with fewer points than were recorded.
         points: How many points a curve has at most.
+        crosshair: The time under the mouse, in all plots over time.
     """
 
     roots: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     thinned: int = 0
     points: int = MOST_POINTS
+    crosshair: Any = field(default_factory=_make_crosshair)
 
 
 def to_hex(color: Color) -> str:

@@ -71,6 +71,7 @@ _IF_MOVING: Final = ("x", "y", "along_track")
 
 _DERIVED: Final = (ALONG_ERROR, TO_REFERENCE)
 _MOST_STATES: Final = 6
+_MOST_TIPS: Final = 6
 """States of a law that have a plot: a page of more would be skimmed."""
 
 _RARE: Final = 1e-3
@@ -219,9 +220,11 @@ def _draw_signal(
     figure.add_layout(cursor)
     plots.config["cursors"].append(cursor.id)
     tips = [("", "@name"), ("time", "$snap_x{0.000} s"), (title, f"$snap_y{{0.0000}} {unit}")]
+    # Of few curves all are read at the cursor, of more the one under it: tips would hide the plot.
+    mode = "vline" if len(config["curves"]) <= _MOST_TIPS else "mouse"
     figure.add_tools(
-        models.HoverTool(renderers=[lines], tooltips=tips, line_policy="nearest"),
-        models.CrosshairTool(dimensions="height", line_alpha=0.5),
+        models.HoverTool(renderers=[lines], tooltips=tips, line_policy="nearest", mode=mode),
+        models.CrosshairTool(overlay=plots.crosshair),
     )
 
 

@@ -70,7 +70,7 @@ def _draw_violation(
     figure.add_layout(cursor)
     plots.config["cursors"].append(cursor.id)
     tips = [("time", "$x{0.000} s"), (violated.name, f"$y{{0.0000}} {violated.unit}")]
-    figure.add_tools(models.CrosshairTool(dimensions="height", line_alpha=0.5))
+    figure.add_tools(models.CrosshairTool(overlay=plots.crosshair))
     figure.add_tools(models.HoverTool(tooltips=tips, line_policy="nearest"))
 
 
