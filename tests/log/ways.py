@@ -6,22 +6,22 @@ from typing import Any
 
 import pytest
 
-from turtlelog.log.engine import compiled
+from turtlelog.log.engine.compiled import KERNELS
 
 
 @contextmanager
 def use_kernels(kernels: Any) -> Iterator[None]:
     """Read by these loops, without any where None."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "_kernels", kernels)
+        patch.setattr(KERNELS, "_loops", kernels)
         # From here on nothing is worth loading.
-        patch.setattr(compiled, "_saved_s", 1e9)
+        patch.setattr(KERNELS, "_saved_s", 1e9)
         yield
 
 
 def load_kernels() -> Any:
     """Return the compiled loops; skips where numba is not installed."""
     pytest.importorskip("numba")
-    kernels = compiled.load_kernels()
+    kernels = KERNELS.load()
     assert kernels is not None
     return kernels

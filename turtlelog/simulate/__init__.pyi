@@ -17,6 +17,10 @@ from .law_driver import (
     build_law as build_law,
     declare_scenario as declare_scenario,
 )
+from .many import (
+    ManyRuns as ManyRuns,
+    simulate_many as simulate_many,
+)
 from .scenario_notes import (
     list_scenario_notes as list_scenario_notes,
 )

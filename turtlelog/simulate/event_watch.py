@@ -33,8 +33,7 @@ class EventWatch:
         self._lost_commands += lost_commands
         x_m, y_m, *_ = self._body.state
         found = {
-            "wall_hit": hit_wall
-            and f"The turtle hit the wall at x = {x_m:.3f} m, y = {y_m:.3f} m.",
+            "wall_hit": hit_wall and describe_wall(x_m, y_m),
             "poses_dropped": lost_poses and f"The controller's queue dropped {lost_poses} poses.",
             "commands_dropped": lost_commands
             and f"The plant's queue dropped {lost_commands} commands.",
@@ -46,8 +45,7 @@ class EventWatch:
 
     def _describe_stop(self, stop_reason: str) -> str:
         failure = self._controller.failure
-        because = "" if failure is None else f": {failure}"
-        return f"The run ended: {stop_reason.replace('_', ' ')}{because}."
+        return describe_stop(stop_reason, "" if failure is None else f": {failure}")
 
 
 class StretchWatch(EventWatch):
@@ -80,10 +78,24 @@ class StretchWatch(EventWatch):
             if finished is None:
                 continue
             since_ns, lost = finished
-            who, what = _WORDS[kind]
-            when = f"{what}s from" if lost > 1 else f"{what} at"
-            text = f"{who} {lost} {when} {since_ns / 1e9:.3f} s{' on' if lost > 1 else ''}."
-            yield Event(time_ns=time_ns, kind=kind, text=text)
+            yield Event(time_ns=time_ns, kind=kind, text=describe_loss(kind, since_ns, lost))
+
+
+def describe_wall(x_m: float, y_m: float) -> str:
+    """Return where the turtle hit the wall."""
+    return f"The turtle hit the wall at x = {x_m:.3f} m, y = {y_m:.3f} m."
+
+
+def describe_stop(stop_reason: str, because: str = "") -> str:
+    """Return why the run ended."""
+    return f"The run ended: {stop_reason.replace('_', ' ')}{because}."
+
+
+def describe_loss(kind: str, since_ns: int, lost: int) -> str:
+    """Return what a stretch of losses was."""
+    who, what = _WORDS[kind]
+    when = f"{what}s from" if lost > 1 else f"{what} at"
+    return f"{who} {lost} {when} {since_ns / 1e9:.3f} s{' on' if lost > 1 else ''}."
 
 
 _WORDS = {

@@ -1,8 +1,10 @@
 """Random numbers of effects: one stream each, so that switching one off changes no other."""
 
+from collections.abc import Callable
 from typing import Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 _NUMBERS: Final = {
     name: number
@@ -45,9 +47,7 @@ class RandomStream:
             width: Numbers for each event.
             kind: `uniform`: from 0 to below 1; `normal`: of mean 0 and standard deviation 1.
         """
-        sequence = np.random.SeedSequence(entropy=seed, spawn_key=(_NUMBERS[name],))
-        generator = np.random.Generator(np.random.PCG64(sequence))
-        self._draw = generator.random if kind == "uniform" else generator.standard_normal
+        self._draw = _begin_stream(seed, name, kind)
         self._width = width
         self._first = 0
         self._rows: list[list[float]] = []
@@ -64,3 +64,20 @@ class RandomStream:
         if number < self._first:
             raise IndexError(f"event {number} comes before {self._first}")
         return self._rows[number - self._first]
+
+
+def draw_events(
+    seed: int, name: str, events: int, *, width: int, kind: Literal["uniform", "normal"]
+) -> NDArray[np.float64]:
+    """Return the numbers of the first events of a stream at once, shape (events, width)."""
+    if not events:
+        return np.empty((0, width))
+    return _begin_stream(seed, name, kind)((events, width))
+
+
+def _begin_stream(
+    seed: int, name: str, kind: Literal["uniform", "normal"]
+) -> Callable[[tuple[int, int]], NDArray[np.float64]]:
+    sequence = np.random.SeedSequence(entropy=seed, spawn_key=(_NUMBERS[name],))
+    generator = np.random.Generator(np.random.PCG64(sequence))
+    return generator.random if kind == "uniform" else generator.standard_normal

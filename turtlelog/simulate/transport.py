@@ -176,20 +176,25 @@ class TimedCommands(CommandQueue):
             yield self._transport.popleft()
 
 
-def build_commands(scenario: Scenario, plant: Plant) -> CommandQueue:
-    """Return what lies between controller and plant: in ticks, or in nanoseconds where need be."""
-    loop, sensing = scenario.loop, scenario.sensing
-    is_timed = (
+def needs_time(scenario: Scenario) -> bool:
+    """Whether commands travel for nanoseconds of their own, not for whole ticks."""
+    loop = scenario.loop
+    return bool(
         scenario.plant.kind != "turtlesim"
         or loop.trigger == "timer"
-        or sensing.delays_poses
+        or scenario.sensing.delays_poses
         or loop.transport_delay_s
         or loop.jitter_s
         or loop.loss_probability
         or loop.repeat_probability
         or loop.late_probability
     )
-    if is_timed:
+
+
+def build_commands(scenario: Scenario, plant: Plant) -> CommandQueue:
+    """Return what lies between controller and plant: in ticks, or in nanoseconds where need be."""
+    loop = scenario.loop
+    if needs_time(scenario):
         return TimedCommands(scenario, plant)
     return CommandQueue(
         depth=loop.command_queue,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.log.engine.channels import Catalogue
 from turtlelog.log.engine.chunks import ChunkEntry, open_chunk
-from turtlelog.log.engine.compiled import WALKED_S, expect, find_kernels
+from turtlelog.log.engine.compiled import KERNELS, WALKED_S
 from turtlelog.log.engine.framing import RECORD, check_start
 from turtlelog.log.engine.limits import DESCRIPTIONS, LARGEST_CHUNK, NOTES, RECORDS, Allowance
 from turtlelog.log.engine.parsing import (
@@ -114,7 +114,7 @@ def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk
         DamageError: Where the records do not make sense, or are too many.
     """
     stretch = take_walked(data, byte, allowance, is_chunk=is_chunk)
-    expect(len(stretch.starts), WALKED_S)
+    KERNELS.expect(len(stretch.starts), WALKED_S)
     starts, offsets = stretch.starts.astype(np.int64), dict[int, Offsets]()
     if len(starts):
         numbers = _read_channels(stretch, starts)
@@ -125,7 +125,7 @@ def build_walked_block(data: bytes, byte: int, allowance: Allowance, *, is_chunk
 
 
 def _read_channels(stretch: RecordStretch, starts: Offsets) -> NDArray[np.uint16]:
-    kernels = find_kernels()
+    kernels = KERNELS.find()
     if kernels is None:
         return np.concatenate([heads["channel"] for _, heads in stretch.iterate_rows()])
     channels = np.empty(len(starts), np.uint16)
@@ -252,7 +252,7 @@ def _follow_indexes(data: bytes, offsets: Mapping[int, Offsets], byte: int) -> l
 
     Also where the messages are not just those that the indexes name, one after the other.
     """
-    kernels = find_kernels()
+    kernels = KERNELS.find()
     if kernels is None:
         return None
     counts = np.zeros(max(offsets, default=0) + 1, np.int64)

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from turtlelog.log.engine.compiled import find_kernels
+from turtlelog.log.engine.compiled import KERNELS
 
 _STATE: Final = 64  # bytes that the loop folds all others into
 _LEAST: Final = 2**12  # bytes; of fewer the calls take longer than the loop saves
@@ -13,7 +13,7 @@ _LEAST: Final = 2**12  # bytes; of fewer the calls take longer than the loop sav
 
 def compute_crc(data: bytes | memoryview, before: int = 0) -> int:
     """Return the checksum of bytes; `before` is that of what stands before them."""
-    kernels = find_kernels()
+    kernels = KERNELS.find()
     if kernels is None or kernels.fold is None or len(data) < _LEAST:
         return zlib.crc32(data, before)
     octets = np.frombuffer(data, np.uint8)

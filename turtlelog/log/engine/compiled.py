@@ -1,8 +1,8 @@
-"""Whether the compiled loops of `kernels` are worth loading; everything works without them."""
+"""The compiled loops of reading, `kernels`, and what they save."""
 
-from importlib import import_module
-from threading import Lock
-from typing import Any, Final
+from typing import Final
+
+from turtlelog.compiled import CompiledLoops
 
 COST_S: Final = 0.7
 """What numba's import and the loops take from their cache [s]; some 2.5 s before they are in it."""
@@ -13,39 +13,4 @@ WALKED_S: Final = 1e-7
 INDEXED_S: Final = 4e-8
 """What they save of a message that an index names [s]: of a million some 30 ms, of our own 40."""
 
-_loading = Lock()
-_saved_s = 0.0
-_kernels: Any = None
-
-
-def expect(messages: int, saving_s: float) -> Any:
-    """Count messages that are read, or will be; return the compiled loops, None without.
-
-    They are loaded once they would have saved what they cost. So no process takes more than twice
-    as long as if it had known before how much it reads.
-    """
-    global _saved_s, _kernels
-    with _loading:
-        before, _saved_s = _saved_s, _saved_s + messages * saving_s
-        if before < COST_S <= _saved_s:
-            _kernels = load_kernels()
-    return _kernels
-
-
-def find_kernels() -> Any:
-    """Return the compiled loops where they are loaded, otherwise None."""
-    return _kernels
-
-
-def load_kernels() -> Any:
-    """Return the compiled loops; None without numba, and where it cannot keep what it compiles.
-
-    Their module is `kernels`. Without a place for its cache, beside it or of the user, numba would
-    compile them anew in every process.
-    """
-    try:
-        is_off = import_module("numba").config.DISABLE_JIT
-        return None if is_off else import_module("turtlelog.log.engine.kernels")
-    # A numba for another numpy raises ImportError, a cache that cannot be written RuntimeError.
-    except (ImportError, RuntimeError, OSError):
-        return None
+KERNELS: Final = CompiledLoops("turtlelog.log.engine.kernels", cost_s=COST_S)

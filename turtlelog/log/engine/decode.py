@@ -16,7 +16,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.blocks import Block, Offsets
 from turtlelog.log.engine.channels import TopicPlan
 from turtlelog.log.engine.chunks import ZSTD_MAGIC, unpack_chunk
-from turtlelog.log.engine.compiled import find_kernels
+from turtlelog.log.engine.compiled import KERNELS
 from turtlelog.log.engine.cursor import PADDING, Order, decode_messages
 from turtlelog.log.engine.framing import RECORD
 from turtlelog.log.engine.json_messages import JsonField, decode_json
@@ -133,7 +133,7 @@ class FixedColumns:
 
     def _scatter(self, data: bytes, starts: Offsets, first: int) -> bool:
         """Return whether the compiled loops are there and met only usual messages."""
-        kernels, size = find_kernels(), self._layout.size
+        kernels, size = KERNELS.find(), self._layout.size
         if kernels is None or starts.min() < 0 or starts.max() > len(data) - MESSAGE_HEAD - size:
             return False
         octets = np.frombuffer(data, np.uint8)

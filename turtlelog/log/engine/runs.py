@@ -10,7 +10,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from turtlelog.log.engine.compiled import find_kernels
+from turtlelog.log.engine.compiled import KERNELS
 from turtlelog.log.engine.framing import LARGEST_RECORD, LEAST_MESSAGE, RECORD
 
 _MESSAGE: Final = int(Opcode.MESSAGE)
@@ -26,7 +26,7 @@ _MOST: Final = 2**14  # messages foretold at a time
 
 def start_walk(data: bytes, most: int) -> "_CompiledWalk | _Foretelling":
     """Return what walks messages many at a time, up to so many: compiled where that is loaded."""
-    kernels = find_kernels()
+    kernels = KERNELS.find()
     return _Foretelling(data) if kernels is None else _CompiledWalk(kernels, data, most)
 
 
@@ -125,7 +125,7 @@ def _find_turn(steps: list[int]) -> int:
 
 def skip_followed(data: bytes) -> int:
     """Return where the messages from the first byte on end of which each is followed by another."""
-    kernels = find_kernels()
+    kernels = KERNELS.find()
     if kernels is not None:
         return int(kernels.skip_followed(np.frombuffer(data, np.uint8), LARGEST_RECORD))
     place, last, walk = 0, 0, _Foretelling(data)

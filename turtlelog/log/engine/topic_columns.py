@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from turtlelog.errors import LogError
 from turtlelog.escapes import escape_controls
 from turtlelog.log.engine.blocks import Block
-from turtlelog.log.engine.compiled import INDEXED_S, expect
+from turtlelog.log.engine.compiled import INDEXED_S, KERNELS
 from turtlelog.log.engine.decode import (
     LOG_TIME,
     PUBLISH_TIME,
@@ -170,7 +170,7 @@ def collect_parts(
     """Return the rows of topics that have some, in parts; `look` is called with every piece."""
     expected = count_rows(source, selection)
     if source.is_indexed:  # others are counted as they are walked
-        expect(sum(expected.values()), INDEXED_S)
+        KERNELS.expect(sum(expected.values()), INDEXED_S)
     wholes = _set_aside(source, selection, expected)
     stores: dict[str, _RowStore] = {}
     for piece in iterate_pieces(source, selection, wholes=wholes):

@@ -1,0 +1,348 @@
+import dataclasses
+import math
+import random
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+from tests.effects_cases import EFFECTS
+from turtlelog.errors import SimulationError
+from turtlelog.plants import TURTLESIM
+from turtlelog.run import Run
+from turtlelog.scenario import Scenario, get_preset, override_scenario, resolve_scenario
+from turtlelog.simulate import simulate_many, simulate_run
+from turtlelog.simulate.kernel_fields import (
+    AXIS_KEYS,
+    CHOICES,
+    DERIVED,
+    DERIVED_REAL,
+    READ_ELSEWHERE,
+    REAL,
+    REFUSED,
+    WHOLE,
+    WITHOUT_EFFECT,
+    is_compiled,
+)
+from turtlelog.simulate.kernel_run import KernelRunner
+from turtlelog.simulate.many import COST_S, LOOP, SAVED_S
+
+COMPILED_EFFECTS: Final = tuple(sorted({*EFFECTS} - {"lagged"}))
+PRESETS: Final = ("paper", "textbook")
+
+
+@pytest.fixture(scope="module")
+def kernel() -> Any:
+    pytest.importorskip("numba")
+    found = LOOP.load()
+    assert found is not None
+    return found
+
+
+def build_random(seed: int) -> Scenario:
+    """Return a scenario of a sequential law with some effects, drawn by a seed."""
+    draw = random.Random(seed)
+    changes: dict[str, Any] = {
+        "max_duration_s": draw.choice([1.2, 6.0, 25.0]),
+        "seed": draw.randrange(2**40),
+        "start.x_m": draw.uniform(0.0, 11.0),
+        "start.y_m": draw.uniform(0.0, 11.0),
+        "start.heading_rad": draw.uniform(-3.2, 3.2),
+        "goal.x_m": draw.uniform(0.0, 11.0),
+        "goal.y_m": draw.uniform(0.0, 11.0),
+        "goal.heading_rad": draw.uniform(-3.2, 3.2),
+        "law.kp_angular": draw.choice([0.8, 4.0, 20.0]),
+        "law.kp_linear": draw.choice([0.8, 4.0, 20.0]),
+        "law.pause_ticks": draw.choice([0, 7, 34]),
+        "law.projection": draw.choice(["bearing", "heading"]),
+        "law.wrap_error": draw.random() < 0.5,
+        "law.reorient": draw.random() < 0.4,
+        "law.timeout_s": draw.choice([3.0, 30.0, math.inf]),
+        "law.settled_for_s": draw.choice([0.1, 5.0]),
+        "law.standstill_samples": draw.choice([3, 100]),
+        "law.heading_tolerance_rad": draw.choice([0.001, 0.05]),
+        "law.position_tolerance_m": draw.choice([0.001, 0.05]),
+        "limits.speed_m_s": draw.choice([0.5, 1.0, math.inf]),
+        "limits.turn_rate_rad_s": draw.choice([0.5, 1.0, math.inf]),
+        "loop.period_ticks": draw.choice([1, 1, 3]),
+        "loop.start_backlog": draw.choice([1, 5]),
+        "loop.pose_queue": draw.choice([1, 5, 10]),
+        "loop.command_queue": draw.choice([1, 3, 7]),
+        "loop.queue_policy": draw.choice(["one-per-tick", "newest"]),
+        "loop.transport_delay_ticks": draw.choice([0, 0, 4]),
+        "loop.pose_precision": draw.choice(["float32", "float64"]),
+        "start.precision": draw.choice(["float32", "float64"]),
+    }
+    if draw.random() < 0.6:
+        changes |= build_pid(draw)
+    for effect in draw.sample(COMPILED_EFFECTS, draw.choice([0, 1, 2, 5])):
+        changes |= EFFECTS[effect]
+    if "loop.period_s" in changes:
+        changes["loop.period_ticks"] = 1
+    return override_scenario(get_preset(draw.choice(PRESETS)), changes)
+
+
+def build_pid(draw: random.Random) -> Mapping[str, Any]:
+    return {
+        "law.kind": "sequential-pid",
+        "law.ki_angular": draw.choice([0.0, 0.3]),
+        "law.kd_angular": draw.choice([0.0, 0.1]),
+        "law.ki_linear": draw.choice([0.0, 0.3]),
+        "law.kd_linear": draw.choice([0.0, 0.1]),
+        "law.derivative_filter_s": draw.choice([0.0, 0.05]),
+        "law.anti_windup": draw.choice(["none", "clamping", "back-calculation"]),
+        "law.tracking_time_s": draw.choice([0.001, 1.0]),
+    }
+
+
+def list_values(run: Run) -> dict[str, Any]:
+    """Return all that a run holds, its arrays as bytes."""
+    found: dict[str, Any] = {
+        field.name: getattr(run, field.name)
+        for field in dataclasses.fields(run)
+        if field.name not in {"poses", "commands", "samples"}
+    }
+    for part in ("poses", "commands", "samples"):
+        for field in dataclasses.fields(getattr(run, part)):
+            value = getattr(getattr(run, part), field.name)
+            found[f"{part}.{field.name}"] = value if value is None else describe(value)
+    return found
+
+
+def describe(value: np.ndarray[Any, Any]) -> tuple[Any, ...]:
+    return value.shape, value.dtype.str, value.flags.c_contiguous, value.tobytes()
+
+
+def require_same(kernel: Any, scenario: Scenario, plant: Any = TURTLESIM) -> None:
+    scenario = resolve_scenario(scenario)
+    assert is_compiled(scenario, plant)
+    run = KernelRunner(kernel).simulate(scenario, plant)
+    try:
+        again = simulate_run(scenario, plant)
+    except SimulationError:
+        assert run is None
+        return
+    assert run is not None
+    left, right = list_values(run), list_values(again)
+    assert [key for key in right if left[key] != right[key]] == []
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_compiled_loop_is_the_interpreted_one_bit_for_bit(kernel: Any, block: int) -> None:
+    for seed in range(block * 20, block * 20 + 20):
+        require_same(kernel, build_random(seed))
+
+
+@pytest.mark.parametrize("effect", COMPILED_EFFECTS)
+@pytest.mark.parametrize("preset", PRESETS)
+def test_compiled_loop_has_every_effect(kernel: Any, preset: str, effect: str) -> None:
+    changes = {"max_duration_s": 8.0, "loop.period_ticks": 1, **EFFECTS[effect]}
+    require_same(kernel, override_scenario(get_preset(preset), changes))
+
+
+def test_compiled_loop_has_the_events_of_walls_and_pauses(kernel: Any) -> None:
+    wall = override_scenario(
+        get_preset("paper"),
+        {"goal.x_m": 11.0, "goal.y_m": 11.0, "disturbance.speed_m_s": 2.0, "max_duration_s": 20.0},
+    )
+    assert {event.kind for event in simulate_run(wall).events} >= {"wall_hit", "poses_dropped"}
+    require_same(kernel, wall)
+
+
+def test_compiled_loop_runs_on_a_finer_clock(kernel: Any) -> None:
+    require_same(kernel, get_preset("paper"), TURTLESIM.refine(8))
+
+
+def test_what_the_compiled_loop_cannot_end_is_interpreted(kernel: Any) -> None:
+    unanswered = override_scenario(
+        get_preset("paper"), {"loop.start_backlog": 9, "max_duration_s": 0.1}
+    )
+    require_same(kernel, unanswered)
+    blown = override_scenario(
+        get_preset("textbook"),
+        {"law.kp_linear": 1e308, "law.kp_angular": 1e308, "limits.turn_rate_rad_s": math.inf},
+    )
+    with pytest.raises(SimulationError):
+        simulate_run(blown)
+    require_same(kernel, blown)
+
+
+def test_hypotenuse_is_that_of_cpython(kernel: Any) -> None:
+    draw = np.random.default_rng(1)
+    sides = draw.normal(size=(2, 1_000_000)) * 10.0 ** draw.integers(-9, 9, size=(2, 1_000_000))
+    sides[:, :500_000] = draw.uniform(-11.1, 11.1, size=(2, 500_000))
+    sides[:, :250_000] = sides[:, :250_000].astype(np.float32)
+    found = map_compiled_pairs(kernel.find_hypot, *sides)
+    expected = np.array([*map(math.hypot, *sides.tolist())])
+    assert np.flatnonzero(found != expected).tolist() == []
+    # The libm's differs: of this test another hypotenuse would fail.
+    assert (np.hypot(*sides) != expected).any()
+
+
+FUNCTIONS: Final = {
+    "sin": math.sin,
+    "cos": math.cos,
+    "expm1": math.expm1,
+    "sqrt": math.sqrt,
+    "floor": np.floor,
+    "rint": np.rint,
+}
+"""Functions of one number as the kernel calls them."""
+
+FUNCTIONS_OF_TWO: Final = {"atan2": math.atan2, "fmod": np.fmod, "copysign": math.copysign}
+
+OF_PYTHON: Final[Mapping[str, Any]] = {"rint": round}
+"""Those that are named otherwise in the interpreted loop."""
+
+
+def draw_numbers(seed: int) -> np.ndarray[Any, Any]:
+    draw = np.random.default_rng(seed)
+    return draw.normal(size=1_000_000) * 10.0 ** draw.integers(-6, 3, size=1_000_000)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_compiled_function_is_that_of_python(name: str) -> None:
+    values = draw_numbers(1).clip(-700.0, 700.0)
+    values = np.abs(values) if name == "sqrt" else values
+    interpreted = OF_PYTHON.get(name) or getattr(math, name)
+    found = map_compiled(FUNCTIONS[name], values)
+    assert np.flatnonzero(found != [*map(interpreted, values.tolist())]).tolist() == []
+
+
+@pytest.mark.parametrize("name", FUNCTIONS_OF_TWO)
+def test_compiled_function_of_two_is_that_of_python(name: str) -> None:
+    first, second = draw_numbers(1), draw_numbers(2)
+    found = map_compiled_pairs(FUNCTIONS_OF_TWO[name], first, second)
+    expected = [*map(getattr(math, name), first.tolist(), second.tolist())]
+    assert np.flatnonzero(found != expected).tolist() == []
+
+
+def map_compiled(function: Any, values: np.ndarray[Any, Any]) -> Any:
+    numba = pytest.importorskip("numba")
+    call = numba.njit(lambda value: function(value))
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def apply(values: Any) -> Any:
+        found = np.empty(len(values))
+        for row in range(len(values)):
+            found[row] = call(values[row])
+        return found
+
+    return apply(values)
+
+
+def map_compiled_pairs(function: Any, first: Any, second: Any) -> Any:
+    numba = pytest.importorskip("numba")
+    call = numba.njit(lambda left, right: function(left, right))
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def apply(first: Any, second: Any) -> Any:
+        found = np.empty(len(first))
+        for row in range(len(first)):
+            found[row] = call(first[row], second[row])
+        return found
+
+    return apply(first, second)
+
+
+def list_keys(value: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the dotted keys of a dataclass and of those within."""
+    for field in dataclasses.fields(value):
+        inner = getattr(value, field.name)
+        if dataclasses.is_dataclass(inner) and prefix + field.name != "law.parameters":
+            yield from list_keys(inner, f"{prefix}{field.name}.")
+        elif field.name == "parameters":
+            yield from list_keys(inner, prefix)
+        else:
+            yield prefix + field.name
+
+
+@pytest.mark.parametrize("kind", ["sequential-p", "sequential-pid"])
+def test_every_key_of_a_scenario_is_compiled_or_refused(kind: str) -> None:
+    known = {
+        *CHOICES,
+        *WHOLE,
+        *REAL,
+        *(key for pair in AXIS_KEYS.values() for key in pair),
+        *(key for keys in (*DERIVED.values(), *DERIVED_REAL.values()) for key in keys),
+        *READ_ELSEWHERE,
+        *WITHOUT_EFFECT,
+        *REFUSED,
+    }
+    scenario = override_scenario(get_preset("textbook"), {"law.kind": kind})
+    keys = {*list_keys(scenario)}
+    assert keys - known == set()
+    if kind == "sequential-pid":
+        assert known - keys == set()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        EFFECTS["lagged"],
+        {"law.schedule": {"over": "distance", "at": [0.0, 1.0], "kp_linear": [1.0, 2.0]}},
+        {"law.kind": "posture"},
+        {"max_duration_s": 20_000.0},
+    ],
+    ids=["lagged", "schedule", "other law", "long"],
+)
+def test_scenario_that_is_not_covered_is_interpreted(changes: Mapping[str, Any]) -> None:
+    scenario = resolve_scenario(override_scenario(get_preset("textbook"), changes))
+    assert not is_compiled(scenario, scenario.plant.facts)
+
+
+def load(monkeypatch: pytest.MonkeyPatch, kernel: Any) -> None:
+    monkeypatch.setattr(LOOP, "_loops", kernel)
+    monkeypatch.setattr(LOOP, "_saved_s", 1e9)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_many_runs_come_in_order_and_are_those_of_single_runs(
+    monkeypatch: pytest.MonkeyPatch, kernel: Any, threads: int
+) -> None:
+    load(monkeypatch, kernel)
+    lagged = override_scenario(get_preset("textbook"), EFFECTS["lagged"])
+    scenarios = [build_random(3), lagged, *map(build_random, range(4, 12))]
+    found = simulate_many(scenarios, threads=threads)
+    for run, scenario in zip(found, scenarios, strict=True):
+        assert isinstance(run, Run)
+        assert list_values(run) == list_values(simulate_run(scenario))
+    assert (found.compiled, found.interpreted) == (9, 1)
+
+
+def test_many_runs_give_the_error_of_one_in_its_place() -> None:
+    failing = override_scenario(
+        get_preset("paper"), {"loop.start_backlog": 9, "max_duration_s": 0.1}
+    )
+    error, run = simulate_many([failing, get_preset("paper")], threads=1)
+    assert isinstance(error, SimulationError)
+    assert "start_backlog = 9" in str(error)
+    assert isinstance(run, Run)
+
+
+def test_without_numba_many_runs_are_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
+    load(monkeypatch, None)
+    found = simulate_many([get_preset("paper")] * 2)
+    assert [type(run) for run in found] == [Run, Run]
+    assert (found.compiled, found.interpreted) == (0, 2)
+
+
+def test_compiled_loop_is_loaded_where_it_saves_what_it_costs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loads: list[None] = []
+    monkeypatch.setattr(LOOP, "_loops", None)
+    monkeypatch.setattr(LOOP, "load", lambda: loads.append(None))
+    monkeypatch.setitem(LOOP.__dict__, "cost_s", COST_S)
+    scenario = get_preset("paper")
+    saved_s = len(simulate_run(scenario).samples) * SAVED_S
+    for runs, expected in ((int(COST_S / saved_s) - 1, 0), (int(COST_S / saved_s) + 1, 1)):
+        monkeypatch.setattr(LOOP, "_saved_s", 0.0)
+        next(simulate_many([scenario] * runs))
+        assert len(loads) == expected
+
+
+def test_many_runs_need_a_thread() -> None:
+    with pytest.raises(SimulationError, match="threads: expected at least 1, found 0"):
+        simulate_many([], threads=0)

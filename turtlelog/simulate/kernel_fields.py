@@ -1,0 +1,253 @@
+"""Which key of a scenario becomes which number of the compiled loop; tested to be whole."""
+
+import math
+from collections.abc import Mapping
+from operator import attrgetter
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from turtlelog.angles import wrap_angle
+from turtlelog.laws import SequentialP, SequentialPID, SequentialPIDParameters, find_law
+from turtlelog.plants import Plant
+from turtlelog.scenario import Scenario
+from turtlelog.simulate.transport import needs_time
+
+CHOICES: Final[Mapping[str, tuple[Any, ...]]] = MappingProxyType(
+    {
+        "law.projection": ("bearing", "heading"),
+        "law.wrap_error": (False, True),
+        "law.reorient": (False, True),
+        "law.anti_windup": ("none", "clamping", "back-calculation"),
+    }
+)
+"""Keys of which the kernel takes the number of the value."""
+
+WHOLE: Final = (
+    "law.pause_ticks",
+    "law.standstill_samples",
+    "loop.period_ticks",
+    "loop.pose_queue",
+    "loop.command_queue",
+    "loop.transport_delay_ticks",
+)
+"""Whole numbers that the kernel takes as they are: `loop.pose_queue` as `loop_pose_queue`."""
+
+REAL: Final = (
+    "goal.x_m",
+    "goal.y_m",
+    "law.kp_angular",
+    "law.kp_linear",
+    "law.heading_tolerance_rad",
+    "law.position_tolerance_m",
+    "law.timeout_s",
+    "law.settled_within_m",
+    "law.settled_for_s",
+    "law.standstill_below",
+    "law.derivative_filter_s",
+    "law.tracking_time_s",
+    "loop.loss_probability",
+    "loop.repeat_probability",
+    "loop.late_probability",
+    "sensing.noise_position_m",
+    "sensing.noise_heading_rad",
+    "sensing.bias_position_m",
+    "sensing.bias_heading_rad",
+    "sensing.quantum_position_m",
+    "sensing.quantum_heading_rad",
+    "sensing.dropout_probability",
+    "sensing.outlier_probability",
+    "sensing.outlier_m",
+    "sensing.outlier_rad",
+    "disturbance.speed_m_s",
+    "disturbance.turn_rate_rad_s",
+)
+"""Numbers that it takes as they are."""
+
+AXIS_KEYS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
+    {
+        "limit": ("limits.speed_m_s", "limits.turn_rate_rad_s"),
+        "acceleration": ("limits.acceleration_m_s2", "limits.turn_acceleration_rad_s2"),
+        "jerk": ("limits.jerk_m_s3", "limits.turn_jerk_rad_s3"),
+        "dead_zone": ("shaping.dead_zone_speed_m_s", "shaping.dead_zone_turn_rate_rad_s"),
+        "quantum": ("shaping.quantum_speed_m_s", "shaping.quantum_turn_rate_rad_s"),
+        "ki": ("law.ki_linear", "law.ki_angular"),
+        "kd": ("law.kd_linear", "law.kd_angular"),
+    }
+)
+"""Numbers of the two axes, speed and turn rate."""
+
+DERIVED: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "last_tick": ("max_duration_s",),
+        "end_ns": ("max_duration_s",),
+        "period_ns": ("plant.kind",),
+        "tick_ns": ("plant.kind",),
+        "block": ("plant.kind",),
+        "is_exact": ("loop.pose_precision",),
+        "newest_only": ("loop.queue_policy",),
+        "timer_ns": ("loop.trigger", "loop.period_s"),
+        "is_timed": (),
+        "delays_poses": (),
+        "has_sensor": (),
+        "is_pushed": (),
+        "transport_ns": ("loop.transport_delay_s",),
+        "late_ns": ("loop.late_s",),
+        "sensing_delay_ns": ("sensing.delay_s",),
+    }
+)
+"""Whole numbers computed from scenario keys, in `fill_settings`."""
+
+DERIVED_REAL: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        "goal_heading_rad": ("goal.heading_rad",),
+        "period_s": (),
+        "watchdog_ns": (),
+        "first_s": (),
+        "transport_jitter_ns": ("loop.jitter_s",),
+        "sensing_jitter_ns": ("sensing.jitter_s",),
+        "low_pass_s": ("shaping.low_pass_s",),
+        "push_from_ns": ("disturbance.from_s",),
+        "push_to_ns": ("disturbance.to_s",),
+        "push_scale": ("disturbance.noise_speed",),
+        "turn_push_scale": ("disturbance.noise_turn_rate",),
+    }
+)
+"""Likewise, other numbers."""
+
+WITHOUT_EFFECT: Final = frozenset({"name", "path", "law.kind"})
+"""Keys that change nothing of how these laws run."""
+
+REFUSED: Final = frozenset(
+    {
+        "law.schedule",
+        "plant.period_s",
+        "plant.speed_gain",
+        "plant.speed_dead_time_s",
+        "plant.speed_lag_s",
+        "plant.turn_gain",
+        "plant.turn_dead_time_s",
+        "plant.turn_lag_s",
+    }
+)
+"""Keys that, where they are set, leave a scenario to the interpreted loop: the lagged robot has
+most of them."""
+
+READ_ELSEWHERE: Final = frozenset(
+    {
+        *("start.x_m", "start.y_m", "start.heading_rad", "start.precision"),
+        *("seed", "loop.start_backlog"),
+    }
+)
+"""Keys of which `kernel_memory` makes the first state and the random numbers."""
+
+MOST_TICKS: Final = 1_000_000
+"""Longer scenarios are interpreted: their arrays are made for all ticks at once, 400 bytes each."""
+
+
+def _name(key: str) -> str:
+    return key.replace(".", "_")
+
+
+SETTINGS: Final = np.dtype(
+    [(_name(key), np.int64) for key in (*CHOICES, *WHOLE, *DERIVED)]
+    + [(_name(key), np.float64) for key in (*REAL, *DERIVED_REAL)]
+)
+"""A scenario as the compiled loop takes it."""
+
+AXIS: Final = np.dtype(
+    [(name, np.float64) for name in AXIS_KEYS]
+    + [(name, np.float64) for name in ("value", "rate", "low_pass")]
+    + [(name, np.float64) for name in ("integral", "derivative", "error_rate", "excess")]
+    + [("has_terms", np.int64), ("last_ns", np.int64)]
+)
+"""Speed or turn rate: its numbers, and its state: of the limits, the filter and the law's terms."""
+
+_READ: Final = {
+    key: attrgetter(key.replace("law.", "law.parameters."))
+    for key in (*CHOICES, *WHOLE, *REAL, *(key for pair in AXIS_KEYS.values() for key in pair))
+}
+_OF_PID: Final = SequentialPIDParameters()
+
+
+def is_compiled(scenario: Scenario, plant: Plant) -> bool:
+    """Whether the compiled loop covers a scenario, whose law is resolved."""
+    return (
+        find_law(scenario.law.kind) in {SequentialP, SequentialPID}
+        and scenario.law.parameters.schedule is None
+        and scenario.plant.kind == "turtlesim"
+        and round(scenario.max_duration_s * 1e9) // plant.period_ns < MOST_TICKS
+        and (scenario.loop.period_s or 1.0) * MOST_TICKS > scenario.max_duration_s
+    )
+
+
+def read_key(scenario: Scenario, key: str) -> Any:
+    """Return the value of a key; those of `sequential-pid` alone have its defaults."""
+    try:
+        return _READ[key](scenario)
+    except AttributeError:
+        return getattr(_OF_PID, key.removeprefix("law."))
+
+
+def fill_settings(scenario: Scenario, plant: Plant) -> np.ndarray[Any, Any]:
+    """Return the settings of a scenario that the compiled loop covers, shape (1,)."""
+    values: list[float] = [CHOICES[key].index(read_key(scenario, key)) for key in CHOICES]
+    values += [read_key(scenario, key) for key in WHOLE]
+    values += _derive_whole(scenario, plant)
+    values += [read_key(scenario, key) for key in REAL]
+    values += _derive_real(scenario, plant)
+    return np.array([tuple(values)], dtype=SETTINGS)
+
+
+def fill_axes(scenario: Scenario) -> np.ndarray[Any, Any]:
+    """Return the numbers of speed and turn rate, from rest, shape (2,)."""
+    axes = np.zeros(2, dtype=AXIS)
+    for name, keys in AXIS_KEYS.items():
+        axes[name] = [read_key(scenario, key) for key in keys]
+    axes["has_terms"] = (axes["ki"] != 0.0) | (axes["kd"] != 0.0)
+    return axes
+
+
+def _derive_whole(scenario: Scenario, plant: Plant) -> list[int]:
+    """Return the values of `DERIVED`, in its order."""
+    loop, sensing = scenario.loop, scenario.sensing
+    duration_ns, tick_ns = round(scenario.max_duration_s * 1e9), scenario.plant.facts.period_ns
+    delays_poses = loop.period_s is not None or sensing.delays_poses
+    delay_ns = loop.transport_delay_ticks * plant.period_ns + round(loop.transport_delay_s * 1e9)
+    return [
+        duration_ns // plant.period_ns,
+        duration_ns + 1,
+        plant.period_ns,
+        tick_ns,
+        tick_ns if delays_poses else plant.steps_per_tick,
+        loop.pose_precision == "float64",
+        loop.queue_policy == "newest",
+        round((loop.period_s or 0.0) * 1e9),
+        needs_time(scenario),
+        delays_poses,
+        sensing.changes_poses,
+        scenario.disturbance.acts,
+        delay_ns,
+        round(loop.late_s * 1e9),
+        round(sensing.delay_s * 1e9),
+    ]
+
+
+def _derive_real(scenario: Scenario, plant: Plant) -> list[float]:
+    """Return the values of `DERIVED_REAL`, in its order."""
+    loop, disturbance, to_s = scenario.loop, scenario.disturbance, scenario.disturbance.to_s
+    root = math.sqrt(plant.period_ns / 1e9)
+    return [
+        wrap_angle(scenario.goal.heading_rad or 0.0),
+        plant.period_s,
+        plant.watchdog_ns,
+        loop.period_s or loop.period_ticks * plant.period_ns / 1e9,
+        loop.jitter_s * 1e9,
+        scenario.sensing.jitter_s * 1e9,
+        scenario.shaping.low_pass_s,
+        round(disturbance.from_s * 1e9),
+        to_s if math.isinf(to_s) else round(to_s * 1e9),
+        disturbance.noise_speed / root,
+        disturbance.noise_turn_rate / root,
+    ]

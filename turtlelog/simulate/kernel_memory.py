@@ -1,0 +1,186 @@
+"""The arrays of the compiled loop: what a scenario begins with, its queues, what its run holds."""
+
+from collections.abc import Callable
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.plants import round_to_float32
+from turtlelog.plants.turtlesim import WORLD_SIZE_M
+from turtlelog.scenario import Scenario
+from turtlelog.simulate.kernel_fields import AXIS, fill_axes
+from turtlelog.simulate.random_streams import draw_events
+
+ROTATE, TRANSLATE, REORIENT = 0, 2, 3
+"""Phases by their number in the declaration of the sequential laws; 1 is the pause."""
+
+STOP_REASONS: Final = ("", "within_tolerance", "standstill", "settled", "timeout", "max_duration")
+"""By number."""
+WITHIN_TOLERANCE, STANDSTILL, SETTLED, TIMEOUT, MAX_DURATION = range(1, 6)
+
+POSES_LOST, COMMANDS_LOST, COMMANDS_DROPPED = range(3)
+WALL_HIT, POSES_DROPPED, STOP = range(3, 6)
+"""Kinds of events; stretches of the first three are counted."""
+
+_NEVER_NS: Final = 2**63 - 1
+
+STATE: Final = np.dtype(
+    [
+        (name, np.int64)
+        for name in (
+            *("ticks", "samples", "commands", "events", "stop_reason", "has_failed"),
+            *("idle_ns", "hit_wall", "was_at_wall", "phase", "begun", "first_ns", "last_ns"),
+            *("still_samples", "close_since_ns", "blocked", "free_at", "waits_for", "newest"),
+            *("fires_ns", "is_due", "pose_arrived_ns", "command_arrived_ns"),
+            *("poses_first", "poses_end", "poses_dropped", "poses_told"),
+            *("queue_first", "queue_end", "commands_dropped", "commands_told"),
+            *("transport_first", "transport_end", "arrivals_first", "arrivals_end"),
+        )
+    ]
+    + [
+        (name, np.float64)
+        for name in (
+            *("x_m", "down_m", "heading_rad", "speed_m_s", "turn_rate_rad_s"),
+            *("bearing_rad", "heading_error_rad", "world_v_x_m_s", "world_v_y_m_s"),
+            *("heading_before_rad", "error_before_x_m", "error_before_y_m"),
+        )
+    ]
+)
+"""Where a simulation stands; of its run, how many rows there are."""
+
+LOSS: Final = np.dtype(
+    [(name, np.int64) for name in ("since_ns", "count", "finished_since_ns", "finished")]
+)
+"""A `LossCount`."""
+
+TICK: Final = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            *("x_m", "y_m", "heading_rad", "applied_speed", "applied_turn_rate"),
+            *("sensed_x_m", "sensed_y_m", "sensed_heading_rad"),
+            *("noise_x", "noise_y", "noise_heading", "dropout", "sensing_jitter"),
+            *("outlier_chance", "outlier_direction", "outlier_side", "push", "turn_push"),
+        )
+    ]
+)
+"""The pose of a tick, as published and as sensed, and its random numbers."""
+
+SAMPLE: Final = np.dtype(
+    [
+        (name, np.int64)
+        for name in ("time_ns", "pose_sequence", "phase", "published_ns", "published")
+    ]
+    + [
+        (name, np.float64)
+        for name in (
+            *("bearing_rad", "heading_error_rad", "error_x_m", "error_y_m", "distance_m"),
+            *("world_v_x_m_s", "world_v_y_m_s", "wanted_speed", "wanted_turn_rate"),
+            *("shaped_speed", "shaped_turn_rate", "speed", "turn_rate"),
+            *("integral_angular", "derivative_angular", "integral_linear", "derivative_linear"),
+            *("transport_jitter", "loss", "repeat", "late"),
+        )
+    ]
+)
+"""A sample, and the random numbers of its command; `published`: the n-th command is of which."""
+
+QUEUED: Final = np.dtype(
+    [
+        (name, np.int64)
+        for name in ("poses", "arrivals", "arrival_ns", "transport", "transport_arrival", "queue")
+    ]
+)
+"""The n-th entry of each queue."""
+
+EVENTS_PER_TICK: Final = 7
+"""One of each kind, and of dropped commands in both of its words."""
+
+
+class Memory(NamedTuple):
+    """The arrays of the loop. What a scenario does not use of them is never written."""
+
+    ticks: NDArray[Any]
+    samples: NDArray[Any]
+    queued: NDArray[Any]
+    events: NDArray[np.float64]
+    losses: NDArray[Any]
+    axes: NDArray[Any]
+
+
+class _Stream(NamedTuple):
+    """The random numbers of an effect: where they stand, and whether it acts."""
+
+    acts: Callable[[Scenario], object]
+    fields: tuple[str, ...]
+    kind: Literal["uniform", "normal"] = "uniform"
+
+
+_OF_TICKS: Final = {
+    "noise": _Stream(
+        lambda scenario: scenario.sensing.noise_position_m or scenario.sensing.noise_heading_rad,
+        ("noise_x", "noise_y", "noise_heading"),
+        "normal",
+    ),
+    "outlier": _Stream(
+        lambda scenario: scenario.sensing.outlier_probability,
+        ("outlier_chance", "outlier_direction", "outlier_side"),
+    ),
+    "dropout": _Stream(lambda scenario: scenario.sensing.dropout_probability, ("dropout",)),
+    "sensing_jitter": _Stream(lambda scenario: scenario.sensing.jitter_s, ("sensing_jitter",)),
+    "disturbance": _Stream(
+        lambda scenario: scenario.disturbance.noise_speed or scenario.disturbance.noise_turn_rate,
+        ("push", "turn_push"),
+        "normal",
+    ),
+}
+_OF_SAMPLES: Final = {
+    "transport_jitter": _Stream(lambda scenario: scenario.loop.jitter_s, ("transport_jitter",)),
+    "loss": _Stream(lambda scenario: scenario.loop.loss_probability, ("loss",)),
+    "repeat": _Stream(lambda scenario: scenario.loop.repeat_probability, ("repeat",)),
+    "late": _Stream(lambda scenario: scenario.loop.late_probability, ("late",)),
+}
+
+
+def allocate(ticks: int, samples: int) -> Memory:
+    """Return arrays for so many ticks and samples; what is not reached takes no memory."""
+    return Memory(
+        ticks=np.empty(ticks, TICK),
+        samples=np.empty(samples, SAMPLE),
+        queued=np.empty(ticks + 2 * samples, QUEUED),
+        events=np.empty((EVENTS_PER_TICK * ticks, 4)),
+        losses=np.zeros(3, LOSS),
+        axes=np.zeros(2, AXIS),
+    )
+
+
+def prepare(memory: Memory, scenario: Scenario, ticks: int, samples: int) -> None:
+    """Begin a scenario, from rest, and draw the random numbers of its effects, event by event."""
+    memory.losses[:] = 0
+    memory.axes[:] = fill_axes(scenario)
+    for rows, events, streams in (
+        (memory.ticks, ticks, _OF_TICKS),
+        (memory.samples, samples, _OF_SAMPLES),
+    ):
+        for name, stream in streams.items():
+            if not stream.acts(scenario):
+                continue
+            width = len(stream.fields)
+            drawn = draw_events(scenario.seed, name, events, width=width, kind=stream.kind)
+            for place, field in enumerate(stream.fields):
+                rows[field][:events] = drawn[:, place]
+
+
+def begin(scenario: Scenario) -> NDArray[Any]:
+    """Return the state in which a scenario starts, shape (1,)."""
+    state = np.zeros(1, STATE)
+    start, one = scenario.start, state[0]
+    x_m, down_m, heading_rad = start.x_m, WORLD_SIZE_M - start.y_m, start.heading_rad
+    if start.precision == "float32":
+        x_m, heading_rad = round_to_float32(x_m), round_to_float32(heading_rad)
+        down_m = round_to_float32(WORLD_SIZE_M - round_to_float32(start.y_m))
+    one["x_m"], one["down_m"], one["heading_rad"] = x_m, down_m, heading_rad
+    for name in ("phase", "begun", "close_since_ns", "last_ns", "blocked", "newest"):
+        one[name] = -1
+    one["fires_ns"], one["waits_for"] = _NEVER_NS, scenario.loop.start_backlog
+    return state

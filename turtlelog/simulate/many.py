@@ -1,0 +1,137 @@
+"""Many scenarios simulated: by the compiled loop where that is worth it, in threads."""
+
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator, Sized
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Final
+
+from turtlelog.compiled import CompiledLoops
+from turtlelog.errors import SimulationError
+from turtlelog.plants import Plant
+from turtlelog.processes import count_cores
+from turtlelog.run import Run
+from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate.collect import simulate_run
+from turtlelog.simulate.kernel_fields import is_compiled
+from turtlelog.simulate.kernel_run import KernelRunner
+
+COST_S: Final = 1.0
+"""What numba's import and the loop take from their cache [s]."""
+
+SAVED_S: Final = 4e-6
+"""What the compiled loop saves of a sample [s]."""
+
+FIRST_S: Final = 14.0
+"""What they take before the loop is in the cache [s]: numba compiles it for 13 s."""
+
+LOOP: Final = CompiledLoops("turtlelog.simulate.loop_kernel", cost_s=COST_S, first_s=FIRST_S)
+
+_AHEAD: Final = 4
+"""Runs for each thread that may wait to be taken: memory stays bounded, and no thread idles."""
+
+Simulated = Run | SimulationError
+
+
+class ManyRuns(Iterator[Simulated]):
+    """The runs of scenarios, in their order; where one fails its SimulationError in its place.
+
+    Only a few runs are in memory, however many there are.
+
+    Attributes:
+        compiled: How many runs the compiled loop has simulated.
+        interpreted: How many the interpreted one has: of laws and effects that are not compiled,
+            without numba, or before compiled ones are worth loading it.
+    """
+
+    def __init__(
+        self, scenarios: Iterable[Scenario], *, plant: Plant | None, threads: int | None
+    ) -> None:
+        self.compiled = self.interpreted = 0
+        self._threads = count_cores() if threads is None else threads
+        if self._threads < 1:
+            raise SimulationError(f"threads: expected at least 1, found {threads}")
+        self._count = len(scenarios) if isinstance(scenarios, Sized) else 1
+        self._plant = plant
+        self._scenarios = iter(scenarios)
+        self._waiting: deque[Simulated | Future[Simulated]] = deque()
+        self._pool: ThreadPoolExecutor | None = None
+        self._local = threading.local()
+
+    def __iter__(self) -> "ManyRuns":
+        return self
+
+    def __next__(self) -> Simulated:
+        while len(self._waiting) < self._threads * _AHEAD:
+            try:
+                scenario = next(self._scenarios)
+            except StopIteration:
+                break
+            self._waiting.append(self._start(resolve_scenario(scenario)))
+            if not isinstance(self._waiting[-1], Future):
+                break
+        if not self._waiting:
+            if self._pool is not None:
+                self._pool.shutdown()
+            raise StopIteration
+        found = self._waiting.popleft()
+        return found.result() if isinstance(found, Future) else found
+
+    def _start(self, scenario: Scenario) -> Simulated | Future[Simulated]:
+        """Simulate a scenario, or have a thread do so."""
+        plant = scenario.plant.facts if self._plant is None else self._plant
+        kernel = LOOP.find() if is_compiled(scenario, plant) else None
+        if kernel is None:
+            return self._interpret(scenario, plant)
+        self.compiled += 1
+        if self._threads == 1:
+            return self._compile(kernel, scenario, plant)
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="simulate")
+        return self._pool.submit(self._compile, kernel, scenario, plant)
+
+    def _compile(self, kernel: Any, scenario: Scenario, plant: Plant) -> Simulated:
+        if not hasattr(self._local, "runner"):
+            self._local.runner = KernelRunner(kernel)
+        run: Run | None = self._local.runner.simulate(scenario, plant)
+        return _simulate(scenario, plant) if run is None else run
+
+    def _interpret(self, scenario: Scenario, plant: Plant) -> Simulated:
+        """Simulate, and find out whether the others are worth loading the compiled loop."""
+        self.interpreted += 1
+        found = _simulate(scenario, plant)
+        if isinstance(found, Run) and is_compiled(scenario, plant):
+            # The first tells how long the others will be about; later ones count themselves.
+            runs = self._count if self.interpreted == 1 else 1
+            LOOP.expect(len(found.samples) * runs, SAVED_S)
+        return found
+
+
+def simulate_many(
+    scenarios: Iterable[Scenario], *, plant: Plant | None = None, threads: int | None = None
+) -> ManyRuns:
+    """Simulate scenarios one after the other, each as `simulate_run` does, bit for bit.
+
+    With the extra `fast` the sequential laws around turtlesim run in a compiled loop, once there is
+    so much to do that it is worth loading; everything else is interpreted.
+
+    Args:
+        scenarios: What to simulate; taken as the runs are.
+        plant: On whose clock; None: each on that of its own plant.
+        threads: That simulate at once; None: as many as cores.
+
+    Returns:
+        An iterator of runs; where one fails its SimulationError, with the run so far as `run`.
+
+    Raises:
+        SimulationError: Where `threads` is no number above 0.
+        ScenarioError: While iterating, where a law cannot be loaded or may not run.
+    """
+    return ManyRuns(scenarios, plant=plant, threads=threads)
+
+
+def _simulate(scenario: Scenario, plant: Plant) -> Simulated:
+    try:
+        return simulate_run(scenario, plant)
+    except SimulationError as err:
+        return err
