@@ -40,9 +40,10 @@ from turtlelog.simulate.law_driver import LARGEST_FLOAT
 _NEVER_NS = 2**63 - 1
 _TURN_RAD = 2.0 * math.pi
 _SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a double
+_TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose digits
 _SPEED, _TURN = 0, 1
 
-_compile = njit(error_model="numpy")
+_compile = njit(error_model="numpy", forceinline=True)
 
 
 @_compile
@@ -105,8 +106,10 @@ def find_hypot(x: float, y: float) -> float:
     if small == 0.0 or not math.isfinite(large):
         return large
     # By a power of two, which changes no digit: no square overflows or loses digits.
-    exponent = math.frexp(large)[1]
-    large, small = math.ldexp(large, -exponent), math.ldexp(small, -exponent)
+    scale = 1.0
+    if not _TINY_M < large < _HUGE_M:
+        scale = math.ldexp(1.0, -max(math.frexp(large)[1], -1000))
+    large, small = large * scale, small * scale
     square, rest = _square(large)
     other, other_rest = _square(small)
     root = math.sqrt(square + other)
@@ -114,7 +117,7 @@ def find_hypot(x: float, y: float) -> float:
     total = square + other
     lost = other - (total - square)
     left = (total - root_square) + (lost + (rest + other_rest - root_rest))
-    return math.ldexp(root + left / (2.0 * root), exponent)
+    return (root + left / (2.0 * root)) / scale  # type: ignore[no-any-return]
 
 
 @_compile
