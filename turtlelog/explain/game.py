@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
+from itertools import chain, combinations, islice
 from statistics import fmean
 from typing import Final
 
@@ -28,7 +28,7 @@ from turtlelog.measure import measure_run
 from turtlelog.processes import count_cores, map_in_processes
 from turtlelog.run import Run
 from turtlelog.scenario import Scenario
-from turtlelog.simulate import simulate_run
+from turtlelog.simulate import simulate_many
 
 SEEDS: Final = tuple(range(1_000_000_000, 1_000_000_032))
 """Of the means: the same for all runs, so that two which differ in their seed alone have the same
@@ -39,6 +39,9 @@ _OF_DEAD_TIME: Final = ("dead_time", "delayed_deviation_max", "delayed_deviation
 
 _FEW: Final = 4
 """Simulations that are never worth another process: some 40 ms of work."""
+
+_BLOCK: Final = 8
+"""Simulations that a process does at once: few enough that all processes end together."""
 
 _LONG_S: Final = 6.0
 """Work for more than one process [s]: to start one takes one or two."""
@@ -162,29 +165,68 @@ class Game:
                 self._work.report(len(self._outcomes), total)
 
     def _iterate(self, missing: Sequence[_Play]) -> Iterator[Outcome]:
-        simulate = partial(_simulate, self._metric)
-        plays = [(self._take_out(out), SAMPLING in out, seed) for out, seed in missing]
+        plays = [self._build_play(one) for one in missing]
+        outcomes = _simulate_each(self._metric, plays)
         jobs = self._work.jobs if self._scenario.law.kind in LAWS else 1
-        if jobs is None and plays:
+        if jobs is None:
+            # With the first a compiled loop may be loaded; the second tells what one takes.
+            yield from islice(outcomes, 1)
             began_s = time.perf_counter()
-            yield simulate(plays[0])
-            del plays[0]
+            yield from islice(outcomes, 1)
+            plays = plays[2:]
             is_long = len(plays) * (time.perf_counter() - began_s) > _LONG_S
             jobs = count_cores() if is_long else 1
-        jobs = 1 if len(plays) <= _FEW else jobs or 1
-        yield from map_in_processes(simulate, plays, jobs, name=lambda _: "a simulation")
+        if jobs == 1 or len(plays) <= _FEW:
+            yield from outcomes
+            return
+        blocks = [plays[first : first + _BLOCK] for first in range(0, len(plays), _BLOCK)]
+        simulate = partial(_simulate_block, self._metric)
+        yield from chain.from_iterable(
+            map_in_processes(simulate, blocks, jobs, name=lambda _: "simulations")
+        )
+
+    def _build_play(self, one: _Play) -> "_Simulation":
+        out, seed = one
+        scenario = self._take_out(out)
+        if seed is not None:
+            scenario = replace(scenario, seed=seed)
+        return _Simulation(scenario, is_finer=SAMPLING in out, is_seeded=seed is not None)
 
 
-def _simulate(metric: str, play: tuple[Scenario, bool, int | None]) -> Outcome:
-    """Simulate a scenario, on a finer clock or its own, with another seed or its own."""
-    scenario, is_finer, seed = play
-    scenario = scenario if seed is None else replace(scenario, seed=seed)
+@dataclass(frozen=True, slots=True)
+class _Simulation:
+    """A scenario to simulate, on a finer clock or its own; with another seed or its own."""
+
+    scenario: Scenario
+    is_finer: bool
+    is_seeded: bool
+
+
+def _simulate_block(metric: str, plays: Sequence[_Simulation]) -> list[Outcome]:
+    return list(_simulate_each(metric, plays))
+
+
+def _simulate_each(metric: str, plays: Sequence[_Simulation]) -> Iterator[Outcome]:
+    """Yield the outcome of each, with one run at a time in memory."""
+    runs = simulate_many([play.scenario for play in plays if not play.is_finer], threads=1)
+    for play in plays:
+        run = _simulate_finer(play.scenario) if play.is_finer else next(runs)
+        if isinstance(run, Run):
+            yield _measure(metric, run, is_finer=play.is_finer)
+        elif play.is_seeded:
+            yield Outcome(value=None, reason=str(run), ended=())
+        else:
+            raise run
+
+
+def _simulate_finer(scenario: Scenario) -> Run | SimulationError:
     try:
-        run = simulate_finer(scenario) if is_finer else simulate_run(scenario)
+        return simulate_finer(scenario)
     except SimulationError as err:
-        if seed is None:
-            raise
-        return Outcome(value=None, reason=str(err), ended=())
+        return err
+
+
+def _measure(metric: str, run: Run, *, is_finer: bool) -> Outcome:
     found = measure_run(run, only=[metric])[metric]
     value, reason = found.value, found.reason
     if is_finer and metric.endswith(_OF_DEAD_TIME):
