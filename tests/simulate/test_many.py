@@ -321,6 +321,18 @@ def test_many_runs_give_the_error_of_one_in_its_place() -> None:
     assert isinstance(run, Run)
 
 
+def test_run_that_the_compiled_loop_cannot_end_counts_as_interpreted(
+    monkeypatch: pytest.MonkeyPatch, kernel: Any
+) -> None:
+    load(monkeypatch, kernel)
+    failing = override_scenario(
+        get_preset("paper"), {"loop.start_backlog": 9, "max_duration_s": 0.1}
+    )
+    found = simulate_many([failing, get_preset("paper")], threads=2)
+    assert [type(one) for one in found] == [SimulationError, Run]
+    assert (found.compiled, found.interpreted) == (1, 1)
+
+
 def test_without_numba_many_runs_are_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     load(monkeypatch, None)
     found = simulate_many([get_preset("paper")] * 2)

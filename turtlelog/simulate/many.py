@@ -41,7 +41,7 @@ class ManyRuns(Iterator[Simulated]):
     Attributes:
         compiled: How many runs the compiled loop has simulated.
         interpreted: How many the interpreted one has: of laws and effects that are not compiled,
-            without numba, or before compiled ones are worth loading it.
+            where a run fails, without numba, or before they are worth loading the compiled one.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class ManyRuns(Iterator[Simulated]):
         self._scenarios = iter(scenarios)
         self._waiting: deque[Simulated | Future[Simulated]] = deque()
         self._pool: ThreadPoolExecutor | None = None
-        self._local = threading.local()
+        self._local, self._counting = threading.local(), threading.Lock()
 
     def __iter__(self) -> "ManyRuns":
         return self
@@ -83,7 +83,8 @@ class ManyRuns(Iterator[Simulated]):
         kernel = LOOP.find() if is_compiled(scenario, plant) else None
         if kernel is None:
             return self._interpret(scenario, plant)
-        self.compiled += 1
+        with self._counting:
+            self.compiled += 1
         if self._threads == 1:
             return self._compile(kernel, scenario, plant)
         if self._pool is None:
@@ -94,11 +95,17 @@ class ManyRuns(Iterator[Simulated]):
         if not hasattr(self._local, "runner"):
             self._local.runner = KernelRunner(kernel)
         run: Run | None = self._local.runner.simulate(scenario, plant)
-        return _simulate(scenario, plant) if run is None else run
+        if run is not None:
+            return run
+        with self._counting:
+            self.compiled -= 1
+            self.interpreted += 1
+        return _simulate(scenario, plant)
 
     def _interpret(self, scenario: Scenario, plant: Plant) -> Simulated:
         """Simulate, and find out whether the others are worth loading the compiled loop."""
-        self.interpreted += 1
+        with self._counting:
+            self.interpreted += 1
         found = _simulate(scenario, plant)
         if isinstance(found, Run) and is_compiled(scenario, plant):
             # The first tells how long the others will be about; later ones count themselves.
