@@ -106,7 +106,7 @@ def test_an_error_stands_on_a_line_of_its_own(
     answer = call("compare", "--reference", kp4, kp4, "missing.mcap")
     shown = terminal.read()
     assert (answer.code, answer.out) == (2, "")
-    assert "reading 1/3 files" in shown
+    assert "reading 1/2 files" in shown
     assert "\x1b[2Kturtlelog: error: missing.mcap: expected" in shown
 
 
