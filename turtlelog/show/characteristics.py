@@ -84,7 +84,7 @@ class _Place:
 
 
 _OF_RUN: Final = (
-    _Place(metric="run.time_to_goal", signal="distance", word="at the goal"),
+    _Place(metric="run.time_to_goal", signal="distance", word="near the goal"),
     _Place(metric="final.position_error", signal="distance", word="at the end"),
 )
 

@@ -132,7 +132,7 @@ def test_coordinates_have_arrival_settling_and_their_own_end_values() -> None:
     assert RUN.goal_xy_m is not None
     for axes, goal_m, end_m in zip(figure.axes, RUN.goal_xy_m, RUN.poses.xy_m[-1], strict=True):
         assert {*list_words(axes)} == {
-            *("pause 0.528 s", "settled 5.58 s", "at the goal 8.85 s"),
+            *("pause 0.528 s", "settled 5.58 s", "near the goal 8.85 s"),
             f"at the end {goal_m - end_m:.3g} m",
         }
         assert any(dot[1] == pytest.approx(goal_m - end_m) for dot in list_dots(axes))
