@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import run_all, table
+from benchmarks import bench_engine, run_all, table
 from benchmarks.table import Cost, Row, format_table, tell_better_peers
 
 ROOT = Path(__file__).parents[1]
@@ -54,6 +54,14 @@ def test_calls_take_turns_and_the_least_time_counts(monkeypatch: pytest.MonkeyPa
     times = table.time_calls(lambda: calls.append("a"), lambda: calls.append("b"), repeats=2)
     assert calls == ["a", "b", "a", "b"]
     assert times == [2.0, 1.0]
+
+
+@pytest.mark.parametrize("way", ["compiled", "plain"])
+def test_reading_is_timed_with_the_compiled_loops_and_without(way: str, tmp_path: Path) -> None:
+    bench_engine.write_file(tmp_path / "some.mcap", 100)
+    said = table.run_apart(bench_engine.READ, way, str(tmp_path / "some.mcap"))
+    assert said["loaded"] is (way == "compiled")
+    assert 0.0 < said["unpack"] < said["read"][0]
 
 
 @pytest.mark.parametrize("name", ["loop", "measure", "writer"])

@@ -25,8 +25,8 @@ from turtlelog.log import read_columns, read_info, recover_recording
 IS_FULL = os.environ.get("TORTURE") == "full"
 MOST_BYTES = 10**7
 MOST_MEMORY_MB = 256
-MOST_CPU_S = 10.0
-"""The slowest take 5 s on a quiet machine, 6 s beside others; what this is to find took 139 s."""
+MOST_CPU_S = 30.0
+"""The slowest take 5 s on a quiet machine, 7 s on a slow one; what this is to find took 139 s."""
 
 QUICK = (
     "zstd 900 MB",
