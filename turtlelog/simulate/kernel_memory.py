@@ -93,6 +93,11 @@ QUEUED: Final = np.dtype(
 )
 """The n-th entry of each queue."""
 
+DIRECTION: Final = np.dtype(
+    [(name, np.float64) for name in ("angle_rad", "cosine", "sine")],
+)
+"""An angle whose cosine and sine were taken last: most are taken of the same again."""
+
 EVENTS_PER_TICK: Final = 7
 """One of each kind, and of dropped commands in both of its words."""
 
@@ -106,6 +111,7 @@ class Memory(NamedTuple):
     events: NDArray[np.float64]
     losses: NDArray[Any]
     axes: NDArray[Any]
+    directions: NDArray[Any]
 
 
 class _Stream(NamedTuple):
@@ -151,6 +157,7 @@ def allocate(ticks: int, samples: int) -> Memory:
         events=np.empty((EVENTS_PER_TICK * ticks, 4)),
         losses=np.zeros(3, LOSS),
         axes=np.zeros(2, AXIS),
+        directions=np.full(2, np.nan, DIRECTION),
     )
 
 

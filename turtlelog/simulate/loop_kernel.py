@@ -42,8 +42,11 @@ _TURN_RAD = 2.0 * math.pi
 _SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a double
 _TINY_M, _HUGE_M = 1e-100, 1e100  # far from where the squares of doubles lose digits
 _SPEED, _TURN = 0, 1
+_OF_TURTLE, _OF_LAW = 0, 1
 
-_compile = njit(error_model="numpy", forceinline=True)
+# Without `_nrt` numba counts nobody's references to the arrays, and refuses what would allocate
+# memory, as a set does: counting took two thirds of the loop's time.
+_compile = njit(error_model="numpy", forceinline=True, _nrt=False)
 
 
 @_compile
@@ -77,6 +80,15 @@ def _round_to_step(value: float, step: float) -> float:
     steps = value / step
     # Python's whole numbers know no -0.0.
     return step * (np.rint(steps) + 0.0) if math.isfinite(steps) else value
+
+
+@_compile
+def _find_direction(direction: Any, angle_rad: float) -> tuple[float, float]:
+    """Return cosine and sine, of the angle before as they were."""
+    if angle_rad != direction.angle_rad or angle_rad == 0.0:  # there are two zeros
+        direction.angle_rad = angle_rad
+        direction.cosine, direction.sine = math.cos(angle_rad), math.sin(angle_rad)
+    return direction.cosine, direction.sine
 
 
 @_compile
@@ -237,7 +249,7 @@ def _step(settings: Any, state: Any, memory: Any, tick: int) -> None:
     left, period_s = 0.0, settings.period_s
     heading_rad = state.heading_rad + turn_rate * period_s
     heading_rad -= _TWO_PI * np.floor((heading_rad + _PI) / _TWO_PI)
-    cosine, sine = math.cos(heading_rad), math.sin(heading_rad)
+    cosine, sine = _find_direction(memory.directions[_OF_TURTLE], heading_rad)
     x_m = state.x_m + (cosine * forward * period_s - sine * left * period_s)
     down_m = state.down_m - (cosine * left * period_s + sine * forward * period_s)
     state.hit_wall = not (0.0 <= x_m <= WORLD_SIZE_M and 0.0 <= down_m <= WORLD_SIZE_M)
@@ -465,7 +477,7 @@ def _ask_law(settings: Any, state: Any, memory: Any, time_ns: int, pose: int) ->
     sample.integral_linear = sample.derivative_linear = 0.0
     phase, blocks, speed, turn_rate = state.phase, 0, 0.0, 0.0
     if phase == TRANSLATE:
-        speed = _translate(settings, state, sample, memory.axes[_SPEED], time_ns, heading_rad)
+        speed = _translate(settings, state, memory, sample, time_ns, heading_rad)
         world_x, world_y = state.world_v_x_m_s, state.world_v_y_m_s
     else:
         world_x = world_y = 0.0
@@ -556,17 +568,18 @@ def _turn(
 
 @_compile
 def _translate(
-    settings: Any, state: Any, sample: Any, axis: Any, time_ns: int, heading_rad: float
+    settings: Any, state: Any, memory: Any, sample: Any, time_ns: int, heading_rad: float
 ) -> float:
     """Return the speed; the stop reason where the translation ends, or the next phase."""
     x_m, y_m = sample.error_x_m, sample.error_y_m
     tolerance_m = settings.law_position_tolerance_m
+    axis = memory.axes[_SPEED]
     stop_reason, speed = WITHIN_TOLERANCE, 0.0
     if abs(x_m) > tolerance_m or abs(y_m) > tolerance_m:
         kp = settings.law_kp_linear
         state.world_v_x_m_s, state.world_v_y_m_s = kp * x_m, kp * y_m
         along_rad = heading_rad if settings.law_projection else state.bearing_rad
-        cos, sin = math.cos(along_rad), math.sin(along_rad)
+        cos, sin = _find_direction(memory.directions[_OF_LAW], along_rad)
         speed = state.world_v_x_m_s * cos + state.world_v_y_m_s * sin
         if axis.has_terms:
             way_m = (state.error_before_x_m - x_m) * cos + (state.error_before_y_m - y_m) * sin
@@ -575,7 +588,7 @@ def _translate(
             sample.integral_linear, sample.derivative_linear = axis.integral, axis.derivative
             speed = _add_terms(settings, axis, speed, x_m * cos + y_m * sin)
         stop_reason = _find_stop_reason(settings, state, time_ns, speed, max(abs(x_m), abs(y_m)))
-    if stop_reason in {0, TIMEOUT} or not settings.law_reorient:
+    if stop_reason in (0, TIMEOUT) or not settings.law_reorient:
         state.stop_reason = stop_reason
     else:
         state.phase = REORIENT
@@ -723,7 +736,7 @@ _SIGNATURE = types.void(
 )
 
 
-@njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy")
+@njit(_SIGNATURE, nogil=True, cache=True, error_model="numpy", _nrt=False)
 def run_loop(all_settings: Any, states: Any, memory: Any) -> None:
     """Simulate a scenario into `memory`; into the state how it ends, and of what how much is."""
     settings, state = all_settings[0], states[0]
