@@ -1,6 +1,7 @@
 """The columns of a run: poses, commands and samples, checked and made read-only; their clock."""
 
-from dataclasses import dataclass, fields, replace
+import math
+from dataclasses import Field, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any, Final, Literal, Self, TypeVar
 
@@ -270,10 +271,20 @@ def _describe_columns(columns: PoseColumns | CommandColumns | SampleColumns) -> 
     return f"<{type(columns).__name__}: {len(columns)} rows of {', '.join(names)}>"
 
 
+_FIELDS: Final[dict[type, tuple[Field[Any], ...]]] = {}
+
+
+def _fields(kind: type) -> tuple[Field[Any], ...]:
+    """Return the fields of a type, looked up once: they are asked for in every run."""
+    if kind not in _FIELDS:
+        _FIELDS[kind] = fields(kind)
+    return _FIELDS[kind]
+
+
 def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
     _require_arrays(columns, table)
     rows = len(columns.time_ns)
-    for column in fields(columns):
+    for column in _fields(type(columns)):
         values = getattr(columns, column.name)
         if values is None:
             continue
@@ -287,7 +298,7 @@ def _freeze(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -
 
 def _require_arrays(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
     """Refuse lists, and times in seconds: what is counted is whole, all else a float."""
-    for column in fields(columns):
+    for column in _fields(type(columns)):
         values, place = getattr(columns, column.name), f"{table}.{column.name}"
         if values is None and column.default is None:
             continue
@@ -299,16 +310,20 @@ def _require_arrays(columns: PoseColumns | CommandColumns | SampleColumns, table
 
 
 def _require_finite(columns: PoseColumns | CommandColumns | SampleColumns, table: str) -> None:
-    for column in fields(columns):
-        values = getattr(columns, column.name)
-        if values is None or values.dtype.kind != "f":
-            continue
-        bad = np.isinf(values) if column.name in _MAY_BE_NAN else ~np.isfinite(values)
-        if values.ndim > 1:
-            bad = bad.any(axis=1)
-        if bad.any():
-            row = int(bad.argmax())
-            raise RunError(f"{table}.{column.name}[{row}]: expected a number, found {values[row]}")
+    with np.errstate(all="ignore"):
+        for column in _fields(type(columns)):
+            values = getattr(columns, column.name)
+            if values is None or values.dtype.kind != "f":
+                continue
+            # Of finite values only a sum beyond the largest float is not: one pass clears most.
+            if math.isfinite(np.add.reduce(values, axis=None)):
+                continue
+            bad = np.isinf(values) if column.name in _MAY_BE_NAN else ~np.isfinite(values)
+            if values.ndim > 1:
+                bad = bad.any(axis=1)
+            if bad.any():
+                row, place = int(bad.argmax()), f"{table}.{column.name}"
+                raise RunError(f"{place}[{row}]: expected a number, found {values[row]}")
 
 
 def _require_rising(values: NDArray[np.int64], name: str, *, strictly: bool) -> None:

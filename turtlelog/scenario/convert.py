@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from datetime import date, time
-from typing import Any, get_args, get_type_hints
+from typing import Any, Final, get_args, get_type_hints
 
 import msgspec
 
@@ -183,13 +183,23 @@ def _nest_values(value: Any) -> Any:
         return copy.deepcopy(value)
     return {
         field.name: _nest_values(found)
-        for field in dataclasses.fields(value)
-        if (found := getattr(value, field.name)) is not None and not _is_absent(field, found)
+        for field, may_be_absent in _list_fields(type(value))
+        if (found := getattr(value, field.name)) is not None
+        and not (may_be_absent and found == field.default)
     }
 
 
-def _is_absent(field: dataclasses.Field[Any], value: Any) -> bool:
-    return value == field.default and not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata)
+_FIELDS: Final[dict[type, list[tuple[dataclasses.Field[Any], bool]]]] = {}
+
+
+def _list_fields(kind: type) -> list[tuple[dataclasses.Field[Any], bool]]:
+    """Return the fields of a dataclass, and whether each stays out of files by default."""
+    if kind not in _FIELDS:
+        _FIELDS[kind] = [
+            (field, not ABSENT_BY_DEFAULT.keys().isdisjoint(field.metadata))
+            for field in dataclasses.fields(kind)
+        ]
+    return _FIELDS[kind]
 
 
 def restore_scenario(run: Run, *, trust_law: bool = False) -> Scenario:
