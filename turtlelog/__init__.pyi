@@ -22,6 +22,7 @@ from . import (
     scenario as scenario,
     show as show,
     simulate as simulate,
+    sweep as sweep,
     theory as theory,
 )
 from .check import (
