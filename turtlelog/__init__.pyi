@@ -63,6 +63,7 @@ from .errors import (
     ScenarioError as ScenarioError,
     ShowError as ShowError,
     SimulationError as SimulationError,
+    SweepError as SweepError,
     TheoryError as TheoryError,
     TurtlelogError as TurtlelogError,
     UsageError as UsageError,

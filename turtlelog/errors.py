@@ -126,6 +126,10 @@ class ExplainError(TurtlelogError):
     """A run from which nothing can be identified."""
 
 
+class SweepError(TurtlelogError):
+    """A sweep that cannot be planned, or not go on."""
+
+
 class ShowError(TurtlelogError):
     """A picture, table or viewer that cannot be made."""
 

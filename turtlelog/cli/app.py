@@ -36,6 +36,10 @@ _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
             "[SCENARIO]",
             "Print the scenario of a preset, file or recording as a whole file, to edit and run.",
         ),
+        "sweep": (
+            "[SCENARIO] -o OUT",
+            "Vary a scenario, simulate and measure every variant, and write one table.",
+        ),
         "theory": (
             "",
             "Say what theory expects of an integrator under P, PI, PD or PID control.",

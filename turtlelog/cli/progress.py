@@ -3,8 +3,10 @@
 import os
 import sys
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from datetime import timedelta
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -21,16 +23,20 @@ class Progress:
         done: How much, in the unit of `total`; set by whoever does the work.
     """
 
-    def __init__(self, label: str, total: float | None, unit: str) -> None:
+    def __init__(
+        self, label: str, total: float | None, unit: str, *, has_rate: bool = False
+    ) -> None:
         """Begin to wait for the moment to show up.
 
         Args:
             label: What is being done.
             total: How much there is to do; None where that is not known.
             unit: Of both.
+            has_rate: Whether to say how fast it goes, and how long the rest takes at that rate.
         """
         self.done = 0.0
         self._label, self._total, self._unit = label, total, unit
+        self._rate = Rate() if has_rate else None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._draw, name="progress", daemon=True)
         if _is_terminal():
@@ -74,16 +80,38 @@ class Progress:
     def _describe(self) -> str:
         if self._total is None:
             return self._label
-        return f"{self._label} {int(self.done)}/{self._total:g} {self._unit}"
+        text = f"{self._label} {int(self.done)}/{self._total:g} {self._unit}"
+        return text if self._rate is None else text + self._rate.describe(self.done, self._total)
+
+
+class Rate:
+    """How fast something goes since it was first asked; what was done before does not count."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+
+    def describe(self, done: float, total: float) -> str:
+        """Return the rate and the time left, empty where nothing was done yet."""
+        now = time.monotonic()
+        if self._first is None:
+            self._first = now, done
+        begun, before = self._first
+        if done <= before or now <= begun:
+            return ""
+        rate = (done - before) / (now - begun)
+        left_s = round((total - done) / rate)
+        return f", {rate:.{0 if rate >= 10 else 1}f}/s, {timedelta(seconds=left_s)} left"
 
 
 _live: Final[list[Progress]] = []
 
 
 @contextmanager
-def show_progress(label: str, total: float | None = None, unit: str = "") -> Iterator[Progress]:
+def show_progress(
+    label: str, total: float | None = None, unit: str = "", *, has_rate: bool = False
+) -> Iterator[Progress]:
     """Show on the way what the block does, where it takes more than a second."""
-    progress = Progress(label, total, unit)
+    progress = Progress(label, total, unit, has_rate=has_rate)
     _live.append(progress)
     try:
         yield progress

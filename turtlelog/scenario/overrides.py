@@ -23,18 +23,30 @@ _LARGEST_WHOLE: Final = 2**53
 
 
 def override_scenario(
-    scenario: Scenario, values: Mapping[str, Any], *, source: str = "changes"
+    scenario: Scenario,
+    values: Mapping[str, Any],
+    *,
+    source: str = "changes",
+    trust_law: bool | None = None,
 ) -> Scenario:
     """Return the scenario with values set by dotted key, checked like a file. Loads no code.
 
     A new `law.kind` drops the old law's parameters, a new `plant.kind` the old plant's, a new
-    `path.kind` the old path's shape. Who sets `law.kind` names the law: it may run.
+    `path.kind` the old path's shape.
+
+    Args:
+        scenario: To be changed.
+        values: By dotted key.
+        source: Begins error lines.
+        trust_law: Whether a law that is not built in may run; None: where the scenario's may, or
+            `law.kind` is among the values, as who sets it names the law.
 
     Raises:
         ScenarioError: Where a key or value is wrong.
     """
     _require_tables(scenario, values, source)
-    is_trusted = "law.kind" in values or _is_trusted(scenario)
+    is_named = "law.kind" in values or _is_trusted(scenario)
+    is_trusted = is_named if trust_law is None else trust_law
     return _override(scenario, values, source=source, trust_law=is_trusted)
 
 

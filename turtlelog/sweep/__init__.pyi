@@ -1,3 +1,11 @@
+from .assemble import (
+    load_row_scenario as load_row_scenario,
+)
+from .plan import (
+    Sampling as Sampling,
+    SweepPlan as SweepPlan,
+    build_plan as build_plan,
+)
 from .result_table import (
     ResultColumn as ResultColumn,
     ResultTable as ResultTable,
@@ -5,4 +13,15 @@ from .result_table import (
     read_result_facts as read_result_facts,
     read_result_table as read_result_table,
     write_result_table as write_result_table,
+)
+from .simulate_rows import (
+    RowRecords as RowRecords,
+)
+from .sweep_rows import (
+    Sweep as Sweep,
+    SweepEstimate as SweepEstimate,
+    SweepSummary as SweepSummary,
+    estimate_sweep as estimate_sweep,
+    prepare_sweep as prepare_sweep,
+    run_sweep as run_sweep,
 )

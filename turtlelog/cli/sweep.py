@@ -1,0 +1,247 @@
+"""`turtlelog sweep`: a scenario varied, simulated and measured, as one table."""
+
+import sys
+import time
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.list_names import complete_keys, complete_metrics
+from turtlelog.cli.options import (
+    Jobs,
+    Json,
+    LawOptions,
+    Whole,
+    count_jobs,
+    list_given_keys,
+    load_changed_scenario,
+)
+from turtlelog.cli.output import EXIT_FINE, print_json, print_note, print_text
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.run import ScenarioWord
+from turtlelog.cli.targets import require_new_target
+from turtlelog.display import describe_count
+from turtlelog.errors import UsageError
+
+if TYPE_CHECKING:
+    from turtlelog.sweep import RowRecords, Sampling, Sweep, SweepPlan, SweepSummary
+
+_MANY_ROWS: Final = 1_000_000
+"""Beyond so many nobody is surprised later: interpreted they take hours."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanOptions:
+    """Which rows there are.
+
+    Attributes:
+        grid: Vary a key, as in law.kp_linear=0.5:12:0.25 (both ends belong to it; the step is 1
+            otherwise), or law.projection=bearing,heading; may stand several times, which gives
+            every combination, the last key fastest.
+        zip_: Vary keys together, each value of one with that of the other; stands once for each.
+        sample: Draw so many rows instead: any number of A:B, one of A:B:STEP or of a list.
+        seed: Of what is drawn; otherwise 0.
+        latin: Draw from each key's range once in each of as many equal parts as there are rows.
+    """
+
+    grid: Annotated[list[str] | None, Parameter(metavar="KEY=VALUES", completer=complete_keys)] = (
+        None
+    )
+    zip_: Annotated[
+        list[str] | None,
+        Parameter(name="--zip", metavar="KEY=VALUES", completer=complete_keys),
+    ] = None
+    sample: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
+    seed: Annotated[Whole | None, Parameter(metavar="NUMBER")] = None
+    latin: bool = False
+
+    def build_plan(self) -> "SweepPlan":
+        """Return the rows that are asked for.
+
+        Raises:
+            UsageError: Where options do not go together.
+            SweepError: Where there is nothing to vary, or a value cannot be read.
+        """
+        return tl.sweep.build_plan(self.grid or (), self.zip_ or (), self._choose_sampling())
+
+    def _choose_sampling(self) -> "Sampling | None":
+        if self.sample is not None:
+            return tl.sweep.Sampling(count=self.sample, seed=self.seed or 0, is_latin=self.latin)
+        for name, is_given in (("--seed", self.seed is not None), ("--latin", self.latin)):
+            if is_given:
+                more = "; --grid seed=0:9 varies that of the scenario" if name == "--seed" else ""
+                raise UsageError(f"{name}: expected --sample beside it, found none{more}")
+        return None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableOptions:
+    """What is written.
+
+    Attributes:
+        output: Write the table to this .parquet file.
+        metrics: Ids or patterns, as in rotate.overshoot,final.* (turtlelog list metrics);
+            otherwise the essential ones of each row's law.
+        record: Write recordings of rows to this folder, as row-000123.mcap.
+        record_where: Only of rows for which this holds, as in "translate.settling_time > 5".
+    """
+
+    output: Annotated[Path, Parameter(name=("--output", "-o"))]
+    metrics: Annotated[str | None, Parameter(metavar="IDS", completer=complete_metrics)] = None
+    record: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    record_where: Annotated[str | None, Parameter(metavar="EXPRESSION")] = None
+
+    def list_patterns(self) -> list[str] | None:
+        """Return the metrics that are asked for, None where none are."""
+        if self.metrics is None:
+            return None
+        patterns = [name.strip() for name in self.metrics.split(",")]
+        if not all(patterns):
+            expected = "ids separated by commas"
+            raise UsageError(f"--metrics: expected {expected}, found {self.metrics!r}")
+        return patterns
+
+    def build_records(self) -> "RowRecords | None":
+        """Return which runs are to be recorded."""
+        if self.record is None:
+            if self.record_where is not None:
+                raise UsageError("--record-where: expected --record beside it, found none")
+            return None
+        return tl.sweep.RowRecords(folder=str(self.record), where=self.record_where)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkOptions:
+    """How it is done.
+
+    Attributes:
+        jobs: Processes to simulate in; as many as cores where that is quicker.
+        yes: Sweep over more than a million rows without asking.
+        trust_law: Run the code of the law that a recording names, where it is not built in.
+    """
+
+    jobs: Jobs = None
+    yes: bool = False
+    trust_law: bool = False
+
+
+def sweep(
+    base: ScenarioWord = None,
+    /,
+    *,
+    table: TableOptions,
+    plan: PlanOptions | None = None,
+    options: LawOptions | None = None,
+    work: WorkOptions | None = None,
+    json: Json = False,
+) -> int:
+    """Vary a scenario, simulate and measure every variant, and write one table.
+
+    A row of the Parquet table is a run: its number, the values of the keys, each metric with its
+    status, how the run ended, or why it failed; that is no error of the sweep. Rows are what `run`
+    gives for the same scenario, bit for bit, on however many cores, and the same command gives the
+    same file. What is interrupted goes on where the same command is given again.
+
+    Example: turtlelog sweep paper-kp4 --grid law.kp_linear=1:12 --grid
+    loop.transport_delay_ticks=0:8 --metrics "*.settling_time,final.*" -o results.parquet
+
+    Example: turtlelog sweep textbook --grid law.kp_linear=0.5:12 --grid law.kp_angular=0.5:12
+    --sample 1000 --seed 7 --latin -o results.parquet
+
+    Random effects draw by the scenario's seed, the same in every row unless it is varied:
+    --grid seed=0:31. `turtlelog run --from results.parquet --row 123` runs a row again.
+
+    Args:
+        base: A preset (turtlelog list presets), a scenario file (.toml), as `identify` writes one,
+            or a recording. Without one paper, and with --law textbook.
+        json: Print one JSON object instead of a line.
+    """
+    begun, work = time.monotonic(), work or WorkOptions()
+    jobs = None if work.jobs is None else count_jobs(work.jobs, [])
+    plan = plan or PlanOptions()
+    prepared = _prepare(base, table, plan, options, trust_law=work.trust_law)
+    rows = prepared.plan.row_count
+    if rows > _MANY_ROWS and not work.yes:
+        _ask_consent(prepared, table.output, jobs)
+    with show_progress("simulated", rows, "rows", has_rate=True) as progress:
+
+        def watch(done: int) -> None:
+            progress.done = done
+
+        try:
+            found = tl.sweep.run_sweep(prepared, table.output, jobs=jobs, watch=watch)
+        except KeyboardInterrupt:
+            print_note(f"{int(progress.done)} of {rows} rows are done; the same command goes on")
+            raise
+    _answer(found, time.monotonic() - begun, json=json)
+    return EXIT_FINE
+
+
+def _prepare(
+    base: str | None,
+    table: TableOptions,
+    plan: PlanOptions,
+    options: LawOptions | None,
+    *,
+    trust_law: bool,
+) -> "Sweep":
+    require_new_target(table.output, [] if base is None else [Path(base)], suffix=".parquet")
+    rows, records, patterns = plan.build_plan(), table.build_records(), table.list_patterns()
+    for key in list_given_keys(options):
+        if key in rows.keys:
+            raise UsageError(f"--set: expected keys that are not varied, found {key}")
+    return tl.sweep.prepare_sweep(
+        load_changed_scenario(base, options),
+        rows,
+        metrics=patterns,
+        records=records,
+        trust_law=trust_law,
+    )
+
+
+def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
+    """Say what a large sweep will take; go on where somebody at a terminal agrees."""
+    rows = prepared.plan.row_count
+    found = tl.sweep.estimate_sweep(prepared, jobs=jobs)
+    took = timedelta(seconds=max(1, round(found.seconds)))
+    takes = f"{rows:,} rows: about {took}, and at most {found.most_bytes / 1e6:,.0f} MB in {output}"
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise UsageError(f"{takes}; expected --yes to go on, found no terminal to ask at")
+    print_note(takes)
+    sys.stderr.write("Go on? [y/N] ")
+    sys.stderr.flush()
+    if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
+        raise UsageError("expected yes to go on, found another answer")
+
+
+def _answer(found: "SweepSummary", elapsed_s: float, *, json: bool) -> None:
+    for name, reason in found.valueless.items():
+        print_note(f"metric {name}: no row has a value ({reason})")
+    if json:
+        print_json(
+            {
+                "output": str(found.output),
+                "rows": found.rows,
+                "failed": found.failed,
+                "samples": found.samples,
+                "recorded": found.recorded,
+                "elapsed_s": elapsed_s,
+            }
+        )
+        return
+    if found.failed:
+        print_note(
+            f"{describe_count(found.failed, 'row')} failed, the first: {found.first_failure}"
+        )
+    recorded = f", {found.recorded} recorded" if found.recorded else ""
+    print_text(
+        f"{found.output}: {describe_count(found.rows, 'row')}, {found.failed} failed{recorded},"
+        f" {found.samples:,} samples in {elapsed_s:.1f} s"
+    )

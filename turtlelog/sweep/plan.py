@@ -1,0 +1,178 @@
+"""Which rows a sweep has: the values of its keys in every one, by its number."""
+
+import json
+import math
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import SweepError
+from turtlelog.sweep.grid import KeyValues, Steps, parse_key_values
+
+MOST_ROWS: Final = 100_000_000
+"""Rows of one table: a column of numbers takes 1 GB of memory when it is written."""
+
+_BELOW_1: Final = math.nextafter(1.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """Rows drawn instead of all combinations.
+
+    Attributes:
+        count: How many.
+        seed: Of the numbers drawn.
+        is_latin: Whether each key takes a value of each of `count` equal parts of its range once.
+    """
+
+    count: int
+    seed: int = 0
+    is_latin: bool = False
+
+    def __post_init__(self) -> None:
+        for name, least in (("count", 1), ("seed", 0)):
+            found = getattr(self, name)
+            if found < least:
+                name = "--sample" if name == "count" else "--seed"
+                raise SweepError(f"{name}: expected at least {least}, found {found}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepPlan:
+    """The rows of a sweep.
+
+    All combinations of `grid` and of the steps of `zipped`, the last key fastest; or a sample.
+
+    Attributes:
+        grid: Keys that vary by themselves.
+        zipped: Keys that go together, as one that comes last in the grid.
+        sampling: Draws rows; None: all.
+    """
+
+    grid: tuple[KeyValues, ...]
+    zipped: tuple[KeyValues, ...] = ()
+    sampling: Sampling | None = None
+    _axes: tuple[tuple[KeyValues, ...], ...] = field(init=False, compare=False, repr=False)
+    _drawn: NDArray[np.float64] | None = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        axes = (*((one,) for one in self.grid), *((self.zipped,) if self.zipped else ()))
+        object.__setattr__(self, "_axes", axes)
+        _require_sound(self)
+        drawn = None if self.sampling is None else _draw(self.sampling, len(axes))
+        object.__setattr__(self, "_drawn", drawn)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The keys that vary, in the order of their columns."""
+        return tuple(one.key for one in (*self.grid, *self.zipped))
+
+    @property
+    def row_count(self) -> int:
+        """How many rows there are."""
+        if self.sampling is not None:
+            return self.sampling.count
+        return math.prod(len(axis[0].values) for axis in self._axes)
+
+    def find_values(self, row: int) -> tuple[Any, ...]:
+        """Return the values of a row, in the order of `keys`."""
+        if self._drawn is not None:
+            shares = self._drawn[row].tolist()
+            return tuple(_pick(self._axes, shares))
+        places: list[int] = []
+        for axis in reversed(self._axes):
+            row, place = divmod(row, len(axis[0].values))
+            places.insert(0, place)
+        return tuple(
+            one.values[place]
+            for axis, place in zip(self._axes, places, strict=True)
+            for one in axis
+        )
+
+    def list_probes(self) -> tuple[int, ...]:
+        """Return the rows that tell what all are like: the first, one in the middle, the last."""
+        return tuple(dict.fromkeys((0, self.row_count // 2, self.row_count - 1)))
+
+    def with_reals(self, keys: Container[str]) -> "SweepPlan":
+        """Return the plan with floats for keys that hold them, where whole numbers were typed."""
+        return replace(
+            self,
+            grid=tuple(one.as_real() if one.key in keys else one for one in self.grid),
+            zipped=tuple(one.as_real() if one.key in keys else one for one in self.zipped),
+        )
+
+    def describe(self) -> str:
+        """Return the plan as JSON, as file metadata have it."""
+        drawn = self.sampling
+        return json.dumps(
+            {
+                "grid": {one.key: one.text for one in self.grid},
+                "zip": {one.key: one.text for one in self.zipped},
+                "sample": None
+                if drawn is None
+                else {"count": drawn.count, "seed": drawn.seed, "latin": drawn.is_latin},
+            }
+        )
+
+
+def build_plan(
+    grid: Sequence[str], zipped: Sequence[str] = (), sampling: Sampling | None = None
+) -> SweepPlan:
+    """Return the plan of texts such as `law.kp_linear=0.5:12:0.25`.
+
+    Raises:
+        SweepError: Where one cannot be read, or there is nothing to vary.
+    """
+    return SweepPlan(
+        grid=tuple(
+            parse_key_values(text, source="--grid", is_sampled=sampling is not None)
+            for text in grid
+        ),
+        zipped=tuple(parse_key_values(text, source="--zip") for text in zipped),
+        sampling=sampling,
+    )
+
+
+def _require_sound(plan: SweepPlan) -> None:
+    keys = plan.keys
+    if not keys:
+        raise SweepError("--grid: expected a key to vary, found none")
+    for number, key in enumerate(keys):
+        if key in keys[:number]:
+            raise SweepError(f"{key}: expected each key once, found it twice")
+    counts = {len(one.values) for one in plan.zipped}
+    if len(counts) > 1:
+        found = ", ".join(f"{len(one.values)} of {one.key}" for one in plan.zipped)
+        raise SweepError(f"--zip: expected as many values of each key, found {found}")
+    if plan.row_count > MOST_ROWS:
+        raise SweepError(
+            f"--grid: expected at most {MOST_ROWS:,} rows, found {plan.row_count:,}; --sample draws"
+            " some of them"
+        )
+
+
+def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
+    """Return shares from 0 to below 1: a row for each row, a column for each axis."""
+    if sampling.count > MOST_ROWS:
+        raise SweepError(f"--sample: expected at most {MOST_ROWS:,} rows, found {sampling.count:,}")
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(sampling.seed)))
+    drawn = generator.random((sampling.count, width))
+    if not sampling.is_latin:
+        return drawn
+    order = np.argsort(generator.random((sampling.count, width)), axis=0, kind="stable")
+    shares: NDArray[np.float64] = np.minimum((order + drawn) / sampling.count, _BELOW_1)
+    return shares
+
+
+def _pick(axes: Sequence[Sequence[KeyValues]], shares: Sequence[float]) -> Iterator[Any]:
+    """Yield the values at shares of their ranges."""
+    for axis, share in zip(axes, shares, strict=True):
+        for one in axis:
+            values = one.values
+            if one.is_open and isinstance(values, Steps) and not values.is_whole:
+                yield min(values[0] + (values[-1] - values[0]) * share, values[-1])
+            else:
+                yield values[min(int(share * len(values)), len(values) - 1)]

@@ -1,0 +1,267 @@
+"""The rows of a sweep simulated and measured: a chunk of them in, plain columns out.
+
+A chunk holds all that it needs, and what comes of a row does not depend on its chunk: any process,
+on any machine with the same turtlelog, gives the same.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from turtlelog import expressions
+from turtlelog.errors import SimulationError, SweepError, TurtlelogError
+from turtlelog.log.recording import write_recording
+from turtlelog.measure import (
+    choose_metrics,
+    find_metric_kind,
+    list_essential_metrics,
+    measure_run,
+)
+from turtlelog.measure.metric import Metric
+from turtlelog.run import Run
+from turtlelog.scenario import (
+    Scenario,
+    override_scenario,
+    parse_scenario,
+    resolve_scenario,
+)
+from turtlelog.simulate import simulate_many
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowRecords:
+    """Which runs are recorded.
+
+    Attributes:
+        folder: Where to, as `row-000123.mcap`.
+        where: A condition on metrics, keys and `stop_reason`; None: all.
+    """
+
+    folder: str
+    where: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RowChunk:
+    """Rows to simulate.
+
+    Attributes:
+        base: The scenario that all vary, as text; its law may run.
+        keys: That vary.
+        first: Number of the first row.
+        values: Of the keys, for each row.
+        metrics: Ids or patterns; None: the essential ones of each row's law.
+        records: None: none.
+        ahead: How many rows this process has before it, about: whether the compiled loop is worth
+            loading.
+    """
+
+    base: str
+    keys: tuple[str, ...]
+    first: int
+    values: tuple[tuple[Any, ...], ...]
+    metrics: tuple[str, ...] | None = None
+    records: RowRecords | None = None
+    ahead: int = 0
+
+
+@dataclass(slots=True, kw_only=True)
+class MetricCells:
+    """A metric of the rows of a chunk.
+
+    Attributes:
+        units: Those it has there; more than one where laws differ.
+        values: None where there is none.
+        statuses: None where a row's law has no such metric, or the row failed.
+    """
+
+    units: list[str]
+    values: list[float | None]
+    statuses: list[str | None]
+
+
+@dataclass(slots=True, kw_only=True)
+class RowResults:
+    """What became of a chunk, row by row.
+
+    Attributes:
+        first: Number of its first row.
+        stop_reasons: None of rows that failed.
+        failed: Why; None of those that did not.
+        samples: Of all its runs together.
+        recorded: How many of them were recorded.
+        metrics: By id.
+    """
+
+    first: int
+    stop_reasons: list[str | None] = field(default_factory=list)
+    failed: list[str | None] = field(default_factory=list)
+    samples: int = 0
+    recorded: int = 0
+    metrics: dict[str, MetricCells] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.failed)
+
+
+class _Scenarios(Iterator[Scenario]):
+    """The scenarios of a chunk, which say how many come after them in later ones."""
+
+    def __init__(self, scenarios: Sequence[Scenario], ahead: int) -> None:
+        self._rest, self._count = iter(scenarios), max(len(scenarios), ahead)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __next__(self) -> Scenario:
+        return next(self._rest)
+
+
+def build_row_scenario(
+    base: Scenario,
+    keys: Sequence[str],
+    values: Sequence[Any],
+    row: int,
+    *,
+    trust_law: bool | None = None,
+) -> Scenario:
+    """Return the scenario of a row, named after it. Loads no code.
+
+    Args:
+        base: What the rows vary.
+        keys: That vary.
+        values: Of the row.
+        row: Its number.
+        trust_law: As in `override_scenario`.
+
+    Raises:
+        ScenarioError: Where the values make no scenario.
+    """
+    changes = dict(zip(keys, values, strict=True))
+    if "law.kind" in changes:  # another law has other keys: it is chosen before any of them is set
+        kind = {"law.kind": changes.pop("law.kind")}
+        base = override_scenario(base, kind, source="grid", trust_law=trust_law)
+    changed = override_scenario(base, changes, source="grid", trust_law=trust_law)
+    return changed if "name" in changes else replace(changed, name=f"{base.name} row {row}")
+
+
+def simulate_rows(chunk: RowChunk) -> RowResults:
+    """Simulate and measure the rows of a chunk; a row that fails says why."""
+    base = parse_scenario(chunk.base)
+    scenarios: list[Scenario | TurtlelogError] = []
+    for row, values in enumerate(chunk.values, start=chunk.first):
+        try:
+            scenario = build_row_scenario(base, chunk.keys, values, row)
+            scenarios.append(resolve_scenario(scenario))
+        except TurtlelogError as err:
+            scenarios.append(err)
+    good = [one for one in scenarios if isinstance(one, Scenario)]
+    runs = iter(simulate_many(_Scenarios(good, chunk.ahead), threads=1))
+    results = RowResults(first=chunk.first)
+    for row, one in enumerate(scenarios, start=chunk.first):
+        found = next(runs) if isinstance(one, Scenario) else one
+        if isinstance(found, Run):
+            _enter_run(results, chunk, row, found)
+        else:
+            _enter_failure(results, found)
+    return results
+
+
+def _enter_failure(results: RowResults, err: TurtlelogError) -> None:
+    if isinstance(err, SimulationError) and err.run is not None:
+        results.samples += len(err.run.samples)
+    results.failed.append(str(err))
+    results.stop_reasons.append(None)
+    _enter_metrics(results, {})
+
+
+def _enter_run(results: RowResults, chunk: RowChunk, row: int, run: Run) -> None:
+    try:
+        names = list_row_metrics(run, chunk.metrics)
+        condition = _parse_condition(chunk.records)
+        asked = () if condition is None else _list_asked(condition)
+        found = measure_run(run, only=[*dict.fromkeys([*names, *asked])])
+    except TurtlelogError as err:
+        _enter_failure(results, err)
+        return
+    results.samples += len(run.samples)
+    results.failed.append(None)
+    results.stop_reasons.append(run.stop_reason)
+    _enter_metrics(results, {name: found[name] for name in names})
+    if chunk.records is None:
+        return
+    values = {"name": run.name, "stop_reason": run.stop_reason, **run.parameters}
+    values |= dict(zip(chunk.keys, chunk.values[row - chunk.first], strict=True))
+    values |= {name: metric.value for name, metric in found.items()}
+    if condition is None or judge_condition(condition, values):
+        write_recording(run, name_record(chunk.records, row))
+        results.recorded += 1
+
+
+def list_row_metrics(run: Run, patterns: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the ids of the metrics of a run that are asked for."""
+    if patterns is None:
+        return list_essential_metrics(run)
+    return choose_metrics(patterns, run.declaration)
+
+
+def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:
+    before = len(results) - 1
+    for name, metric in found.items():
+        cells = results.metrics.get(name)
+        if cells is None:
+            cells = MetricCells(units=[], values=[None] * before, statuses=[None] * before)
+            results.metrics[name] = cells
+        if metric.unit not in cells.units:
+            cells.units.append(metric.unit)
+        cells.values.append(metric.value)
+        cells.statuses.append(metric.status.value)
+    for name in results.metrics.keys() - found.keys():
+        results.metrics[name].values.append(None)
+        results.metrics[name].statuses.append(None)
+
+
+def name_record(records: RowRecords, row: int) -> Path:
+    """Return the file of a row's recording."""
+    return Path(records.folder) / f"row-{row:06d}.mcap"
+
+
+def _parse_condition(records: RowRecords | None) -> expressions.Expression | None:
+    if records is None or records.where is None:
+        return None
+    return expressions.parse_expression(records.where, source="--record-where")
+
+
+def _list_asked(condition: expressions.Expression) -> list[str]:
+    return [name for name in condition.names if find_metric_kind(name) is not None]
+
+
+def judge_condition(condition: expressions.Expression, values: Mapping[str, Any]) -> bool:
+    """Return whether a condition holds; where it needs a value that is not there it does not.
+
+    Raises:
+        ExpressionError: Where it names what is not there.
+        SweepError: Where it is no condition.
+    """
+    truth = expressions.evaluate_expression(condition, values)
+    if truth is not None and not isinstance(truth, bool):
+        raise SweepError(f"{condition.source}: expected a condition, found {truth!r}")
+    return truth is True
+
+
+def require_condition(records: RowRecords | None, parameters: Mapping[str, Any]) -> None:
+    """Refuse a condition that no row could answer.
+
+    Args:
+        records: With the condition, if there is one.
+        parameters: Of a row, by key.
+
+    Raises:
+        ExpressionError: Where it does not parse, or names what no row has.
+        SweepError: Where it is no condition.
+    """
+    condition = _parse_condition(records)
+    if condition is not None:
+        known = {"name": "", "stop_reason": "", **parameters}
+        judge_condition(condition, known | dict.fromkeys(_list_asked(condition), 1.0))

@@ -1,0 +1,320 @@
+"""A sweep: a plan of a base scenario's rows, simulated on all cores into one table."""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, overload
+
+from turtlelog.errors import ScenarioError, SweepError
+from turtlelog.measure import choose_metrics
+from turtlelog.processes import LONG_S, count_cores, map_in_processes
+from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
+from turtlelog.simulate import declare_scenario
+from turtlelog.sweep.assemble import assemble_table, list_valueless
+from turtlelog.sweep.plan import SweepPlan
+from turtlelog.sweep.result_table import ResultTable, read_result_table, write_result_table
+from turtlelog.sweep.resume import PartialResults, name_partial, require_same_sweep
+from turtlelog.sweep.simulate_rows import (
+    RowChunk,
+    RowRecords,
+    RowResults,
+    build_row_scenario,
+    require_condition,
+    simulate_rows,
+)
+from turtlelog.version import __version__
+
+_CHUNK_S: Final = 0.5
+"""Work in a chunk, as measured on the first row [s]: what an interruption costs at most."""
+
+_MOST_IN_CHUNK: Final = 1024
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweep:
+    """What a sweep is of; `prepare_sweep` makes one that can run.
+
+    Attributes:
+        base: The scenario that the rows vary, as text.
+        plan: Its rows.
+        metrics: Ids or patterns; None: the essential ones of each row's law.
+        records: Which runs are recorded; None: none.
+        law_code: A checksum of the file of a law that is not built in; empty otherwise.
+    """
+
+    base: str
+    plan: SweepPlan
+    metrics: tuple[str, ...] | None = None
+    records: RowRecords | None = None
+    law_code: str = ""
+
+    def list_facts(self) -> dict[str, str]:
+        """Return what makes two sweeps the same, as file metadata have it."""
+        where = None if self.records is None else (self.records.folder, self.records.where)
+        return {
+            "base": self.base,
+            "plan": self.plan.describe(),
+            "metrics": json.dumps(self.metrics),
+            "records": json.dumps(where),
+            "law_code": self.law_code,
+            "version": __version__,
+        }
+
+    def cut_chunk(self, first: int, count: int, *, ahead: int = 0) -> RowChunk:
+        """Return the work on some rows."""
+        return RowChunk(
+            base=self.base,
+            keys=self.plan.keys,
+            first=first,
+            values=tuple(map(self.plan.find_values, range(first, first + count))),
+            metrics=self.metrics,
+            records=self.records,
+            ahead=ahead,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepSummary:
+    """What a sweep came to.
+
+    Attributes:
+        output: The results.
+        rows: How many.
+        failed: How many of them failed.
+        samples: Of all runs together.
+        recorded: How many runs were recorded.
+        first_failure: The first reason with its row; empty where none failed.
+        valueless: Metrics of which no row has a value, with the statuses they have instead.
+    """
+
+    output: Path
+    rows: int
+    failed: int
+    samples: int
+    recorded: int = 0
+    first_failure: str = ""
+    valueless: Mapping[str, str] = field(default_factory=dict)
+
+
+def prepare_sweep(
+    base: Scenario,
+    plan: SweepPlan,
+    *,
+    metrics: Sequence[str] | None = None,
+    records: RowRecords | None = None,
+    trust_law: bool = False,
+) -> Sweep:
+    """Return a sweep of a base scenario, after the first, the middle and the last row were built.
+
+    Args:
+        base: What the rows vary.
+        plan: The rows.
+        metrics: Ids or patterns; None: the essential ones of each row's law.
+        records: Which runs are recorded.
+        trust_law: Whether a law that a recording names may run, too.
+
+    Raises:
+        ScenarioError: Where none of these rows makes a scenario, or the law may not run.
+        MeasureError: Where a metric is not known.
+        ExpressionError: Where the condition of the recordings cannot be judged.
+    """
+    trusted = True if trust_law else None
+    found, errors = [], []
+    for row in plan.list_probes():
+        try:
+            scenario = build_row_scenario(
+                base, plan.keys, plan.find_values(row), row, trust_law=trusted
+            )
+            found.append(resolve_scenario(scenario, trust_law=trust_law))
+        except ScenarioError as err:
+            errors.append(err)
+    if not found:
+        raise errors[0]
+    known = [flatten_scenario(one) for one in found]
+    real = {key for key in plan.keys if any(isinstance(one.get(key), float) for one in known)}
+    if metrics is not None:
+        for one in found:
+            choose_metrics(metrics, declare_scenario(one))
+    first = dict(zip(plan.keys, plan.find_values(0), strict=True))
+    require_condition(records, {**known[0], **first})
+    kinds = {one.law.kind for one in found} | {str(one.get("law.kind")) for one in known}
+    return Sweep(
+        base=format_scenario(base),
+        plan=plan.with_reals(real),
+        metrics=None if metrics is None else tuple(metrics),
+        records=records,
+        law_code=_sum_up_code(sorted(kinds)),
+    )
+
+
+def _sum_up_code(kinds: Sequence[str]) -> str:
+    """Return a checksum of the files of laws, empty where all are built in or modules."""
+    files = [Path(kind.rpartition(":")[0]) for kind in kinds if ".py:" in kind]
+    if not files:
+        return ""
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+def run_sweep(
+    sweep: Sweep,
+    output: str | Path,
+    *,
+    jobs: int | None = None,
+    watch: Callable[[int], None] | None = None,
+) -> SweepSummary:
+    """Simulate all rows of a sweep, write their table and return what came of it.
+
+    What is done is kept beside the output as it grows: the same sweep into the same file goes on
+    from there. Where the results are there already nothing is simulated.
+
+    Args:
+        sweep: What `prepare_sweep` made.
+        output: The Parquet file.
+        jobs: Processes; None: as many as cores where that is quicker.
+        watch: Called with the number of rows that are done.
+
+    Raises:
+        SweepError: Where the file is that of another sweep, another process works on it, or the
+            disk is full.
+        LogError: Where the results cannot be written.
+    """
+    output, facts = Path(output), sweep.list_facts()
+    if require_same_sweep(output, facts):
+        name_partial(output).unlink(missing_ok=True)
+        return _summarise(read_result_table(output, kind="sweep"), sweep, output)
+    partial = PartialResults(output, facts)
+    is_complete = False
+    try:
+        if sweep.records is not None and not partial.was_begun:
+            _require_empty(Path(sweep.records.folder))
+        _simulate(sweep, partial, jobs, watch or _ignore)
+        table = assemble_table(sweep.plan, facts, partial.done)
+        write_result_table(table, output)
+        is_complete = True
+    finally:
+        partial.close(is_complete=is_complete)
+    return _summarise(table, sweep, output)
+
+
+def _ignore(_: int) -> None:
+    """Do nothing."""
+
+
+def _require_empty(folder: Path) -> None:
+    if folder.is_dir() and any(folder.iterdir()):
+        raise SweepError(f"{folder}: expected a new folder for recordings, found one with files")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as err:
+        raise SweepError(
+            f"{folder}: expected the name of a folder to make, found: {err.strerror or err}"
+        ) from err
+
+
+def _simulate(
+    sweep: Sweep, partial: PartialResults, jobs: int | None, watch: Callable[[int], None]
+) -> None:
+    """Simulate the rows that are not done, the first of them alone to see how long one takes."""
+    done = sum(map(len, partial.done))
+    watch(done)
+    gaps = _list_gaps(partial.done, sweep.plan.row_count)
+    if not gaps:
+        return
+    first = gaps[0][0]
+    begun = time.perf_counter()
+    partial.add(simulate_rows(sweep.cut_chunk(first, 1)))
+    row_s = time.perf_counter() - begun
+    watch(done := done + 1)
+    rest = sweep.plan.row_count - done
+    jobs = jobs or (count_cores() if rest * row_s > LONG_S else 1)
+    size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // jobs)))
+    chunks = _Chunks(sweep, _list_gaps(partial.done, sweep.plan.row_count), size, rest // jobs)
+    for results in map_in_processes(simulate_rows, chunks, jobs, name=_name_chunk):
+        partial.add(results)
+        watch(done := done + len(results))
+
+
+def _list_gaps(done: Sequence[RowResults], count: int) -> list[tuple[int, int]]:
+    """Return the stretches of rows that are not done: the first row and the one after the last."""
+    gaps, row = [], 0
+    for part in sorted(done, key=lambda part: part.first):
+        if part.first > row:
+            gaps.append((row, part.first))
+        row = part.first + len(part)
+    return [*gaps, (row, count)] if row < count else gaps
+
+
+class _Chunks(Sequence[RowChunk]):
+    """The work on stretches of rows, cut when it is asked for."""
+
+    def __init__(
+        self, sweep: Sweep, gaps: Sequence[tuple[int, int]], size: int, ahead: int
+    ) -> None:
+        self._sweep, self._ahead = sweep, ahead
+        self._cuts = [
+            (first, min(size, end - first))
+            for begin, end in gaps
+            for first in range(begin, end, size)
+        ]
+
+    def __len__(self) -> int:
+        return len(self._cuts)
+
+    @overload
+    def __getitem__(self, place: int) -> RowChunk: ...
+    @overload
+    def __getitem__(self, place: slice) -> list[RowChunk]: ...
+    def __getitem__(self, place: int | slice) -> RowChunk | list[RowChunk]:
+        if isinstance(place, slice):
+            return [self[number] for number in range(*place.indices(len(self)))]
+        return self._sweep.cut_chunk(*self._cuts[place], ahead=self._ahead)
+
+
+def _name_chunk(chunk: RowChunk) -> str:
+    return f"rows {chunk.first} to {chunk.first + len(chunk.values) - 1}"
+
+
+def _summarise(table: ResultTable, sweep: Sweep, output: Path) -> SweepSummary:
+    reasons = table.find("failed")
+    failed = [
+        (row, text) for row, text in enumerate(reasons.cells if reasons else ()) if text is not None
+    ]
+    return SweepSummary(
+        output=output,
+        rows=table.row_count,
+        failed=len(failed),
+        samples=int(table.facts["samples"]),
+        recorded=int(table.facts["recorded"]),
+        first_failure=f"row {failed[0][0]}: {failed[0][1]}" if failed else "",
+        valueless=list_valueless(table, sweep.metrics or ()),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepEstimate:
+    """What a sweep will take, measured on a few of its rows.
+
+    Attributes:
+        seconds: On so many processes as were asked for [s].
+        most_bytes: The table takes no more than about this [bytes].
+    """
+
+    seconds: float
+    most_bytes: int
+
+
+def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
+    """Simulate a few rows and return what all of them will take."""
+    count, jobs = sweep.plan.row_count, jobs or count_cores()
+    probes = sweep.plan.list_probes()
+    for row in probes:  # what is loaded once is not counted for every row
+        found = simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
+    begun = time.perf_counter()
+    for row in probes:
+        simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
+    row_s = (time.perf_counter() - begun) / len(probes)
+    numbers = 1 + len(sweep.plan.keys) + len(found.metrics)
+    return SweepEstimate(seconds=row_s * count / jobs, most_bytes=8 * numbers * count)
