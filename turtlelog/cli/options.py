@@ -239,7 +239,20 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
             raise UsageError(f"{path}: expected {expected}, found none in it")
         base = tl.scenario.restore_scenario(run)
         declared = None if named else run.declaration
-    scenario, said = base, []
+    return apply_options(base, options, declared)
+
+
+def apply_options(
+    base: "Scenario", options: LawOptions | None, declared: "Declaration | None" = None
+) -> "Scenario":
+    """Return a scenario with the options applied, under a name that tells them.
+
+    Args:
+        base: To be changed.
+        options: The changes.
+        declared: What its law declares, where a recording tells; otherwise the law is asked.
+    """
+    options, scenario, said = options or LawOptions(), base, []
     if options.law is not None:
         scenario = tl.override_scenario(base, {"law.kind": options.law}, source="--law")
         said = [_tell(f"law={options.law}")]

@@ -31,6 +31,7 @@ from turtlelog.cli.output import (
     print_text,
 )
 from turtlelog.cli.progress import Progress, show_progress, watch_ticks
+from turtlelog.cli.table_row import RowOptions
 from turtlelog.cli.targets import require_new_target
 from turtlelog.cli.watch import describe_change, list_watched, watch_runs
 from turtlelog.errors import SimulationError, UsageError
@@ -96,7 +97,8 @@ class RecordOptions:
         rrd: Write a Rerun recording to this .rrd file.
         strip_scenario: Leave the scenario out of what is written, and call the run by its file: a
             riddle for `turtlelog explain`.
-        trust_law: Run the code of the law that a recording names, where it is not built in.
+        trust_law: Run the code of the law that a recording or table names, where it is not built
+            in.
     """
 
     output: Output = None
@@ -110,6 +112,7 @@ def run(
     /,
     *,
     options: LawOptions | None = None,
+    source: RowOptions | None = None,
     record: RecordOptions | None = None,
     live: LiveOptions | None = None,
     json: Json = False,
@@ -132,11 +135,13 @@ def run(
             scenario is simulated again. Without one paper, and with --law textbook.
         json: Print one JSON object instead of tables.
     """
-    record, live = record or RecordOptions(), live or LiveOptions()
+    record, live, source = record or RecordOptions(), live or LiveOptions(), source or RowOptions()
     _require_sound(scenario, record, live, json=json)
     if live.watch:
+        if source.table is not None:
+            raise UsageError("--watch: expected a scenario that can change, found --from")
         return _watch(scenario, options or LawOptions(), record, live)
-    chosen = _resolve(load_changed_scenario(scenario, options), options, record)
+    chosen = _resolve(source.load(scenario, options), options, record)
     with _open_viewer(live) as (window, url):
         result = _run(chosen, record, live, url)
         code = _answer(result, record, is_recorded=live.realtime, json=json)

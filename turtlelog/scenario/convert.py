@@ -110,7 +110,7 @@ def resolve_law(choice: LawChoice, *, trust_law: bool = False) -> LawChoice:
     if choice.kind not in LAWS and not (table.is_trusted or trust_law):
         raise ScenarioError(
             f"{table.sources[0]}: law.kind: expected a built-in law, or --trust-law (in Python and"
-            " pytest trust_law=True) to run the code that the recording names,"
+            " pytest trust_law=True) to run the code that the file names,"
             f" found {describe_value(choice.kind, longest=_LONGEST_KIND)}"
         )
     try:

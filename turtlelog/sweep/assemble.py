@@ -116,15 +116,14 @@ def load_row_scenario(path: str | Path, row: int) -> Scenario:
     """
     whole = read_result_table(path, kind="sweep", columns=["row"])
     if not 0 <= row < whole.row_count:
-        found = f"{whole.row_count} rows" if whole.row_count else "none"
         last = whole.row_count - 1
-        raise SweepError(f"{path}: expected a row from 0 to {last}, found {row} ({found})")
+        raise SweepError(f"{path}: expected a row from 0 to {last}, found {row}")
     try:
         keys, text = json.loads(whole.facts["varied"]), whole.facts["base"]
         columns = read_result_table(path, kind="sweep", columns=keys).columns
         tables = parse_toml(text)
     except (KeyError, ValueError) as err:
         raise LogError(f"{path}: expected the base scenario of a sweep, found none") from err
-    base = build_scenario(tables, source=f"{path}", trust_law=False)
+    base = build_scenario(tables, source=f"{path}")
     values = [column.cells[row] for column in columns]
-    return build_row_scenario(base, keys, values, row, trust_law=False)
+    return build_row_scenario(base, keys, values, row, source=f"{path}", trust_law=False)

@@ -3,15 +3,18 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal
+from fractions import Fraction
 from typing import Any, Final, overload
 
 from turtlelog.errors import ScenarioError, SweepError
 from turtlelog.scenario import parse_assignments
 from turtlelog.sweep.result_table import choose_type
 
-_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?"
+_NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,2})?"
 _RANGE: Final = re.compile(rf"({_NUMBER})\s*:\s*({_NUMBER})(?:\s*:\s*({_NUMBER}))?")
+MOST_ROWS: Final = 100_000_000
+"""Rows of one table: a column of numbers takes 1 GB of memory when it is written."""
+
 _EXPECTED: Final = "KEY=A:B, KEY=A:B:STEP or KEY=VALUE,VALUE"
 
 
@@ -22,8 +25,8 @@ class Steps(Sequence[float]):
     Each is the double nearest to the decimal number, as if it had been typed.
     """
 
-    first: Decimal
-    step: Decimal
+    first: Fraction
+    step: Fraction
     length: int
     is_whole: bool
 
@@ -91,27 +94,30 @@ def parse_key_values(text: str, *, source: str, is_sampled: bool = False) -> Key
 
 
 def _build_steps(first: str, last: str, step: str | None, *, place: str) -> Steps:
-    low, high, width = Decimal(first), Decimal(last), Decimal(step or 1)
+    low, high, width = Fraction(first), Fraction(last), Fraction(step or 1)
     if not width:
         raise SweepError(f"{place}: expected a step other than 0, found {step}")
     steps, rest = divmod(high - low, width)
-    if (high - low) * width < 0:
+    if steps < 0:
         raise SweepError(f"{place}: expected at least one value, found none from {first} to {last}")
+    if steps >= MOST_ROWS:
+        raise SweepError(f"{place}: expected at most {MOST_ROWS:,} values, found {steps + 1:,}")
     if rest:
-        near = low + width * steps
+        near, beyond = (f"{float(low + width * count):.12g}" for count in (steps, steps + 1))
+        step = step or "1"
         raise SweepError(
-            f"{place}: expected steps of {width} that lead from {first} to {last}, found that they"
-            f" lead to {near}: {first}:{near}:{width} or {first}:{near + width}:{width}"
+            f"{place}: expected steps of {step} that lead from {first} to {last}, found that they"
+            f" lead to {near}: {first}:{near}:{step} or {first}:{beyond}:{step}"
         )
     return Steps(low, width, int(steps) + 1, _are_whole(first, last, step))
 
 
 def _span(first: str, last: str, _: str | None, *, place: str) -> Steps:
     """Return both ends of a range."""
-    width = Decimal(last) - Decimal(first)
+    width = Fraction(last) - Fraction(first)
     if width < 0:
         raise SweepError(f"{place}: expected a range from low to high, found {first}:{last}")
-    return Steps(Decimal(first), width, 2, is_whole=False)
+    return Steps(Fraction(first), width, 2, is_whole=False)
 
 
 def _are_whole(*texts: str | None) -> bool:

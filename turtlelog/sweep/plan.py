@@ -10,10 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SweepError
-from turtlelog.sweep.grid import KeyValues, Steps, parse_key_values
-
-MOST_ROWS: Final = 100_000_000
-"""Rows of one table: a column of numbers takes 1 GB of memory when it is written."""
+from turtlelog.sweep.grid import MOST_ROWS, KeyValues, Steps, parse_key_values
 
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 

@@ -124,6 +124,7 @@ def build_row_scenario(
     values: Sequence[Any],
     row: int,
     *,
+    source: str = "grid",
     trust_law: bool | None = None,
 ) -> Scenario:
     """Return the scenario of a row, named after it. Loads no code.
@@ -133,6 +134,7 @@ def build_row_scenario(
         keys: That vary.
         values: Of the row.
         row: Its number.
+        source: Begins error lines.
         trust_law: As in `override_scenario`.
 
     Raises:
@@ -141,8 +143,8 @@ def build_row_scenario(
     changes = dict(zip(keys, values, strict=True))
     if "law.kind" in changes:  # another law has other keys: it is chosen before any of them is set
         kind = {"law.kind": changes.pop("law.kind")}
-        base = override_scenario(base, kind, source="grid", trust_law=trust_law)
-    changed = override_scenario(base, changes, source="grid", trust_law=trust_law)
+        base = override_scenario(base, kind, source=source, trust_law=trust_law)
+    changed = override_scenario(base, changes, source=source, trust_law=trust_law)
     return changed if "name" in changes else replace(changed, name=f"{base.name} row {row}")
 
 
