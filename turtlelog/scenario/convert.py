@@ -248,22 +248,35 @@ def _require_law_name(kind: str, source: str) -> None:
 
 def _require_sound(table: Mapping[str, Any], kind: type, prefix: str, source: str) -> None:
     """Refuse unknown keys and nan or inf, which msgspec lets pass."""
-    hints = get_type_hints(kind)
-    unlimited = {
-        one.name
-        for one in dataclasses.fields(kind)
-        if one.default == math.inf or one.metadata.keys() & MAY_BE_INFINITE.keys()
-    }
+    known = _list_keys(kind)
     for key, value in table.items():
-        place = f"{prefix}{name_key(key)}"
-        if key not in hints:
-            raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(hints))}")
-        inner = _find_table(hints[key])
+        if key not in known:
+            place = f"{prefix}{name_key(key)}"
+            raise ScenarioError(f"{source}: {place}: {describe_unknown_key(key, list(known))}")
+        inner, may_be_infinite = known[key]
         if isinstance(value, Mapping) and inner is not None:
-            _require_sound(value, inner, f"{place}.", source)
-        infinite = isinstance(value, float) and math.isinf(value) and key not in unlimited
+            _require_sound(value, inner, f"{prefix}{name_key(key)}.", source)
+        infinite = isinstance(value, float) and math.isinf(value) and not may_be_infinite
         if isinstance(value, float) and (math.isnan(value) or infinite):
+            place = f"{prefix}{name_key(key)}"
             raise ScenarioError(f"{source}: {place}: expected a finite number, found {value}")
+
+
+_KEYS: Final[dict[type, dict[str, tuple[type | None, bool]]]] = {}
+
+
+def _list_keys(kind: type) -> Mapping[str, tuple[type | None, bool]]:
+    """Return the keys of a table: which table each may hold itself, and whether it may be inf."""
+    if kind not in _KEYS:
+        unlimited = {
+            one.name
+            for one in dataclasses.fields(kind)
+            if one.default == math.inf or one.metadata.keys() & MAY_BE_INFINITE.keys()
+        }
+        _KEYS[kind] = {
+            key: (_find_table(hint), key in unlimited) for key, hint in get_type_hints(kind).items()
+        }
+    return _KEYS[kind]
 
 
 def _find_table(hint: Any) -> type | None:
