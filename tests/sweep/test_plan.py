@@ -91,7 +91,7 @@ def test_last_key_of_a_grid_is_the_fastest_and_zipped_keys_come_last() -> None:
             "--zip: expected as many values of each key, found 2 of a, 3 of b",
         ),
         (["a=1:10000", "b=1:10001"], [], f"expected at most {MOST_ROWS:,} rows"),
-        (["a=0:1:1e-200"], [], f"expected at most {MOST_ROWS:,} values"),
+        (["a=0:1:1e-99"], [], f"expected at most {MOST_ROWS:,} values"),
     ],
 )
 def test_plan_without_sense_is_refused(grid: list[str], zipped: list[str], message: str) -> None:

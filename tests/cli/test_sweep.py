@@ -1,0 +1,191 @@
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from turtlelog.cli import sweep as sweep_command
+from turtlelog.cli.progress import Rate
+from turtlelog.sweep import read_result_table
+
+GRID = ("--grid", "law.kp_linear=1:2")
+
+
+@pytest.fixture(autouse=True)
+def _stay_in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_sweep_answers_in_one_line_and_in_json(call: Call) -> None:
+    done = call("sweep", "textbook", *GRID, "-o", "t.parquet")
+    assert (done.code, done.err) == (0, "")
+    assert done.out.startswith("t.parquet: 2 rows, 0 failed, 1,")
+    told = call("sweep", "textbook", *GRID, "-o", "u.parquet", "--json").json
+    assert told | {"elapsed_s": 0, "samples": 0} == {
+        "output": "u.parquet",
+        "rows": 2,
+        "failed": 0,
+        "samples": 0,
+        "recorded": 0,
+        "elapsed_s": 0,
+    }
+    runs = [
+        tl.simulate_run(tl.override_scenario(tl.load_scenario("textbook"), {"law.kp_linear": kp}))
+        for kp in (1.0, 2.0)
+    ]
+    assert told["samples"] == sum(len(run.samples) for run in runs)
+    assert told["elapsed_s"] > 0
+
+
+def test_failed_rows_are_told_and_are_no_failure_of_the_sweep(call: Call) -> None:
+    words = ("sweep", "textbook", "--grid", "law.kp_linear=-1:1", "-o", "t.parquet")
+    done = call(*words, "--metrics", "run.duration,align.overshoot")
+    assert done.code == 0
+    assert done.err.splitlines() == [
+        "metric align.overshoot: no row has a value (no_phase)",
+        "2 rows failed, the first: row 0: grid: law.kp_linear: expected a number > 0, found -1.0",
+    ]
+
+
+def test_base_is_a_preset_a_file_or_a_recording(call: Call, tmp_path: Path, kp4: Path) -> None:
+    base = tl.load_scenario("paper-kp4")
+    (tmp_path / "kp4.toml").write_text(tl.format_scenario(base))
+    tables = []
+    for number, name in enumerate(("paper-kp4", "kp4.toml", str(kp4))):
+        done = call("sweep", name, *GRID, "--set", "max_duration_s=9", "-o", f"{number}.parquet")
+        assert done.code == 0, done.err
+        tables.append(read_result_table(f"{number}.parquet", kind="sweep").columns)
+    assert tables[0] == tables[1] == tables[2]
+
+
+def test_identified_robot_is_swept(call: Call, tmp_path: Path) -> None:
+    robot = tmp_path / "robot.mcap"
+    tl.write_recording(tl.simulate_run(tl.load_scenario("lagged")), robot)
+    assert call("identify", robot, "--scenario", "robot.toml").code == 0
+    done = call("sweep", "robot.toml", *GRID, "-o", "t.parquet", "--metrics", "run.duration")
+    assert done.out.startswith("t.parquet: 2 rows, 0 failed, "), done.err
+
+
+def test_row_of_a_table_is_run(call: Call) -> None:
+    words = ("--metrics", "translate.settling_time", "-o", "t.parquet")
+    assert call("sweep", "paper-kp4", *GRID, *words).code == 0
+    told = call("run", "--from", "t.parquet", "--row", "1", "--json").json
+    assert told["name"] == "paper-kp4 row 1"
+    (found,) = [one for one in told["metrics"] if one["id"] == "translate.settling_time"]
+    column = read_result_table("t.parquet", kind="sweep").find("translate.settling_time")
+    assert column is not None
+    assert found["value"] == column.cells[1]
+    changed = call("run", "--from", "t.parquet", "--row", "1", "--set", "goal.x_m=3", "--json")
+    assert changed.json["name"] == "paper-kp4 row 1 goal.x_m=3"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--from", "t.parquet"), "--from: expected --row beside it, found none"),
+        (("--row", "1"), "--row: expected --from beside it, found none"),
+        (("--from", "t.parquet", "--row", "2"), "t.parquet: expected a row from 0 to 1, found 2"),
+        (("paper", "--from", "t.parquet", "--row", "0"), "expected no scenario beside it"),
+        (("--from", "t.parquet", "--row", "0", "--watch"), "--watch: expected a scenario that can"),
+        (("--from", "none.parquet", "--row", "0"), "none.parquet: expected a complete Parquet"),
+    ],
+)
+def test_row_that_cannot_be_run_is_one_line(
+    words: tuple[str, ...], message: str, call: Call
+) -> None:
+    assert call("sweep", "textbook", *GRID, "-o", "t.parquet").code == 0
+    done = call("run", *words)
+    assert done.code == 2
+    assert done.err.startswith("turtlelog: error: ")
+    assert message in done.err
+    assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "--grid: expected a key to vary, found none"),
+        (("--grid", "law.kp_linear=2:1"), "expected at least one value, found none from 2 to 1"),
+        (("--grid", "law.kp=1:2"), "grid: law.kp: expected kp_angular or kp_linear, found an"),
+        (("--grid", "kp_linear=1:2"), "grid: kp_linear: expected law.kp_linear, found no such key"),
+        (("--grid", "law.kp_linear=-2:-1"), "law.kp_linear: expected a number > 0, found -2"),
+        ((*GRID, "--metrics", "rotate.overshot"), "metric 'rotate.overshot': expected one like"),
+        ((*GRID, "--metrics", "a,"), "--metrics: expected ids separated by commas, found 'a,'"),
+        ((*GRID, "--seed", "1"), "--seed: expected --sample beside it, found none"),
+        ((*GRID, "--latin"), "--latin: expected --sample beside it, found none"),
+        ((*GRID, "--sample", "0"), "--sample: expected at least 1, found 0"),
+        ((*GRID, "--record-where", "1 > 2"), "--record-where: expected --record beside it"),
+        ((*GRID, "--set", "law.kp_linear=3"), "--set: expected keys that are not varied, found"),
+        ((*GRID, "--jobs", "0"), "--jobs: expected at least 1 process, found 0"),
+        ((*GRID, "-o", "t.csv"), "t.csv: expected a name that ends in .parquet, found another"),
+        ((*GRID, "-o", "none/t.parquet"), "expected a place that can be written, found no such"),
+        (("--grid", "law.kp_linear=1:1000:0.0001"), "9,990,001 rows: about "),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: tuple[str, ...], message: str, call: Call, tmp_path: Path
+) -> None:
+    output = () if "-o" in words else ("-o", "t.parquet")
+    done = call("sweep", "textbook", *words, *output)
+    assert done.code == 2
+    assert done.err.startswith("turtlelog: error: ")
+    assert message in done.err
+    assert done.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_many_rows_are_announced_and_need_consent(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("sweep", "textbook", *GRID, "-o", "t.parquet")
+    monkeypatch.setattr(sweep_command, "_MANY_ROWS", 1)
+    done = call(*words)
+    assert done.code == 2
+    assert "2 rows: about 0:00:0" in done.err
+    assert "expected --yes to go on, found no terminal to ask at" in done.err
+    assert call(*words, "--yes").code == 0
+    monkeypatch.setattr(sweep_command, "_MANY_ROWS", 2)
+    assert call("sweep", "textbook", *GRID, "-o", "u.parquet").code == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such terminals")
+@pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 2), ("\n", 2)])
+def test_consent_is_asked_for_at_a_terminal(answer: str, code: int, tmp_path: Path) -> None:
+    program = (
+        "from turtlelog.cli import sweep\nfrom turtlelog.cli.app import main\n"
+        "sweep._MANY_ROWS = 1\nmain()\n"
+    )
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-c", program, "sweep", "textbook", *GRID, "-o", "t.parquet"],
+        stdin=theirs,
+        stderr=theirs,
+        stdout=subprocess.PIPE,
+        cwd=tmp_path,
+    ) as asked:
+        os.close(theirs)
+        text = b""
+        while b"Go on? [y/N]" not in text:
+            text += os.read(ours, 1000)
+        os.write(ours, answer.encode())
+        assert asked.wait(60) == code
+    os.close(ours)
+    assert b"2 rows: about 0:00:01, and at most 0 MB in t.parquet" in text
+    assert (tmp_path / "t.parquet").exists() == (code == 0)
+
+
+def test_rate_and_time_left_count_from_where_a_sweep_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [10.0]
+    monkeypatch.setattr("turtlelog.cli.progress.time.monotonic", lambda: now[0])
+    rate = Rate()
+    assert rate.describe(50, 150) == ""
+    now[0] = 12.0
+    assert rate.describe(50, 150) == ""
+    assert rate.describe(60, 150) == ", 5.0/s, 0:00:18 left"
+    assert rate.describe(70, 150) == ", 10/s, 0:00:08 left"

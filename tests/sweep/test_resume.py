@@ -1,0 +1,252 @@
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from turtlelog.sweep import (
+    RowRecords,
+    Sweep,
+    build_plan,
+    prepare_sweep,
+    run_sweep,
+    simulate_rows,
+    sweep_rows,
+)
+from turtlelog.sweep.resume import PartialResults, name_partial
+
+GRID = ("law.kp_linear=0.5:4:0.5", "loop.transport_delay_ticks=0:4")
+WORDS = (*("--grid", GRID[0]), *("--grid", GRID[1]), "--metrics", "final.*")
+
+
+def prepare(*grid: str, metrics: str = "final.*", records: RowRecords | None = None) -> Sweep:
+    base = tl.override_scenario(tl.load_scenario("paper-kp4"), {"loop.loss_probability": 0.05})
+    return prepare_sweep(base, build_plan(grid or GRID), metrics=[metrics], records=records)
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> bytes:
+    """Return the table of a sweep that nothing interrupted."""
+    (tmp_path / "other").mkdir()
+    run_sweep(prepare(), tmp_path / "other" / "t.parquet", jobs=1)
+    return (tmp_path / "other" / "t.parquet").read_bytes()
+
+
+def stop_after(count: int) -> Callable[[int], None]:
+    def watch(done: int) -> None:
+        if done >= count:
+            raise KeyboardInterrupt
+
+    return watch
+
+
+def interrupt(sweep: Sweep, output: Path, *, after: int) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(sweep, output, jobs=1, watch=stop_after(after))
+
+
+@pytest.fixture
+def simulated(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Return the list of all rows that are simulated from here on, in this process."""
+    rows: list[int] = []
+
+    def count_rows(chunk: simulate_rows.RowChunk) -> simulate_rows.RowResults:
+        rows.extend(range(chunk.first, chunk.first + len(chunk.values)))
+        return simulate_rows.simulate_rows(chunk)
+
+    monkeypatch.setattr(sweep_rows, "simulate_rows", count_rows)
+    return rows
+
+
+def test_interrupted_sweep_goes_on_with_nothing_repeated_or_lost(
+    whole: bytes, simulated: list[int], tmp_path: Path
+) -> None:
+    output = tmp_path / "t.parquet"
+    interrupt(prepare(), output, after=1)
+    interrupt(prepare(), output, after=15)
+    assert not output.exists()
+    assert name_partial(output).exists()
+    run_sweep(prepare(), output, jobs=1)
+    assert sorted(simulated) == list(range(40))
+    assert output.read_bytes() == whole
+    assert not name_partial(output).exists()
+
+
+def test_finished_sweep_is_not_simulated_again(simulated: list[int], tmp_path: Path) -> None:
+    output = tmp_path / "t.parquet"
+    first = run_sweep(prepare("law.kp_linear=-1:2"), output)
+    before, rows = output.read_bytes(), len(simulated)
+    assert run_sweep(prepare("law.kp_linear=-1:2"), output) == first
+    assert (output.read_bytes(), len(simulated)) == (before, rows)
+
+
+@pytest.mark.parametrize("lost", [1, 9, 200])
+def test_part_that_was_cut_off_while_it_was_written_is_done_again(
+    lost: int, whole: bytes, simulated: list[int], tmp_path: Path
+) -> None:
+    output = tmp_path / "t.parquet"
+    interrupt(prepare(), output, after=15)
+    partial = name_partial(output)
+    partial.write_bytes(partial.read_bytes()[:-lost])
+    run_sweep(prepare(), output, jobs=1)
+    assert output.read_bytes() == whole
+    assert len(simulated) > 40
+
+
+def test_partial_file_that_was_cut_in_its_head_is_begun_again(whole: bytes, tmp_path: Path) -> None:
+    output = tmp_path / "t.parquet"
+    interrupt(prepare(), output, after=1)
+    partial = name_partial(output)
+    for size in (0, 5, 20, 60):
+        partial.write_bytes(partial.read_bytes()[:size])
+        run_sweep(prepare(), output, jobs=1)
+        assert output.read_bytes() == whole
+        output.unlink()
+        interrupt(prepare(), output, after=1)
+
+
+def start(folder: Path, *words: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "turtlelog", "sweep", "paper-kp4", *WORDS, *words],
+        cwd=folder,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+NOISE = ("--set", "loop.loss_probability=0.05", "--jobs", "2")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_sweep_that_is_ended_from_outside_goes_on(how: signal.Signals, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    whole = start(tmp_path / "other", "-o", "t.parquet", *NOISE)
+    assert whole.communicate(timeout=60)[0].startswith("t.parquet: 40 rows")
+    ended = start(tmp_path, "-o", "t.parquet", *NOISE)
+    partial = tmp_path / "t.parquet.partial"
+    limit = time.monotonic() + 30
+    while not (partial.exists() and partial.stat().st_size > 900) and time.monotonic() < limit:
+        time.sleep(0.002)
+    ended.send_signal(how)
+    _, err = ended.communicate(timeout=30)
+    if how == signal.SIGINT:
+        assert ended.returncode == 130
+        assert "of 40 rows are done; the same command goes on\n" in err
+    assert partial.exists()
+    again = start(tmp_path, "-o", "t.parquet", *NOISE)
+    out, _ = again.communicate(timeout=60)
+    assert out.startswith("t.parquet: 40 rows, 0 failed")
+    assert (tmp_path / "t.parquet").read_bytes() == (tmp_path / "other/t.parquet").read_bytes()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
+@pytest.mark.parametrize(
+    ("most_bytes", "message"),
+    [
+        (
+            1200,
+            "t.parquet.partial: expected room for what is done, found: File too large; the same"
+            " command goes on from there",
+        ),
+        (4000, "t.parquet: expected a place that can be written, found: File too large"),
+    ],
+    ids=["of the rows", "of the table"],
+)
+def test_full_disk_is_one_line_and_the_sweep_goes_on(
+    most_bytes: int, message: str, tmp_path: Path
+) -> None:
+    code = (
+        "import resource, signal\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({most_bytes}, {most_bytes}))\n"
+        "from turtlelog.cli.app import main\n"
+        "main()\n"
+    )
+    words = ["sweep", "paper-kp4", *WORDS, *("--jobs", "1"), "-o", "t.parquet"]
+    full = subprocess.run(
+        [sys.executable, "-c", code, *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert full.returncode == 2
+    assert full.stderr == f"turtlelog: error: {message}\n"
+    again = start(tmp_path, *("--jobs", "1", "-o", "t.parquet"))
+    assert again.communicate(timeout=60)[0].startswith("t.parquet: 40 rows, 0 failed")
+
+
+def test_results_and_partial_file_of_another_sweep_are_refused(tmp_path: Path) -> None:
+    output = tmp_path / "t.parquet"
+    interrupt(prepare(), output, after=1)
+    with pytest.raises(tl.SweepError, match="found what is done of a sweep with another plan"):
+        run_sweep(prepare("law.kp_linear=1:2"), output)
+    run_sweep(prepare(), output)
+    with pytest.raises(tl.SweepError, match="found the results of a sweep with another choice of"):
+        run_sweep(prepare(metrics="run.*"), output)
+
+
+@pytest.mark.parametrize("name", ["t.parquet", "t.parquet.partial"])
+def test_file_that_is_no_sweeps_is_not_replaced(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"somebody's\n")
+    with pytest.raises((tl.SweepError, tl.LogError), match=name):
+        run_sweep(prepare("law.kp_linear=1:2"), tmp_path / "t.parquet")
+    assert (tmp_path / name).read_bytes() == b"somebody's\n"
+
+
+def test_changed_code_of_the_law_is_another_sweep(tmp_path: Path) -> None:
+    law = tmp_path / "own.py"
+    law.write_text(_LAW)
+    base = tl.override_scenario(
+        tl.load_scenario("textbook"), {"law.kind": f"{law}:Own", "max_duration_s": 1.0}
+    )
+    plan = build_plan(["goal.x_m=2:4"])
+    output = tmp_path / "t.parquet"
+    interrupt(prepare_sweep(base, plan), output, after=1)
+    law.write_text(f"{_LAW}# changed\n")
+    with pytest.raises(tl.SweepError, match="of a sweep with another code of the law"):
+        run_sweep(prepare_sweep(base, plan), output)
+
+
+_LAW = """
+from dataclasses import dataclass
+from turtlelog.laws import Decision
+class Own:
+    @dataclass(frozen=True)
+    class Parameters:
+        gain: float = 1.0
+    def __init__(self, parameters): pass
+    def reset(self, start, goal, path=None): pass
+    def step(self, time_ns, pose): return Decision(speed_m_s=0.1, turn_rate_rad_s=0.2)
+"""
+
+
+def test_two_sweeps_into_one_file_at_once_are_refused(tmp_path: Path) -> None:
+    output = tmp_path / "t.parquet"
+    sweep = prepare("law.kp_linear=1:2")
+    partial = PartialResults(output, sweep.list_facts())
+    try:
+        with pytest.raises(tl.SweepError, match="found another sweep at work on it"):
+            run_sweep(sweep, output)
+    finally:
+        partial.close()
+    run_sweep(sweep, output)
+    assert output.exists()
+
+
+def test_folder_of_recordings_must_be_new_but_where_a_sweep_goes_on(tmp_path: Path) -> None:
+    folder, output = tmp_path / "runs", tmp_path / "t.parquet"
+    sweep = prepare("law.kp_linear=1:4", records=RowRecords(folder=str(folder)))
+    interrupt(sweep, output, after=1)
+    run_sweep(sweep, output)
+    assert [path.name for path in sorted(folder.iterdir())] == [
+        f"row-00000{row}.mcap" for row in range(4)
+    ]
+    with pytest.raises(tl.SweepError, match="expected a new folder for recordings, found one with"):
+        run_sweep(sweep, tmp_path / "other.parquet")
