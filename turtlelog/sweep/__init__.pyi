@@ -1,10 +1,23 @@
 from .assemble import (
     load_row_scenario as load_row_scenario,
 )
+from .find_recordings import (
+    FoundRecording as FoundRecording,
+    find_recordings as find_recordings,
+from .metric_rows import (
+    describe_values as describe_values,
+    plan_metric_table as plan_metric_table,
+)
 from .plan import (
     Sampling as Sampling,
     SweepPlan as SweepPlan,
     build_plan as build_plan,
+)
+from .recordings import (
+    RecordingTable as RecordingTable,
+    TabulatedFiles as TabulatedFiles,
+    describe_former as describe_former,
+    tabulate_recordings as tabulate_recordings,
 )
 from .result_table import (
     ResultColumn as ResultColumn,

@@ -1,0 +1,198 @@
+"""The recordings below folders: which files and folders count as one, in a steady order."""
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from turtlelog.errors import LogError
+from turtlelog.log.engine.opening import BAG_SUFFIXES
+from turtlelog.log.error_boundary import open_file
+from turtlelog.log.importers.exported_tables import list_table_files
+from turtlelog.log.ros2.bag_metadata import METADATA_FILE
+
+ENDINGS: Final = (*BAG_SUFFIXES, ".csv", ".json", ".parquet", ".tsv", ".tum")
+"""How files end that count as recordings. Not .txt, which may be read where it is named: most are
+prose."""
+
+_BAG_MARK: Final = b"rosbag2_bagfile_information"
+_TABLE_MARK: Final = b"turtlelog.kind"
+_MOST_FOOTER: Final = 2**24
+"""Bytes of what a Parquet file says about itself: the tables of all metrics have 0.1 MB."""
+
+_HEAD_BYTES: Final = 4096
+"""Of metadata.yaml, whose first key is the mark."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoundRecording:
+    """A recording to be read, as it was when it was found.
+
+    Attributes:
+        path: Of the file or folder.
+        label: What tables call it: relative to the folder given, with slashes; with several
+            folders, and of a file given by name, as given. What is no Unicode is escaped.
+        size: Of the file, or of all in the bag's folder [bytes]; -1 where it cannot be seen.
+        mtime_ns: When it changed last, of a folder its newest file [ns]; -1 likewise.
+    """
+
+    path: str
+    label: str
+    size: int
+    mtime_ns: int
+
+
+def find_recordings(
+    paths: Sequence[str | Path], *, without: Iterable[str | Path] = ()
+) -> list[FoundRecording]:
+    """Return the recordings that are given and those below folders, each path once.
+
+    Names are sorted in each folder. Names that begin with a dot and `__pycache__` are left out. A
+    bag's folder and one of exported tables are one recording. A link to a folder is followed where
+    it leads out of the folders given, and no folder is walked twice. A folder that cannot be listed
+    counts as a recording, which then cannot be read.
+
+    Args:
+        paths: Files, bags and folders.
+        without: Files that are no recordings, such as the table that is to be written.
+
+    Raises:
+        LogError: Where a folder holds no recording.
+    """
+    walk = _Walk(paths, without)
+    is_one = len({os.path.realpath(path) for path in paths}) == 1
+    found: dict[str, FoundRecording] = {}
+    labels: set[str] = set()
+    for path in map(Path, paths):
+        count = 0
+        for one in walk.list_below(path):
+            count += 1
+            place = str(one.absolute())
+            if place not in found:
+                label = _name_apart(_label(one, path if is_one else None), labels)
+                size, mtime_ns = stat_recording(one)
+                found[place] = FoundRecording(str(one), label, size, mtime_ns)
+        if not count:
+            endings = ", ".join(ENDINGS)
+            raise LogError(
+                f"{path}: expected recordings in the folder ({endings} or bags), found none"
+            )
+    return list(found.values())
+
+
+class _Walk:
+    def __init__(self, paths: Sequence[str | Path], without: Iterable[str | Path]) -> None:
+        self._roots = [os.path.realpath(path) for path in paths]
+        self._without = {os.path.realpath(path) for path in without}
+        self._seen: set[str] = set()
+
+    def list_below(self, root: Path) -> Iterator[Path]:
+        """Yield the paths of recordings; of a file or bag itself."""
+        self._seen.clear()
+        # A stack of its own: folders may be nested deeper than Python calls.
+        waiting = [root]
+        while waiting:
+            path = waiting.pop()
+            if not _is_folder(path):
+                yield path
+            elif self._enter(path, is_root=path == root):
+                if _is_one_recording(path):
+                    yield path
+                    continue
+                try:
+                    inside = sorted(path.iterdir(), key=lambda one: one.name, reverse=True)
+                except OSError:
+                    yield path
+                else:
+                    waiting += filter(self._counts, inside)
+
+    def _enter(self, path: Path, *, is_root: bool) -> bool:
+        """Return whether a folder is to be walked: it has not been, nor will be by another name."""
+        real = os.path.realpath(path)
+        if real in self._seen:
+            return False
+        is_link = path.is_symlink() and not is_root
+        if is_link and any(f"{real}{os.sep}".startswith(f"{root}{os.sep}") for root in self._roots):
+            return False
+        self._seen.add(real)
+        return True
+
+    def _counts(self, path: Path) -> bool:
+        if path.name.startswith(".") or path.name == "__pycache__":
+            return False
+        if _is_folder(path):
+            return True
+        name = path.name.lower()
+        if not name.endswith(ENDINGS) or os.path.realpath(path) in self._without:
+            return False
+        return not (name.endswith(".parquet") and _is_result_table(path))
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # in a folder whose names can be listed, and nothing else
+        return False
+
+
+def _is_result_table(path: Path) -> bool:
+    """Return whether a Parquet file says at its end that it is one of turtlelog's results."""
+    try:
+        with open_file(path) as stream:
+            stream.seek(-8, os.SEEK_END)
+            length = int.from_bytes(stream.read(4), "little")
+            stream.seek(-8 - min(length, _MOST_FOOTER), os.SEEK_END)
+            return _TABLE_MARK in stream.read(_MOST_FOOTER)
+    except (OSError, LogError):  # whoever reads it says what is wrong
+        return False
+
+
+def _is_one_recording(folder: Path) -> bool:
+    """Return whether a folder is a bag, or holds the tables of one run."""
+    place = folder / METADATA_FILE
+    try:
+        if place.is_file():
+            with open_file(place) as stream:
+                if _BAG_MARK in stream.read(_HEAD_BYTES):
+                    return True
+            # A description that is cut or empty, beside what it describes.
+            if any(path.name.lower().endswith(BAG_SUFFIXES) for path in folder.iterdir()):
+                return True
+        return bool(list_table_files(folder))
+    except OSError:
+        return False
+
+
+def _label(path: Path, root: Path | None) -> str:
+    told = path if root in {None, path} else path.relative_to(root or path)
+    return told.as_posix().encode("utf-8", "backslashreplace").decode()
+
+
+def _name_apart(label: str, labels: set[str]) -> str:
+    """Return a label that no other file has: names that are no Unicode may be escaped alike."""
+    number, tried = 1, label
+    while tried in labels:
+        number, tried = number + 1, f"{label} ({number + 1})"
+    labels.add(tried)
+    return tried
+
+
+def stat_recording(path: Path) -> tuple[int, int]:
+    """Return size and time of the last change of a file, or of the files of a bag; -1: unknown."""
+    try:
+        found = [one.stat() for one in list_contents(path)]
+    except OSError:
+        return -1, -1
+    if not found:
+        return -1, -1
+    return sum(one.st_size for one in found), max(one.st_mtime_ns for one in found)
+
+
+def list_contents(path: Path) -> list[Path]:
+    """Return the files whose bytes are a recording: the file itself, or those of a bag's folder.
+
+    Raises:
+        OSError: Where the folder cannot be listed.
+    """
+    return sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]
