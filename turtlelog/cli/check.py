@@ -13,6 +13,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, print_results
+from turtlelog.cli.folders import Recursive, find_files, summarise_table, tabulate
 from turtlelog.cli.options import (
     Jobs,
     Output,
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from turtlelog.check import ArtifactWriter
     from turtlelog.check.junit import CheckedFile
     from turtlelog.log import ReadChoice
+    from turtlelog.sweep import FoundRecording
 
 
 _FILE_S: Final = 5e-3
@@ -57,6 +59,7 @@ class ReportOptions:
         junit: Write JUnit XML, every metric a property, to this .xml file.
         artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
         report: Write a report on the recordings and their checks to this .html file.
+        recursive: Take every recording below the folders given.
         jobs: Processes to read and judge in; as many as cores where that is quicker. With
             --report, which needs all that was read, it is one.
     """
@@ -64,6 +67,7 @@ class ReportOptions:
     junit: Path | None = None
     artifacts: Path | None = None
     report: Path | None = None
+    recursive: Recursive = False
     jobs: Jobs = None
 
 
@@ -75,7 +79,9 @@ class FirstSpecOptions:
     Attributes:
         expect: Hold recordings to this formula instead of a specification; may be repeated.
         init: Write a first specification from this good run; see -o.
-        output: The .toml file that --init writes; otherwise it is printed.
+        output: The .toml file that --init writes; otherwise it is printed. Without --init the
+            .parquet table of verdicts: files that have not changed since it was written, and are
+            held to the same specification, are not read again.
         schema: Print the JSON Schema of specification files, for editors.
     """
 
@@ -111,6 +117,8 @@ def check(
 
     Example: turtlelog check run.mcap --expect "always(abs(speed) <= 1.5)"
 
+    Example: turtlelog check spec.toml runs --recursive -o verdicts.parquet
+
     Args:
         words: A specification (.toml) and recordings; with --expect, recordings alone.
         reference: Take tolerances from this recording, not from the file's own.
@@ -124,8 +132,6 @@ def check(
         return EXIT_FINE
     if first.init is not None:
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
-    if first.output is not None:
-        raise UsageError("--output: expected --init beside it, found none")
     expect = first.expect
     if expect and reference is not None:
         raise UsageError("--reference: expected no --expect beside it, found one")
@@ -139,8 +145,14 @@ def check(
     targets = (reports.junit, reports.artifacts, reports.report)
     require_apart([path for path in targets if path is not None])
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
-    jobs = count_jobs(reports.jobs, files, file_s=_FILE_S)
-    results = _check(spec, files, replace(reports, jobs=jobs), topics or ReadingOptions())
+    topics = topics or ReadingOptions()
+    found = find_files(files, first.output, is_recursive=reports.recursive)
+    files = [Path(one.path) for one in found] if reports.recursive else files
+    if first.output is not None:
+        results = _check_into(first.output, spec, found, reports, topics, kind)
+    else:
+        jobs = count_jobs(reports.jobs, files, file_s=_FILE_S)
+        results = _check(spec, files, replace(reports, jobs=jobs), topics)
     verdict = tl.check.join_verdicts(results)
     if kind == "json":
         print_json(describe_results(verdict, results))
@@ -163,23 +175,54 @@ def build_spec(formulas: "Sequence[str]") -> "Spec":
     return tl.Spec(checks=tuple(checks), source="--expect")
 
 
-def _check(
-    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
+def _check_into(
+    output: Path,
+    spec: "Spec",
+    found: "Sequence[FoundRecording]",
+    reports: ReportOptions,
+    topics: ReadingOptions,
+    kind: str,
 ) -> "list[CheckResult]":
+    """Return the results of files, of those that have not changed as a table holds them."""
+    from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
+
+    for name in ("junit", "artifacts", "report"):
+        if getattr(reports, name) is not None:
+            raise UsageError(
+                f"--{name}: expected no --output beside it, whose unchanged files are not read"
+            )
+    judge = _prepare_judge(spec, topics)
+    table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
+    done = tabulate(found, output, table, kind=kind, jobs=reports.jobs, file_s=_FILE_S)
+    print_note(summarise_table(done))
+    return read_verdicts(output, {one.label: one.path for one in found})
+
+
+def _prepare_judge(
+    spec: "Spec", topics: ReadingOptions, *, is_described: bool = False, keeps_runs: bool = False
+) -> "_Judge":
     from turtlelog.check.judge_run import read_reference_run
-    from turtlelog.check.junit import CheckedFile, format_junit
 
     choice = spec.read.override(topics.build_choice())
-    jobs = 1 if reports.report is not None else reports.jobs or 1
-    keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
-    judge = _Judge(
+    return _Judge(
         spec=spec,
         reference=read_reference_run(spec, choice),
         choice=choice,
         allow_partial=topics.partial,
-        is_described=reports.junit is not None,
+        is_described=is_described,
         keeps_runs=keeps_runs,
     )
+
+
+def _check(
+    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
+) -> "list[CheckResult]":
+    from turtlelog.check.junit import CheckedFile, format_junit
+
+    jobs = 1 if reports.report is not None else reports.jobs or 1
+    keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
+    is_described = reports.junit is not None
+    judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
     judged = map_in_processes(judge, files, jobs)
     checked: list[CheckedFile] = []
     runs: dict[str, Run] = {}
@@ -229,6 +272,10 @@ class _Judge:
         """Return what was found of a file with its run, where a check fails."""
         has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
         return replace(self, keeps_runs=True, is_described=False)(path) if has_failed else file
+
+    def judge_file(self, path: str) -> "tuple[CheckResult, ...]":
+        """Return the results of a file."""
+        return self(Path(path)).checked.results
 
     def __call__(self, path: Path) -> _Judged:
         from turtlelog.check.judge_run import fail_recording, judge_run

@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.folders import (
+    FolderOptions,
+    describe_table,
+    suggest_recursive,
+    summarise_table,
+    tabulate,
+)
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
-    Jobs,
     ReadingOptions,
     Whole,
     count_jobs,
@@ -25,7 +31,9 @@ from turtlelog.cli.output import (
     describe_metrics,
     print_csv,
     print_error,
+    print_json,
     print_json_list,
+    print_lines,
     print_tables,
 )
 from turtlelog.errors import TurtlelogError, UsageError
@@ -33,6 +41,7 @@ from turtlelog.errors import TurtlelogError, UsageError
 if TYPE_CHECKING:
     from turtlelog import MeasureSettings, Run
     from turtlelog.compare import RunSummary
+    from turtlelog.sweep import TabulatedFiles
 
 _MOST_COLUMNS: Final = 6
 
@@ -93,7 +102,7 @@ def metrics(
     *,
     measuring: MeasureOptions | None = None,
     all_: Annotated[bool, Parameter(name="--all")] = False,
-    jobs: Jobs = None,
+    folders: FolderOptions | None = None,
     formats: FormatOptions | None = None,
     topics: ReadingOptions | None = None,
 ) -> int:
@@ -109,29 +118,38 @@ def metrics(
 
     Example: turtlelog metrics kp4.mcap --only "translate.*" --band 0.05
 
+    Example: turtlelog metrics runs --recursive -o table.parquet
+
     Args:
         files: Recordings (.mcap), ROS 2 bags, tables (.csv, .parquet, .tum), or the paper's logs
             (.json, .csv).
         all_: Show every metric, not only the essential ones.
-        jobs: Processes to read and measure in; as many as cores where that is quicker.
     """
     require_files(files)
     measuring, topics = measuring or MeasureOptions(), topics or ReadingOptions()
     kind = (formats or FormatOptions()).choose()
     patterns = measuring.list_patterns()
+    folders = folders or FolderOptions()
+    if folders.output is not None:
+        plan = tl.sweep.plan_metric_table(
+            measuring.build_settings(), only=patterns, topics=topics.build_choice()
+        )
+        found = folders.find(files)
+        return _tell(tabulate(found, folders.output, plan, kind=kind, jobs=folders.jobs), kind)
+    files = folders.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     settings = measuring.build_settings()
     essential = _list_with_path if measuring.reference_path else tl.measure.list_essential_metrics
-    found = tl.compare.summarise_files(
+    summarised = tl.compare.summarise_files(
         files,
         settings,
         only=essential if is_short else patterns,
         topics=topics.build_choice(),
-        jobs=count_jobs(jobs, files),
+        jobs=count_jobs(folders.jobs, files),
         with_parameters=False,
     )
     errors: list[TurtlelogError] = []
-    summaries = watch_summaries(found, len(files), errors)
+    summaries = watch_summaries(summarised, len(files), errors)
     if kind == "json":
         print_json_list(map(_describe, summaries))
     else:
@@ -147,7 +165,23 @@ def metrics(
             _print_tables(held, kind, is_short=False)
     for err in errors:
         print_error(str(err))
+    if errors:
+        suggest_recursive(files, is_recursive=folders.recursive)
     return EXIT_BAD_INPUT if errors else EXIT_FINE
+
+
+def _tell(done: "TabulatedFiles", kind: str) -> int:
+    """Print what came of a table, and the first of the files that cannot be read."""
+    if kind == "json":
+        print_json(describe_table(done))
+    else:
+        print_lines([summarise_table(done)])
+    for label, reason in done.errors:
+        print_error(f"{label}: {reason}")
+    more = done.failed - len(done.errors)
+    if more:
+        print_error(f"{more} more cannot be read: see the column error of {done.output}")
+    return EXIT_BAD_INPUT if done.failed else EXIT_FINE
 
 
 def _list_with_path(run: "Run") -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from .recordings import (
     RecordingTable as RecordingTable,
     TabulatedFiles as TabulatedFiles,
     describe_former as describe_former,
+    hash_recording as hash_recording,
     tabulate_recordings as tabulate_recordings,
 )
 from .result_table import (

@@ -44,7 +44,10 @@ class FoundRecording:
 
 
 def find_recordings(
-    paths: Sequence[str | Path], *, without: Iterable[str | Path] = ()
+    paths: Sequence[str | Path],
+    *,
+    is_recursive: bool = True,
+    without: Iterable[str | Path] = (),
 ) -> list[FoundRecording]:
     """Return the recordings that are given and those below folders, each path once.
 
@@ -55,6 +58,7 @@ def find_recordings(
 
     Args:
         paths: Files, bags and folders.
+        is_recursive: Whether folders are walked; otherwise each is taken for a bag.
         without: Files that are no recordings, such as the table that is to be written.
 
     Raises:
@@ -66,7 +70,7 @@ def find_recordings(
     labels: set[str] = set()
     for path in map(Path, paths):
         count = 0
-        for one in walk.list_below(path):
+        for one in walk.list_below(path) if is_recursive else (path,):
             count += 1
             place = str(one.absolute())
             if place not in found:

@@ -7,9 +7,10 @@ from typing import Any
 import msgspec
 
 from turtlelog.compare import order_ids
+from turtlelog.errors import LibraryError, TurtlelogError
 from turtlelog.log import ReadChoice, read_as_chosen
 from turtlelog.measure import MeasureSettings, measure_run
-from turtlelog.sweep.recordings import RecordingTable
+from turtlelog.sweep.recordings import ERROR, RecordingTable
 from turtlelog.sweep.row_columns import Cell, Key, Row
 
 _TEXTS = (Key("name"), Key("source"), Key("stop_reason"), Key("notes"))
@@ -23,7 +24,12 @@ class _MeasureFile:
     topics: ReadChoice
 
     def __call__(self, path: str) -> list[Row]:
-        run = read_as_chosen(path, self.topics)
+        try:
+            run = read_as_chosen(path, self.topics)
+        except LibraryError:
+            raise
+        except TurtlelogError as err:
+            return [{ERROR: str(err).removeprefix(f"{path}: ")}]
         notes = "; ".join(f"{name}: {text}" for name, text in run.notes.items())
         row: dict[Key, Cell] = dict(
             zip(_TEXTS, (run.name, run.source, run.stop_reason, notes or None), strict=True)

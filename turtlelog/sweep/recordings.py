@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from turtlelog.errors import LibraryError, LogError, TurtlelogError
+from turtlelog.errors import LibraryError, LogError
 from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import open_file
-from turtlelog.processes import map_in_processes
+from turtlelog.processes import FILE_S, choose_jobs, map_in_processes
 from turtlelog.sweep.find_recordings import FoundRecording, list_contents
 from turtlelog.sweep.kept_rows import FileRows, KeptRows
 from turtlelog.sweep.result_table import (
@@ -48,8 +48,8 @@ class RecordingTable:
     Attributes:
         kind: As in `ResultTable`.
         facts: What rows depend on besides the content of files: settings, as texts.
-        work: Makes the rows of a file, at least one; it can be pickled. What it raises as a
-            `TurtlelogError` is the row's error.
+        work: Makes the rows of a file, at least one; it can be pickled. It answers a file that
+            cannot be read with a row of `ERROR`, and raises what ends the whole work.
         order: Returns the keys of columns, without those of `HEAD`, from the keys that there are
             and those of which a cell is not None.
     """
@@ -103,7 +103,8 @@ def tabulate_recordings(
     output: Path,
     table: RecordingTable,
     *,
-    jobs: int = 1,
+    jobs: int | None = 1,
+    file_s: float = FILE_S,
     watch: Callable[[Iterator[Any], int], Iterator[Any]] = lambda results, _: results,
 ) -> TabulatedFiles:
     """Write the rows of recordings as a Parquet table, in their order, and read what is new.
@@ -115,7 +116,8 @@ def tabulate_recordings(
         found: The recordings.
         output: The table, which is replaced when the new one is complete.
         table: What it holds.
-        jobs: Processes to read in.
+        jobs: Processes to read in; None: as many as are quickest.
+        file_s: What a file takes besides its bytes [s], to choose their number.
         watch: Sees the results of chunks on the way, and learns how many files they are of.
 
     Raises:
@@ -124,6 +126,8 @@ def tabulate_recordings(
     """
     assembly = _Assembly(output, table)
     chunks = list(_cut(found, assembly.list_states(found)))
+    if jobs is None:
+        jobs = choose_jobs([one.path for chunk in chunks for one, _ in chunk], file_s=file_s)
     work = partial(_read_chunk, work=table.work)
     results = map_in_processes(work, chunks, jobs, name=_name_chunk)
     for chunk in watch(results, sum(map(len, chunks))):
@@ -260,11 +264,9 @@ def _read_one(
         return FileRows.pack(one.label, state, [])
     try:
         rows = work(one.path)
-    except TurtlelogError as err:
-        rows = [{ERROR: str(err).removeprefix(f"{one.path}: ")}]
-        if isinstance(err, LibraryError):
-            state = (*state[:2], None)
-    return FileRows.pack(one.label, state, rows)
+    except LibraryError as err:
+        rows, state = [{ERROR: str(err)}], (*state[:2], None)  # it may be installed meanwhile
+    return FileRows.pack(one.label, state, rows or [{}])
 
 
 _HASHED_BYTES: Final = 2**20

@@ -1,0 +1,111 @@
+"""The verdicts on recordings as rows of a table, and read from it."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from turtlelog.check.result import CheckResult, Verdict
+from turtlelog.check.spec import Spec
+from turtlelog.errors import CheckError, LibraryError
+from turtlelog.log import ReadChoice
+from turtlelog.sweep import (
+    RecordingTable,
+    describe_values,
+    hash_recording,
+    read_result_table,
+)
+from turtlelog.sweep.recordings import ERROR, FILE
+from turtlelog.sweep.row_columns import Cell, Key, Row
+
+_KEYS: Final = (
+    *(Key(name) for name in ("check", "verdict", "expected")),
+    *(Key(name, "real") for name in ("value", "limit", "margin")),
+    Key("unit"),
+    Key("value_s", "real", "s"),
+    Key("decided_by"),
+    Key("first_violation_s", "real", "s"),
+    Key("reason"),
+)
+_DECIDED: Final = Key("decided", "whole")
+"""1 or 0: whether it is known that the verdict is right."""
+
+_RECORDING: Final = "recording"
+"""The check that fails where a recording cannot be read, or has lost something."""
+
+Judge = Callable[[str], Sequence[CheckResult]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _JudgeFile:
+    judge: Judge
+
+    def __call__(self, path: str) -> list[Row]:
+        try:
+            return [_build_row(result) for result in self.judge(path)]
+        except LibraryError as err:
+            raise CheckError(f"{path}: {err}") from err
+
+
+def plan_verdict_table(
+    spec: Spec, judge: Judge, choice: ReadChoice, *, is_partial: bool
+) -> RecordingTable:
+    """Return what `tabulate_recordings` needs for a table with a row for each file and check.
+
+    Args:
+        spec: What recordings are held to.
+        judge: Returns the results of a file; it can be pickled.
+        choice: What is read of other people's files.
+        is_partial: Whether a recording of which something is lost may pass.
+    """
+    held = hashlib.sha256(describe_values(spec).encode()).hexdigest()
+    facts = {
+        "specification": held,
+        "reading": describe_values(choice),
+        "partial": str(is_partial),
+    }
+    if spec.reference is not None:
+        facts["reference"] = hash_recording(spec.reference)
+    return RecordingTable(
+        kind="verdicts",
+        facts=facts,
+        work=_JudgeFile(judge=judge),
+        order=lambda _keys, _used: (*_KEYS, _DECIDED),
+    )
+
+
+def _build_row(result: CheckResult) -> Row:
+    row: dict[Key, Cell] = {key: getattr(result, key.name, None) for key in _KEYS}
+    texts = {key: str(cell) or None for key, cell in row.items() if key.type == "text"}
+    is_lost = result.check == _RECORDING and not result.is_decided
+    return {
+        **row,
+        **texts,
+        _DECIDED: int(result.is_decided),
+        ERROR: result.reason if is_lost else None,
+    }
+
+
+def read_verdicts(path: Path, files: Mapping[str, str]) -> list[CheckResult]:
+    """Return the results that a table holds.
+
+    Args:
+        path: The table.
+        files: What results call a file, by its label in the table.
+    """
+    keys = (FILE, *_KEYS, _DECIDED)
+    names = [key.name for key in keys]
+    table = read_result_table(path, kind="verdicts", columns=names)
+    columns = {column.name: column.cells for column in table.columns}
+    rows: Iterator[Any] = zip(*(columns[name] for name in names), strict=True)
+    found = (dict(zip(names, row, strict=True)) for row in rows)
+    return [_build_result(cells, files) for cells in found if cells["verdict"] is not None]
+
+
+def _build_result(cells: dict[str, Any], files: Mapping[str, str]) -> CheckResult:
+    texts = {key.name: cells[key.name] or "" for key in _KEYS if key.type == "text"}
+    cells |= texts
+    label, is_decided = cells.pop("file"), bool(cells.pop("decided"))
+    verdict = Verdict(cells.pop("verdict"))
+    return CheckResult(**cells, file=files[label], verdict=verdict, is_decided=is_decided)

@@ -1,0 +1,121 @@
+"""Commands on many recordings: folders that are walked, tables that grow by what is new."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.options import Jobs, Output, count_jobs
+from turtlelog.cli.output import print_note
+from turtlelog.cli.progress import show_progress
+from turtlelog.cli.targets import require_new_target
+from turtlelog.errors import UsageError
+from turtlelog.processes import FILE_S
+
+if TYPE_CHECKING:
+    from turtlelog.sweep import FoundRecording, RecordingTable, TabulatedFiles
+
+Recursive = Annotated[bool, Parameter(name="--recursive", negative=())]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderOptions:
+    """Many recordings at once.
+
+    Attributes:
+        recursive: Take every recording below the folders given.
+        output: Write a row for every file to this .parquet table, and print a summary alone. Files
+            that have not changed since the table was written are not read again.
+        jobs: Processes to read and measure in; as many as cores where that is quicker.
+    """
+
+    recursive: Recursive = False
+    output: Output = None
+    jobs: Jobs = None
+
+    def find(self, paths: Sequence[Path]) -> "list[FoundRecording]":
+        """Return what is given, or what is below it."""
+        return find_files(paths, self.output, is_recursive=self.recursive)
+
+    def list_files(self, paths: Sequence[Path]) -> list[Path]:
+        """Return the files that are given, or those below folders."""
+        return [Path(one.path) for one in self.find(paths)] if self.recursive else [*paths]
+
+
+def find_files(
+    paths: Sequence[Path], output: Path | None, *, is_recursive: bool
+) -> "list[FoundRecording]":
+    """Return what is given, or what is below it, without the table that is to be written."""
+    with show_progress("looking for recordings"):
+        without = [] if output is None else [output]
+        return tl.sweep.find_recordings(paths, is_recursive=is_recursive, without=without)
+
+
+def tabulate(
+    found: "Sequence[FoundRecording]",
+    output: Path,
+    table: "RecordingTable",
+    *,
+    kind: str,
+    jobs: int | None,
+    file_s: float = FILE_S,
+) -> "TabulatedFiles":
+    """Write the table of recordings; what is wrong with the place is told before any is read.
+
+    Args:
+        found: The recordings.
+        output: The table.
+        table: What it holds.
+        kind: How to print, which is text or JSON.
+        jobs: As asked.
+        file_s: As in `tabulate_recordings`.
+    """
+    if kind not in {"txt", "json"}:
+        raise UsageError("--output: expected text or --json beside it, found another format")
+    require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
+    why = tl.sweep.describe_former(output, table)
+    if why is not None:
+        print_note(f"{output}: every file is read, because {why}")
+    asked = None if jobs is None else count_jobs(jobs, ())
+    try:
+        return tl.sweep.tabulate_recordings(
+            found, output, table, jobs=asked, file_s=file_s, watch=_watch
+        )
+    except KeyboardInterrupt:
+        print_note(f"{output}: what was read is kept: the same command goes on from there")
+        raise
+
+
+def _watch(chunks: Iterator[Any], count: int) -> Iterator[Any]:
+    with show_progress("reading", count if count > 1 else None, "files") as progress:
+        for chunk in chunks:
+            yield chunk
+            progress.done += len(chunk)
+
+
+def summarise_table(done: "TabulatedFiles") -> str:
+    """Return what came of a table in one line."""
+    files = "1 file" if done.files == 1 else f"{done.files} files"
+    counts = f"{done.read} read, {done.files - done.read} unchanged"
+    return f"wrote {done.output}: {files}, {counts}, {done.failed} cannot be read"
+
+
+def describe_table(done: "TabulatedFiles") -> dict[str, Any]:
+    """Return what came of a table as JSON."""
+    return {
+        "output": str(done.output),
+        "files": done.files,
+        "read": done.read,
+        "unchanged": done.files - done.read,
+        "failed": done.failed,
+    }
+
+
+def suggest_recursive(files: Sequence[Path], *, is_recursive: bool) -> None:
+    """Say what takes the recordings below a folder, where one is given."""
+    if not is_recursive and any(path.is_dir() for path in files):
+        print_note("--recursive takes the recordings below a folder")
