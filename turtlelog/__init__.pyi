@@ -58,6 +58,7 @@ from .errors import (
     MeasureError as MeasureError,
     PathError as PathError,
     ProcessError as ProcessError,
+    RemoteError as RemoteError,
     ReplayError as ReplayError,
     RunError as RunError,
     ScenarioError as ScenarioError,

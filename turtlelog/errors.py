@@ -64,6 +64,10 @@ class ProcessError(TurtlelogError):
     """A process that ends before its work does."""
 
 
+class RemoteError(TurtlelogError):
+    """A URL whose file is not there, not to be had, or broken off on the way."""
+
+
 class FrameError(TurtlelogError):
     """Arrays that are no vectors."""
 

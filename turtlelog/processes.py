@@ -17,7 +17,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
 
-from turtlelog.errors import ProcessError
+from turtlelog.errors import ProcessError, RemoteError
+from turtlelog.remote.urls import RemotePath, make_path
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -43,6 +44,9 @@ FILE_S: Final = 3e-3
 _BYTES_PER_S: Final = 100e6
 """That are read, decompressed and measured on one core [bytes/s]."""
 
+
+_REMOTE_S: Final = 0.2
+"""To read a file behind a URL [s]: a few requests. Its size is not asked for."""
 
 CAN_FORK: Final = sys.platform == "linux"
 """Whether a process can be forked safely: elsewhere libraries of the system forbid it."""
@@ -78,7 +82,10 @@ def choose_jobs(
         return 1
     work_s = 0.0
     for path in paths:
-        work_s += file_s + (count_read or count_bytes)(Path(path)) / _BYTES_PER_S
+        if isinstance(path, RemotePath):
+            work_s += _REMOTE_S
+            continue
+        work_s += file_s + (count_read or count_bytes)(make_path(path)) / _BYTES_PER_S
         if work_s > LONG_S:
             return min(cores, len(paths))
     return 1
@@ -86,7 +93,7 @@ def choose_jobs(
 
 def count_bytes(path: Path) -> int:
     """Return the size of a file, or of all files in a folder; 0 of what is not there."""
-    with suppress(OSError):
+    with suppress(OSError, RemoteError):
         files = path.rglob("*") if path.is_dir() else [path]
         return sum(found.stat().st_size for found in files)
     return 0
@@ -208,6 +215,7 @@ def _collect(workers: Sequence[_Worker], items: Sequence[Any]) -> Iterator[Any]:
 def _serve(pipe: "Connection", work: Callable[[Any], Any]) -> None:
     """Work until the other side ends, however it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.formatwarning = lambda message, *_, **__: f"{message}\n"  # a note, not a place in code
     with suppress(EOFError, OSError):
         while True:
             item = pipe.recv()

@@ -34,6 +34,7 @@ from turtlelog.identify import AxisModel, Estimate, RobotModel, identify_robot
 from turtlelog.laws import Law
 from turtlelog.log import ReadChoice, ReadOptions, read_as_chosen, write_recording
 from turtlelog.measure import find_metric_kind, list_ids_like, list_metrics
+from turtlelog.remote.urls import make_path
 from turtlelog.replay import LawReplay, replay_law
 from turtlelog.run import Run
 from turtlelog.scenario import (
@@ -80,7 +81,7 @@ class Recording:
         watch: Watch | None = None,
         **options: Unpack[ReadOptions],
     ) -> None:
-        self.path = Path(path)
+        self.path = make_path(path)
         self.file = name or str(path)
         self._choice = ReadChoice(**options)
         self._allow_partial = self._choice.allow_partial

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 import traceback
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -23,10 +24,12 @@ from turtlelog.cli.output import (
     drop_stdout,
     outlive_reader,
     print_error,
+    print_note,
 )
 from turtlelog.cli.progress import end_progress
 from turtlelog.cli.usage_errors import describe_usage_error
 from turtlelog.errors import TurtlelogError, UsageError, suggest_names
+from turtlelog.remote.urls import RemoteNote
 from turtlelog.version import __version__
 
 _COMMANDS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
@@ -209,7 +212,7 @@ def _call(tokens: Sequence[str] | None) -> Any:
     tokens = sys.argv[1:] if tokens is None else tokens
     if tokens and tokens[0] in _FORMER:
         raise UsageError(f"{tokens[0]}: expected turtlelog {_FORMER[tokens[0]]}, found an old name")
-    with _stop_on_request():
+    with _stop_on_request(), _print_remote_notes():
         try:
             code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
         finally:
@@ -217,6 +220,22 @@ def _call(tokens: Sequence[str] | None) -> Any:
         with outlive_reader():
             sys.stdout.flush()
     return code
+
+
+@contextmanager
+def _print_remote_notes() -> Iterator[None]:
+    """Let what is said of how a URL was read be a note as any other."""
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, RemoteNote):
+            print_note(str(message))
+        else:
+            usual(message, category, *place, **more)
+
+    with warnings.catch_warnings():
+        usual, warnings.showwarning = warnings.showwarning, show
+        warnings.simplefilter("always", RemoteNote)
+        yield
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from turtlelog.cli.folders import Recursive, find_files, summarise_table, tabula
 from turtlelog.cli.options import (
     Jobs,
     Output,
+    Place,
     ReadingOptions,
     count_jobs,
     list_reading_words,
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 _FILE_S: Final = 5e-3
 """To read a usual file and to judge it by some ten checks [s], besides its bytes."""
 
-Words = Annotated[list[Path], Parameter(name="SPEC FILE")]
+Words = Annotated[list[Place], Parameter(name="SPEC FILE")]
 
 
 @Parameter(name="*")
@@ -64,9 +65,9 @@ class ReportOptions:
             --report, which needs all that was read, it is one.
     """
 
-    junit: Path | None = None
-    artifacts: Path | None = None
-    report: Path | None = None
+    junit: Place | None = None
+    artifacts: Place | None = None
+    report: Place | None = None
     recursive: Recursive = False
     jobs: Jobs = None
 
@@ -86,7 +87,7 @@ class FirstSpecOptions:
     """
 
     expect: Annotated[list[str] | None, Parameter(metavar="FORMULA", negative=())] = None
-    init: Path | None = None
+    init: Place | None = None
     output: Output = None
     schema: bool = False
 
@@ -95,7 +96,7 @@ def check(
     words: Words | None = None,
     /,
     *,
-    reference: Path | None = None,
+    reference: Place | None = None,
     reports: ReportOptions | None = None,
     first: FirstSpecOptions | None = None,
     formats: FormatOptions | None = None,

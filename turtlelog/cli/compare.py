@@ -15,6 +15,7 @@ from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
     Jobs,
+    Place,
     ReadingOptions,
     count_jobs,
     read_runs,
@@ -53,8 +54,8 @@ class ReferenceOptions:
             --rrd or the scenario of a robot it is one.
     """
 
-    reference: Path | None = None
-    tolerances: Annotated[Path | None, Parameter(show=False)] = None
+    reference: Place | None = None
+    tolerances: Annotated[Place | None, Parameter(show=False)] = None
     align: Annotated[str | None, Parameter(metavar="HOW")] = None
     jobs: Jobs = None
 
@@ -94,8 +95,8 @@ class DrawingOptions:
         rrd: Write all runs, or a recorded robot beside a simulated one, into one Rerun recording.
     """
 
-    plot: Annotated[Path | None, Parameter(metavar="FILE")] = None
-    rrd: Annotated[Path | None, Parameter(name="--rrd", metavar="FILE")] = None
+    plot: Annotated[Place | None, Parameter(metavar="FILE")] = None
+    rrd: Annotated[Place | None, Parameter(name="--rrd", metavar="FILE")] = None
 
 
 def compare(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json, ReadingOptions, read_runs
+from turtlelog.cli.options import File, Json, Place, ReadingOptions, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_apart, require_new_folder, require_new_target
@@ -63,7 +63,7 @@ def convert(
     file: File,
     /,
     *,
-    output: Annotated[list[Path], Parameter(name=("--output", "-o"), metavar="OUT")],
+    output: Annotated[list[Place], Parameter(name=("--output", "-o"), metavar="OUT")],
     tables: TableOptions | None = None,
     topics: ReadingOptions | None = None,
     json: Json = False,

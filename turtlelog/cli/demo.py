@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
+from turtlelog.cli.options import Place
 from turtlelog.cli.output import find_command_name, format_table, print_note, print_text
 from turtlelog.errors import UsageError
 from turtlelog.libraries import load_library
@@ -14,7 +15,9 @@ if TYPE_CHECKING:
     from turtlelog import Run
 
 
-def demo(*, output: Annotated[Path, Parameter(name=("--output", "-o"))] = Path("demo-out")) -> None:
+def demo(
+    *, output: Annotated[Place, Parameter(name=("--output", "-o"))] = Path("demo-out")
+) -> None:
     """Run the paper's experiment (Kp = 1, 2, 4, 10, as built) and write everything about it.
 
     Example: turtlelog demo -o demo-out

@@ -14,7 +14,7 @@ from turtlelog.cli.explain_answer import (
 )
 from turtlelog.cli.explain_motion import describe_motion, format_motion
 from turtlelog.cli.list_names import complete_mechanisms, complete_metrics
-from turtlelog.cli.options import File, Json, ReadingOptions, Whole, read_runs
+from turtlelog.cli.options import File, Json, Place, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -41,8 +41,8 @@ class ExplainOptions:
             built in takes one.
     """
 
-    scenario: Path | None = None
-    rrd: Path | None = None
+    scenario: Place | None = None
+    rrd: Place | None = None
     trust_law: bool = False
     jobs: Annotated[Whole | None, Parameter(metavar="COUNT")] = None
 

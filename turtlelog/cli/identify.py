@@ -7,7 +7,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
-from turtlelog.cli.options import Files, Json, TopicOptions, read_runs
+from turtlelog.cli.options import Files, Json, Place, TopicOptions, read_runs
 from turtlelog.cli.output import format_table, print_json, print_note, print_text
 from turtlelog.cli.targets import require_new_target, require_pictures
 from turtlelog.display import describe_count
@@ -40,9 +40,9 @@ def identify(
     files: Files,
     /,
     *,
-    plot: Path | None = None,
-    rrd: Path | None = None,
-    scenario: Path | None = None,
+    plot: Place | None = None,
+    rrd: Place | None = None,
+    scenario: Place | None = None,
     topics: TopicOptions | None = None,
     json: Json = False,
 ) -> None:

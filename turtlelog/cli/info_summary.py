@@ -9,6 +9,7 @@ import turtlelog as tl
 from turtlelog.display import describe_count, join_words
 from turtlelog.errors import LogError, TurtlelogError
 from turtlelog.processes import count_bytes
+from turtlelog.remote.urls import RemotePath
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -123,6 +124,8 @@ def _find_large(path: Path, info: "RecordingInfo") -> str:
     if not info.topics:
         return ""  # tables and logs are read as a whole in any case
     path, _ = tl.log.split_topic(path)
+    if isinstance(path, RemotePath):
+        return "it is behind a URL"
     files = [found for found in path.rglob("*") if found.is_file()] if path.is_dir() else [path]
     size = sum(found.stat().st_size for found in files if found.exists())
     if size > LARGEST_BYTES:

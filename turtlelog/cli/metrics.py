@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 from cyclopts import Parameter
@@ -18,6 +17,7 @@ from turtlelog.cli.folders import (
 from turtlelog.cli.list_names import complete_metrics
 from turtlelog.cli.options import (
     Files,
+    Place,
     ReadingOptions,
     Whole,
     count_jobs,
@@ -67,7 +67,7 @@ class MeasureOptions:
     band: Annotated[float | None, Parameter(metavar="SHARE")] = None
     initial: Annotated[str | None, Parameter(metavar="VALUE")] = None
     final: Annotated[str | None, Parameter(metavar="VALUE")] = None
-    reference_path: Path | None = None
+    reference_path: Place | None = None
     goal_tolerance: Annotated[float | None, Parameter(metavar="METRES")] = None
     dead_time: Whole | None = None
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from turtlelog.cli.options import Place
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
@@ -27,7 +28,7 @@ class MovieOptions:
         length: Length of the movie [s], 1 to 600; without it real time, and at most 10 s.
     """
 
-    movie: Path | None = None
+    movie: Place | None = None
     length: Annotated[float | None, Parameter(metavar="SECONDS")] = None
 
 

@@ -14,6 +14,7 @@ from turtlelog.cli.output import print_run_notes
 from turtlelog.cli.progress import show_progress
 from turtlelog.errors import TurtlelogError, UsageError
 from turtlelog.processes import FILE_S, choose_jobs
+from turtlelog.remote.urls import make_path
 
 if TYPE_CHECKING:
     from turtlelog import Declaration, Run, Scenario
@@ -32,9 +33,16 @@ def _read_whole(_: Any, tokens: Sequence[Token]) -> int:
         raise UsageError(f"{tokens[0].keyword}: expected a whole number, {found}") from err
 
 
-File = Annotated[Path, Parameter(name="FILE")]
-Files = Annotated[list[Path], Parameter(name="FILE")]
-Output = Annotated[Path | None, Parameter(name=("--output", "-o"))]
+def _read_place(_: Any, tokens: Sequence[Token]) -> Path:
+    return make_path(tokens[0].value)
+
+
+Place = Annotated[Path, Parameter(converter=_read_place)]
+"""A file, or a URL, of which a plain Path would make another."""
+
+File = Annotated[Place, Parameter(name="FILE")]
+Files = Annotated[list[Place], Parameter(name="FILE")]
+Output = Annotated[Place | None, Parameter(name=("--output", "-o"))]
 Partial = Annotated[bool, Parameter(name="--partial")]
 Connect = Annotated[str | None, Parameter(name="--connect", metavar="URL")]
 Json = Annotated[bool, Parameter(name="--json")]
@@ -57,7 +65,7 @@ class ScenarioOptions:
             several times. The unit stands in the key.
     """
 
-    commands: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    commands: Annotated[Place | None, Parameter(metavar="FILE")] = None
     kp: Annotated[float | None, Parameter(metavar="GAIN")] = None
     goal: Annotated[str | None, Parameter(metavar="X,Y")] = None
     assignments: Annotated[
@@ -203,9 +211,9 @@ _RECORDINGS: Final = frozenset({".mcap", ".parquet", ".json", ".csv"})
 
 def find_scenario_file(name: str | None) -> Path | None:
     """Return the scenario file that a word names, None where it names something else."""
-    if name is None or name in tl.PRESETS or is_recording(Path(name)):
+    if name is None or name in tl.PRESETS or is_recording(make_path(name)):
         return None
-    path = Path(name)
+    path = make_path(name)
     return path if path.suffix.lower() == ".toml" or path.is_file() else None
 
 
@@ -229,7 +237,7 @@ def load_changed_scenario(name_or_path: str | None, options: LawOptions | None) 
     options = options or LawOptions()
     named = options.find_law_kind()
     name_or_path = name_or_path or ("paper" if options.law is None else "textbook")
-    path, declared = Path(name_or_path), None
+    path, declared = make_path(name_or_path), None
     if not is_recording(path):
         base = tl.load_scenario(name_or_path)
     else:

@@ -13,7 +13,7 @@ from turtlelog import show
 from turtlelog.cli.asked_figures import AskedOptions
 from turtlelog.cli.list_names import complete_figures
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
-from turtlelog.cli.options import Json, ReadingOptions, Whole, read_runs
+from turtlelog.cli.options import Json, Place, ReadingOptions, Whole, read_runs
 from turtlelog.cli.output import print_json, print_lines, print_note
 from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 def plot(  # noqa: PLR0913 (each is an option of the command)
-    files: Annotated[list[Path] | None, Parameter(name="FILE")] = None,
+    files: Annotated[list[Place] | None, Parameter(name="FILE")] = None,
     /,
     *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: Annotated[Place | None, Parameter(name=("--output", "-o"))] = None,
     only: Annotated[str | None, Parameter(metavar="NAMES", completer=complete_figures)] = None,
     formats: Annotated[str | None, Parameter(name="--format", metavar="FORMATS")] = None,
     where: PageOptions | None = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 import turtlelog as tl
-from turtlelog.cli.options import File, Json
+from turtlelog.cli.options import File, Json, Place
 from turtlelog.cli.output import print_json, print_lines
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_folder, require_new_target
@@ -22,7 +22,7 @@ def recover(
     file: File,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    output: Annotated[Place, Parameter(name=("--output", "-o"))],
     json: Json = False,
 ) -> None:
     """Write what an unfinished or damaged recording still holds as a complete one.

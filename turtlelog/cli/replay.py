@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.check_answers import describe_results, format_results
-from turtlelog.cli.options import Json, Output, ScenarioOptions, TopicOptions, read_runs
+from turtlelog.cli.options import Json, Output, Place, ScenarioOptions, TopicOptions, read_runs
 from turtlelog.cli.output import EXIT_FAILED, EXIT_FINE, print_json, print_note, print_verdicts
 from turtlelog.cli.replay_answer import (
     describe_changes,
@@ -36,7 +36,7 @@ _Answer = tuple[dict[str, Any], str, "LawReplay | LoopReplay | PlantReplay"]
 
 
 def replay(
-    file: Annotated[Path | None, Parameter(name="FILE")] = None,
+    file: Annotated[Place | None, Parameter(name="FILE")] = None,
     /,
     *,
     mode: ReplayOptions | None = None,

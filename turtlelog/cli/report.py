@@ -11,6 +11,7 @@ import turtlelog as tl
 from turtlelog.cli.options import (
     Files,
     Json,
+    Place,
     ReadingOptions,
     list_reading_words,
     read_runs,
@@ -32,8 +33,8 @@ def report(
     files: Files,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
-    spec: Path | None = None,
+    output: Annotated[Place, Parameter(name=("--output", "-o"))],
+    spec: Place | None = None,
     explain: Literal["auto", "worst", "none"] = "auto",
     topics: ReadingOptions | None = None,
     json: Json = False,

@@ -16,6 +16,7 @@ from turtlelog.cli.options import (
     Json,
     LawOptions,
     Output,
+    Place,
     find_scenario_file,
     list_given_keys,
     load_changed_scenario,
@@ -102,7 +103,7 @@ class RecordOptions:
     """
 
     output: Output = None
-    rrd: Annotated[Path | None, Parameter(name="--rrd")] = None
+    rrd: Annotated[Place | None, Parameter(name="--rrd")] = None
     strip_scenario: bool = False
     trust_law: bool = False
 

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 import turtlelog as tl
 from turtlelog.cli.movie import MovieOptions, film_runs, require_movie
-from turtlelog.cli.options import Connect, Files, ReadingOptions, read_runs, require_files
+from turtlelog.cli.options import Connect, Files, Place, ReadingOptions, read_runs, require_files
 from turtlelog.cli.output import outlive_reader, print_note, print_text
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
@@ -45,7 +45,7 @@ class PictureOptions:
             phases and tables give way to curves.
     """
 
-    snapshot: Path | None = None
+    snapshot: Place | None = None
     at: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     timeline: str = "sim_time"
     size: Annotated[str, Parameter(metavar="WIDTHxHEIGHT")] = _USUAL_SIZE
@@ -71,7 +71,7 @@ def view(
     files: Files,
     /,
     *,
-    save: Path | None = None,
+    save: Place | None = None,
     picture: PictureOptions | None = None,
     window: WindowOptions | None = None,
     movie: MovieOptions | None = None,

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from turtlelog.errors import LogError
+from turtlelog.remote.urls import make_path
 
 
 @contextmanager
@@ -26,7 +27,7 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
     Raises:
         LogError: In one line, where the place cannot be written, or holds a recording in progress.
     """
-    path = Path(path)
+    path = make_path(path)
     # Renaming over a device would replace the device.
     if path.exists() and not path.is_file():
         kind = "folder" if path.is_dir() else "device"
@@ -83,7 +84,7 @@ def create_folder(path: str | Path) -> Iterator[Path]:
     Raises:
         LogError: Where there is something, or the place cannot be written, in one line.
     """
-    path = Path(path)
+    path = make_path(path)
     is_empty = path.is_dir() and not any(path.iterdir())
     if (path.exists() or path.is_symlink()) and not is_empty:
         kind = "a folder with files" if path.is_dir() else "a file"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from turtlelog.errors import LogError, TurtlelogError, describe_error
+from turtlelog.remote.urls import RemotePath, make_path
 
 _DEFECTS = (AssertionError, AttributeError, ImportError, NameError)
 
@@ -46,7 +47,9 @@ def open_file(path: str | Path) -> BinaryIO:
         LogError: Where it is one of these.
         OSError: Where it cannot be read.
     """
-    path = Path(path)
+    path = make_path(path)
+    if isinstance(path, RemotePath):
+        return path.file.open()
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         kind = "pipe" if stat.S_ISFIFO(mode) else "device"

@@ -16,6 +16,7 @@ from turtlelog.log.complete_files import create_folder, replace_when_complete
 from turtlelog.log.info import survey_file
 from turtlelog.log.recording.run_writer import write_recording
 from turtlelog.log.ros2 import METADATA_FILE, BagPart, BagTopic, format_bag_metadata
+from turtlelog.remote.urls import make_path
 from turtlelog.run import TABLES, Run, tabulate_run
 
 _LONGEST_NAME: Final = 255  # bytes; what file systems take
@@ -35,7 +36,7 @@ def export_rosbag2(run: Run, path: str | Path) -> tuple[Path, ...]:
         LogError: Where the folder exists or cannot be written, or the run holds what a recording
             cannot.
     """
-    path = Path(path)
+    path = make_path(path)
     name = f"{path.resolve().name}_0.mcap"
     if len(name.encode(errors="replace")) > _LONGEST_NAME:
         raise LogError(f"{path}: expected a shorter name")
@@ -98,7 +99,7 @@ def export_csv(run: Run, path: str | Path, *, table: str | None = None) -> tuple
     Raises:
         LogError: Where the place cannot be written, a folder exists, or there is no such table.
     """
-    return _export(run, Path(path), ".csv", table, _write_csv)
+    return _export(run, make_path(path), ".csv", table, _write_csv)
 
 
 def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> tuple[Path, ...]:
@@ -110,7 +111,7 @@ def export_parquet(run: Run, path: str | Path, *, table: str | None = None) -> t
     Raises:
         LogError: Where the place cannot be written, a folder exists, or there is no such table.
     """
-    return _export(run, Path(path), ".parquet", table, _write_parquet)
+    return _export(run, make_path(path), ".parquet", table, _write_parquet)
 
 
 def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
@@ -122,7 +123,7 @@ def export_tum(run: Run, path: str | Path) -> tuple[Path, ...]:
     Raises:
         LogError: Where the place cannot be written.
     """
-    path = Path(path)
+    path = make_path(path)
     with replace_when_complete(path) as temporary:
         temporary.write_text(_format_tum(run), encoding="ascii", newline="\n")
     return (path,)

@@ -26,6 +26,7 @@ from turtlelog.log.error_boundary import DamageError, UnfinishedError
 from turtlelog.log.recording.head import HEAD, parse_head, parse_scenario_file
 from turtlelog.log.recording.recovery_note import describe_damages, describe_recovery
 from turtlelog.log.recording.topics import CONTROL, EVENT, GOAL
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Parameter
 from turtlelog.scenario import flatten_tables
 
@@ -138,7 +139,7 @@ def read_info(path: str | Path, *, allow_partial: bool = False) -> RecordingInfo
             file=str(path),
             format_version=None,
             source="sqlite3" if is_sqlite else "mcap",
-            name=strip_suffixes(Path(path)),
+            name=strip_suffixes(make_path(path)),
             complete=survey.is_finished,
             duration_s=None if span_ns is None else (span_ns[1] - span_ns[0]) / 1e9,
             span_ns=span_ns,

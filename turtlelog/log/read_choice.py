@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final, Literal, TypedDict
 
 from turtlelog.errors import LogError
+from turtlelog.remote.urls import RemotePath, make_path
 
 TimeSource = Literal["auto", "log", "stamp"]
 """What times poses: the recorder's clock, their stamps mapped to it, or what the bag suggests."""
@@ -73,7 +74,9 @@ def split_topic(path: str | Path) -> tuple[Path, str | None]:
 
     A file of the whole name comes first, and what is no file before the colon is no FILE:TOPIC.
     """
-    path = Path(path)
+    path = make_path(path)
+    if isinstance(path, RemotePath):
+        return path.split_topic()
     text = path.as_posix()
     head, colon, _ = text.rpartition(":/")
     while colon and not path.exists():

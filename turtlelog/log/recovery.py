@@ -29,6 +29,7 @@ from turtlelog.log.recording.recovery_note import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2 import METADATA_FILE
 from turtlelog.log.ros2.bag_folder import list_present_files, read_compression
+from turtlelog.remote.urls import make_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +81,7 @@ def recover_recording(source: str | Path, target: str | Path) -> RecoveryReport:
         LogError: Where the source cannot be read, or holds no message that can be recovered;
             where the target is the source, or cannot be written.
     """
-    source, target = Path(source), Path(target)
+    source, target = make_path(source), make_path(target)
     if source.is_dir() and target.suffix.lower() != ".mcap":
         return _recover_bag(source, target)
     return _recover_file(_find_file(source), target)

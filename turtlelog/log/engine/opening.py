@@ -1,6 +1,7 @@
 """A file -> what reads it, told by its first bytes: MCAP or SQLite, plain or compressed."""
 
 import shlex
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -18,6 +19,7 @@ from turtlelog.log.engine.source import Source
 from turtlelog.log.engine.sqlite_file import SQLITE_MAGIC
 from turtlelog.log.engine.sqlite_source import SqliteSource, open_sqlite
 from turtlelog.log.error_boundary import DamageError, name_file, open_file
+from turtlelog.remote.urls import RemotePath, make_path
 
 ROS1_MAGIC: Final = b"#ROSBAG V"
 
@@ -41,7 +43,7 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
     Raises:
         LogError: One line with the file, also for all that goes wrong while it is open.
     """
-    path = Path(path)
+    path = make_path(path)
     with name_file(path, expected=_describe_expected(path)), _open_content(path) as (stream, place):
         if _read_head(stream) == SQLITE_MAGIC:
             stream.close()
@@ -55,10 +57,10 @@ def open_storage(path: str | Path) -> Iterator[BinaryIO | SqliteSource]:
 @contextmanager
 def open_mcap(path: str | Path) -> Iterator[BinaryIO]:
     """Open a file that must not be SQLite; what goes wrong does not name it yet."""
-    with _open_content(Path(path)) as (stream, _):
+    with _open_content(make_path(path)) as (stream, _):
         if _read_head(stream) == SQLITE_MAGIC:
             raise NoMcapError("expected an MCAP file, found a bag in SQLite")
-        _require_start(Path(path), stream)
+        _require_start(make_path(path), stream)
         yield stream
 
 
@@ -120,7 +122,14 @@ def _open_content(path: Path, faults: list[str] | None = None) -> Iterator[tuple
     """
     with ExitStack() as closing:
         stream, place = closing.enter_context(open_file(path)), path
-        if _read_head(stream).startswith(ZSTD_MAGIC):
+        head = _read_head(stream)
+        if isinstance(path, RemotePath) and head == SQLITE_MAGIC:  # SQLite opens files only
+            folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
+            place = Path(folder) / "fetched"
+            with place.open("wb") as copy:
+                shutil.copyfileobj(stream, copy, 2**20)
+            stream = closing.enter_context(place.open("rb"))
+        if head.startswith(ZSTD_MAGIC):
             folder = closing.enter_context(tempfile.TemporaryDirectory(prefix="turtlelog-"))
             place = Path(folder) / "unpacked"
             try:

@@ -41,6 +41,7 @@ from turtlelog.log.engine.summary import (
     read_ends,
 )
 from turtlelog.log.error_boundary import DamageError
+from turtlelog.remote.urls import expect_reads
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
@@ -138,6 +139,10 @@ class Source:
             self.catalogue.check(block.rest, block.byte)
             return work(replace(block, before=before))
 
+        expect_reads(
+            self._stream,
+            ((entry.start, entry.start + entry.length + entry.index_length) for entry in wanted),
+        )
         jobs = self._read_chunks(wanted)
         # Threads cost more to start than one chunk takes.
         yield from map(build, jobs) if len(wanted) <= 1 else _map_ahead(build, jobs)

@@ -17,6 +17,7 @@ from turtlelog.log.container import McapFile
 from turtlelog.log.interrupts import exit_on_terminate, hold_stop
 from turtlelog.log.recording.head import HEAD, SCENARIO_FILE, describe_scenario, format_head
 from turtlelog.log.recording.tick_records import TickRecords, measure_tick
+from turtlelog.remote.urls import RemotePath, make_path
 from turtlelog.scenario import Scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import Tick, declare_scenario
 
@@ -73,6 +74,8 @@ class Recorder:
             ScenarioError: Where the law cannot be loaded or may not run.
             LawError: Where its declaration is wrong.
         """
+        if isinstance(make_path(path), RemotePath):
+            raise LogError(f"{make_path(path)}: expected a local file to record live, found a URL")
         scenario = resolve_scenario(scenario)
         self._path, self._scenario, self._flush_s = Path(path), scenario, flush_s
         self._declaration = declare_scenario(scenario)

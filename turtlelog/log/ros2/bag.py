@@ -9,6 +9,7 @@ from turtlelog.errors import LogError
 from turtlelog.log.engine.topic_columns import TopicColumns, read_columns, read_flat_columns
 from turtlelog.log.info import RecordingInfo, TopicInfo, merge_topics, read_info
 from turtlelog.log.ros2.bag_folder import find_bag_files
+from turtlelog.remote.urls import make_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +52,7 @@ def open_bag(path: str | Path) -> Bag:
     Raises:
         LogError: Where it is no bag, or one of its files cannot be read, is cut or is damaged.
     """
-    path = Path(path)
+    path = make_path(path)
     found = find_bag_files(path)
     infos = {file: read_info(file) for file in found.files}
     if found.notes:

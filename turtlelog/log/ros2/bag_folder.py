@@ -11,6 +11,7 @@ from turtlelog.log.engine.opening import BAG_SUFFIXES
 from turtlelog.log.error_boundary import name_file
 from turtlelog.log.info import RecordingInfo, list_absent, merge_topics, read_info, sort_topics
 from turtlelog.log.ros2.bag_metadata import METADATA_FILE, BagMetadata, read_bag_metadata
+from turtlelog.remote.urls import make_path
 
 _PART: Final = re.compile(r"_[0-9]+(?:\.[A-Za-z0-9]+)+$")
 """How the names of a bag's parts end."""
@@ -47,7 +48,7 @@ def find_bag_files(path: str | Path) -> BagFiles:
         LogError: Where a folder holds no files of a bag, lacks one that its metadata names, or
             mixes kinds.
     """
-    path = Path(path)
+    path = make_path(path)
     if not path.is_dir():
         return BagFiles(files=(path,))
     present = _list_present(path)
@@ -192,7 +193,7 @@ def read_bag_info(path: str | Path) -> RecordingInfo:
     Raises:
         LogError: Where it is no bag, or one of its files cannot be read.
     """
-    path = Path(path)
+    path = make_path(path)
     found = find_bag_files(path)
     infos = [read_info(file) for file in found.files]
     if len(infos) == 1 and infos[0].format_version is not None:

@@ -1,0 +1,56 @@
+import json
+
+import pytest
+
+import turtlelog as tl
+from tests.remote.range_server import RangeServer
+from turtlelog.cli.app import main
+
+
+def _run(words: list[str]) -> int | str | None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    return ended.value.code
+
+
+@pytest.mark.parametrize("command", ["info", "metrics"])
+def test_a_command_answers_as_of_the_local_file(
+    command: str, server: RangeServer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    url, path = server.url("kp4.mcap"), "recordings/paper/kp4.mcap"
+    assert _run([command, f"{url}?sig=SECRET//x", "--json"]) == 0
+    remote = capsys.readouterr().out
+    assert _run([command, path, "--json"]) == 0
+    assert json.loads(remote.replace(url, path)) == json.loads(capsys.readouterr().out)
+
+
+def test_info_does_not_fetch_the_poses_of_a_bag_unasked(
+    server: RangeServer, large_mcap: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(["info", server.url("large.mcap")]) == 0
+    assert "not looked at, it is behind a URL: info --clock does" in capsys.readouterr().out
+    assert server.sent < 0.025 * len(large_mcap)  # as of test_info_of_a_large_recording
+
+
+def test_a_server_without_ranges_is_told_in_one_line(
+    large_mcap: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with RangeServer(files={"large.mcap": large_mcap}, has_ranges=False) as server:
+        url = server.url("large.mcap")
+        assert _run(["info", url]) == 0
+    assert capsys.readouterr().err == f"{url}: the server sends no ranges, so all of it is read\n"
+
+
+def test_an_error_is_one_line_with_the_url(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run(["metrics", "memory://bucket/none.mcap"]) == 2
+    assert capsys.readouterr().err == (
+        "turtlelog: error: memory://bucket/none.mcap: expected an object or file,"
+        " found none of this name\n"
+    )
+
+
+def test_a_topic_stands_behind_a_url() -> None:
+    path, topic = tl.log.split_topic("https://host:8080/bag.mcap:/odom")
+    assert (str(path), topic) == ("https://host:8080/bag.mcap", "/odom")
+    path, topic = tl.log.split_topic("https://host:8080/bag.mcap")
+    assert (str(path), topic) == ("https://host:8080/bag.mcap", None)

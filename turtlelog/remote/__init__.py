@@ -1,0 +1,8 @@
+"""Files behind URLs: object storage and http, through fsspec, which is loaded for a URL only.
+
+The names stand in `__init__.pyi` and load on first use.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,11 @@
+from .ranges import (
+    RangeStream as RangeStream,
+    RemoteFile as RemoteFile,
+)
+from .urls import (
+    RemoteNote as RemoteNote,
+    RemotePath as RemotePath,
+    is_url as is_url,
+    make_path as make_path,
+    show_url as show_url,
+)

@@ -1,0 +1,157 @@
+"""How servers are asked through fsspec, and what goes wrong with it in one line each."""
+
+import time
+from collections.abc import Callable
+from typing import Any, Final, TypeVar, cast
+from urllib.parse import urlsplit
+
+from turtlelog.errors import LibraryError, RemoteError, describe_error
+from turtlelog.libraries import load_library
+from turtlelog.remote.urls import hide_secrets
+
+T = TypeVar("T")
+
+_WAITS_S: Final = (0.1, 0.5)
+"""Before a request that failed is repeated [s]: three attempts in all."""
+
+CONNECT_S: Final = 10
+STALL_S: Final = 20
+"""Without a byte from the server until it counts as hanging [s]."""
+
+
+class NoRangesError(Exception):
+    """A server that knows whole files only."""
+
+
+_BACKENDS: Final = {
+    "http": "aiohttp", "https": "aiohttp", "s3": "s3fs", "s3a": "s3fs", "gs": "gcsfs",
+    "gcs": "gcsfs", "az": "adlfs", "abfs": "adlfs", "abfss": "adlfs", "sftp": "paramiko",
+    "ssh": "paramiko", "smb": "smbprotocol", "hf": "huggingface_hub",
+}  # fmt: skip
+"""What reads URLs, beside fsspec."""
+
+
+def open_system(url: str) -> tuple[Any, str]:
+    """Return the file system of a URL, and what it calls the file.
+
+    Raises:
+        LibraryError: Where what reads such URLs is not installed.
+        RemoteError: Where nothing reads them, or credentials are missing.
+    """
+    fsspec = load_library("fsspec")
+    scheme = urlsplit(url).scheme.lower()
+    try:
+        return cast("tuple[Any, str]", fsspec.core.url_to_fs(url, **_choose_options(url)))
+    except ImportError as err:
+        package = _BACKENDS.get(scheme)
+        advice = f"`pip install {package}`" if package else hide_secrets(str(err))
+        raise LibraryError(
+            f"{package or scheme}: needed for {scheme}:// URLs, and not installed; {advice}"
+        ) from err
+    except Exception as err:
+        known = ", ".join(["https", "s3", "gs", "abfs", "sftp", "memory"])
+        if "Protocol not known" in str(err):
+            raise RemoteError(
+                f"expected a URL that fsspec reads ({known}), found {scheme}://"
+            ) from err
+        raise RemoteError(_describe(err)) from err
+
+
+def _choose_options(url: str) -> dict[str, Any]:
+    """Return what makes a server that hangs an error; what the user configured comes first."""
+    if "::" in url:
+        return {}  # they are told apart by nothing but the user's configuration
+    scheme = urlsplit(url).scheme.lower()
+    conf = dict(load_library("fsspec").config.conf.get(scheme, {}))
+    if scheme in {"http", "https"}:
+        try:
+            from aiohttp import ClientTimeout
+        except ImportError:
+            return {}
+        timeout = ClientTimeout(total=None, sock_connect=CONNECT_S, sock_read=STALL_S)
+        client = {"timeout": timeout, **conf.get("client_kwargs", {})}
+        headers = {**conf.get("headers", {}), "Accept-Encoding": "identity"}
+        # What is percent-encoded already is signed like that.
+        is_encoded = url.isascii() and " " not in url
+        return {"client_kwargs": client, "headers": headers, "encoded": is_encoded}
+    if scheme in {"s3", "s3a"}:
+        usual = {
+            "connect_timeout": CONNECT_S,
+            "read_timeout": STALL_S,
+            "retries": {"total_max_attempts": 1},
+        }
+        return {"config_kwargs": {**usual, **conf.get("config_kwargs", {})}}
+    return {}
+
+
+def try_thrice(ask: Callable[[], T]) -> T:
+    """Return what a server answers; a request that fails on the way is repeated.
+
+    Raises:
+        RemoteError: Where it fails again, or in a way that does not pass.
+    """
+    for wait_s in (*_WAITS_S, None):
+        try:
+            return ask()
+        except NoRangesError:
+            raise
+        except Exception as err:
+            if wait_s is None or not _may_pass(err):
+                raise RemoteError(_describe(err)) from err
+        time.sleep(wait_s)
+    raise AssertionError
+
+
+def _list_causes(err: BaseException) -> list[BaseException]:
+    found: list[BaseException] = []
+    cause: BaseException | None = err
+    while cause is not None and cause not in found:
+        found.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    return found
+
+
+def _find_status(err: BaseException) -> int | None:
+    for cause in _list_causes(err):
+        response = getattr(cause, "response", None)
+        meta = response.get("ResponseMetadata", {}) if isinstance(response, dict) else {}
+        status = getattr(cause, "status", None) or meta.get("HTTPStatusCode")
+        if isinstance(status, int):
+            return status
+    return None
+
+
+_LOST: Final = ("NoCredentialsError", "PartialCredentialsError", "TokenRetrievalError")
+_AWAY: Final = ("ClientConnectorError", "ClientConnectorDNSError", "EndpointConnectionError",
+    "ConnectionRefusedError", "gaierror")  # fmt: skip
+_SLOW: Final = ("TimeoutError", "ReadTimeoutError", "ConnectTimeoutError", "FSTimeoutError",
+    "SocketTimeoutError", "ConnectionTimeoutError", "ServerTimeoutError")  # fmt: skip
+
+
+def _describe(err: BaseException) -> str:
+    """Return in one line what went wrong, without what is secret."""
+    names = {kind.__name__ for cause in _list_causes(err) for kind in type(cause).__mro__}
+    status = _find_status(err)
+    if status in {401, 403} or (isinstance(err, PermissionError) and status is None):
+        return "expected a file that may be read, found no access to it (the server refuses)"
+    if names & set(_LOST):
+        return "expected credentials of the object storage, found none"
+    if names & set(_SLOW):
+        return f"expected an answer within {STALL_S} s, found none: the server hangs"
+    if names & set(_AWAY):
+        return "expected a server, found none that answers at this address"
+    if status == 404 or (isinstance(err, FileNotFoundError) and status is None):
+        return "expected an object or file, found none of this name"
+    found = hide_secrets(describe_error(err))
+    if status is not None and status >= 400:
+        found = f"the server's error {status}"
+    return f"expected all of the bytes asked for, found {found[:300]}"
+
+
+def _may_pass(err: BaseException) -> bool:
+    status, names = _find_status(err), {type(cause).__name__ for cause in _list_causes(err)}
+    if names & {*_LOST, *_AWAY, *_SLOW} or isinstance(err, PermissionError | ImportError):
+        return False
+    if isinstance(err, FileNotFoundError) and status is None:
+        return False
+    return status is None or status >= 500 or status in {408, 429}

@@ -1,0 +1,190 @@
+"""URLs where files are meant, as `s3://bucket/run.mcap`: paths that know how they are fetched.
+
+Local files never load fsspec. What is printed of a URL holds no password and no signature.
+"""
+
+import os
+import re
+import stat
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, Final
+
+from turtlelog.errors import RemoteError
+
+if TYPE_CHECKING:
+    from turtlelog.remote.ranges import RemoteFile
+
+_URL: Final = re.compile(r"(?:[A-Za-z][A-Za-z0-9+.-]+::)*[A-Za-z][A-Za-z0-9+.-]+://")
+"""At least two letters: `C:` is a drive. `simplecache::https://` is one within the other."""
+
+if TYPE_CHECKING:
+    _LocalPath = Path
+else:
+    _LocalPath = type(Path())  # until Python 3.12 Path itself cannot have children
+
+
+class RemoteNote(UserWarning):
+    """How a file was read, where that took more than was needed."""
+
+
+def is_url(text: str) -> bool:
+    """Return whether a text is a URL; `C:/x.mcap` and a file called `a:b.mcap` are none."""
+    return _URL.match(text) is not None
+
+
+def show_url(url: str) -> str:
+    """Return a URL without what may be secret: user, password, query and fragment."""
+    return "::".join(map(_show_one, url.split("::")))
+
+
+def _show_one(url: str) -> str:
+    scheme, mark, rest = re.split(r"[?#]", url, maxsplit=1)[0].partition("://")
+    host, slash, path = rest.partition("/")
+    return scheme + mark + host.rpartition("@")[2] + slash + path
+
+
+def hide_secrets(text: str) -> str:
+    """Return a message of a library with its URLs as `show_url` returns them."""
+    return re.sub(_URL.pattern + r"[^\s'\"<>]*", lambda found: show_url(found[0]), text)
+
+
+class RemotePath(_LocalPath):
+    """A file behind a URL. As text it is the URL without what is secret.
+
+    Attributes:
+        url: The whole URL.
+    """
+
+    url: str
+    _file: "RemoteFile | None"
+    _failure: RemoteError | None
+
+    def __new__(cls, url: str) -> "RemotePath":
+        """Make a path of its text."""
+        return super().__new__(cls, show_url(url))
+
+    def __init__(self, url: str) -> None:
+        if sys.version_info >= (3, 12):
+            super().__init__(show_url(url))
+        self.url, self._file, self._failure = url, None, None
+
+    def __str__(self) -> str:
+        return show_url(self.url)
+
+    def __fspath__(self) -> str:
+        return str(self)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RemotePath) and self.url == other.url
+
+    def __hash__(self) -> int:
+        return hash(self.url)
+
+    def __reduce__(self) -> tuple[type["RemotePath"], tuple[str]]:
+        return RemotePath, (self.url,)
+
+    def split_topic(self) -> tuple["RemotePath", str | None]:
+        """Return the URL and the topic in URL:TOPIC, as in `https://host/bag.mcap:/odom`."""
+        scheme, mark, rest = self.url.partition("://")
+        place, colon, topic = rest.rpartition(":/")
+        return (RemotePath(scheme + mark + place), f"/{topic}") if colon else (self, None)
+
+    @property
+    def file(self) -> "RemoteFile":
+        """How it is fetched; kept, so that what was read of its ends is not fetched twice.
+
+        Raises:
+            RemoteError: Where it is not there or cannot be reached.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if self._file is None:
+            from turtlelog.remote.ranges import RemoteFile
+
+            try:
+                self._file = RemoteFile(self.url)
+            except RemoteError as err:
+                self._failure = err
+                raise
+        return self._file
+
+    def open(self, mode: str = "r", *args: Any, **options: Any) -> IO[Any]:  # type: ignore[override]  # noqa: ARG002
+        """Open it to read its bytes."""
+        if mode != "rb":
+            raise ValueError(f"a URL: expected mode rb, found {mode}")
+        return self.file.open()
+
+    def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:  # noqa: ARG002
+        """Return its size; it is a file that is never written in place."""
+        return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 1, 0, 0, self.file.size, 0, 0, 0))
+
+    def is_dir(self, **_: Any) -> bool:
+        """Return False: a folder of a bag is read from disks alone."""
+        return False
+
+    def is_file(self, **_: Any) -> bool:
+        """Return True: it is found out when it is read."""
+        return True
+
+    def is_symlink(self) -> bool:
+        """Return False."""
+        return False
+
+    def exists(self, **_: Any) -> bool:
+        """Return True: it is found out when it is read."""
+        return True
+
+    def resolve(self, strict: bool = False) -> "RemotePath":  # noqa: ARG002, FBT001, FBT002
+        """Return it as it is."""
+        return self
+
+    def absolute(self) -> "RemotePath":
+        """Return it as it is."""
+        return self
+
+    def samefile(self, other_path: "str | os.PathLike[str]") -> bool:
+        """Return whether another is the same URL."""
+        return self == other_path
+
+    @property
+    def parent(self) -> "RemotePath":
+        """The URL of its folder."""
+        return self._replace(lambda path: path.rpartition("/")[0])
+
+    @property
+    def parents(self) -> Sequence["RemotePath"]:
+        """None: no output lies within an object."""
+        return ()
+
+    def with_name(self, name: str) -> "RemotePath":
+        """Return its neighbour of another name."""
+        return self._replace(lambda path: f"{path.rpartition('/')[0]}/{name}")
+
+    def with_suffix(self, suffix: str) -> "RemotePath":
+        """Return its neighbour of another ending."""
+        return self.with_name(self.stem + suffix)
+
+    def __truediv__(self, key: "str | os.PathLike[str]") -> "RemotePath":
+        return self._replace(lambda path: f"{path.rstrip('/')}/{os.fspath(key)}")
+
+    def _replace(self, change: Callable[[str], str]) -> "RemotePath":
+        place, end = re.fullmatch(r"([^?#]*)(.*)", self.url, re.DOTALL).groups()  # type: ignore[union-attr]
+        scheme, mark, path = place.partition("://")
+        return RemotePath(scheme + mark + change(path) + end)
+
+
+def make_path(path: "str | os.PathLike[str]") -> Path:
+    """Return a path of what a user names: a file, or a URL."""
+    if isinstance(path, RemotePath):
+        return path
+    text = os.fspath(path)
+    return RemotePath(text) if is_url(text) else Path(path)
+
+
+def expect_reads(stream: BinaryIO, ranges: Iterable[tuple[int, int]]) -> None:
+    """Tell a stream what will be read; one of a local file needs no telling."""
+    expect = getattr(stream, "expect", None)
+    if expect is not None:
+        expect(ranges)
