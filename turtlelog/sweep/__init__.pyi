@@ -4,6 +4,7 @@ from .assemble import (
 from .find_recordings import (
     FoundRecording as FoundRecording,
     find_recordings as find_recordings,
+)
 from .metric_rows import (
     describe_values as describe_values,
     plan_metric_table as plan_metric_table,
