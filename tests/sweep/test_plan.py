@@ -6,6 +6,7 @@ import pytest
 from turtlelog.errors import SweepError
 from turtlelog.sweep import Sampling, SweepPlan, build_plan
 from turtlelog.sweep.grid import MOST_ROWS, parse_key_values
+from turtlelog.sweep.plan import MOST_DRAWN
 
 
 def list_values(text: str) -> list[Any]:
@@ -130,7 +131,7 @@ def test_latin_sample_has_one_value_in_each_part_of_each_range() -> None:
     assert [int(value) for value in reals] != list(range(10))
 
 
-@pytest.mark.parametrize(("count", "seed"), [(0, 0), (1, -1), (MOST_ROWS + 1, 0)])
+@pytest.mark.parametrize(("count", "seed"), [(0, 0), (1, -1), (MOST_DRAWN + 1, 0)])
 def test_sample_of_nothing_or_too_much_is_refused(count: int, seed: int) -> None:
     with pytest.raises(SweepError, match=r"expected at (least|most)"):
         build_plan(["a=1:2"], sampling=Sampling(count=count, seed=seed))

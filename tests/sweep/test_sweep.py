@@ -15,6 +15,7 @@ from turtlelog.sweep import (
     read_result_table,
     run_sweep,
 )
+from turtlelog.sweep.assemble import find_key_unit
 
 NOISY = {"sensing.noise_position_m": 0.01, "loop.loss_probability": 0.05, "seed": 3}
 
@@ -133,6 +134,25 @@ def test_columns_have_the_type_that_the_scenario_has_and_units(tmp_path: Path) -
     assert tl.parse_scenario(table.facts["base"]) == tl.load_scenario("textbook")
     assert json.loads(table.facts["plan"])["grid"]["law.kp_linear"] == "1:2"
     assert table.version == tl.__version__
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [
+        ("limits.speed_m_s", "m/s"),
+        ("limits.turn_jerk_rad_s3", "rad/s^3"),
+        ("limits.acceleration_m_s2", "m/s^2"),
+        ("goal.x_m", "m"),
+        ("goal.heading_rad", "rad"),
+        ("max_duration_s", "s"),
+        ("loop.transport_delay_ticks", "ticks"),
+        ("law.kp_linear", None),
+        ("seed", None),
+        ("law.standstill_samples", None),
+    ],
+)
+def test_unit_of_a_key_is_that_of_its_name(key: str, unit: str | None) -> None:
+    assert find_key_unit(key) == unit
 
 
 def test_laws_that_differ_share_a_table(tmp_path: Path) -> None:

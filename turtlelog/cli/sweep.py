@@ -149,11 +149,9 @@ def sweep(
     gives for the same scenario, bit for bit, on however many cores, and the same command gives the
     same file. What is interrupted goes on where the same command is given again.
 
-    Example: turtlelog sweep paper-kp4 --grid law.kp_linear=1:12 --grid
-    loop.transport_delay_ticks=0:8 --metrics "*.settling_time,final.*" -o results.parquet
+    Example: turtlelog sweep paper-kp4 --grid law.kp_linear=1:12:0.5 -o kp.parquet
 
-    Example: turtlelog sweep textbook --grid law.kp_linear=0.5:12 --grid law.kp_angular=0.5:12
-    --sample 1000 --seed 7 --latin -o results.parquet
+    Example: turtlelog sweep mine.toml --grid seed=0:31 --metrics "final.*" -o s.parquet
 
     Random effects draw by the scenario's seed, the same in every row unless it is varied:
     --grid seed=0:31. `turtlelog run --from results.parquet --row 123` runs a row again.
@@ -211,7 +209,7 @@ def _ask_consent(prepared: "Sweep", output: Path, jobs: int | None) -> None:
     rows = prepared.plan.row_count
     found = tl.sweep.estimate_sweep(prepared, jobs=jobs)
     took = timedelta(seconds=max(1, round(found.seconds)))
-    takes = f"{rows:,} rows: about {took}, and at most {found.most_bytes / 1e6:,.0f} MB in {output}"
+    takes = f"{rows:,} rows: about {took}, and {found.bytes / 1e6:,.0f} MB in {output}"
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise UsageError(f"{takes}; expected --yes to go on, found no terminal to ask at")
     print_note(takes)

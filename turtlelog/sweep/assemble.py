@@ -1,6 +1,7 @@
 """The results of all chunks as one table, however they were cut; a row of it as a scenario."""
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -42,7 +43,7 @@ def assemble_table(
     columns = [
         ResultColumn(name="row", type="whole", cells=range(count)),
         *(
-            ResultColumn(name=key, type=choose_type(cells), cells=cells)
+            ResultColumn(name=key, type=choose_type(cells), cells=cells, unit=find_key_unit(key))
             for key, cells in zip(plan.keys, varied, strict=True)
         ),
         *_list_metrics(parts),
@@ -59,6 +60,19 @@ def assemble_table(
         "recorded": str(sum(part.recorded for part in parts)),
     }
     return ResultTable(kind="sweep", columns=tuple(columns), facts={**facts, **own})
+
+
+def find_key_unit(key: str) -> str | None:
+    """Return the unit with which the name of a key ends, None where it has none."""
+    found = _UNIT.search(key)
+    if found is None:
+        return None
+    unit = found[1].replace("_s", "/s", 1) if found[1] != "s" else "s"
+    return _POWER.sub(r"^\1", unit)
+
+
+_UNIT: Final = re.compile(r"_((?:m|rad)(?:_s[23]?)?|s|ticks)$")
+_POWER: Final = re.compile(r"(\d)$")
 
 
 def _require_whole(plan: SweepPlan, parts: Sequence[RowResults]) -> None:

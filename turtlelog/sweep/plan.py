@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from turtlelog.errors import SweepError
 from turtlelog.sweep.grid import MOST_ROWS, KeyValues, Steps, parse_key_values
 
+MOST_DRAWN: Final = 10_000_000
+"""Rows of a sample, which is drawn at once: 80 MB for each key."""
+
 _BELOW_1: Final = math.nextafter(1.0, 0.0)
 
 
@@ -35,6 +38,9 @@ class Sampling:
             if found < least:
                 name = "--sample" if name == "count" else "--seed"
                 raise SweepError(f"{name}: expected at least {least}, found {found}")
+        if self.count > MOST_DRAWN:
+            most = f"at most {MOST_DRAWN:,} rows"
+            raise SweepError(f"--sample: expected {most}, found {self.count:,}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,8 +159,6 @@ def _require_sound(plan: SweepPlan) -> None:
 
 def _draw(sampling: Sampling, width: int) -> NDArray[np.float64]:
     """Return shares from 0 to below 1: a row for each row, a column for each axis."""
-    if sampling.count > MOST_ROWS:
-        raise SweepError(f"--sample: expected at most {MOST_ROWS:,} rows, found {sampling.count:,}")
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(sampling.seed)))
     drawn = generator.random((sampling.count, width))
     if not sampling.is_latin:

@@ -299,11 +299,11 @@ class SweepEstimate:
 
     Attributes:
         seconds: On so many processes as were asked for [s].
-        most_bytes: The table takes no more than about this [bytes].
+        bytes: Of the table, which may be smaller where values repeat [bytes].
     """
 
     seconds: float
-    most_bytes: int
+    bytes: int
 
 
 def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
@@ -317,4 +317,4 @@ def estimate_sweep(sweep: Sweep, *, jobs: int | None = None) -> SweepEstimate:
         simulate_rows(sweep.cut_chunk(row, 1, ahead=count // jobs))
     row_s = (time.perf_counter() - begun) / len(probes)
     numbers = 1 + len(sweep.plan.keys) + len(found.metrics)
-    return SweepEstimate(seconds=row_s * count / jobs, most_bytes=8 * numbers * count)
+    return SweepEstimate(seconds=row_s * count / jobs, bytes=8 * numbers * count)
