@@ -83,6 +83,7 @@ def test_command_that_needs_more_says_what_in_one_line(
         (("explain", RECORDING, "--scenario", "as-found.toml", "--rrd", "run.rrd"), "rerun-sdk"),
         (("compare", RECORDING, OTHER, "--rrd", "runs.rrd"), "rerun-sdk"),
         (("convert", RECORDING, "-o", "poses.csv", "-o", "poses.parquet"), "pyarrow"),
+        (("sweep", "textbook", "--grid", "seed=0:1", "-o", "seeds.parquet"), "pyarrow"),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else value,
 )

@@ -1,5 +1,4 @@
 import os
-import pty
 import subprocess
 import sys
 from pathlib import Path
@@ -155,6 +154,8 @@ def test_many_rows_are_announced_and_need_consent(
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such terminals")
 @pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 2), ("\n", 2)])
 def test_consent_is_asked_for_at_a_terminal(answer: str, code: int, tmp_path: Path) -> None:
+    import pty
+
     program = (
         "from turtlelog.cli import sweep\nfrom turtlelog.cli.app import main\n"
         "sweep._MANY_ROWS = 1\nmain()\n"

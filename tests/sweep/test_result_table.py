@@ -121,8 +121,9 @@ def list_damaged(folder: Path) -> Iterator[tuple[str, str]]:
         ResultTable(kind="metrics", columns=make_table().columns), folder / "metrics"
     )
     yield "metrics", "expected a table of sweep, found a table of metrics"
-    os.mkfifo(folder / "pipe")
-    yield "pipe", "expected a file, found a pipe"
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(folder / "pipe")
+        yield "pipe", "expected a file, found a pipe"
 
 
 def test_what_is_no_such_table_is_one_line(tmp_path: Path) -> None:
@@ -143,6 +144,7 @@ def test_table_of_a_newer_format_is_refused(
         read_result_table(tmp_path / "t.parquet", kind="sweep")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such limit")
 def test_full_disk_leaves_the_file_that_was_there(tmp_path: Path) -> None:
     path = tmp_path / "t.parquet"
     write_result_table(make_table(), path)

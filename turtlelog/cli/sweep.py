@@ -151,7 +151,7 @@ def sweep(
 
     Example: turtlelog sweep paper-kp4 --grid law.kp_linear=1:12:0.5 -o kp.parquet
 
-    Example: turtlelog sweep mine.toml --grid seed=0:31 --metrics "final.*" -o s.parquet
+    Example: turtlelog sweep mine.toml --grid seed=0:31 --record runs -o s.parquet
 
     Random effects draw by the scenario's seed, the same in every row unless it is varied:
     --grid seed=0:31. `turtlelog run --from results.parquet --row 123` runs a row again.
