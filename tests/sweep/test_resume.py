@@ -250,3 +250,4 @@ def test_folder_of_recordings_must_be_new_but_where_a_sweep_goes_on(tmp_path: Pa
     ]
     with pytest.raises(tl.SweepError, match="expected a new folder for recordings, found one with"):
         run_sweep(sweep, tmp_path / "other.parquet")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["runs", "t.parquet"]

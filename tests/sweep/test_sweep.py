@@ -155,6 +155,15 @@ def test_unit_of_a_key_is_that_of_its_name(key: str, unit: str | None) -> None:
     assert find_key_unit(key) == unit
 
 
+def test_metrics_of_every_kind_are_kept(tmp_path: Path) -> None:
+    base = tl.load_scenario("track-square")
+    table = sweep_scenario(base, tmp_path / "t.parquet", "path.speed_m_s=0.5,0.4", metrics=["*"])
+    found = tl.measure_run(tl.simulate_run(base))
+    for metric in found.values():
+        assert list_cells(table, metric.id)[0] == metric.value
+        assert list_cells(table, f"{metric.id}.status")[0] == metric.status.value
+
+
 def test_laws_that_differ_share_a_table(tmp_path: Path) -> None:
     table = sweep_scenario(
         tl.load_scenario("textbook"), tmp_path / "t.parquet", "law.kind=sequential-p,posture"

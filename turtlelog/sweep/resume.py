@@ -170,10 +170,11 @@ class PartialResults:
 
     def close(self, *, is_complete: bool = False) -> None:
         """Release the file; one that is complete is removed."""
+        # Under the lock where the system allows it: once it is released the name may be another's.
         if is_complete and sys.platform != "win32":
             self.path.unlink(missing_ok=True)
         self._stream.close()
-        if is_complete:
+        if is_complete and sys.platform == "win32":
             self.path.unlink(missing_ok=True)
 
 

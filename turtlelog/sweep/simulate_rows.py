@@ -217,7 +217,8 @@ def _enter_metrics(results: RowResults, found: Mapping[str, Metric]) -> None:
             results.metrics[name] = cells
         if metric.unit not in cells.units:
             cells.units.append(metric.unit)
-        cells.values.append(metric.value)
+        # Some metrics are numbers of numpy, which no other process need know.
+        cells.values.append(None if metric.value is None else float(metric.value))
         cells.statuses.append(metric.status.value)
     for name in results.metrics.keys() - found.keys():
         results.metrics[name].values.append(None)

@@ -188,8 +188,7 @@ def run_sweep(
     partial = PartialResults(output, facts)
     is_complete = False
     try:
-        if sweep.records is not None and not partial.was_begun:
-            _require_empty(Path(sweep.records.folder))
+        _begin_records(sweep, partial)
         _simulate(sweep, partial, jobs, watch or _ignore)
         table = assemble_table(sweep.plan, facts, partial.done)
         write_result_table(table, output)
@@ -201,6 +200,17 @@ def run_sweep(
 
 def _ignore(_: int) -> None:
     """Do nothing."""
+
+
+def _begin_records(sweep: Sweep, partial: PartialResults) -> None:
+    """Make the folder of recordings; one with files is refused but where the sweep goes on."""
+    if sweep.records is None or partial.was_begun:
+        return
+    try:
+        _require_empty(Path(sweep.records.folder))
+    except SweepError:
+        partial.close(is_complete=True)  # nothing was begun
+        raise
 
 
 def _require_empty(folder: Path) -> None:
