@@ -1,9 +1,10 @@
 """What `turtlelog check` prints."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import turtlelog as tl
 from turtlelog.cli.output import format_table, print_tables, print_verdicts
@@ -13,6 +14,15 @@ from turtlelog.escapes import escape_controls
 if TYPE_CHECKING:
     from turtlelog import CheckResult, Spec
     from turtlelog.compare import Table
+    from turtlelog.compare.table import Cell
+
+
+_MOST_FILES: Final = 20
+"""Recordings whose checks are all shown: a table for each fills some ten screens. Of more, checks
+are counted, and failures are shown."""
+
+_MOST_FAILURES: Final = 40
+"""Failures that are shown then: a screen of rows, and one of reasons."""
 
 
 def describe_results(verdict: str, results: "Sequence[CheckResult]") -> dict[str, Any]:
@@ -71,16 +81,46 @@ def format_results(
         files: How many there are.
         spec: Says why a bound is what it is; None: what passes is left out.
     """
-    if spec is None:
-        shown = [result for result in results if result.verdict == "FAIL"]
+    failed = [result for result in results if result.verdict == "FAIL"]
+    if files > _MOST_FILES:
+        shown = failed[:_MOST_FAILURES]
+        tables = [_count_checks(results, files=files)]
+        tables += [_tabulate(shown, "Failures", names_file=True)] if shown else []
+        more = len(failed) - len(shown)
+        lines = [*_list_reasons(spec, shown)]
+        lines += [f"{more} more failures: --csv and --json show all"] if more else []
     else:
-        shown = [*results]
-    tables = [*_tabulate_files(shown), *_tabulate_matrix(shown)]
-    lines = [*_list_reasons(spec, shown), *_list_worst(shown)]
+        shown = failed if spec is None else [*results]
+        tables = [*_tabulate_files(shown), *_tabulate_matrix(shown)]
+        lines = [*_list_reasons(spec, shown), *_list_worst(shown)]
     parts = ["Checks; times from the first sample"] if tables else []
     parts += [format_table(table).rstrip("\n") for table in tables]
     parts += ["\n".join(map(escape_controls, lines))] if lines else []
     return "\n\n".join([*parts, _summarise(results, files=files)])
+
+
+def _count_checks(results: "Sequence[CheckResult]", *, files: int) -> "Table":
+    """Return how often each check passes, and where it is nearest to its limit, or beyond."""
+    by_check: dict[str, list[CheckResult]] = {}
+    for result in results:
+        by_check.setdefault(result.check, []).append(result)
+    titles = ("check", "PASS", "FAIL", "SKIPPED", "unit", "least margin", "file")
+    return tl.compare.Table(
+        title=f"{files} recordings, {len(by_check)} checks",
+        columns=tuple(tl.compare.Column(title=title) for title in titles),
+        rows=tuple(_count_check(check, found) for check, found in by_check.items()),
+    )
+
+
+def _count_check(check: str, results: "Sequence[CheckResult]") -> "tuple[Cell, ...]":
+    verdicts = Counter(result.verdict.value for result in results)
+    counts = tuple(verdicts[name] for name in ("PASS", "FAIL", "SKIPPED"))
+    measured = [result for result in results if result.margin is not None]
+    if not measured:
+        return (check, *counts, None, None, None)
+    worst = min(measured, key=lambda result: result.margin or 0.0)
+    unit, *_, margin = _show(worst)
+    return (check, *counts, unit, margin, worst.file)
 
 
 def _summarise(results: "Sequence[CheckResult]", *, files: int) -> str:

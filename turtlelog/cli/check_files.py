@@ -1,0 +1,261 @@
+"""Files held to a specification one by one, and what is written beside the answer."""
+
+import shlex
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any, Final
+
+from cyclopts import Parameter
+
+import turtlelog as tl
+from turtlelog.cli.folders import Recursive, summarise_table, tabulate
+from turtlelog.cli.options import (
+    Jobs,
+    Place,
+    ReadingOptions,
+    count_jobs,
+    list_reading_words,
+    watch_files,
+)
+from turtlelog.cli.output import print_note, print_run_notes
+from turtlelog.errors import LogError, UsageError
+from turtlelog.processes import map_in_processes
+
+if TYPE_CHECKING:
+    from turtlelog import CheckResult, Run, Spec
+    from turtlelog.check import ArtifactWriter
+    from turtlelog.check.junit import CheckedFile
+    from turtlelog.log import ReadChoice
+    from turtlelog.sweep import FoundRecording
+
+_FILE_S: Final = 5e-3
+"""To read a usual file and to judge it by some ten checks [s], besides its bytes."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportOptions:
+    """What to write beside the answer, and in how many processes to find it.
+
+    Attributes:
+        junit: Write JUnit XML, every metric a property, to this .xml file.
+        artifacts: Put a Rerun view, a picture and the cut recording of what fails into this folder.
+        report: Write a report on the recordings and their checks to this .html file.
+        recursive: Take every recording below the folders given.
+        jobs: Processes to read and judge in; as many as cores where that is quicker. With
+            --report, which needs all that was read, it is one.
+    """
+
+    junit: Place | None = None
+    artifacts: Place | None = None
+    report: Place | None = None
+    recursive: Recursive = False
+    jobs: Jobs = None
+
+
+def check_into_table(
+    output: Path,
+    spec: "Spec",
+    found: "Sequence[FoundRecording]",
+    reports: ReportOptions,
+    topics: ReadingOptions,
+    kind: str,
+) -> "list[CheckResult]":
+    """Return the results of files, of those that have not changed as a table holds them."""
+    from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
+
+    for name in ("junit", "artifacts", "report"):
+        if getattr(reports, name) is not None:
+            raise UsageError(
+                f"--{name}: expected no --output beside it, whose unchanged files are not read"
+            )
+    judge = _prepare_judge(spec, topics)
+    table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
+    done = tabulate(found, output, table, kind=kind, jobs=reports.jobs, file_s=_FILE_S)
+    print_note(summarise_table(done))
+    return read_verdicts(output, {one.label: one.path for one in found})
+
+
+def _prepare_judge(
+    spec: "Spec", topics: ReadingOptions, *, is_described: bool = False, keeps_runs: bool = False
+) -> "_Judge":
+    from turtlelog.check.judge_run import read_reference_run
+
+    choice = spec.read.override(topics.build_choice())
+    return _Judge(
+        spec=spec,
+        reference=read_reference_run(spec, choice),
+        choice=choice,
+        allow_partial=topics.partial,
+        is_described=is_described,
+        keeps_runs=keeps_runs,
+    )
+
+
+def check_files(
+    spec: "Spec", files: Sequence[Path], reports: ReportOptions, topics: ReadingOptions
+) -> "list[CheckResult]":
+    """Return the results of files, and write what is asked for beside them."""
+    from turtlelog.check.junit import CheckedFile, format_junit
+
+    jobs = count_jobs(reports.jobs, files, file_s=_FILE_S)
+    jobs = 1 if reports.report is not None else jobs
+    keeps_runs = reports.report is not None or (reports.artifacts is not None and jobs == 1)
+    is_described = reports.junit is not None
+    judge = _prepare_judge(spec, topics, is_described=is_described, keeps_runs=keeps_runs)
+    judged = map_in_processes(judge, files, jobs)
+    checked: list[CheckedFile] = []
+    runs: dict[str, Run] = {}
+    with ExitStack() as stack:
+        writer = reports.artifacts and stack.enter_context(
+            tl.check.ArtifactWriter(reports.artifacts)
+        )
+        for path, file in zip(files, watch_files(judged, len(files)), strict=True):
+            checked.append(file.checked)
+            print_run_notes(file.checked.file, file.notes)
+            if file.run is not None and reports.report is not None:
+                runs[file.checked.file] = file.run
+            if writer:
+                # Of files judged in other processes those that fail are read here once more.
+                _write_artifacts(file if keeps_runs else judge.look_closer(path, file), writer)
+    if reports.junit is not None:
+        with tl.log.replace_when_complete(reports.junit) as part:
+            part.write_text(format_junit(checked), encoding="utf-8")
+        print_note(f"wrote {reports.junit}")
+    results = [result for file in checked for result in file.results]
+    if reports.report is not None:
+        _write_report(reports.report, runs, results, (spec, list_reading_words(topics)))
+    return results
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judged:
+    """What is found of one file: the results, what to tell of reading it, the run where kept."""
+
+    checked: "CheckedFile"
+    notes: "Mapping[str, str]"
+    run: "Run | None" = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Judge:
+    """Holds one file after the other to a specification, in this process or another."""
+
+    spec: "Spec"
+    reference: "Run | None"
+    choice: "ReadChoice"
+    allow_partial: bool
+    is_described: bool
+    keeps_runs: bool
+
+    def look_closer(self, path: Path, file: _Judged) -> _Judged:
+        """Return what was found of a file with its run, where a check fails."""
+        has_failed = any(result.verdict == "FAIL" for result in file.checked.results)
+        return replace(self, keeps_runs=True, is_described=False)(path) if has_failed else file
+
+    def judge_file(self, path: str) -> "tuple[CheckResult, ...]":
+        """Return the results of a file."""
+        return self(Path(path)).checked.results
+
+    def __call__(self, path: Path) -> _Judged:
+        from turtlelog.check.judge_run import fail_recording, judge_run
+        from turtlelog.check.junit import CheckedFile
+
+        file, started, clock = str(path), datetime.now(UTC), _Clock()
+        try:
+            run, notes = read_to_judge(path, self.choice)
+        except LogError as err:
+            failed = (fail_recording(file, str(err).removeprefix(f"{path}: ")),)
+            checked = CheckedFile(file=file, results=failed, started=started, took_s=clock.read())
+            return _Judged(checked=checked, notes={})
+        found = judge_run(
+            self.spec, self.reference, run, file=file, allow_partial=self.allow_partial
+        )
+        timed = [(result, clock.lap()) for result in found]
+        results = tuple(result for result, _ in timed)
+        more = _describe(run, results) if self.is_described else {}
+        took_s = clock.read()
+        if not self.keeps_runs:
+            # What was judged may hold the reference: it is for a closer look beside the run.
+            results = tuple(replace(result, judged=None) for result in results)
+        checked = CheckedFile(
+            file=file,
+            results=results,
+            started=started,
+            took_s=took_s,
+            each_s=tuple(each_s for _, each_s in timed),
+            **more,
+        )
+        return _Judged(checked=checked, notes=notes, run=run if self.keeps_runs else None)
+
+
+def _write_report(
+    path: Path,
+    runs: "Mapping[str, Run]",
+    results: "Sequence[CheckResult]",
+    asked: "tuple[Spec, list[str]]",
+) -> None:
+    """Write a report on the recordings that could be read; how they were is told again."""
+    from turtlelog.cli.report import build_check_lines
+
+    if not runs:
+        print_note(f"{path}: no report: none of the recordings could be read")
+        return
+    names = dict(zip(runs, tl.compare.name_runs([*runs.values()]), strict=True))
+    spec, reading = asked
+    words = ["turtlelog", "check", str(spec.source), *runs, *reading, "--report", str(path)]
+    is_file = not str(spec.source).startswith("--")
+    tl.show.write_report(
+        [*runs.values()],
+        path,
+        sources=[*runs],
+        checks=build_check_lines(results, names, runs),
+        command=shlex.join(words) if is_file else "",
+    )
+    print_note(f"wrote {path}")
+
+
+class _Clock:
+    """How long checks take; the time to read is the first one's."""
+
+    def __init__(self) -> None:
+        self._began_s = self._last_s = perf_counter()
+
+    def lap(self) -> float:
+        """Return the time since the last lap [s]."""
+        last_s, self._last_s = self._last_s, perf_counter()
+        return self._last_s - last_s
+
+    def read(self) -> float:
+        """Return the time since the beginning [s]."""
+        return perf_counter() - self._began_s
+
+
+def _describe(run: "Run", results: "Sequence[CheckResult]") -> dict[str, Any]:
+    """Return what a report says beside results: all metrics, and all there is on a failure."""
+    from turtlelog.check.failure_report import describe_failure
+
+    failed = [result for result in results if result.verdict == "FAIL"]
+    details = {result.check: "\n".join(describe_failure(run, result)) for result in failed}
+    return {"metrics": tl.measure_run(run), "details": details}
+
+
+def read_to_judge(path: Path, choice: "ReadChoice") -> "tuple[Run, dict[str, str]]":
+    """Return a run, whole or not, and what to tell of reading it."""
+    # A recording that is not whole fails its check, which says so.
+    run = tl.log.read_as_chosen(path, replace(choice, allow_partial=True))
+    told = {name: text for name, text in run.notes.items() if name not in {"partial", "recovered"}}
+    return run, told
+
+
+def _write_artifacts(file: _Judged, writer: "ArtifactWriter") -> None:
+    for result in file.checked.results:
+        if file.run is None or result.verdict != "FAIL":
+            continue
+        written = writer.write(file.run, result)
+        for line in (*(f"wrote {path}" for path in written.files), *written.notes):
+            print_note(line)
