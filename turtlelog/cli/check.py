@@ -92,6 +92,9 @@ def check(
         return EXIT_FINE
     if first.init is not None:
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
+    if first.output is not None and first.output.suffix.lower() != ".parquet":
+        other = "--init beside it, or a table whose name ends in .parquet"
+        raise UsageError(f"--output: expected {other}, found {first.output}")
     expect = first.expect
     if expect and reference is not None:
         raise UsageError("--reference: expected no --expect beside it, found one")
@@ -106,8 +109,9 @@ def check(
     require_apart([path for path in targets if path is not None])
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
     topics = topics or ReadingOptions()
-    found = find_files(files, first.output, is_recursive=reports.recursive)
-    files = [Path(one.path) for one in found] if reports.recursive else files
+    if first.output is not None or reports.recursive:
+        found = find_files(files, first.output, is_recursive=reports.recursive)
+        files = [Path(one.path) for one in found]
     if first.output is not None:
         results = check_into_table(first.output, spec, found, reports, topics, kind)
     else:

@@ -11,7 +11,6 @@ import turtlelog as tl
 from turtlelog.cli.options import Jobs, Output, count_jobs
 from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
-from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
 from turtlelog.processes import FILE_S
 
@@ -74,6 +73,8 @@ def tabulate(
         jobs: As asked.
         file_s: As in `tabulate_recordings`.
     """
+    from turtlelog.cli.targets import require_new_target
+
     if kind not in {"txt", "json"}:
         raise UsageError("--output: expected text or --json beside it, found another format")
     require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
