@@ -132,7 +132,11 @@ def test_long_work_is_shared_by_as_many_processes_as_cores(
         monkeypatch.setattr(module, "map_in_processes", pickle_both_ways(module.__name__, started))
     together = [call(*one, kp10, "none.mcap", kp4) for one in words]
     assert together == alone
-    assert [name.rpartition(".")[2] for name in started] == ["measured_files", "check_files", "info"]
+    assert [name.rpartition(".")[2] for name in started] == [
+        "measured_files",
+        "check_files",
+        "info",
+    ]
 
 
 def pickle_both_ways(name: str, started: list[str]) -> Callable[..., Any]:

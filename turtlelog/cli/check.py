@@ -92,17 +92,8 @@ def check(
         return EXIT_FINE
     if first.init is not None:
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
-    if first.output is not None and first.output.suffix.lower() != ".parquet":
-        other = "--init beside it, or a table whose name ends in .parquet"
-        raise UsageError(f"--output: expected {other}, found {first.output}")
-    expect = first.expect
-    if expect and reference is not None:
-        raise UsageError("--reference: expected no --expect beside it, found one")
-    if not words:
-        expected = "recordings" if expect else "a specification and recordings"
-        raise UsageError(f"{'FILE' if expect else 'SPEC'}: expected {expected}, found none")
-    files = words if expect else words[1:]
-    require_files(files)
+    words, expect = words or [], first.expect
+    files = _choose_files(words, first, reference)
     require_new_target(reports.junit, words, suffix=".xml")
     require_new_target(reports.report, words, suffix=".html")
     targets = (reports.junit, reports.artifacts, reports.report)
@@ -122,6 +113,21 @@ def check(
     else:
         print_results(spec, results, files=len(files), kind=kind)
     return EXIT_FAILED if verdict == "FAIL" else EXIT_FINE
+
+
+def _choose_files(words: list[Path], first: FirstSpecOptions, reference: Path | None) -> list[Path]:
+    """Return the recordings among what was given; refuse what does not go together."""
+    if first.output is not None and first.output.suffix.lower() != ".parquet":
+        other = "--init beside it, or a table whose name ends in .parquet"
+        raise UsageError(f"--output: expected {other}, found {first.output}")
+    if first.expect and reference is not None:
+        raise UsageError("--reference: expected no --expect beside it, found one")
+    if not words:
+        expected = "recordings" if first.expect else "a specification and recordings"
+        raise UsageError(f"{'FILE' if first.expect else 'SPEC'}: expected {expected}, found none")
+    files = words if first.expect else words[1:]
+    require_files(files)
+    return files
 
 
 def build_spec(formulas: "Sequence[str]") -> "Spec":
