@@ -62,6 +62,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_run(folder / "run.mcap", EVIL)
     write_run(folder / "other.mcap", EVIL)
     tl.write_recording(tl.simulate_run(tl.load_scenario("paper-kp4")), folder / "sound.mcap")
+    write_table(folder / "table.parquet", EVIL)
     return folder
 
 
@@ -79,6 +80,17 @@ def write_run(path: Path, kind: str, *, is_whole: bool = True) -> None:
     tl.write_recording(
         dataclasses.replace(run, parameters=named, scenario_is_complete=is_whole), path
     )
+
+
+def write_table(path: Path, kind: str) -> None:
+    """Write the table of a sweep that asks for a law; the textbook's made its rows."""
+    base = tl.load_scenario("textbook")
+    tl.sweep.run_sweep(tl.sweep.prepare_sweep(base, tl.sweep.build_plan(["seed=0:1"])), path)
+    table = tl.sweep.read_result_table(path, kind="sweep")
+    asked = table.facts["base"].replace('"sequential-p"', f'"{kind}"')
+    assert kind in asked
+    named = dataclasses.replace(table, facts={**table.facts, "base": asked})
+    tl.sweep.write_result_table(named, path)
 
 
 def write_law(folder: Path, place: Path) -> str:
@@ -118,6 +130,8 @@ REFUSED = [
     "explain run.mcap",
     "explain run.mcap --metric run.duration --json",
     "explain run.mcap --scenario found.toml --rrd explained.rrd",
+    "sweep run.mcap --grid seed=0:1 -o seeds.parquet",
+    "sweep run.mcap --set law.kp_linear=3 --grid seed=0:1 -o seeds.parquet",
 ]
 """What would run the recorded law, and says so in one line."""
 
@@ -161,6 +175,15 @@ def test_a_recorded_law_is_named_and_not_run(folder: Path, words: str) -> None:
     assert "--trust-law" in answer.stderr
 
 
+@pytest.mark.parametrize("changes", ["", "--kp 3", "--set law.kp_linear=3"])
+def test_a_law_in_a_table_is_named_and_not_run(folder: Path, changes: str) -> None:
+    answer = call(folder, *f"run --from table.parquet --row 0 {changes}".split())
+    assert not (folder / "mark").exists()
+    assert (answer.returncode, answer.stdout, answer.stderr.count("\n")) == (2, "", 1)
+    assert "law.kind: expected a built-in law, or --trust-law" in answer.stderr
+    assert answer.stderr.endswith(f"found '{EVIL}'\n")
+
+
 @pytest.mark.parametrize("words", ANSWERED)
 def test_what_needs_no_law_answers_without_it(folder: Path, words: str) -> None:
     answer = call(folder, *words.split())
@@ -187,6 +210,11 @@ def test_nothing_else_runs_it(folder: Path, words: str) -> None:
         f"run textbook --set law.kind={EVIL}",
         "replay sound.mcap --law --scenario own.toml",
         "run own.toml",
+        "run --from table.parquet --row 0 --trust-law",
+        f"run --from table.parquet --row 0 --law {EVIL}",
+        "sweep run.mcap --grid seed=0:1 --trust-law -o trusted.parquet",
+        f"sweep textbook --law {EVIL} --grid seed=0:1 -o named.parquet",
+        f"sweep textbook --grid law.kind={EVIL},posture -o varied.parquet",
     ],
 )
 def test_a_law_that_the_user_named_or_trusted_runs(folder: Path, words: str) -> None:
