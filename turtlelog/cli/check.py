@@ -104,7 +104,7 @@ def check(
         found = find_files(files, first.output, is_recursive=reports.recursive)
         files = [Path(one.path) for one in found]
     if first.output is not None:
-        results = check_into_table(first.output, spec, found, reports, topics, kind)
+        results = check_into_table(first.output, spec, found, reports, topics)
     else:
         results = check_files(spec, files, reports, topics)
     verdict = tl.check.join_verdicts(results)

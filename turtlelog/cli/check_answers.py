@@ -88,7 +88,11 @@ def format_results(
         tables += [_tabulate(shown, "Failures", names_file=True)] if shown else []
         more = len(failed) - len(shown)
         lines = [*_list_reasons(spec, shown)]
-        lines += [f"{more} more failures: --csv and --json show all"] if more else []
+        lines += (
+            [f"{more} of {len(failed)} failures are not shown: --csv and --json show them"]
+            if more
+            else []
+        )
     else:
         shown = failed if spec is None else [*results]
         tables = [*_tabulate_files(shown), *_tabulate_matrix(shown)]

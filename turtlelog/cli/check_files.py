@@ -63,7 +63,6 @@ def check_into_table(
     found: "Sequence[FoundRecording]",
     reports: ReportOptions,
     topics: ReadingOptions,
-    kind: str,
 ) -> "list[CheckResult]":
     """Return the results of files, of those that have not changed as a table holds them."""
     from turtlelog.check.verdict_rows import plan_verdict_table, read_verdicts
@@ -75,7 +74,7 @@ def check_into_table(
             )
     judge = _prepare_judge(spec, topics)
     table = plan_verdict_table(spec, judge.judge_file, judge.choice, is_partial=topics.partial)
-    done = tabulate(found, output, table, kind=kind, jobs=reports.jobs, file_s=_FILE_S)
+    done = tabulate(found, output, table, jobs=reports.jobs, file_s=_FILE_S)
     print_note(summarise_table(done))
     return read_verdicts(output, {one.label: one.path for one in found})
 

@@ -11,7 +11,6 @@ import turtlelog as tl
 from turtlelog.cli.options import Jobs, Output, count_jobs
 from turtlelog.cli.output import print_note
 from turtlelog.cli.progress import show_progress
-from turtlelog.errors import UsageError
 from turtlelog.processes import FILE_S
 
 if TYPE_CHECKING:
@@ -59,7 +58,6 @@ def tabulate(
     output: Path,
     table: "RecordingTable",
     *,
-    kind: str,
     jobs: int | None,
     file_s: float = FILE_S,
 ) -> "TabulatedFiles":
@@ -69,14 +67,11 @@ def tabulate(
         found: The recordings.
         output: The table.
         table: What it holds.
-        kind: How to print, which is text or JSON.
         jobs: As asked.
         file_s: As in `tabulate_recordings`.
     """
     from turtlelog.cli.targets import require_new_target
 
-    if kind not in {"txt", "json"}:
-        raise UsageError("--output: expected text or --json beside it, found another format")
     require_new_target(output, [Path(one.path) for one in found], suffix=".parquet")
     why = tl.sweep.describe_former(output, table)
     if why is not None:

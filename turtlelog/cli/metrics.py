@@ -131,11 +131,13 @@ def metrics(
     patterns = measuring.list_patterns()
     folders = folders or FolderOptions()
     if folders.output is not None:
+        if kind not in {"txt", "json"}:
+            raise UsageError("--output: expected text or --json beside it, found another format")
         plan = tl.sweep.plan_metric_table(
             measuring.build_settings(), only=patterns, topics=topics.build_choice()
         )
         found = folders.find(files)
-        return _tell(tabulate(found, folders.output, plan, kind=kind, jobs=folders.jobs), kind)
+        return _tell(tabulate(found, folders.output, plan, jobs=folders.jobs), kind)
     files = folders.list_files(files)
     is_short = patterns is None and not all_ and kind not in {"json", "csv"}
     settings = measuring.build_settings()

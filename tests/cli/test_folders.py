@@ -1,0 +1,195 @@
+"""`metrics` and `check` on folders, with and without a table."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+import turtlelog as tl
+from tests.cli.conftest import Call
+from turtlelog.sweep import read_result_table
+
+SPEC = 'format = 1\n[checks.short]\nexpect = "run.duration < 1"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two that are short, one that is not, and one that is cut."""
+    place = tmp_path / "runs"
+    (place / "deep").mkdir(parents=True)
+    for name, duration_s in (("a", 0.4), ("b", 0.5), ("deep/c", 1.5)):
+        changes = {"max_duration_s": duration_s}
+        scenario = tl.override_scenario(tl.load_scenario("textbook"), changes)
+        tl.write_recording(tl.simulate_run(scenario), place / f"{name}.mcap")
+    (place / "cut.mcap").write_bytes((place / "a.mcap").read_bytes()[:300])
+    (place / "notes.txt").write_text("none of them")
+    (tmp_path / "spec.toml").write_text(SPEC)
+    monkeypatch.chdir(tmp_path)
+    return place
+
+
+def test_metrics_takes_the_recordings_below_a_folder(call: Call, folder: Path) -> None:
+    answer = call("metrics", "runs", "--recursive", "--json", "--only", "run.duration")
+    assert answer.code == 2
+    assert [Path(one["file"]).name for one in answer.json] == ["a.mcap", "b.mcap", "c.mcap"]
+    assert "cut.mcap: " in answer.err
+    assert "notes.txt" not in answer.err
+
+
+def test_a_folder_without_recursive_names_the_option(call: Call, folder: Path) -> None:
+    (folder / "deep" / "c.mcap").unlink()
+    answer = call("metrics", "runs/deep")
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.splitlines()[-1] == "--recursive takes the recordings below a folder"
+
+
+@pytest.mark.parametrize("words", [("metrics",), ("check", "spec.toml")])
+@pytest.mark.parametrize("more", [(), ("-o", "t.parquet")])
+def test_an_empty_folder_is_one_line(
+    call: Call, folder: Path, words: tuple[str, ...], more: tuple[str, ...]
+) -> None:
+    Path("none").mkdir()
+    answer = call(*words, "none", "--recursive", *more)
+    assert (answer.code, answer.out) == (2, "")
+    assert answer.err.startswith("turtlelog: error: none: expected recordings in the folder")
+    assert answer.err.count("\n") == 1
+
+
+def test_a_table_of_metrics_grows_by_what_is_new(call: Call, folder: Path) -> None:
+    words = ("metrics", "runs", "--recursive", "-o", "runs/t.parquet")
+    answer = call(*words)
+    assert answer.code == 2
+    assert answer.out == "wrote runs/t.parquet: 4 files, 4 read, 0 unchanged, 1 cannot be read\n"
+    assert "error: cut.mcap: " in answer.err
+    shutil.copy(folder / "a.mcap", folder / "cut.mcap")
+    answer = call(*words, "--json")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.json == {
+        "output": "runs/t.parquet", "files": 4, "read": 1, "unchanged": 3, "failed": 0
+    }  # fmt: skip
+    files = read_result_table(folder / "t.parquet", kind="metrics", columns=["file"]).columns[0]
+    assert files.cells == ["a.mcap", "b.mcap", "cut.mcap", "deep/c.mcap"]
+
+
+def test_of_many_damaged_files_ten_are_named(call: Call, folder: Path) -> None:
+    for number in range(11):
+        (folder / f"empty{number}.mcap").touch()
+    answer = call("metrics", "runs", "--recursive", "-o", "t.parquet")
+    assert len(answer.err.splitlines()) == 11
+    assert answer.err.endswith("2 more cannot be read: see the column error of t.parquet\n")
+
+
+def test_other_settings_are_said_and_measured_anew(call: Call, folder: Path) -> None:
+    words = ("metrics", "runs/a.mcap", "-o", "t.parquet")
+    call(*words)
+    answer = call(*words, "--band", "0.05")
+    assert "1 read, 0 unchanged" in answer.out
+    expected = "it was made with another choice of settings"
+    assert answer.err == f"t.parquet: every file is read, because {expected}\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (("-o", "t.csv"), "t.csv: expected a name that ends in .parquet, found another"),
+        (("-o", "t.parquet", "--csv"), "--output: expected text or --json beside it, found"),
+        (("-o", "no/t.parquet"), "expected a place that can be written, found no such folder"),
+        (("-o", "spec.toml"), "expected a name that ends in .parquet, found another"),
+        (("-o", "mine.parquet"), "mine.parquet: expected a complete Parquet file, found"),
+    ],
+)
+def test_a_table_that_cannot_be_is_one_line(
+    call: Call, folder: Path, more: tuple[str, ...], message: str
+) -> None:
+    Path("mine.parquet").write_text("my thesis")
+    answer = call("metrics", "runs", "--recursive", *more)
+    assert (answer.code, answer.out) == (2, "")
+    assert message in answer.err
+    assert answer.err.count("\n") == 1
+    assert Path("mine.parquet").read_text() == "my thesis"
+
+
+def test_check_judges_a_folder_and_a_damaged_file_fails(call: Call, folder: Path) -> None:
+    answer = call("check", "spec.toml", "runs", "--recursive", "--json")
+    found = {Path(one["file"]).name: one["verdict"] for one in answer.json["results"]}
+    assert answer.code == 1
+    assert found == {"a.mcap": "PASS", "b.mcap": "PASS", "cut.mcap": "FAIL", "c.mcap": "FAIL"}
+
+
+@pytest.mark.parametrize("kind", [(), ("--json",), ("--csv",), ("--markdown",)])
+def test_a_table_of_verdicts_answers_as_the_files_do(
+    call: Call, folder: Path, kind: tuple[str, ...]
+) -> None:
+    words = ("check", "spec.toml", "runs", "--recursive")
+    anew = call(*words, *kind)
+    first, second = (call(*words, *kind, "-o", "v.parquet") for _ in range(2))
+    assert first.out == second.out == anew.out
+    assert first.code == second.code == anew.code == 1
+    assert "4 read, 0 unchanged" in first.err
+    assert "0 read, 4 unchanged" in second.err
+
+
+def test_another_specification_judges_anew(call: Call, folder: Path) -> None:
+    words = ("check", "spec.toml", "runs/a.mcap", "-o", "v.parquet")
+    assert call(*words).code == 0
+    Path("spec.toml").write_text(SPEC.replace("< 1", "< 0.1"))
+    answer = call(*words)
+    assert answer.code == 1
+    assert "another choice of specification" in answer.err
+
+
+def test_another_reference_judges_anew(call: Call, folder: Path) -> None:
+    spec = 'format = 1\nreference = "good.mcap"\n[signals.heading]\nabs = 1e-9\n'
+    Path("spec.toml").write_text(spec)
+    shutil.copy("runs/a.mcap", "good.mcap")
+    words = ("check", "spec.toml", "runs/a.mcap", "-o", "v.parquet")
+    assert call(*words).code == 0
+    tl.write_recording(tl.simulate_run(tl.load_scenario("paper-kp10")), "good.mcap")
+    answer = call(*words)
+    assert answer.code == 1
+    assert "another choice of reference" in answer.err
+
+
+@pytest.mark.parametrize("option", ["--junit", "--report", "--artifacts"])
+def test_what_needs_the_runs_stands_without_a_table(call: Call, folder: Path, option: str) -> None:
+    target = {"--junit": "x.xml", "--report": "x.html", "--artifacts": "x"}[option]
+    answer = call("check", "spec.toml", "runs", "--recursive", "-o", "v.parquet", option, target)
+    assert answer.code == 2
+    assert f"{option}: expected no --output beside it" in answer.err
+
+
+@pytest.mark.parametrize("count", [20, 21])
+def test_of_more_than_twenty_recordings_checks_are_counted(
+    call: Call, folder: Path, count: int
+) -> None:
+    for number in range(count - 4):
+        os.link(folder / "a.mcap", folder / f"more{number}.mcap")
+    out = call("check", "spec.toml", "runs", "--recursive").out
+    assert ("more0.mcap" not in out) == (count > 20)
+    assert ("PASS  FAIL  SKIPPED" in out) == (count > 20)
+    assert "runs/cut.mcap: recording: " in out
+    assert out.splitlines()[-1] == f"FAIL: {count} recordings, {count - 2} pass, 2 fail, 0 skipped"
+
+
+@pytest.mark.parametrize(("failing", "more"), [(40, 0), (41, 1)])
+def test_of_many_failures_a_screen_is_shown(
+    call: Call, folder: Path, failing: int, more: int
+) -> None:
+    for number in range(failing - 2):
+        os.link(folder / "deep" / "c.mcap", folder / f"long{number:02}.mcap")
+    out = call("check", "spec.toml", "runs", "--recursive").out
+    assert out.count("FAIL runs/") == 40
+    assert ("1 of 41 failures are not shown: --csv and --json show" in out) == bool(more)
+
+
+def test_without_pyarrow_folders_are_checked_and_a_table_is_refused_in_one_line(
+    call: Call, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("pyarrow", "pyarrow.parquet"):
+        monkeypatch.setitem(__import__("sys").modules, name, None)
+    assert call("check", "spec.toml", "runs", "--recursive").code == 1
+    answer = call("metrics", "runs", "--recursive", "-o", "t.parquet")
+    assert (answer.code, answer.out) == (2, "")
+    assert "pyarrow" in answer.err
+    assert answer.err.count("\n") == 1
