@@ -140,7 +140,8 @@ def test_another_specification_judges_anew(call: Call, folder: Path) -> None:
 
 
 def test_another_reference_judges_anew(call: Call, folder: Path) -> None:
-    spec = 'format = 1\nreference = "good.mcap"\n[signals.heading]\nabs = 1e-9\n'
+    spec = 'format = 1\nreference = "good.mcap"\n[signals.heading]\n'
+    spec += 'abs = 1e-9\nreason = "the same motion"\n'
     Path("spec.toml").write_text(spec)
     shutil.copy("runs/a.mcap", "good.mcap")
     words = ("check", "spec.toml", "runs/a.mcap", "-o", "v.parquet")

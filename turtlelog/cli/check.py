@@ -94,10 +94,7 @@ def check(
         return _write_first(first.init, words or [], first.output, topics or ReadingOptions())
     words, expect = words or [], first.expect
     files = _choose_files(words, first, reference)
-    require_new_target(reports.junit, words, suffix=".xml")
-    require_new_target(reports.report, words, suffix=".html")
-    targets = (reports.junit, reports.artifacts, reports.report)
-    require_apart([path for path in targets if path is not None])
+    _require_targets(reports, first.output, words)
     spec = build_spec(expect) if expect else tl.load_spec(words[0], reference=reference)
     topics = topics or ReadingOptions()
     if first.output is not None or reports.recursive:
@@ -117,9 +114,6 @@ def check(
 
 def _choose_files(words: list[Path], first: FirstSpecOptions, reference: Path | None) -> list[Path]:
     """Return the recordings among what was given; refuse what does not go together."""
-    if first.output is not None and first.output.suffix.lower() != ".parquet":
-        other = "--init beside it, or a table whose name ends in .parquet"
-        raise UsageError(f"--output: expected {other}, found {first.output}")
     if first.expect and reference is not None:
         raise UsageError("--reference: expected no --expect beside it, found one")
     if not words:
@@ -128,6 +122,17 @@ def _choose_files(words: list[Path], first: FirstSpecOptions, reference: Path | 
     files = words if first.expect else words[1:]
     require_files(files)
     return files
+
+
+def _require_targets(reports: ReportOptions, output: Path | None, words: Sequence[Path]) -> None:
+    """Refuse what could not be written beside the answer."""
+    if output is not None and output.suffix.lower() != ".parquet":
+        other = "--init beside it, or a table whose name ends in .parquet"
+        raise UsageError(f"--output: expected {other}, found {output}")
+    require_new_target(reports.junit, words, suffix=".xml")
+    require_new_target(reports.report, words, suffix=".html")
+    targets = (reports.junit, reports.artifacts, reports.report)
+    require_apart([path for path in targets if path is not None])
 
 
 def build_spec(formulas: "Sequence[str]") -> "Spec":
