@@ -8,6 +8,7 @@ import pytest
 
 import turtlelog as tl
 from turtlelog.errors import LogError
+from turtlelog.log import read_as_chosen
 from turtlelog.sweep import (
     ResultTable,
     TabulatedFiles,
@@ -47,7 +48,7 @@ def folder(tmp_path: Path, runs: list[Path]) -> Path:
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Files that were measured."""
     names: list[str] = []
-    read = metric_rows.read_as_chosen
+    read = read_as_chosen
 
     def count(path: str, choice: Any) -> Any:
         names.append(Path(path).name)

@@ -22,7 +22,7 @@ from turtlelog.sweep.result_table import (
     read_result_table,
     write_result_table,
 )
-from turtlelog.sweep.row_columns import Key, Row, RowColumns, build_columns, gather
+from turtlelog.sweep.row_columns import GatheredCells, Key, Row, RowColumns, build_columns
 from turtlelog.version import __version__
 
 FILE: Final = Key("file")
@@ -203,7 +203,7 @@ class _Assembly:
                 head.add({FILE: one.label, SIZE: size, CHANGED: changed, HASH: sha256})
         stores = (self._former, self._fresh)
         others = {key for store in stores for key in store.cells} - {*HEAD}
-        used = {key for key in others if gather(stores, key, order).has_some}
+        used = {key for key in others if GatheredCells(stores, key, order).has_some}
         columns = (
             *build_columns([head], HEAD[:4], np.arange(len(order))),
             *build_columns(stores, (ERROR, *self._table.order(others, used)), order),
@@ -217,7 +217,7 @@ class _Assembly:
     def summarise(self, found: Sequence[FoundRecording]) -> TabulatedFiles:
         """Return how many were read, and what is wrong with those that cannot be."""
         firsts = np.array([self._places[one.label][0] for one in found], np.intp)
-        errors = gather((self._former, self._fresh), ERROR, firsts)
+        errors = GatheredCells((self._former, self._fresh), ERROR, firsts)
         failed = [(one.label, text) for one, text in zip(found, errors[:], strict=True) if text]
         return TabulatedFiles(
             output=self._output,

@@ -4,6 +4,7 @@ import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -31,17 +32,18 @@ class Key(NamedTuple):
 
 Row = Mapping[Key, Cell]
 _NO_WHOLE: Final = -(2**63)
+_CODES: Final = {"text": "i", "real": "d", "whole": "q"}
 
 
 class _Cells:
-    """The cells of one column: 8 bytes for each, and each text once."""
+    """The cells of one column: 8 bytes for each number, 4 for a text, and each text once."""
 
     def __init__(self, kind: str, count: int) -> None:
         self.texts: list[str] = []
         self._codes: dict[str, int] = {}
         self._kind = kind
         self._none = {"text": -1, "real": np.nan, "whole": _NO_WHOLE}[kind]
-        self.numbers = array("d" if kind == "real" else "q", [self._none]) * count
+        self.numbers = array(_CODES[kind], [self._none]) * count
 
     def add(self, cell: Any) -> None:
         if cell is None:
@@ -81,7 +83,7 @@ class RowColumns:
 
     def iterate(self, key: Key) -> Iterator[Any]:
         """Yield the cells of a column, of one that is not there None."""
-        return iter(gather([self], key, np.arange(self.count))[:])
+        return iter(GatheredCells([self], key, np.arange(self.count))[:])
 
 
 def _parse_key(column: ResultColumn) -> Key:
@@ -91,42 +93,44 @@ def _parse_key(column: ResultColumn) -> Key:
 
 
 class GatheredCells(Sequence[Any]):
-    """Cells of a column in an order; made when they are asked for."""
+    """Cells of a key from several stores in an order; taken from there when they are asked for."""
 
-    def __init__(self, numbers: NDArray[Any], kind: str, texts: Sequence[str]) -> None:
-        self._numbers, self._kind, self._texts = numbers, kind, texts
+    def __init__(self, stores: Sequence[RowColumns], key: Key, order: NDArray[np.intp]) -> None:
+        self._key, self._order = key, order
+        self._cells = [store.cells.get(key) or _Cells(key.type, store.count) for store in stores]
 
     def __len__(self) -> int:
-        return len(self._numbers)
+        return len(self._order)
 
     def __getitem__(self, place: Any) -> Any:
-        chosen = self._numbers[place]
-        return list(map(self._make, chosen)) if isinstance(place, slice) else self._make(chosen)
+        if not isinstance(place, slice):
+            return self[place : place + 1][0]
+        texts = list(chain.from_iterable(cells.texts for cells in self._cells))
+        return [self._make(number, texts) for number in self._gather()[place]]
 
-    def _make(self, number: Any) -> Cell:
-        if self._kind == "text":
-            return None if number < 0 else self._texts[number]
-        if self._kind == "real":
+    def _gather(self) -> NDArray[Any]:
+        parts, count = [], 0
+        for cells in self._cells:
+            numbers = np.array(cells.numbers)
+            parts.append(np.where(numbers < 0, -1, numbers + count) if cells.texts else numbers)
+            count += len(cells.texts)
+        found: NDArray[Any] = np.concatenate(parts)[self._order]
+        return found
+
+    def _make(self, number: Any, texts: Sequence[str]) -> Cell:
+        if self._key.type == "text":
+            return None if number < 0 else texts[number]
+        if self._key.type == "real":
             return None if math.isnan(number) else float(number)
         return None if number == _NO_WHOLE else int(number)
 
     @property
     def has_some(self) -> bool:
         """Whether any cell is not None."""
-        if self._kind == "real":
-            return bool((~np.isnan(self._numbers)).any())
-        return bool((self._numbers != (-1 if self._kind == "text" else _NO_WHOLE)).any())
-
-
-def gather(stores: Sequence[RowColumns], key: Key, order: NDArray[np.intp]) -> GatheredCells:
-    """Return the cells of a key from several stores, by numbers that count their rows one on."""
-    parts, texts = [], list[str]()
-    for store in stores:
-        cells = store.cells.get(key) or _Cells(key.type, store.count)
-        numbers = np.array(cells.numbers)
-        parts.append(np.where(numbers < 0, -1, numbers + len(texts)) if cells.texts else numbers)
-        texts += cells.texts
-    return GatheredCells(np.concatenate(parts)[order], key.type, texts)
+        numbers = self._gather()
+        if self._key.type == "real":
+            return bool((~np.isnan(numbers)).any())
+        return bool((numbers != (-1 if self._key.type == "text" else _NO_WHOLE)).any())
 
 
 def build_columns(
@@ -139,6 +143,6 @@ def build_columns(
         yield ResultColumn(
             name=key.name if is_alone else f"{key.name} [{key.unit}]",
             type=key.type,
-            cells=gather(stores, key, order),
+            cells=GatheredCells(stores, key, order),
             unit=key.unit or None,
         )
