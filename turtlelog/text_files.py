@@ -12,7 +12,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-from turtlelog.errors import describe_error
+from turtlelog.errors import RemoteError, describe_error
+from turtlelog.remote.urls import RemotePath, make_path
 
 MOST_BYTES: Final = 2**20
 """What a file of settings holds at most: some ten thousand checks, which take a second to read."""
@@ -58,7 +59,9 @@ def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
         OSError: Where it cannot be read, is too long, or a device; its `strerror` says what it is.
         UnicodeDecodeError: Where it holds no text.
     """
-    path = Path(path)
+    path = make_path(path)
+    if isinstance(path, RemotePath):
+        return _decode(_read_url(path, most + 1), most)
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode) or stat.S_ISDIR(mode)):
         raise OSError(errno.EINVAL, "a device")
@@ -67,6 +70,18 @@ def read_text_file(path: str | Path, *, most: int = MOST_BYTES) -> str:
     else:
         with path.open("rb") as stream:
             data = stream.read(most + 1)
+    return _decode(data, most)
+
+
+def _read_url(path: RemotePath, most: int) -> bytes:
+    try:
+        with path.file.open() as stream:
+            return stream.read(most)
+    except RemoteError as err:
+        raise OSError(errno.EIO, str(err).partition("found ")[2]) from err
+
+
+def _decode(data: bytes, most: int) -> str:
     if len(data) > most:
         raise OSError(errno.EFBIG, f"more than {most:,} bytes")
     return data.decode("utf-8-sig")

@@ -9,6 +9,8 @@ from mcap.writer import CompressionType, Writer
 from tests.remote.range_server import RangeServer
 
 CHUNKS = 96
+SIGNED = "?sig=SECRET//1"
+"""Without it, or with another, nothing is there."""
 
 
 @pytest.fixture(scope="session")
@@ -43,5 +45,6 @@ def kp4() -> bytes:
 
 @pytest.fixture
 def server(large_mcap: bytes, kp4: bytes) -> Iterator[RangeServer]:
-    with RangeServer(files={"large.mcap": large_mcap, "kp4.mcap": kp4}) as started:
+    files = {"large.mcap": large_mcap, "kp4.mcap": kp4, f"signed.mcap{SIGNED}": kp4}
+    with RangeServer(files=files) as started:
         yield started

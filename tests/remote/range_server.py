@@ -33,6 +33,7 @@ class RangeServer:
 
         class Handler(BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
+            disable_nagle_algorithm = True
 
             def do_HEAD(self) -> None:
                 self._answer(with_body=False)
@@ -62,7 +63,7 @@ class RangeServer:
         return f"http://127.0.0.1:{self._server.server_address[1]}/{name}"
 
     def _answer(self, request: BaseHTTPRequestHandler, *, with_body: bool) -> None:
-        data = self.files.get(request.path.partition("?")[0].lstrip("/"))
+        data = self.files.get(request.path.lstrip("/"))
         fault = self.faults.pop(0) if self.faults and with_body else None
         asked = re.fullmatch(r"bytes=(\d+)-(\d+)", request.headers.get("Range", ""))
         if data is None or fault in {"error", "denied"}:

@@ -1,8 +1,10 @@
 import json
+from pathlib import Path
 
 import pytest
 
 import turtlelog as tl
+from tests.remote.conftest import SIGNED
 from tests.remote.range_server import RangeServer
 from turtlelog.cli.app import main
 
@@ -13,15 +15,30 @@ def _run(words: list[str]) -> int | str | None:
     return ended.value.code
 
 
-@pytest.mark.parametrize("command", ["info", "metrics"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info", "--json"],
+        ["metrics", "--json"],
+        ["replay", "--json"],
+    ],
+    ids=" ".join,
+)
 def test_a_command_answers_as_of_the_local_file(
-    command: str, server: RangeServer, capsys: pytest.CaptureFixture[str]
+    words: list[str], server: RangeServer, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    url, path = server.url("kp4.mcap"), "recordings/paper/kp4.mcap"
-    assert _run([command, f"{url}?sig=SECRET//x", "--json"]) == 0
+    path, url = "recordings/paper/kp4.mcap", server.url("signed.mcap")
+    assert _run([*words, url + SIGNED]) == 0
     remote = capsys.readouterr().out
-    assert _run([command, path, "--json"]) == 0
+    assert _run([*words, path]) == 0
     assert json.loads(remote.replace(url, path)) == json.loads(capsys.readouterr().out)
+
+
+def test_a_report_of_a_signed_url_holds_no_signature(server: RangeServer, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    assert _run(["report", server.url("signed.mcap") + SIGNED, "-o", str(page)]) == 0
+    assert "signed.mcap" in page.read_text("utf-8")
+    assert "SECRET" not in page.read_text("utf-8")
 
 
 def test_info_does_not_fetch_the_poses_of_a_bag_unasked(

@@ -57,3 +57,17 @@ def test_storage_that_is_not_there_is_one_line(
     s3fs.S3FileSystem.clear_instance_cache()
     with pytest.raises(LogError, match=r"kp4\.mcap: expected a server, found none that answers"):
         tl.read_run(f"{bucket}/kp4.mcap")
+
+
+def test_a_recording_is_put_in_place_of_what_is_there(bucket: str, kp4: bytes) -> None:
+    place = f"{bucket}/results/out.mcap"
+    for name in ("kp1", "kp4"):
+        run = tl.read_run(f"recordings/paper/{name}.mcap")
+        tl.write_recording(run, place)
+        assert tl.read_run(place).name == run.name
+
+
+def test_a_bucket_that_is_not_there_takes_nothing(bucket: str) -> None:
+    run = tl.read_run("recordings/paper/kp4.mcap")
+    with pytest.raises(LogError, match=r"^s3://no-such-bucket/x\.mcap: expected an object or file"):
+        tl.write_recording(run, "s3://no-such-bucket/x.mcap")

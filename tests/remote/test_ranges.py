@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import turtlelog as tl
+from tests.remote.conftest import SIGNED
 from tests.remote.range_server import Fault, RangeServer
 from turtlelog.errors import LogError
 from turtlelog.log import read_columns
@@ -83,8 +84,10 @@ def test_a_range_that_fails_is_asked_for_again(server: RangeServer, fault: Fault
 
 def test_a_server_that_goes_on_failing_is_one_line(server: RangeServer) -> None:
     server.faults += ["cut", "cut", "cut", "denied"]
-    with pytest.raises(LogError, match=r"^http\S+kp4\.mcap: expected all of the bytes asked for"):
-        tl.read_run(server.url("kp4.mcap?sig=SECRET"))
+    with pytest.raises(
+        LogError, match=r"^http\S+signed\.mcap: expected all of the bytes asked for"
+    ):
+        tl.read_run(server.url("signed.mcap") + SIGNED)
     assert server.faults == ["denied"]  # three attempts, no more
 
 
@@ -100,7 +103,7 @@ def test_a_server_that_hangs_is_told_after_a_while(
 def test_what_may_not_be_read_says_so_without_its_signature(server: RangeServer) -> None:
     server.faults[:] = ["denied"]
     with pytest.raises(LogError, match="found no access") as caught:
-        tl.read_run(server.url("kp4.mcap?sig=SECRET").replace("//", "//me:SECRET@"))
+        tl.read_run(server.url("signed.mcap").replace("//", "//me:SECRET@") + SIGNED)
     assert "SECRET" not in str(caught.value)
 
 

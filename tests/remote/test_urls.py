@@ -59,6 +59,10 @@ def test_a_path_of_a_url_keeps_it_whole() -> None:
     copied = pickle.loads(pickle.dumps(path))
     assert copied == path
     assert copied.url == path.url
+    # Results hold the text; other processes read the file again by it.
+    shown = pickle.loads(pickle.dumps(str(path)))
+    assert shown == "https://host/a//b/./run.mcap"
+    assert make_path(shown) == path
 
 
 def test_local_files_load_no_fsspec() -> None:

@@ -19,6 +19,7 @@ from turtlelog.errors import CheckError, LibraryError, ShowError
 from turtlelog.escapes import escape_controls
 from turtlelog.log import write_recording
 from turtlelog.measure import is_lawless, list_signals, read_signal
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run, slice_run
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ class ArtifactWriter:
     """
 
     def __init__(self, folder: str | Path) -> None:
-        self._folder = Path(folder)
+        self._folder = make_path(folder)
         self._viewer = ExitStack()
         self._camera: Camera | None = None
         self._has_seen = False

@@ -26,6 +26,7 @@ from turtlelog.measure import (
     measure_run,
     read_signal,
 )
+from turtlelog.remote.urls import make_path
 from turtlelog.replay import Difference, LawReplay, LoopReplay, PlantReplay, SignalDifference
 from turtlelog.run import Run
 
@@ -62,7 +63,7 @@ def match_run(
     if isinstance(reference, ReferenceFile):
         reference = reference.load()
     if isinstance(reference, str | Path):
-        reference = load_reference(Path(reference))
+        reference = load_reference(make_path(reference))
     if isinstance(tolerance, str | Path):
         tolerance = load_tolerances(tolerance)
     if isinstance(tolerance, Tolerances) and not tolerance:

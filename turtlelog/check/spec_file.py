@@ -24,6 +24,7 @@ from turtlelog.errors import CheckError, CompareError, LogError
 from turtlelog.expressions import Expression, parse_expression
 from turtlelog.log import ReadChoice
 from turtlelog.log.read_choice import TimeSource, parse_goal
+from turtlelog.remote.urls import is_url, make_path
 from turtlelog.scenario import describe_unknown_key
 from turtlelog.scenario.describe import describe_value, name_key
 from turtlelog.text_files import parse_toml, read_text_file
@@ -53,10 +54,10 @@ def load_spec(path: str | Path, *, reference: str | Path | None = None) -> Spec:
     tables = read_tables(path)
     named = _read_text(tables, "reference", str(path))
     if reference is None and named is not None:
-        reference = Path(path).parent / named
+        reference = make_path(named) if is_url(named) else make_path(path).parent / named
     spec = parse_spec(tables, source=str(path))
     return require_reference(
-        replace(spec, reference=None if reference is None else Path(reference))
+        replace(spec, reference=None if reference is None else make_path(reference))
     )
 
 

@@ -19,6 +19,7 @@ from turtlelog.cli.page_options import TIMELESS, PageOptions
 from turtlelog.cli.progress import show_progress
 from turtlelog.cli.targets import require_new_target
 from turtlelog.errors import UsageError
+from turtlelog.remote.urls import RemotePath
 
 if TYPE_CHECKING:
     from turtlelog import Run
@@ -207,6 +208,8 @@ def _require_folder(output: Path) -> None:
             f"{output}: expected a folder, or a file that ends in .pdf, .png or .svg, found"
             f" {output.suffix}"
         )
+    if isinstance(output, RemotePath):
+        raise UsageError(f"{output}: expected a local folder, or one file, found a URL of neither")
     if output.exists() and not output.is_dir():
         raise UsageError(f"{output}: expected a folder to write to, found a file")
 

@@ -8,8 +8,9 @@ from types import MappingProxyType
 from typing import Final
 
 import turtlelog as tl
-from turtlelog.errors import UsageError
+from turtlelog.errors import RemoteError, UsageError
 from turtlelog.libraries import load_library
+from turtlelog.remote.urls import RemotePath
 
 _LIBRARIES: Final = MappingProxyType({".html": "bokeh", ".parquet": "pyarrow", ".rrd": "rerun"})
 """What writes files of a suffix, where a slim installation lacks it."""
@@ -31,9 +32,7 @@ def require_new_target(target: Path | None, inputs: Sequence[Path], *, suffix: s
     with _name_target(target):
         if target.suffix.lower() != suffix:
             raise UsageError(f"expected a name that ends in {suffix}, found another")
-        _require_place(_resolve(target))
-        if target.exists():
-            _require_replaceable(target, inputs)
+        _require_writable(target, inputs)
     if suffix in _LIBRARIES:
         load_library(_LIBRARIES[suffix])
 
@@ -60,6 +59,8 @@ def require_pictures(
 def require_new_folder(target: Path, *, file_suffixes: Sequence[str] = ()) -> None:
     """Refuse a folder that could not be made, has files in it, or is named as a file."""
     with _name_target(target):
+        if isinstance(target, RemotePath):
+            raise UsageError("expected the name of a new folder, found a URL, where only files are")
         if target.suffix.lower() in file_suffixes:
             raise UsageError(
                 f"expected the name of a new folder, found a name that ends in {target.suffix}"
@@ -85,7 +86,7 @@ def require_apart(targets: Sequence[Path]) -> None:
 
 def _resolve(target: Path) -> Path:
     """Return where a path leads; links that lead in a circle stay as they are."""
-    return Path(os.path.realpath(target))
+    return target if isinstance(target, RemotePath) else Path(os.path.realpath(target))
 
 
 def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
@@ -98,6 +99,24 @@ def _require_replaceable(target: Path, inputs: Sequence[Path]) -> None:
         with suppress(OSError):  # an input that is not there is told when it is read
             if target.samefile(tl.log.split_topic(path)[0]):
                 raise UsageError("expected another file to write to, found the input itself")
+
+
+def _require_writable(target: Path, inputs: Sequence[Path]) -> None:
+    if isinstance(target, RemotePath):
+        _require_url(target, inputs)
+        return
+    _require_place(_resolve(target))
+    if target.exists():
+        _require_replaceable(target, inputs)
+
+
+def _require_url(target: RemotePath, inputs: Sequence[Path]) -> None:
+    """Refuse a URL that nothing can be written to, or that is an input."""
+    from turtlelog.remote.requests import require_writable
+
+    require_writable(target.url)
+    if any(tl.log.split_topic(path)[0] == target for path in inputs):
+        raise UsageError("expected another file to write to, found the input itself")
 
 
 def _require_place(target: Path) -> None:
@@ -117,7 +136,7 @@ def _require_place(target: Path) -> None:
 def _name_target(target: Path) -> Iterator[None]:
     try:
         yield
-    except UsageError as err:
+    except (UsageError, RemoteError) as err:
         raise UsageError(f"{target}: {err}") from err
     except OSError as err:
         raise UsageError(

@@ -4,6 +4,7 @@ import os
 import shutil
 import stat
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import UnsupportedOperation
@@ -11,7 +12,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from turtlelog.errors import LogError
-from turtlelog.remote.urls import make_path
+from turtlelog.log.error_boundary import name_file
+from turtlelog.remote.urls import RemotePath, make_path
 
 
 @contextmanager
@@ -28,6 +30,10 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
         LogError: In one line, where the place cannot be written, or holds a recording in progress.
     """
     path = make_path(path)
+    if isinstance(path, RemotePath):
+        with _put_when_complete(path) as temporary:
+            yield temporary
+        return
     # Renaming over a device would replace the device.
     if path.exists() and not path.is_file():
         kind = "folder" if path.is_dir() else "device"
@@ -52,6 +58,21 @@ def replace_when_complete(path: str | Path) -> Iterator[Path]:
         ) from err
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _put_when_complete(path: RemotePath) -> Iterator[Path]:
+    """Yield a temporary name on this computer; the file is put behind the URL at the end."""
+    with name_file(path, expected="a place that can be written"):
+        from turtlelog.remote.requests import require_writable
+
+        require_writable(path.url)
+    with tempfile.TemporaryDirectory(prefix="turtlelog-") as folder:
+        temporary = Path(folder) / f"{path.name}.part"
+        temporary.touch()
+        yield temporary
+        with name_file(path, expected="a place that can be written"):
+            path.put(temporary)
 
 
 def _copy_rights(source: Path, target: Path, *, extra: int = 0) -> None:

@@ -29,7 +29,7 @@ from turtlelog.log.recording.recovery_note import RECOVERY, format_recovery
 from turtlelog.log.rewriting import Numbering, Rewriter
 from turtlelog.log.ros2 import METADATA_FILE
 from turtlelog.log.ros2.bag_folder import list_present_files, read_compression
-from turtlelog.remote.urls import make_path
+from turtlelog.remote.urls import RemotePath, make_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +134,7 @@ def _recover_file(source: Path, target: Path) -> RecoveryReport:
     with ExitStack() as closing:
         with name_file(source, expected="an MCAP file"):
             found = closing.enter_context(open_damaged(source))
-            if target.exists() and source.samefile(target):
+            if not isinstance(target, RemotePath) and target.exists() and source.samefile(target):
                 raise LogError(f"expected another file to write to, found the same: {target}")
             summary = None if found.bag else _salvage_summary(found.place)
         with replace_when_complete(target) as temporary, temporary.open("wb") as output:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from turtlelog.errors import MeasureError
 from turtlelog.paths import Path as TrackedPath, PathFollower
+from turtlelog.remote.urls import make_path
 from turtlelog.text_files import read_text_file
 
 Values = NDArray[np.float64]
@@ -115,7 +116,7 @@ def read_reference_path(path: str | Path) -> NDArray[np.float64]:
     Raises:
         MeasureError: One line with the file, the line, what was expected and what was found.
     """
-    path = Path(path)
+    path = make_path(path)
     try:
         text = StringIO(read_text_file(path, most=_MOST_BYTES), newline="")
         rows = [(line, row) for line, row in enumerate(csv.reader(text), start=1) if row]

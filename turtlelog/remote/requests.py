@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 from urllib.parse import urlsplit
 
@@ -55,6 +56,30 @@ def open_system(url: str) -> tuple[Any, str]:
                 f"expected a URL that fsspec reads ({known}), found {scheme}://"
             ) from err
         raise RemoteError(_describe(err)) from err
+
+
+def require_writable(url: str) -> tuple[Any, str]:
+    """Return the file system of a URL, and what it calls the file, as `open_system` does.
+
+    Raises:
+        RemoteError: Where nothing can be written: of http it is not known which way it would be.
+    """
+    if url.endswith("/"):
+        raise RemoteError("expected the URL of a file to write to, found that of a folder")
+    system, path = open_system(url)
+    if urlsplit(url).scheme.lower() in {"http", "https"}:
+        raise RemoteError("expected a URL of an object storage to write to, found one of http")
+    return system, path
+
+
+def put_file(source: Path, url: str) -> None:
+    """Put a local file behind a URL, in place of what is there.
+
+    Raises:
+        RemoteError: Where that is not allowed, or fails.
+    """
+    system, path = require_writable(url)
+    try_thrice(lambda: system.put_file(str(source), path))
 
 
 def _choose_options(url: str) -> dict[str, Any]:

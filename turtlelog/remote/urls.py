@@ -3,6 +3,7 @@
 Local files never load fsspec. What is printed of a URL holds no password and no signature.
 """
 
+import errno
 import os
 import re
 import stat
@@ -50,6 +51,23 @@ def hide_secrets(text: str) -> str:
     return re.sub(_URL.pattern + r"[^\s'\"<>]*", lambda found: show_url(found[0]), text)
 
 
+class _ShownUrl(str):
+    """The text of a path behind a URL; whoever makes a path of it again has the whole URL.
+
+    Attributes:
+        path: What it is the text of.
+    """
+
+    path: "RemotePath"
+
+    def __reduce__(self) -> tuple[Any, tuple[str]]:
+        return _show_path, (self.path.url,)
+
+
+def _show_path(url: str) -> str:
+    return str(RemotePath(url))
+
+
 class RemotePath(_LocalPath):
     """A file behind a URL. As text it is the URL without what is secret.
 
@@ -71,7 +89,9 @@ class RemotePath(_LocalPath):
         self.url, self._file, self._failure = url, None, None
 
     def __str__(self) -> str:
-        return show_url(self.url)
+        shown = _ShownUrl(show_url(self.url))
+        shown.path = self
+        return shown
 
     def __fspath__(self) -> str:
         return str(self)
@@ -110,6 +130,17 @@ class RemotePath(_LocalPath):
                 raise
         return self._file
 
+    def put(self, source: Path) -> None:
+        """Put a complete local file there, in place of what is.
+
+        Raises:
+            RemoteError: Where that is not allowed, or fails.
+        """
+        from turtlelog.remote.requests import put_file
+
+        put_file(source, self.url)
+        self._file = self._failure = None
+
     def open(self, mode: str = "r", *args: Any, **options: Any) -> IO[Any]:  # type: ignore[override]  # noqa: ARG002
         """Open it to read its bytes."""
         if mode != "rb":
@@ -119,6 +150,14 @@ class RemotePath(_LocalPath):
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:  # noqa: ARG002
         """Return its size; it is a file that is never written in place."""
         return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 1, 0, 0, self.file.size, 0, 0, 0))
+
+    def mkdir(self, *_: Any, **__: Any) -> None:
+        """Refuse: folders are made on disks only.
+
+        Raises:
+            OSError: Always.
+        """
+        raise OSError(errno.ENOTSUP, "a URL, where only single files are written", str(self))
 
     def is_dir(self, **_: Any) -> bool:
         """Return False: a folder of a bag is read from disks alone."""
@@ -179,6 +218,8 @@ def make_path(path: "str | os.PathLike[str]") -> Path:
     """Return a path of what a user names: a file, or a URL."""
     if isinstance(path, RemotePath):
         return path
+    if isinstance(path, _ShownUrl):
+        return path.path
     text = os.fspath(path)
     return RemotePath(text) if is_url(text) else Path(path)
 

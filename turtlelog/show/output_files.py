@@ -6,6 +6,7 @@ from pathlib import Path
 
 from turtlelog.errors import LogError, ShowError
 from turtlelog.log import replace_when_complete
+from turtlelog.remote.urls import make_path
 
 
 @contextmanager
@@ -31,7 +32,7 @@ def replace_together(folder: str | Path) -> Iterator[Callable[[str, bytes], Path
     Raises:
         ShowError: Where the place cannot be written.
     """
-    folder = Path(folder)
+    folder = make_path(folder)
     with ExitStack() as undoing:
         try:
             for new in [place for place in (folder, *folder.parents) if not place.exists()][::-1]:

@@ -12,6 +12,7 @@ from turtlelog.log.importers.paper_layouts import PAPER_MARKS, parse_paper_csv, 
 from turtlelog.log.importers.paper_log import PaperLog, build_paper_run
 from turtlelog.log.importers.plain_tables import import_plain_table
 from turtlelog.log.importers.table_text import read_header
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 
 _IMPORTERS: Final[Mapping[str, Callable[[str, Path], PaperLog]]] = MappingProxyType(
@@ -49,7 +50,7 @@ def import_log(path: str | Path, *, sort: bool = False) -> Run:
     Raises:
         LogError: One line with the file, the list and the index, where the log is wrong.
     """
-    path = Path(path)
+    path = make_path(path)
     with name_file(path, expected="a log of the paper's layout, .json or .csv"):
         text = _read_text(path)
         suffix = path.suffix.lower()

@@ -18,6 +18,7 @@ from turtlelog.libraries import load_library
 from turtlelog.log.error_boundary import name_file, open_file
 from turtlelog.log.importers.table_text import read_header
 from turtlelog.loops import DONE, PAUSE, Declaration
+from turtlelog.remote.urls import make_path
 from turtlelog.run import (
     TABLES,
     Clock,
@@ -80,7 +81,7 @@ def import_tables(path: str | Path) -> Run:
     Raises:
         LogError: One line with the file and the column, where a table is wrong.
     """
-    path = Path(path)
+    path = make_path(path)
     files = list_table_files(path) if path.is_dir() else (path,)
     tables: dict[str, Table] = {}
     facts: dict[str, Any] = {}

@@ -17,6 +17,7 @@ from turtlelog.log.importers.table_text import PlainTable, read_plain_table
 from turtlelog.log.planar import compute_heading, compute_tilt, describe_plane
 from turtlelog.log.read_choice import CHOSEN
 from turtlelog.log.ros2.bag_columns import separate_times, wrap_far_headings
+from turtlelog.remote.urls import make_path
 from turtlelog.run import CommandColumns, PoseColumns, Run, SampleColumns
 
 _NEVER: Final = (
@@ -43,7 +44,7 @@ def import_plain_table(path: str | Path, columns: Mapping[str, str] | None = Non
     Raises:
         LogError: One line with the file, the row and the column, where the table is wrong.
     """
-    path = Path(path)
+    path = make_path(path)
     with name_file(path, expected="a table"):
         table = read_plain_table(path)
         chosen = choose_columns(table.names, columns or {}, table.units)

@@ -15,6 +15,7 @@ from turtlelog.compare import ErrorGrowth, RobotComparison
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisTraces
 from turtlelog.loops import COMMAND_UNITS, COMMAND_WORDS
+from turtlelog.remote.urls import make_path
 from turtlelog.show.figures.figure_curves import draw_thinned
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import LOOKS, REFERENCE, Page, choose_lines
@@ -51,7 +52,7 @@ def write_prediction_figure(
     Raises:
         ShowError: Where the file cannot be written.
     """
-    path = Path(path)
+    path = make_path(path)
     kind = path.suffix.lower().removeprefix(".")
     if kind not in FIGURE_FORMATS:
         raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")

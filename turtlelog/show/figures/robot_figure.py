@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from turtlelog.errors import ShowError
 from turtlelog.identify import AxisModel, RobotModel
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.figures.legend import add_legend
 from turtlelog.show.figures.page import LOOKS, Page
@@ -30,7 +31,7 @@ def write_robot_figure(
     Raises:
         ShowError: Where no axis is known, or the file cannot be written.
     """
-    path = Path(path)
+    path = make_path(path)
     kind = path.suffix.lower().removeprefix(".")
     if kind not in FIGURE_FORMATS:
         raise ShowError(f"{path}: expected a name that ends in .pdf, .png or .svg, found another")

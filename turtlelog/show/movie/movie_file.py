@@ -6,6 +6,7 @@ from typing import Final
 
 from turtlelog.compare import order_by_gain
 from turtlelog.errors import ShowError
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.movie.encoding import PICTURES_PER_S, encode_movie, require_encoder
 from turtlelog.show.movie.film import LONGEST_S, SHORTEST_S, plan_film
@@ -39,7 +40,7 @@ def write_movie(
             the file cannot be written.
         LibraryError: Where what writes such a file is not installed.
     """
-    path = Path(path)
+    path = make_path(path)
     suffix = path.suffix.lower()
     require_encoder(suffix)
     if not runs:

@@ -21,6 +21,7 @@ from turtlelog.errors import ShowError
 from turtlelog.explain import Attribution
 from turtlelog.libraries import load_library
 from turtlelog.measure import Metric, measure_run
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.documents import choose_essentials
 from turtlelog.show.output_files import replace_file
@@ -223,7 +224,7 @@ def _write_tables(
 
 def _hash(file: str) -> str:
     """Return the sha256 of a file, of a bag's folder those of its files; empty where unknown."""
-    path = Path(file)
+    path = make_path(file)
     if file and path.is_dir():
         inner = sorted(one for one in path.iterdir() if one.is_file())
         return ", ".join(f"{one.name} {_hash(str(one))}" for one in inner)

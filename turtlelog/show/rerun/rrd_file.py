@@ -13,6 +13,7 @@ import rerun.blueprint as rrb
 
 from turtlelog.errors import ShowError
 from turtlelog.measure import Metric
+from turtlelog.remote.urls import make_path
 from turtlelog.run import Run
 from turtlelog.show.output_files import replace_file
 from turtlelog.show.rerun.entities import APPLICATION_ID, name_document
@@ -44,7 +45,7 @@ def open_recording(
     Raises:
         ShowError: Where the file cannot be written.
     """
-    path = Path(path)
+    path = make_path(path)
     with replace_file(path) as part_path, strict_mode():
         # The properties that Rerun would send hold the wall-clock time.
         stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
