@@ -1,6 +1,6 @@
 """The arrays of the compiled loop: what a scenario begins with, its queues, what its run holds."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
@@ -165,15 +165,28 @@ def prepare(memory: Memory, scenario: Scenario, ticks: int, samples: int) -> Non
     """Begin a scenario, from rest, and draw the random numbers of its effects, event by event."""
     memory.losses[:] = 0
     memory.axes[:] = fill_axes(scenario)
+    draw_streams(memory, list_streams(scenario), scenario.seed, ticks, samples)
+
+
+def list_streams(scenario: Scenario) -> frozenset[str]:
+    """Return the names of the random numbers that a scenario needs."""
+    streams = {**_OF_TICKS, **_OF_SAMPLES}
+    return frozenset(name for name, stream in streams.items() if stream.acts(scenario))
+
+
+def draw_streams(
+    memory: Memory, names: Collection[str], seed: int, ticks: int, samples: int
+) -> None:
+    """Draw random numbers, event by event."""
     for rows, events, streams in (
         (memory.ticks, ticks, _OF_TICKS),
         (memory.samples, samples, _OF_SAMPLES),
     ):
         for name, stream in streams.items():
-            if not stream.acts(scenario):
+            if name not in names:
                 continue
             width = len(stream.fields)
-            drawn = draw_events(scenario.seed, name, events, width=width, kind=stream.kind)
+            drawn = draw_events(seed, name, events, width=width, kind=stream.kind)
             for place, field in enumerate(stream.fields):
                 rows[field][:events] = drawn[:, place]
 

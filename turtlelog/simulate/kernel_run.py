@@ -44,9 +44,7 @@ class KernelRunner:
         None where it fails or answers no pose: the interpreted loop says why.
         """
         settings = fill_settings(scenario, plant)
-        ticks = int(settings["last_tick"][0]) + 1
-        period_s = scenario.loop.period_s
-        samples = ticks if period_s is None else int(scenario.max_duration_s / period_s) + 2
+        ticks, samples = count_rows(scenario, plant)
         if ticks > len(self._memory.ticks) or samples > len(self._memory.samples):
             self._memory = allocate(ticks, samples)
         prepare(self._memory, scenario, ticks, samples)
@@ -56,6 +54,13 @@ class KernelRunner:
         if found["has_failed"] or not found["samples"]:
             return None
         return _build_run(scenario, plant, self._memory, found)
+
+
+def count_rows(scenario: Scenario, plant: Plant) -> tuple[int, int]:
+    """Return the most ticks and samples that a run may have."""
+    ticks = round(scenario.max_duration_s * 1e9) // plant.period_ns + 1
+    period_s = scenario.loop.period_s
+    return ticks, ticks if period_s is None else int(scenario.max_duration_s / period_s) + 2
 
 
 def _build_run(scenario: Scenario, plant: Plant, memory: Memory, found: Any) -> Run:

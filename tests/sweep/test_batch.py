@@ -1,0 +1,147 @@
+import math
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+from tests.effects_cases import EFFECTS
+from tests.simulate.test_many import COMPILED_EFFECTS, build_random
+from turtlelog.errors import SimulationError, SweepError
+from turtlelog.measure import measure_run
+from turtlelog.measure.metric import Status
+from turtlelog.scenario import Scenario, get_preset, override_scenario
+from turtlelog.simulate import simulate_run
+from turtlelog.sweep import batch
+from turtlelog.sweep.batch import MeasuredRows, measure_rows
+from turtlelog.sweep.batch_rows import FREE_KEYS, prepare_rows
+from turtlelog.sweep.batch_table import OF_LOOPS, OF_RUN, STATUSES
+from turtlelog.sweep.simulate_rows import build_row_scenario
+
+METRICS: Final = (*OF_LOOPS, *OF_RUN)
+PAPER: Final = get_preset("paper")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernel() -> Any:
+    pytest.importorskip("numba")
+    found = batch.BATCH.load()
+    assert found is not None
+    return found
+
+
+@pytest.fixture(autouse=True)
+def loaded(monkeypatch: pytest.MonkeyPatch, kernel: Any) -> None:
+    monkeypatch.setattr(batch.BATCH, "_loops", kernel)
+
+
+def require_row(rows: MeasuredRows, row: int, scenario: Scenario) -> None:
+    """Hold a row to the metrics of a single run, values bit for bit."""
+    try:
+        run = simulate_run(scenario)
+    except SimulationError as err:
+        # The row's scenario has a name of its own.
+        require_reason(rows.failed[row], str(err).partition(":")[2])
+        return
+    assert rows.failed[row] is None
+    assert (rows.stop_reasons[row], rows.samples[row]) == (run.stop_reason, len(run.samples))
+    found = {
+        name: (STATUSES[rows.statuses[name][row]], rows.values[name][row].hex()) for name in METRICS
+    }
+    wanted = {
+        name: (metric.status, (math.nan if metric.value is None else metric.value).hex())
+        for name, metric in measure_run(run, only=METRICS).items()
+    }
+    assert {name: found[name] for name in wanted if found[name] != wanted[name]} == {}
+
+
+def require_reason(failed: str | None, reason: str) -> None:
+    assert failed is not None
+    assert failed.endswith(reason)
+
+
+@pytest.mark.parametrize("block", range(10))
+def test_batch_measures_what_a_single_run_measures(block: int) -> None:
+    for seed in range(1000 + block * 20, 1020 + block * 20):
+        base = build_random(seed)
+        gains = [0.3, base.law.parameters.kp_linear, 30.0]
+        rows = measure_rows(base, {"law.kp_linear": gains}, METRICS, threads=1)
+        assert rows.compiled + rows.interpreted == 3
+        for row, gain in enumerate(gains):
+            require_row(rows, row, override_scenario(base, {"law.kp_linear": gain}))
+
+
+@pytest.mark.parametrize("effect", COMPILED_EFFECTS)
+def test_batch_has_every_effect_and_falls_back_nowhere(effect: str) -> None:
+    base = override_scenario(PAPER, {"max_duration_s": 8.0, **EFFECTS[effect]})
+    columns = {"seed": [1, 1, 2**63 + 5], "law.kp_angular": [1.0, 4.0, 4.0]}
+    rows = measure_rows(base, columns, METRICS, threads=2)
+    assert (rows.compiled, rows.interpreted) == (3, 0)
+    for row in range(3):
+        changes = {key: column[row] for key, column in columns.items()}
+        require_row(rows, row, override_scenario(base, changes))
+
+
+def test_rows_are_the_same_on_one_thread_and_on_two() -> None:
+    columns = {"law.kp_linear": np.linspace(0.5, 12.0, 80).tolist()}
+    one, two = (measure_rows(PAPER, columns, METRICS, threads=count) for count in (1, 2))
+    for name in METRICS:
+        assert one.values[name].tobytes() == two.values[name].tobytes()
+        assert one.statuses[name].tobytes() == two.statuses[name].tobytes()
+    assert one.stop_reasons == two.stop_reasons
+
+
+def test_settings_of_free_keys_are_those_of_their_scenarios() -> None:
+    values: dict[str, Any] = {
+        "law.kp_angular": 2,
+        "law.kp_linear": 3.5,
+        "law.pause_ticks": 7,
+        "law.heading_tolerance_rad": 0.01,
+        "law.position_tolerance_m": 0.02,
+        "seed": 11,
+    }
+    assert values.keys() == FREE_KEYS
+    columns = {key: [value] for key, value in values.items()}
+    joint = prepare_rows(override_scenario(PAPER, values), {"name": ["any"]}, [0], None)
+    free = prepare_rows(PAPER, columns, [0], None)
+    for name in ("settings", "states", "axes", "lines"):
+        assert getattr(free, name).tobytes() == getattr(joint, name).tobytes()
+    assert free.seeds.tolist() == joint.seeds.tolist()
+
+
+def test_rows_that_are_no_scenario_say_why() -> None:
+    columns = {"law.kp_linear": [1.0, -1.0, 2.0], "loop.start_backlog": [5, 5, -5]}
+    rows = measure_rows(PAPER, columns, ["run.duration"], threads=1)
+    assert rows.failed[0] is None
+    assert rows.failed[1] is not None
+    assert "law.kp_linear" in rows.failed[1]
+    assert rows.failed[2] is not None
+    assert "loop.start_backlog" in rows.failed[2]
+    assert rows.statuses["run.duration"].tolist() == [0, -1, -1]
+    assert (rows.compiled, rows.interpreted) == (1, 2)
+
+
+def test_metric_or_law_that_is_not_compiled_takes_the_path_of_a_run() -> None:
+    columns = {"law.kp_linear": [1.0, 2.0]}
+    rows = measure_rows(PAPER, columns, ["run.iae", "run.duration"])
+    assert (rows.compiled, rows.interpreted) == (0, 2)
+    scenario = build_row_scenario(PAPER, ["law.kp_linear"], [2.0], 1)
+    wanted = measure_run(simulate_run(scenario), only=["run.iae"])["run.iae"]
+    assert rows.values["run.iae"][1] == wanted.value
+    other = measure_rows(get_preset("posture"), {"max_duration_s": [3.0, 4.0]}, ["run.duration"])
+    assert (other.compiled, other.interpreted) == (0, 2)
+
+
+def test_columns_of_different_lengths_are_refused() -> None:
+    with pytest.raises(SweepError, match="columns of one length"):
+        measure_rows(PAPER, {"law.kp_linear": [1.0], "seed": [1, 2]}, METRICS)
+
+
+def test_every_status_of_the_batch_is_met() -> None:
+    cut = override_scenario(PAPER, {"max_duration_s": 3.0})
+    there = override_scenario(PAPER, {"goal.y_m": 5.5444446, "goal.x_m": 9.0})
+    met = set()
+    for base in (PAPER, cut, there):
+        rows = measure_rows(base, {"law.kp_linear": [1.0, 0.1]}, METRICS)
+        met |= {STATUSES[code] for column in rows.statuses.values() for code in column}
+    wanted = {Status.OK, Status.NOT_REACHED, Status.NO_STEP, Status.NO_PHASE, Status.TOO_SHORT}
+    assert met == wanted | {Status.ABSENT}

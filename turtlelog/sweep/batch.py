@@ -1,0 +1,304 @@
+"""Rows that vary a scenario, simulated and measured in compiled code, without trajectories.
+
+What is not compiled, of a law, a metric or a row that fails, takes the path of a single run.
+Either way a row has the numbers of a single run, bit for bit.
+"""
+
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.compiled import CompiledLoops
+from turtlelog.errors import SimulationError, SweepError, TurtlelogError
+from turtlelog.measure import measure_run
+from turtlelog.plants import Plant
+from turtlelog.processes import count_cores
+from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate import simulate_run
+from turtlelog.simulate.kernel_memory import STOP_REASONS, Memory, allocate, draw_streams
+from turtlelog.simulate.many import COST_S, FIRST_S, SAVED_S
+from turtlelog.sweep.batch_rows import PreparedRows, find_line, prepare_rows
+from turtlelog.sweep.batch_table import (
+    ABSENT,
+    COLUMNS,
+    END,
+    NO_PHASE,
+    OF_LOOPS,
+    OK,
+    STATUSES,
+    TOO_LARGE,
+    is_covered,
+)
+from turtlelog.sweep.simulate_rows import build_row_scenario
+
+BATCH: Final = CompiledLoops("turtlelog.sweep.batch_kernel", cost_s=COST_S, first_s=FIRST_S + 8.0)
+"""The loop and what measures it, which takes some more seconds to compile."""
+
+_STRETCH: Final = 32
+"""Rows in one call: long enough to cost nothing, short enough that all cores end together."""
+
+_END_AT: Final = len(OF_LOOPS)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredRows:
+    """What became of rows, in their order.
+
+    Attributes:
+        values: Of each metric, NaN where there is none, shape (n,).
+        statuses: Of each metric: numbers of `STATUSES`, shape (n,); -1 of rows that failed.
+        stop_reasons: None of rows that failed.
+        failed: Why; None of those that did not.
+        samples: How many each row had, shape (n,).
+        compiled: How many rows the compiled loop simulated and measured.
+        interpreted: How many took the path of a single run.
+    """
+
+    values: Mapping[str, NDArray[np.float64]]
+    statuses: Mapping[str, NDArray[np.int8]]
+    stop_reasons: list[str | None]
+    failed: list[str | None]
+    samples: NDArray[np.int64]
+    compiled: int = 0
+    interpreted: int = 0
+
+
+def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
+    base: Scenario,
+    columns: Mapping[str, Sequence[Any]],
+    metrics: Sequence[str],
+    *,
+    plant: Plant | None = None,
+    threads: int | None = None,
+    first: int = 0,
+    ahead: int = 0,
+) -> MeasuredRows:
+    """Simulate rows that vary a scenario, and return their metrics.
+
+    Args:
+        base: What they vary; its law may run.
+        columns: The values of each key that varies, one for each row.
+        metrics: Ids, no patterns.
+        plant: On whose clock; None: each row on that of its own plant.
+        threads: That work at once; None: as many as cores.
+        first: Number of the first row, after which its scenario is named.
+        ahead: How many rows this process has before it, about: whether compiled loops are worth
+            loading.
+
+    Raises:
+        SweepError: Where columns have different lengths, or there are none.
+        MeasureError: Where one names no metric.
+    """
+    counts = {len(column) for column in columns.values()}
+    if len(counts) != 1:
+        raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
+    work = _Work(base, columns, metrics, plant, first)
+    rest = range(work.count)
+    if all(map(is_covered, metrics)):
+        kernel = BATCH.find()
+        if kernel is None and work.count:
+            work.measure_alone(0)
+            rest = range(1, work.count)
+            rows = max(work.count, ahead)
+            kernel = BATCH.expect(int(work.result.samples[0]) * rows, SAVED_S)
+        if kernel is not None:
+            rest = work.run_compiled(kernel, rest, count_cores() if threads is None else threads)
+    for row in rest:
+        work.measure_alone(row)
+    return work.finish()
+
+
+class _Work:
+    """Rows on their way through the batch."""
+
+    def __init__(
+        self,
+        base: Scenario,
+        columns: Mapping[str, Sequence[Any]],
+        metrics: Sequence[str],
+        plant: Plant | None,
+        first: int,
+    ) -> None:
+        self.count = count = len(next(iter(columns.values())))
+        self._base, self._columns, self._metrics = base, columns, tuple(metrics)
+        self._plant, self._first = plant, first
+        self._compiled = 0
+        self._local = threading.local()
+        self.result = MeasuredRows(
+            values={name: np.full(count, np.nan) for name in metrics},
+            statuses={name: np.full(count, -1, np.int8) for name in metrics},
+            stop_reasons=[None] * count,
+            failed=[None] * count,
+            samples=np.zeros(count, np.int64),
+        )
+
+    def finish(self) -> MeasuredRows:
+        """Return the rows with how many were compiled."""
+        result = self.result
+        return MeasuredRows(
+            values=result.values,
+            statuses=result.statuses,
+            stop_reasons=result.stop_reasons,
+            failed=result.failed,
+            samples=result.samples,
+            compiled=self._compiled,
+            interpreted=self.count - self._compiled,
+        )
+
+    def measure_alone(self, row: int) -> None:
+        """Simulate and measure a row as a single run."""
+        result = self.result
+        keys = tuple(self._columns)
+        values = [column[row] for column in self._columns.values()]
+        try:
+            scenario = build_row_scenario(self._base, keys, values, self._first + row)
+            scenario = resolve_scenario(scenario)
+            run = simulate_run(scenario, self._plant)
+        except TurtlelogError as err:
+            if isinstance(err, SimulationError) and err.run is not None:
+                result.samples[row] = len(err.run.samples)
+            result.failed[row] = str(err)
+            return
+        result.stop_reasons[row], result.samples[row] = run.stop_reason, len(run.samples)
+        for name, metric in measure_run(run, only=self._metrics).items():
+            result.statuses[name][row] = STATUSES.index(metric.status)
+            if metric.value is not None:
+                result.values[name][row] = metric.value
+
+    def run_compiled(self, kernel: Any, rows: range, threads: int) -> list[int]:
+        """Simulate and measure what is compiled; return the rows that are not."""
+        prepared = prepare_rows(self._base, self._columns, rows, self._plant)
+        figures = np.full((len(prepared.rows), COLUMNS), np.nan)
+        status = np.full((len(prepared.rows), COLUMNS), OK, np.int8)
+        self._run_all(kernel, prepared, figures, status, threads)
+        # The line from start to goal is known before, unless the robot is pushed as it waits.
+        moved = self._correct_lines(prepared, figures)
+        if len(moved):
+            again = prepared.take(moved)
+            part, part_status = figures[moved], status[moved]
+            self._run_all(kernel, again, part, part_status, threads)
+            figures[moved], status[moved] = part, part_status
+            prepared.states[moved] = again.states
+        good = (prepared.states["has_failed"] == 0) & (prepared.states["samples"] > 0)
+        self._enter(prepared, figures, status, np.flatnonzero(good))
+        self._compiled += int(good.sum())
+        return sorted([*prepared.others, *prepared.rows[~good].tolist()])
+
+    def _run_all(
+        self,
+        kernel: Any,
+        prepared: PreparedRows,
+        figures: NDArray[np.float64],
+        status: NDArray[np.int8],
+        threads: int,
+    ) -> None:
+        prepared.begin()
+        order = np.argsort(prepared.seeds, kind="stable")
+        cuts = np.flatnonzero(np.diff(prepared.seeds[order])) + 1
+        stretches = [
+            group[first : first + _STRETCH]
+            for group in np.split(order, cuts)
+            for first in range(0, len(group), _STRETCH)
+        ]
+
+        def run(stretch: NDArray[np.int64]) -> None:
+            memory, scratch = self._find_memory(prepared, int(prepared.seeds[stretch[0]]))
+            part = figures[stretch], status[stretch]
+            states = prepared.states[stretch]
+            settings, axes = prepared.settings[stretch], prepared.axes[stretch]
+            lines = prepared.lines[stretch]
+            kernel.run_rows((settings, states, lines), axes, memory, scratch, part)
+            figures[stretch], status[stretch] = part
+            prepared.states[stretch] = states
+
+        if threads == 1 or len(stretches) == 1:
+            for stretch in stretches:
+                run(stretch)
+            return
+        with ThreadPoolExecutor(threads, thread_name_prefix="batch") as pool:
+            for _ in pool.map(run, stretches):
+                pass
+
+    def _find_memory(self, prepared: PreparedRows, seed: int) -> tuple[Memory, NDArray[np.float64]]:
+        """Return arrays of this thread, with the random numbers of a seed."""
+        local = self._local
+        ticks, samples = prepared.ticks, prepared.samples
+        if (
+            not hasattr(local, "memory")
+            or len(local.memory.ticks) < ticks
+            or (len(local.memory.samples) < samples)
+        ):
+            local.memory = allocate(ticks, samples)
+            local.scratch = np.empty((2, ticks))
+            local.seed = None
+        if local.seed != seed:
+            draw_streams(local.memory, prepared.streams, seed, ticks, samples)
+            local.seed = seed
+        return local.memory, local.scratch
+
+    def _correct_lines(
+        self, prepared: PreparedRows, figures: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Give rows the line from where they were first read; return those that had another."""
+        read = figures[:, _END_AT + END.index("first_x_m") :][:, :2]
+        lines = prepared.lines
+        other = (read[:, 0] != lines["x_m"]) | (read[:, 1] != lines["y_m"])
+        other &= ~np.isnan(read[:, 0])
+        moved = np.flatnonzero(other)
+        for row in moved.tolist():
+            settings = prepared.settings[row]
+            goal = float(settings["goal_x_m"]), float(settings["goal_y_m"])
+            found = find_line((float(read[row, 0]), float(read[row, 1])), goal)
+            for name, value in found.items():
+                lines[name][row] = value
+        return moved
+
+    def _enter(
+        self,
+        prepared: PreparedRows,
+        figures: NDArray[np.float64],
+        status: NDArray[np.int8],
+        good: NDArray[np.int64],
+    ) -> None:
+        """Enter the metrics of rows that the compiled loop has done."""
+        result, rows = self.result, prepared.rows[good]
+        result.samples[rows] = prepared.states["samples"][good]
+        for row, reason in zip(rows, prepared.states["stop_reason"][good], strict=True):
+            result.stop_reasons[row] = STOP_REASONS[reason]
+        end = dict(zip(END, figures[good, _END_AT:].T, strict=True))
+        for name in self._metrics:
+            if name in OF_LOOPS:
+                values, found = figures[good, OF_LOOPS[name]], status[good, OF_LOOPS[name]]
+            else:
+                values = _find_of_run(name, end, prepared, good)
+                found = np.where(np.isfinite(values), OK, TOO_LARGE).astype(np.int8)
+                if name == "final.goal_heading_error":
+                    found[np.isnan(values)] = ABSENT
+            if name.startswith("reorient."):
+                found = np.where(prepared.settings["law_reorient"][good] == 1, found, NO_PHASE)
+            result.values[name][rows] = np.where(found == OK, values, np.nan)
+            result.statuses[name][rows] = found
+
+
+def _find_of_run(
+    name: str,
+    end: Mapping[str, NDArray[np.float64]],
+    prepared: PreparedRows,
+    good: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    if name == "run.duration":
+        return end["duration"]
+    if name == "final.heading_error":
+        return end["heading_error"]
+    if name == "final.cross_track":
+        return end["cross_track"]
+    settings = prepared.settings[good]
+    if name == "final.position_error":
+        ahead_m, left_m = settings["goal_x_m"] - end["x_m"], settings["goal_y_m"] - end["y_m"]
+        return np.asarray(np.hypot(ahead_m, left_m))
+    return end["goal_heading_error"]

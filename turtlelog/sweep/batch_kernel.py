@@ -1,0 +1,372 @@
+"""Many rows in one call: each simulated by the compiled loop, then measured from its arrays.
+
+What is measured are the numbers of `measure`, operation by operation, so that they are the same
+bit for bit: `response` finds the stretch of a loop, `step_response` the numbers of its curve. What
+rests on the cosine or the root of a library is left to numpy, as there: the line from start to goal
+is given, and of the end the places are returned.
+"""
+
+import math
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from turtlelog.measure.step_response import SHORTEST_HOLD_S, SWING
+from turtlelog.measure.table.loop_metrics import SMALLEST_STEP
+from turtlelog.simulate import loop_kernel
+from turtlelog.simulate.kernel_memory import MAX_DURATION, REORIENT, ROTATE, TIMEOUT, TRANSLATE
+from turtlelog.simulate.loop_kernel import _wrap_angle, run_loop
+from turtlelog.sweep.batch_table import (
+    CUT,
+    DEGREES,
+    LOOP_FIGURES,
+    NO_PHASE,
+    NO_STEP,
+    NOT_REACHED,
+    OK,
+    TOO_LARGE,
+    TOO_SHORT,
+)
+
+_DURATION, _DELAY, _RISE, _PEAK, _PEAK_TIME, _OVERSHOOT, _UNDERSHOOT, _SETTLING = range(8)
+_CROSSINGS, _FINAL, _STEADY, _LARGEST = range(8, 12)
+_COUNT = len(LOOP_FIGURES)
+_IS_ANGLE = np.array([name in DEGREES for name in LOOP_FIGURES])
+_IS_TIME = np.array([place in {_DELAY, _RISE, _SETTLING} for place in range(_COUNT)])
+_NEEDS_STEP = np.array([0 < place < _CROSSINGS for place in range(_COUNT)])
+_TO_DEGREES = 180.0 / math.pi
+_TURN_RAD = 2.0 * math.pi
+
+
+class _Stretch(NamedTuple):
+    """Where a loop acts: from the first pose to the one after the last, from when [ns].
+
+    `is_cut` and `is_own` are `was_cut` and `ended_itself` of a `Response`; no poses: no phase.
+    """
+
+    first: int
+    after: int
+    start_ns: int
+    period_ns: int
+    is_cut: bool
+    is_own: bool
+
+
+class _Step(NamedTuple):
+    """What a loop should do."""
+
+    initial: float
+    reference: float
+    band: float
+
+
+class _Row(NamedTuple):
+    """What a row is measured from."""
+
+    settings: Any
+    state: Any
+    memory: Any
+    line: Any
+
+
+class _Entry(NamedTuple):
+    """Where the figures of a loop, or of a row, are entered."""
+
+    figures: Any
+    status: Any
+
+
+_compile = njit(error_model="numpy", nogil=True)
+
+
+@_compile
+def _unwrap(ticks: Any, count: int, heading_rad: Any) -> None:
+    """Count the heading through full turns, as numpy's unwrap."""
+    turned = 0.0
+    heading_rad[0] = ticks[0].heading_rad
+    for row in range(1, count):
+        step = ticks[row].heading_rad - ticks[row - 1].heading_rad
+        if abs(step) > math.pi:
+            rest = np.fmod(step + math.pi, _TURN_RAD)
+            if rest < 0.0:
+                rest += _TURN_RAD
+            turned += (rest - math.pi) - step
+        heading_rad[row] = ticks[row].heading_rad + turned
+
+
+@_compile
+def _project(ticks: Any, count: int, line: Any, along_m: Any) -> None:
+    for row in range(count):
+        x_m, y_m = ticks[row].x_m - line.x_m, ticks[row].y_m - line.y_m
+        along_m[row] = x_m * line.cos + y_m * line.sin
+
+
+@_compile
+def _time(stretch: Any, row: int) -> float:
+    """Return the time of a pose from the start of its stretch [s]."""
+    return max(row * stretch.period_ns - stretch.start_ns, 0) / 1e9
+
+
+@_compile
+def _interpolate(values: Any, stretch: Any, row: int, threshold: float) -> float:
+    before, after = values[row], values[row + 1]
+    share = (threshold - before) / (after - before)
+    begin_s = _time(stretch, row)
+    return begin_s + share * (_time(stretch, row + 1) - begin_s)  # type: ignore[no-any-return]
+
+
+@_compile
+def _find_level(values: Any, stretch: Any, step: Any, level: float) -> float:
+    """Return the first time at which a share of the step is reached, NaN where it never is."""
+    height = step.reference - step.initial
+    threshold = step.initial + level * height
+    for row in range(stretch.first, stretch.after):
+        reached = values[row] >= threshold if height > 0.0 else values[row] <= threshold
+        if reached:
+            if row == stretch.first:
+                return _time(stretch, row)  # type: ignore[no-any-return]
+            return _interpolate(values, stretch, row - 1, threshold)  # type: ignore[no-any-return]
+    return np.nan
+
+
+@_compile
+def _find_swing_period(values: Any, stretch: Any, reference: float, half_width: float) -> float:
+    """Return the period that the last two swings tell [s]; 0 where less than two are over."""
+    last = after = -1
+    for row in range(stretch.after - 1, stretch.first - 1, -1):
+        error = values[row] - reference
+        if not abs(error) > SWING * half_width:
+            continue
+        side = error > 0.0
+        is_last = after < 0
+        if after >= 0:
+            gap_s = _time(stretch, after) - _time(stretch, row)
+            is_last = after - row > 1 and gap_s >= SHORTEST_HOLD_S
+            is_last = is_last or side != (values[after] - reference > 0.0)
+        after = row
+        if not is_last or row == stretch.after - 1:
+            continue
+        if last >= 0:
+            between_s = _time(stretch, last) - _time(stretch, row)
+            same = side == (values[last] - reference > 0.0)
+            return between_s if same else 2.0 * between_s  # type: ignore[no-any-return]
+        last = row
+    return 0.0
+
+
+@_compile
+def _find_settling(values: Any, stretch: Any, step: Any) -> float:
+    """Return when the response enters the band for good, NaN where it does not."""
+    reference = step.reference
+    half_width = step.band * abs(reference - step.initial)
+    high, low = reference + half_width, reference - half_width
+    end = last = stretch.after - 1
+    while last >= stretch.first and low <= values[last] <= high:
+        last -= 1
+    if last == end:
+        return np.nan
+    if last < stretch.first:
+        settled_s = _time(stretch, stretch.first)
+    else:
+        edge = reference + math.copysign(half_width, values[last] - reference)
+        settled_s = _interpolate(values, stretch, last, edge)
+    if stretch.is_own:
+        return settled_s  # type: ignore[no-any-return]
+    period_s = _find_swing_period(values, stretch, reference, half_width)
+    is_held = _time(stretch, end) - settled_s >= max(SHORTEST_HOLD_S, period_s)
+    return settled_s if is_held else np.nan
+
+
+@_compile
+def _find_largest(values: Any, stretch: Any, reference: float) -> float:
+    low = high = reference - values[stretch.first]
+    for row in range(stretch.first, stretch.after):
+        error = reference - values[row]
+        low, high = min(low, error), max(high, error)
+    return abs(low) if -low > high else abs(high)
+
+
+@_compile
+def _count_crossings(values: Any, stretch: Any, reference: float) -> float:
+    crossings, side = 0, 0
+    for row in range(stretch.first, stretch.after):
+        now = 1 if values[row] > reference else -1 if values[row] < reference else 0
+        if now:
+            crossings += side == -now
+            side = now
+    return float(crossings)
+
+
+@_compile
+def _enter_curve(values: Any, stretch: Any, step: Any, found: Any) -> None:
+    """Enter what the curve tells by its extremes and its end."""
+    initial, reference, end = step.initial, step.reference, stretch.after - 1
+    height = reference - initial
+    top = bottom = stretch.first
+    for row in range(stretch.first, stretch.after):
+        if values[row] > values[top]:
+            top = row
+        if values[row] < values[bottom]:
+            bottom = row
+    ahead, behind = (top, bottom) if reference >= initial else (bottom, top)
+    error = reference - values[end]
+    found[_DURATION] = _time(stretch, end)
+    found[_PEAK] = values[ahead]
+    found[_PEAK_TIME] = _time(stretch, ahead)
+    found[_OVERSHOOT] = 100.0 * ((values[ahead] - reference) / height)
+    found[_UNDERSHOOT] = 100.0 * ((initial - values[behind]) / height)
+    found[_CROSSINGS] = _count_crossings(values, stretch, reference)
+    found[_FINAL] = abs(error)
+    found[_STEADY] = error if reference >= initial else -error
+    found[_LARGEST] = _find_largest(values, stretch, reference)
+
+
+@_compile
+def _measure_response(values: Any, stretch: Any, step: Any, entry: Any) -> None:
+    """Enter the figures of a loop in the order of `LOOP_FIGURES`."""
+    found, status = entry.figures, entry.status
+    _enter_curve(values, stretch, step, found)
+    begin_s = _find_level(values, stretch, step, 0.1)
+    found[_DELAY] = _find_level(values, stretch, step, 0.5)
+    found[_RISE] = _find_level(values, stretch, step, 0.9) - begin_s
+    found[_SETTLING] = _find_settling(values, stretch, step)
+    is_step = not abs(step.reference - step.initial) <= SMALLEST_STEP
+    for place in range(_COUNT):
+        is_time = _IS_TIME[place]
+        status[place] = OK
+        if stretch.is_cut and not is_time:
+            status[place] = CUT
+        elif _NEEDS_STEP[place] and not is_step:
+            status[place] = NO_STEP
+        elif is_time and math.isnan(found[place]):
+            status[place] = NOT_REACHED
+        elif not math.isfinite(found[place]):
+            status[place] = TOO_LARGE
+
+
+@_compile
+def _find_sample(samples: Any, count: int, phase: int) -> int:
+    """Return the first sample of a phase or a later one: phases only go on."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if samples[middle].phase < phase:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@_compile
+def _ends_blocked(state: Any, samples: Any, end_ns: int) -> bool:
+    """Whether the last sample's command went out later than its pose was answered, or never."""
+    last_ns = samples[state.samples - 1].time_ns
+    if state.commands < state.samples:
+        return end_ns > last_ns  # type: ignore[no-any-return]
+    return samples[samples[state.commands - 1].published].published_ns > last_ns  # type: ignore[no-any-return]
+
+
+@_compile
+def _find_stretch(row: Any, end_ns: int, phase: int) -> Any:
+    """Return where the loop of a phase acts; -1 as its first row without such samples."""
+    state, samples, period_ns = row.state, row.memory.samples, row.settings.period_ns
+    first = _find_sample(samples, state.samples, phase)
+    after = _find_sample(samples, state.samples, phase + 1)
+    if first == after:
+        return _Stretch(-1, -1, 0, period_ns, False, False)  # noqa: FBT003
+    start_ns, goes_on = samples[first].time_ns, after < state.samples
+    last_ns = samples[after].time_ns if goes_on else end_ns
+    pose = -(-start_ns // period_ns)
+    if 0 < pose < state.ticks and pose * period_ns != start_ns:
+        pose -= 1
+    is_own = state.stop_reason not in (MAX_DURATION, TIMEOUT) or last_ns < end_ns
+    is_own = is_own or goes_on or _ends_blocked(state, samples, end_ns)
+    is_cut = state.stop_reason == MAX_DURATION and last_ns == end_ns
+    end = min(last_ns // period_ns + 1, state.ticks)
+    return _Stretch(min(pose, state.ticks), end, start_ns, period_ns, is_cut, is_own)
+
+
+@_compile
+def _measure_loop(row: Any, values: Any, end_ns: int, phase: int, entry: Any) -> None:
+    """Find the stretch of a loop and measure it there."""
+    stretch, line = _find_stretch(row, end_ns, phase), row.line
+    if stretch.after - stretch.first < 2:
+        entry.status[:] = NO_PHASE if stretch.first < 0 else TOO_SHORT
+        return
+    reference = line.length_m
+    if phase != TRANSLATE:
+        reference = line.bearing_rad if phase == ROTATE else line.goal_heading_rad
+        turns = np.rint((values[stretch.after - 1] - reference) / _TURN_RAD)
+        reference += turns * 2.0 * math.pi
+    step = _Step(values[stretch.first], reference, line.band)
+    _measure_response(values, stretch, step, entry)
+    if phase != TRANSLATE:
+        for place in range(_COUNT):
+            if _IS_ANGLE[place]:
+                entry.figures[place] *= _TO_DEGREES
+
+
+@_compile
+def _find_end_ns(row: Any) -> int:
+    """Return the time of the last row of any column [ns]."""
+    state, samples = row.state, row.memory.samples
+    end_ns = max((state.ticks - 1) * row.settings.period_ns, samples[state.samples - 1].time_ns)
+    if state.commands:
+        end_ns = max(end_ns, samples[samples[state.commands - 1].published].published_ns)
+    return end_ns  # type: ignore[no-any-return]
+
+
+@_compile
+def _measure_row(row: Any, scratch: Any, entry: Any) -> None:
+    ticks, samples, line = row.memory.ticks, row.memory.samples, row.line
+    count, end_ns = row.state.ticks, _find_end_ns(row)
+    _unwrap(ticks, count, scratch[0])
+    _project(ticks, count, line, scratch[1])
+    for loop in range(3):
+        phase = ROTATE if loop == 0 else TRANSLATE if loop == 1 else REORIENT
+        part = slice(loop * _COUNT, loop * _COUNT + _COUNT)
+        values = scratch[1] if phase == TRANSLATE else scratch[0]
+        own = _Entry(entry.figures[part], entry.status[part])
+        _measure_loop(row, values, end_ns, phase, own)
+    turns_last = _find_sample(samples, row.state.samples, REORIENT) < row.state.samples
+    wanted_rad = line.goal_heading_rad if turns_last else line.bearing_rad
+    pose, first, end = (
+        ticks[count - 1],
+        ticks[samples[0].pose_sequence],
+        entry.figures[3 * _COUNT :],
+    )
+    end[0] = (end_ns - samples[0].time_ns) / 1e9
+    end[1] = abs(_wrap_angle(wanted_rad - scratch[0, count - 1])) * _TO_DEGREES
+    end[2], end[3] = pose.x_m, pose.y_m
+    end[4] = abs(_wrap_angle(line.goal_heading_rad - pose.heading_rad)) * _TO_DEGREES
+    end[5], end[6] = first.x_m, first.y_m
+    x_m, y_m = pose.x_m - line.x_m, pose.y_m - line.y_m
+    end[7] = y_m * line.cos - x_m * line.sin
+
+
+def _build(stamp: int) -> Any:
+    """Return the compiled function, whose cache knows the loop that it was compiled with."""
+
+    @njit(nogil=True, cache=True, error_model="numpy")
+    def run_rows(begun: Any, axes: Any, memory: Any, scratch: Any, entries: Any) -> int:
+        """Simulate and measure rows, each in the same memory; numbers and statuses are entered."""
+        settings, states, lines = begun
+        for number in range(len(settings)):
+            for axis in range(2):
+                memory.axes[axis] = axes[number, axis]
+            for loss in memory.losses:
+                loss.since_ns = loss.count = loss.finished_since_ns = loss.finished = 0
+            run_loop(settings[number : number + 1], states[number : number + 1], memory)
+            state = states[number]
+            if not state.has_failed and state.samples:
+                row = _Row(settings[number], state, memory, lines[number])
+                _measure_row(row, scratch, _Entry(entries[0][number], entries[1][number]))
+        return stamp
+
+    return run_rows
+
+
+run_rows = _build(zlib.crc32(Path(loop_kernel.__file__).read_bytes()))

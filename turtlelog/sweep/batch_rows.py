@@ -1,0 +1,201 @@
+"""From keys that vary to the arrays of the compiled loop."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from turtlelog.errors import TurtlelogError
+from turtlelog.measure.measure_settings import SETTLING_BAND
+from turtlelog.plants import Plant
+from turtlelog.scenario import Scenario, resolve_scenario
+from turtlelog.simulate.kernel_fields import (
+    AXIS,
+    SETTINGS,
+    fill_axes,
+    fill_settings,
+    is_compiled,
+    read_key,
+)
+from turtlelog.simulate.kernel_memory import STATE, begin, list_streams
+from turtlelog.simulate.kernel_run import count_rows
+from turtlelog.sweep.simulate_rows import build_row_scenario
+
+FREE_KEYS: Final = frozenset(
+    {
+        *("law.kp_angular", "law.kp_linear", "law.pause_ticks", "seed"),
+        *("law.heading_tolerance_rad", "law.position_tolerance_m"),
+    }
+)
+"""Keys whose values may be judged one by one: no rule names them together with another key, and
+each is a number of the loop by itself. Of all other keys the combinations are judged."""
+
+LINE: Final = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            *("x_m", "y_m", "cos", "sin", "length_m", "bearing_rad", "goal_heading_rad", "band"),
+        )
+    ]
+)
+"""The line from start to goal, and what else of a scenario only measuring needs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PreparedRows:
+    """Rows as the compiled loop takes them.
+
+    Attributes:
+        rows: Their numbers, shape (n,).
+        others: Rows that it does not take.
+        settings: Shape (n,).
+        starts: States in which they begin, shape (n,).
+        states: Likewise, which the loop changes.
+        axes: Shape (n, 2).
+        lines: Shape (n,).
+        seeds: Shape (n,).
+        streams: Names of the random numbers that any of them needs.
+        ticks: Most that any may have.
+        samples: Likewise.
+    """
+
+    rows: NDArray[np.int64]
+    others: list[int]
+    settings: NDArray[Any]
+    starts: NDArray[Any]
+    states: NDArray[Any]
+    axes: NDArray[Any]
+    lines: NDArray[Any]
+    seeds: NDArray[Any]
+    streams: frozenset[str]
+    ticks: int
+    samples: int
+
+    def begin(self) -> None:
+        """Put the states to the start."""
+        self.states[:] = self.starts
+
+    def take(self, places: NDArray[np.int64]) -> "PreparedRows":
+        """Return some of the rows."""
+        names = ("rows", "settings", "starts", "states", "axes", "lines", "seeds")
+        return replace(self, **{name: getattr(self, name)[places] for name in names})
+
+
+class _Case:
+    """A combination of the keys that are judged together."""
+
+    def __init__(self, scenario: Scenario, plant: Plant) -> None:
+        self.settings, self.state = fill_settings(scenario, plant)[0], begin(scenario)[0]
+        self.axes, self.seed = fill_axes(scenario), scenario.seed
+        self.streams = list_streams(scenario)
+        self.ticks, self.samples = count_rows(scenario, plant)
+        start_xy_m = _find_start(scenario, self.state)
+        line = find_line(start_xy_m, (scenario.goal.x_m, scenario.goal.y_m))
+        heading_rad = scenario.goal.heading_rad
+        self.line = (*line.values(), math.nan if heading_rad is None else heading_rad)
+
+
+def prepare_rows(
+    base: Scenario, columns: Mapping[str, Sequence[Any]], rows: Sequence[int], plant: Plant | None
+) -> PreparedRows:
+    """Return rows as arrays, those that are not compiled or no scenario apart."""
+    free = [] if "law.kind" in columns else [key for key in columns if key in FREE_KEYS]
+    joint = [key for key in columns if key not in free]
+    cases: dict[tuple[Any, ...], _Case | None] = {}
+    known: dict[tuple[str, Any], Any] = {}
+    taken, others, found, values = [], [], [], []
+    for row in rows:
+        key = tuple((type(columns[name][row]), columns[name][row]) for name in joint)
+        if key not in cases:
+            cases[key] = _judge_case(base, joint, [value for _, value in key], plant)
+        case = cases[key]
+        own = [_judge_value(known, base, name, columns[name][row]) for name in free]
+        if case is None or None in own:
+            others.append(row)
+            continue
+        taken.append(row)
+        found.append(case)
+        values.append(own)
+    return _gather(taken, others, found, dict(zip(free, zip(*values, strict=True), strict=False)))
+
+
+def _gather(
+    taken: list[int], others: list[int], cases: list[_Case], free: Mapping[str, Sequence[Any]]
+) -> PreparedRows:
+    settings = np.array([case.settings for case in cases], SETTINGS)
+    seeds: NDArray[Any] = np.array([case.seed for case in cases], object)
+    for key, column in free.items():
+        if key == "seed":
+            seeds = np.array(column, object)
+        else:
+            settings[key.replace(".", "_")] = column
+    lines = np.array([(*case.line, SETTLING_BAND) for case in cases], LINE)
+    starts = np.array([case.state for case in cases], STATE)
+    unique = set(cases)
+    axes = np.array([case.axes for case in cases], AXIS).reshape(-1, 2)
+    return PreparedRows(
+        rows=np.array(taken, np.int64),
+        others=others,
+        settings=settings,
+        starts=starts,
+        states=starts.copy(),
+        axes=axes,
+        lines=lines,
+        seeds=seeds,
+        streams=frozenset[str]().union(*(case.streams for case in unique)),
+        ticks=max((case.ticks for case in unique), default=1),
+        samples=max((case.samples for case in unique), default=1),
+    )
+
+
+def _judge_case(
+    base: Scenario, keys: Sequence[str], values: Sequence[Any], plant: Plant | None
+) -> _Case | None:
+    """Return a combination, None where it is no scenario or not compiled."""
+    try:
+        scenario = resolve_scenario(build_row_scenario(base, keys, values, 0))
+    except TurtlelogError:
+        return None
+    clock = scenario.plant.facts if plant is None else plant
+    return _Case(scenario, clock) if is_compiled(scenario, clock) else None
+
+
+def _judge_value(known: dict[tuple[str, Any], Any], base: Scenario, key: str, value: Any) -> Any:
+    """Return the value of a free key as a scenario has it, None where it cannot have it."""
+    place = key, (type(value), value)
+    if place not in known:
+        try:
+            scenario = resolve_scenario(build_row_scenario(base, [key], [value], 0))
+            known[place] = scenario.seed if key == "seed" else read_key(scenario, key)
+        except TurtlelogError:
+            known[place] = None
+    return known[place]
+
+
+def _find_start(scenario: Scenario, state: Any) -> tuple[float, float]:
+    """Return where a robot that stands still is read for the first time."""
+    from turtlelog.plants import round_to_float32
+    from turtlelog.plants.turtlesim import WORLD_SIZE_M
+
+    x_m, y_m = float(state["x_m"]), WORLD_SIZE_M - float(state["down_m"])
+    if scenario.loop.pose_precision == "float64":
+        return x_m, y_m
+    return round_to_float32(x_m), round_to_float32(y_m)
+
+
+def find_line(start_xy_m: tuple[float, float], goal_xy_m: tuple[float, float]) -> dict[str, float]:
+    """Return the line from start to goal as runs have it, and as signals are projected on it."""
+    x_m, y_m = start_xy_m
+    ahead_m, left_m = goal_xy_m[0] - x_m, goal_xy_m[1] - y_m
+    bearing_rad = math.atan2(left_m, ahead_m)
+    return {
+        "x_m": x_m,
+        "y_m": y_m,
+        "cos": float(np.cos(bearing_rad)),
+        "sin": float(np.sin(bearing_rad)),
+        "length_m": float(np.hypot(ahead_m, left_m)),
+        "bearing_rad": bearing_rad,
+    }

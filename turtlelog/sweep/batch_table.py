@@ -1,0 +1,62 @@
+"""Which metrics the compiled batch computes, where it enters them, and its numbers of statuses."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+from turtlelog.measure.metric import Status
+
+LOOPS: Final = ("rotate", "translate", "reorient")
+"""The loops of the sequential laws, in the order of their figures."""
+
+LOOP_FIGURES: Final = (
+    *("duration", "delay_time", "rise_time", "peak", "peak_time", "overshoot", "undershoot"),
+    *("settling_time", "crossings", "final_error", "steady_state_error", "largest_error"),
+)
+"""What it computes of each loop."""
+
+DEGREES: Final = frozenset({"peak", "final_error", "steady_state_error", "largest_error"})
+"""Those that are angles where the loop turns."""
+
+END: Final = (
+    *("duration", "heading_error", "x_m", "y_m", "goal_heading_error"),
+    *("first_x_m", "first_y_m", "cross_track"),
+)
+"""What it enters of a run after its loops; the places are those of the last and first pose read."""
+
+STATUSES: Final = tuple(Status)
+"""Statuses by number."""
+
+OK, NOT_REACHED, NO_STEP, NO_PHASE, TOO_SHORT, TOO_LARGE, ABSENT = (
+    STATUSES.index(status)
+    for status in (
+        *(Status.OK, Status.NOT_REACHED, Status.NO_STEP, Status.NO_PHASE),
+        *(Status.TOO_SHORT, Status.TOO_LARGE, Status.ABSENT),
+    )
+)
+CUT: Final = TOO_SHORT
+"""Of a loop that the end of the run cuts."""
+
+OF_LOOPS: Final[Mapping[str, int]] = MappingProxyType(
+    {
+        f"{loop}.{figure}": row * len(LOOP_FIGURES) + place
+        for row, loop in enumerate(LOOPS)
+        for place, figure in enumerate(LOOP_FIGURES)
+    }
+)
+"""Metrics of loops by id: in which column they stand."""
+
+OF_RUN: Final = frozenset(
+    {
+        *("run.duration", "final.heading_error", "final.position_error", "final.cross_track"),
+        "final.goal_heading_error",
+    }
+)
+"""Metrics of the run that are computed of its end."""
+
+COLUMNS: Final = len(OF_LOOPS) + len(END)
+
+
+def is_covered(metric: str) -> bool:
+    """Whether the batch computes a metric."""
+    return metric in OF_LOOPS or metric in OF_RUN
