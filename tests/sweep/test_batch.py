@@ -73,12 +73,21 @@ def test_batch_measures_what_a_single_run_measures(block: int) -> None:
 @pytest.mark.parametrize("effect", COMPILED_EFFECTS)
 def test_batch_has_every_effect_and_falls_back_nowhere(effect: str) -> None:
     base = override_scenario(PAPER, {"max_duration_s": 8.0, **EFFECTS[effect]})
-    columns = {"seed": [1, 1, 2**63 + 5], "law.kp_angular": [1.0, 4.0, 4.0]}
+    columns: dict[str, list[Any]] = {"seed": [1, 1, 2**63 + 5], "law.kp_angular": [1.0, 4.0, 4.0]}
     rows = measure_rows(base, columns, METRICS, threads=2)
     assert (rows.compiled, rows.interpreted) == (3, 0)
     for row in range(3):
         changes = {key: column[row] for key, column in columns.items()}
         require_row(rows, row, override_scenario(base, changes))
+
+
+def test_line_to_the_goal_begins_where_a_pushed_robot_is_read_first() -> None:
+    push = {"disturbance.speed_m_s": 0.3, "loop.start_backlog": 40, "max_duration_s": 8.0}
+    base = override_scenario(PAPER, push)
+    rows = measure_rows(base, {"law.kp_linear": [1.0, 4.0]}, METRICS, threads=1)
+    assert (rows.compiled, rows.interpreted) == (2, 0)
+    for row, gain in enumerate((1.0, 4.0)):
+        require_row(rows, row, override_scenario(base, {"law.kp_linear": gain}))
 
 
 def test_rows_are_the_same_on_one_thread_and_on_two() -> None:
@@ -109,7 +118,10 @@ def test_settings_of_free_keys_are_those_of_their_scenarios() -> None:
 
 
 def test_rows_that_are_no_scenario_say_why() -> None:
-    columns = {"law.kp_linear": [1.0, -1.0, 2.0], "loop.start_backlog": [5, 5, -5]}
+    columns: dict[str, list[Any]] = {
+        "law.kp_linear": [1.0, -1.0, 2.0],
+        "loop.start_backlog": [5, 5, -5],
+    }
     rows = measure_rows(PAPER, columns, ["run.duration"], threads=1)
     assert rows.failed[0] is None
     assert rows.failed[1] is not None

@@ -98,7 +98,7 @@ def measure_rows(  # noqa: PLR0913  (all but the first three have defaults)
     if len(counts) != 1:
         raise SweepError(f"rows: expected columns of one length, found {sorted(counts) or 'none'}")
     work = _Work(base, columns, metrics, plant, first)
-    rest = range(work.count)
+    rest: Sequence[int] = range(work.count)
     if all(map(is_covered, metrics)):
         kernel = BATCH.find()
         if kernel is None and work.count:
@@ -170,7 +170,7 @@ class _Work:
             if metric.value is not None:
                 result.values[name][row] = metric.value
 
-    def run_compiled(self, kernel: Any, rows: range, threads: int) -> list[int]:
+    def run_compiled(self, kernel: Any, rows: Sequence[int], threads: int) -> list[int]:
         """Simulate and measure what is compiled; return the rows that are not."""
         prepared = prepare_rows(self._base, self._columns, rows, self._plant)
         figures = np.full((len(prepared.rows), COLUMNS), np.nan)

@@ -107,7 +107,7 @@ def _project(ticks: Any, count: int, line: Any, along_m: Any) -> None:
 @_compile
 def _time(stretch: Any, row: int) -> float:
     """Return the time of a pose from the start of its stretch [s]."""
-    return max(row * stretch.period_ns - stretch.start_ns, 0) / 1e9
+    return max(row * stretch.period_ns - stretch.start_ns, 0) / 1e9  # type: ignore[no-any-return]
 
 
 @_compile
@@ -186,7 +186,7 @@ def _find_largest(values: Any, stretch: Any, reference: float) -> float:
     for row in range(stretch.first, stretch.after):
         error = reference - values[row]
         low, high = min(low, error), max(high, error)
-    return abs(low) if -low > high else abs(high)
+    return abs(low) if -low > high else abs(high)  # type: ignore[no-any-return]
 
 
 @_compile
