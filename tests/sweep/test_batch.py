@@ -15,7 +15,7 @@ from turtlelog.sweep import batch
 from turtlelog.sweep.batch import MeasuredRows, measure_rows
 from turtlelog.sweep.batch_rows import FREE_KEYS, prepare_rows
 from turtlelog.sweep.batch_table import OF_LOOPS, OF_RUN, STATUSES
-from turtlelog.sweep.simulate_rows import build_row_scenario
+from turtlelog.sweep.plan import build_row_scenario
 
 METRICS: Final = (*OF_LOOPS, *OF_RUN)
 PAPER: Final = get_preset("paper")

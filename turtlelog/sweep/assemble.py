@@ -9,14 +9,14 @@ from typing import Any, Final
 
 from turtlelog.errors import LogError, SweepError
 from turtlelog.scenario import Scenario, build_scenario
-from turtlelog.sweep.plan import SweepPlan
+from turtlelog.sweep.plan import SweepPlan, build_row_scenario
 from turtlelog.sweep.result_table import (
     ResultColumn,
     ResultTable,
     choose_type,
     read_result_table,
 )
-from turtlelog.sweep.simulate_rows import MetricCells, RowResults, build_row_scenario
+from turtlelog.sweep.simulate_rows import MetricCells, RowResults
 from turtlelog.text_files import parse_toml
 
 STATUS: Final = ".status"

@@ -34,7 +34,7 @@ from turtlelog.sweep.batch_table import (
     TOO_LARGE,
     is_covered,
 )
-from turtlelog.sweep.simulate_rows import build_row_scenario
+from turtlelog.sweep.plan import build_row_scenario
 
 BATCH: Final = CompiledLoops("turtlelog.sweep.batch_kernel", cost_s=COST_S, first_s=FIRST_S + 8.0)
 """The loop and what measures it, which takes some more seconds to compile."""

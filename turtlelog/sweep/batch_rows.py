@@ -22,7 +22,7 @@ from turtlelog.simulate.kernel_fields import (
 )
 from turtlelog.simulate.kernel_memory import STATE, begin, list_streams
 from turtlelog.simulate.kernel_run import count_rows
-from turtlelog.sweep.simulate_rows import build_row_scenario
+from turtlelog.sweep.plan import build_row_scenario
 
 FREE_KEYS: Final = frozenset(
     {

@@ -1,4 +1,4 @@
-"""Which rows a sweep has: the values of its keys in every one, by its number."""
+"""Which rows a sweep has: the values of its keys in every one, by its number, and its scenario."""
 
 import json
 import math
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from turtlelog.errors import SweepError
+from turtlelog.scenario import Scenario, override_scenario
 from turtlelog.sweep.grid import MOST_ROWS, KeyValues, Steps, parse_key_values
 
 MOST_DRAWN: Final = 10_000_000
@@ -177,3 +178,33 @@ def _pick(axes: Sequence[Sequence[KeyValues]], shares: Sequence[float]) -> Itera
                 yield min(values[0] + (values[-1] - values[0]) * share, values[-1])
             else:
                 yield values[min(int(share * len(values)), len(values) - 1)]
+
+
+def build_row_scenario(
+    base: Scenario,
+    keys: Sequence[str],
+    values: Sequence[Any],
+    row: int,
+    *,
+    source: str = "grid",
+    trust_law: bool | None = None,
+) -> Scenario:
+    """Return the scenario of a row, named after it. Loads no code.
+
+    Args:
+        base: What the rows vary.
+        keys: That vary.
+        values: Of the row.
+        row: Its number.
+        source: Begins error lines.
+        trust_law: As in `override_scenario`.
+
+    Raises:
+        ScenarioError: Where the values make no scenario.
+    """
+    changes = dict(zip(keys, values, strict=True))
+    if "law.kind" in changes:  # another law has other keys: it is chosen before any of them is set
+        kind = {"law.kind": changes.pop("law.kind")}
+        base = override_scenario(base, kind, source=source, trust_law=trust_law)
+    changed = override_scenario(base, changes, source=source, trust_law=trust_law)
+    return changed if "name" in changes else replace(changed, name=f"{base.name} row {row}")

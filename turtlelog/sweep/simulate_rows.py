@@ -5,28 +5,32 @@ on any machine with the same turtlelog, gives the same.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from turtlelog import expressions
 from turtlelog.errors import SimulationError, SweepError, TurtlelogError
 from turtlelog.log.recording import write_recording
 from turtlelog.measure import (
+    MetricKind,
     choose_metrics,
     find_metric_kind,
     list_essential_metrics,
+    list_metrics,
     measure_run,
 )
 from turtlelog.measure.metric import Metric
 from turtlelog.run import Run
 from turtlelog.scenario import (
     Scenario,
-    override_scenario,
     parse_scenario,
     resolve_scenario,
 )
-from turtlelog.simulate import simulate_many
+from turtlelog.simulate import declare_scenario, simulate_many
+from turtlelog.sweep.batch import measure_rows
+from turtlelog.sweep.batch_table import OK, STATUSES, is_covered
+from turtlelog.sweep.plan import build_row_scenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +59,7 @@ class RowChunk:
         records: None: none.
         ahead: How many rows this process has before it, about: whether the compiled loop is worth
             loading.
+        threads: That work on it at once, where it is a batch.
     """
 
     base: str
@@ -64,6 +69,7 @@ class RowChunk:
     metrics: tuple[str, ...] | None = None
     records: RowRecords | None = None
     ahead: int = 0
+    threads: int = 1
 
 
 @dataclass(slots=True, kw_only=True)
@@ -118,39 +124,12 @@ class _Scenarios(Iterator[Scenario]):
         return next(self._rest)
 
 
-def build_row_scenario(
-    base: Scenario,
-    keys: Sequence[str],
-    values: Sequence[Any],
-    row: int,
-    *,
-    source: str = "grid",
-    trust_law: bool | None = None,
-) -> Scenario:
-    """Return the scenario of a row, named after it. Loads no code.
-
-    Args:
-        base: What the rows vary.
-        keys: That vary.
-        values: Of the row.
-        row: Its number.
-        source: Begins error lines.
-        trust_law: As in `override_scenario`.
-
-    Raises:
-        ScenarioError: Where the values make no scenario.
-    """
-    changes = dict(zip(keys, values, strict=True))
-    if "law.kind" in changes:  # another law has other keys: it is chosen before any of them is set
-        kind = {"law.kind": changes.pop("law.kind")}
-        base = override_scenario(base, kind, source=source, trust_law=trust_law)
-    changed = override_scenario(base, changes, source=source, trust_law=trust_law)
-    return changed if "name" in changes else replace(changed, name=f"{base.name} row {row}")
-
-
 def simulate_rows(chunk: RowChunk) -> RowResults:
     """Simulate and measure the rows of a chunk; a row that fails says why."""
     base = parse_scenario(chunk.base)
+    kinds = _list_batch_metrics(base, chunk)
+    if kinds:
+        return _simulate_batch(base, chunk, kinds)
     scenarios: list[Scenario | TurtlelogError] = []
     for row, values in enumerate(chunk.values, start=chunk.first):
         try:
@@ -167,6 +146,53 @@ def simulate_rows(chunk: RowChunk) -> RowResults:
             _enter_run(results, chunk, row, found)
         else:
             _enter_failure(results, found)
+    return results
+
+
+_DECLARING: Final = ("law.kind", "law.reorient", "path.")
+"""Beginnings of keys with which the metrics that a row has may change."""
+
+
+def is_batch(chunk: RowChunk) -> bool:
+    """Return whether compiled code can simulate and measure a chunk as a whole."""
+    return bool(_list_batch_metrics(parse_scenario(chunk.base), chunk))
+
+
+def _list_batch_metrics(base: Scenario, chunk: RowChunk) -> Mapping[str, MetricKind]:
+    """Return the metrics of a chunk by id where the batch covers all of them, otherwise none."""
+    if chunk.records or chunk.metrics is None or any(k.startswith(_DECLARING) for k in chunk.keys):
+        return {}
+    try:
+        declaration = declare_scenario(resolve_scenario(base))
+    except TurtlelogError:  # of its own it lacks what the rows give it
+        return {}
+    names, known = choose_metrics(chunk.metrics, declaration), list_metrics(declaration)
+    if not all(name in known and is_covered(name) for name in names):
+        return {}
+    return {name: known[name] for name in names}
+
+
+def _simulate_batch(base: Scenario, chunk: RowChunk, kinds: Mapping[str, MetricKind]) -> RowResults:
+    columns = dict(zip(chunk.keys, zip(*chunk.values, strict=True), strict=True))
+    found = measure_rows(
+        base, columns, [*kinds], threads=chunk.threads, first=chunk.first, ahead=chunk.ahead
+    )
+    results = RowResults(
+        first=chunk.first,
+        stop_reasons=found.stop_reasons,
+        failed=found.failed,
+        samples=int(found.samples.sum()),
+    )
+    if all(reason is not None for reason in found.failed):
+        return results
+    for name, kind in kinds.items():
+        numbers = found.statuses[name].tolist()
+        values = zip(found.values[name].tolist(), numbers, strict=True)
+        results.metrics[name] = MetricCells(
+            units=[kind.unit],
+            values=[value if number == OK else None for value, number in values],
+            statuses=[None if number < 0 else STATUSES[number].value for number in numbers],
+        )
     return results
 
 

@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial as partial_call
 from pathlib import Path
 from typing import Final, overload
 
@@ -13,15 +14,17 @@ from turtlelog.measure import choose_metrics
 from turtlelog.processes import LONG_S, count_cores, map_in_processes
 from turtlelog.scenario import Scenario, flatten_scenario, format_scenario, resolve_scenario
 from turtlelog.simulate import declare_scenario
+from turtlelog.simulate.many import SAVED_S
 from turtlelog.sweep.assemble import assemble_table, list_valueless
-from turtlelog.sweep.plan import SweepPlan
+from turtlelog.sweep.batch import BATCH
+from turtlelog.sweep.plan import SweepPlan, build_row_scenario
 from turtlelog.sweep.result_table import ResultTable, read_result_table, write_result_table
 from turtlelog.sweep.resume import PartialResults, name_partial, require_same_sweep
 from turtlelog.sweep.simulate_rows import (
     RowChunk,
     RowRecords,
     RowResults,
-    build_row_scenario,
+    is_batch,
     require_condition,
     simulate_rows,
 )
@@ -31,6 +34,9 @@ _CHUNK_S: Final = 0.5
 """Work in a chunk, as measured on the first row [s]: what an interruption costs at most."""
 
 _MOST_IN_CHUNK: Final = 1024
+
+_MOST_IN_BATCH: Final = 2048
+"""Rows that compiled code takes at once: half a second of usual ones, and a few hundred calls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +69,7 @@ class Sweep:
             "version": __version__,
         }
 
-    def cut_chunk(self, first: int, count: int, *, ahead: int = 0) -> RowChunk:
+    def cut_chunk(self, first: int, count: int, *, ahead: int = 0, threads: int = 1) -> RowChunk:
         """Return the work on some rows."""
         return RowChunk(
             base=self.base,
@@ -73,6 +79,7 @@ class Sweep:
             metrics=self.metrics,
             records=self.records,
             ahead=ahead,
+            threads=threads,
         )
 
 
@@ -233,15 +240,22 @@ def _simulate(
     gaps = _list_gaps(partial.done, sweep.plan.row_count)
     if not gaps:
         return
-    first = gaps[0][0]
+    first = sweep.cut_chunk(gaps[0][0], 1)
     begun = time.perf_counter()
-    partial.add(simulate_rows(sweep.cut_chunk(first, 1)))
+    found = simulate_rows(first)
     row_s = time.perf_counter() - begun
+    partial.add(found)
     watch(done := done + 1)
     rest = sweep.plan.row_count - done
     jobs = jobs or (count_cores() if rest * row_s > LONG_S else 1)
-    size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // jobs)))
-    chunks = _Chunks(sweep, _list_gaps(partial.done, sweep.plan.row_count), size, rest // jobs)
+    threads = 1
+    if is_batch(first) and BATCH.expect(found.samples * rest, SAVED_S) is not None:
+        # Threads share what is loaded, and processes would take longer to start.
+        jobs, threads, size = 1, jobs, _MOST_IN_BATCH
+    else:
+        size = max(1, min(_MOST_IN_CHUNK, int(_CHUNK_S / row_s), -(-rest // jobs)))
+    cut = partial_call(sweep.cut_chunk, ahead=rest // jobs, threads=threads)
+    chunks = _Chunks(cut, _list_gaps(partial.done, sweep.plan.row_count), size)
     for results in map_in_processes(simulate_rows, chunks, jobs, name=_name_chunk):
         partial.add(results)
         watch(done := done + len(results))
@@ -261,9 +275,9 @@ class _Chunks(Sequence[RowChunk]):
     """The work on stretches of rows, cut when it is asked for."""
 
     def __init__(
-        self, sweep: Sweep, gaps: Sequence[tuple[int, int]], size: int, ahead: int
+        self, cut: Callable[[int, int], RowChunk], gaps: Sequence[tuple[int, int]], size: int
     ) -> None:
-        self._sweep, self._ahead = sweep, ahead
+        self._cut = cut
         self._cuts = [
             (first, min(size, end - first))
             for begin, end in gaps
@@ -280,7 +294,7 @@ class _Chunks(Sequence[RowChunk]):
     def __getitem__(self, place: int | slice) -> RowChunk | list[RowChunk]:
         if isinstance(place, slice):
             return [self[number] for number in range(*place.indices(len(self)))]
-        return self._sweep.cut_chunk(*self._cuts[place], ahead=self._ahead)
+        return self._cut(*self._cuts[place])
 
 
 def _name_chunk(chunk: RowChunk) -> str:
