@@ -146,7 +146,8 @@ def test_another_reference_judges_anew(call: Call, folder: Path) -> None:
     shutil.copy("runs/a.mcap", "good.mcap")
     words = ("check", "spec.toml", "runs/a.mcap", "-o", "v.parquet")
     assert call(*words).code == 0
-    tl.write_recording(tl.simulate_run(tl.load_scenario("paper-kp10")), "good.mcap")
+    slow = tl.override_scenario(tl.load_scenario("textbook"), {"law.kp_angular": 0.1})
+    tl.write_recording(tl.simulate_run(slow), "good.mcap")
     answer = call(*words)
     assert answer.code == 1
     assert "another choice of reference" in answer.err
