@@ -19,8 +19,8 @@ from typing import Final
 from benchmarks.table import ROOT, WIDTH, Row, format_table, read_row, tell_better_peers
 
 BENCHMARKS: Final = (
-    *("commands", "many", "files", "engine", "sqlite", "memory", "writer", "loop", "batch"),
-    *("measure", "compare", "check", "explain", "show"),
+    *("commands", "many", "folder", "files", "engine", "sqlite", "memory", "writer", "loop"),
+    *("batch", "measure", "compare", "check", "explain", "show"),
 )
 """In the order of the table; each is a file `bench_NAME.py`."""
 
