@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 import msgspec
 
@@ -67,16 +67,16 @@ class KeptRows:
         self._of = hashlib.sha256(msgspec.json.encode(dict(sorted(facts.items())))).digest()[:8]
 
     def read(self) -> Iterator[FileRows]:
-        """Yield what was kept for the same facts, up to what was cut or is damaged."""
+        """Yield what was kept for the same facts, without parts that were cut or are damaged."""
         with suppress(FileNotFoundError), self.path.open("rb") as stream:
             while len(head := stream.read(_FRAME.size)) == _FRAME.size:
                 mark, of, length, checksum = _FRAME.unpack(head)
-                if mark != _MARK:
-                    return
-                packed = stream.read(length)
-                if len(packed) < length or zlib.crc32(packed) != checksum:
-                    return
-                if of == self._of:
+                begin = stream.tell()
+                packed = stream.read(length) if mark == _MARK else b""
+                if mark != _MARK or len(packed) < length or zlib.crc32(packed) != checksum:
+                    # What a later call added stands behind it.
+                    _seek_mark(stream, begin - _FRAME.size + 1)
+                elif of == self._of:
                     yield from msgspec.msgpack.decode(zlib.decompress(packed), type=list[FileRows])
 
     def add(self, found: Sequence[FileRows]) -> None:
@@ -102,3 +102,18 @@ class KeptRows:
         """Remove the file: the table is complete."""
         with suppress(OSError):
             self.path.unlink()
+
+
+_SEARCHED_BYTES: Final = 2**20
+
+
+def _seek_mark(stream: BinaryIO, place: int) -> None:
+    """Go to the next mark from a place on; to the end where there is none."""
+    stream.seek(place)
+    while len(block := stream.read(_SEARCHED_BYTES)) >= len(_MARK):
+        found = block.find(_MARK)
+        if found >= 0:
+            stream.seek(place + found)
+            return
+        place += len(block) - len(_MARK) + 1  # a mark may lie across two blocks
+        stream.seek(place)
